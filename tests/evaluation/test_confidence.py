@@ -8,11 +8,10 @@ import torch
 from scipy.special import softmax
 
 from conftest import generator, quick
-from deepfsi import Design, evaluate
+from deepfsi import Design
 from deepfsi.designfile import calibration_budgets
 from deepfsi.evaluation import CalibrationScenes, Exposed, fit_temperatures, logits_at_stops
 from deepfsi.jobs import Job
-from deepfsi.measures.reliability import BINS
 from deepfsi.networks import stop_temperatures
 from deepfsi.training import find_temperatures
 
@@ -65,15 +64,6 @@ def test_two_photons_make_nobody_sure(design):
     assert sure.max() < 0.75
     assert sure.mean() < 0.25
     assert raw.mean() > 0.6
-
-
-def test_the_error_of_a_result_is_that_of_its_answers(fixed, digits):
-    [found] = evaluate(fixed, digits, 3e3, draws=1, seed=5)
-    answer, _, sure = answers(fixed, digits.x_test, 3e3, seed=5)
-    order = np.argsort(sure, kind="stable")
-    off = (sure - (answer == digits.y_test))[order]
-    groups = [abs(part.sum()) for part in np.array_split(off, BINS)]
-    assert found.calibration_error == pytest.approx(sum(groups) / len(off), abs=1e-5)
 
 
 def test_held_out_scenes_calibrate_where_there_are_any(fixed, digits):

@@ -40,18 +40,6 @@ def test_chances_are_those_of_the_poisson_law(made, digits, light, rails, photon
     np.testing.assert_allclose(found, exact(flat, labels, read, photons), atol=2e-3)
 
 
-@pytest.mark.parametrize("photons", [30.0, 1e3, 1e5])
-def test_single_precision_does_for_as_many_photons_as_a_design_is_made_for(digits, photons):
-    """Chances in float32 are those in float64 where most classes are still in doubt and beyond."""
-    x, labels = torch.from_numpy(digits.x_train), torch.from_numpy(digits.y_train)
-    s = x.sum(dim=1).mean()
-    counts = torch.poisson(torch.from_numpy(photons * digits.x_test) / s, generator=generator(3))
-    single = IdealObserver(x / s, labels, 10).chances(counts, photons)
-    double = IdealObserver(x.double() / s, labels, 10).chances(counts, photons)
-    assert (single - double).abs().max() < 1e-4
-    assert (single.argmax(dim=1) == double.argmax(dim=1)).all()
-
-
 def test_two_scenes_are_told_apart_as_by_the_likelihood_ratio():
     """One readout, one scene a class: the error is Σ min(P(y | a), P(y | b)) / 2."""
     a, b, photons = 0.4, 0.7, 20.0
@@ -70,16 +58,6 @@ def test_two_scenes_are_told_apart_as_by_the_likelihood_ratio():
     [found] = ideal_observer(torch.ones(1, 1, 1), data, phi)
     spread = math.sqrt(error * (1 - error) / 8000)
     assert abs(1 - found.accuracy - error) < 5 * spread
-
-
-def test_where_no_scene_can_give_the_counts_the_fewest_impossible_ones_count():
-    """The limit of a background that vanishes, and readouts that no scene lights say nothing."""
-    rates = torch.tensor([[0.5, 0.0, 0.2, 0.0], [0.0, 0.4, 0.2, 0.0], [0.5, 0.2, 0.0, 0.0]])
-    counts = torch.tensor([[2.0, 1, 3, 0], [2, 1, 3, 7], [1, 1, 1, 0]])
-    found = IdealObserver(rates, torch.arange(3), 3).chances(counts, 10.0)
-    dim = IdealObserver(rates.double() + 1e-30, torch.arange(3), 3).chances(counts.double(), 10.0)
-    np.testing.assert_allclose(found, dim, atol=1e-6)
-    assert torch.equal(found[0], found[1])
 
 
 @pytest.mark.parametrize("photons", [30.0, 300.0])
@@ -132,10 +110,20 @@ def test_one_photon_tells_what_was_published_first():
 
 def test_counts_that_a_scene_cannot_give_exclude_it():
     rates = torch.tensor([[0.5, 0.0, 0.0], [0.3, 0.2, 0.0], [0.1, 0.2, 0.2]])
-    observer = IdealObserver(rates, torch.arange(3), 4)
-    chances = observer.chances(torch.tensor([[3.0, 1, 0], [3, 0, 1], [9, 0, 0]]), 10.0)
-    assert chances[0, 0] == 0
-    assert (chances[0, 1:3] > 0).all()
-    assert chances[1].tolist() == [0, 0, 1, 0]
-    assert (chances[2, :3] > 0).all()
-    assert (chances[:, 3] == 0).all(), "a class without a scene"
+    counts = torch.tensor([[3.0, 1, 0], [3, 0, 1], [9, 0, 0]])
+    chances = IdealObserver(rates, torch.arange(3), 4).chances(counts, 10.0)
+    assert (chances > 0).tolist() == [
+        [False, True, True, False],
+        [False, False, True, False],
+        [True, True, True, False],  # the fourth is a class without a scene
+    ]
+
+
+def test_where_no_scene_can_give_the_counts_the_fewest_impossible_ones_count():
+    """The limit of a background that vanishes, and readouts that no scene lights say nothing."""
+    rates = torch.tensor([[0.5, 0.0, 0.2, 0.0], [0.0, 0.4, 0.2, 0.0], [0.5, 0.2, 0.0, 0.0]])
+    counts = torch.tensor([[2.0, 1, 3, 0], [2, 1, 3, 7], [1, 1, 1, 0]])
+    found = IdealObserver(rates, torch.arange(3), 3).chances(counts, 10.0)
+    dim = IdealObserver(rates.double() + 1e-30, torch.arange(3), 3).chances(counts.double(), 10.0)
+    np.testing.assert_allclose(found, dim, atol=1e-6)
+    assert torch.equal(found[0], found[1])

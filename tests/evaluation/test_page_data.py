@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from deepfsi import Design
 from deepfsi.base import InputError
 from deepfsi.evaluation import check_playable, playable
 from deepfsi.exposure import ScenePrior
-from deepfsi.exposure.patches import PatchExposure
+from golden.file_cases import FOLDER
 
 READ = {"light": "column", "noise": "camera", "dark": 5, "sigma": 2}
 
@@ -23,7 +24,6 @@ def under(camera):
     ("changes", "match"),
     [
         ({"classifier": torch.nn.Linear(7, 10)}, "give a design with the package's own"),
-        ({"exposure": PatchExposure(4)}, "of image patches"),
         (
             under({"light": "column", "noise": "shared.noises:photons"}),
             r"for shared\.noises:photons noise",
@@ -38,6 +38,8 @@ def test_what_a_page_cannot_play_is_refused(made, changes, match):
     design = replace(made("deepfsi", "column", "dual"), **changes)
     with pytest.raises(InputError, match=match) if match else nullcontext():
         check_playable(design)
+    with pytest.raises(InputError, match="of image patches"):
+        check_playable(Design.load(FOLDER / "patches.safetensors"))
 
 
 def test_a_page_has_scenes_of_each_class_by_lot():

@@ -6,7 +6,7 @@ import torch
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, poisson
 
-from deepfsi import Design, IdealObserver, Result, evaluate
+from deepfsi import Design, Result, evaluate
 from deepfsi.base import InputError
 from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.exposure import (
@@ -89,16 +89,6 @@ def test_the_posterior_is_that_of_the_poisson_law(photons, dark, arms, detectors
     with np.errstate(invalid="ignore"):
         each = np.where(mean > 0, poisson.logpmf(counts[:, None], mean), 0.0)
     np.testing.assert_allclose(found, by_hand(each.sum(axis=(2, 3)), labels), atol=2e-3)
-
-
-def test_with_masks_that_are_given_it_is_the_ideal_observer():
-    x, labels = small()
-    mean = expected(x, readouts(MASKS), 1.0)
-    counts = np.random.default_rng(1).poisson(1e3 * mean[:20])
-    rates, truth = torch.from_numpy(mean).float(), torch.from_numpy(labels)
-    ideal = IdealObserver(rates, truth, CLASSES).chances(torch.from_numpy(counts).float(), 1e3)
-    found = told(state_of(x, labels, 1e3), counts).chances
-    torch.testing.assert_close(found, ideal, atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize("spread", [0.3, 1.0])
@@ -185,23 +175,18 @@ def test_adaptive_masks_tell_more_than_fixed_ones_and_as_sure_as_right(digits, m
     assert found.low > fixed.high
     assert found.accuracy > 0.95
     assert found.calibration_error < 0.03
-    again = tried(digits, 1e4, looks=16)
-    assert again == found
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "match"),
     [
-        ({"looks": 0}, "looks"),
-        ({"looks": True}, "looks"),
-        ({"components": 0}, "components"),
+        *(({"looks": bad}, "looks") for bad in (0, True)),
+        *(({name: 0}, name) for name in ("components", "until", "growth")),
         ({"spread": float("nan")}, "spread"),
-        ({"until": 0}, "until"),
-        ({"growth": 0}, "growth"),
         ({"camera": "paper"}, "not column"),
         ({"camera": {"noise": "camera", "sigma": 2.0}}, "photon counts"),
     ],
 )
-def test_what_cannot_be_is_one_line(digits, settings, said):
-    with pytest.raises(InputError, match=said):
+def test_what_cannot_be_is_refused(digits, settings, match):
+    with pytest.raises(InputError, match=match):
         tried(digits, 1e4, **settings)

@@ -3,13 +3,11 @@
 import shutil
 
 import pytest
-from pydantic import BaseModel
 
 from conftest import synthetic
-from deepfsi import Fixed, Looks, Nested, Passing, Patches, Range
+from deepfsi import Fixed, Job, Looks, Nested, Passing, Patches, Range
 from deepfsi.base import InputError
 from deepfsi.jobs import find_exposure
-from deepfsi.jobs.exposures import AnyExposure
 from golden.file_cases import FOLDER
 from shared.design_files import refused, rewrite
 from shared.jobs import job, learn
@@ -32,12 +30,8 @@ def test_settings_ask_for_a_kind_and_come_back_from_json(settings, wanted):
     assert type(found) is type(wanted)
     assert find_exposure(found) is found
     assert find_exposure(found.model_dump(mode="json")) == found
-
-    class Holder(BaseModel):
-        exposure: AnyExposure
-
-    held = Holder(exposure=settings)
-    assert Holder.model_validate_json(held.model_dump_json()).exposure == wanted
+    asked = Job(masks=6, photons=1e3, exposure=settings)
+    assert Job.model_validate_json(asked.model_dump_json()).exposure == wanted
 
 
 @pytest.mark.parametrize(

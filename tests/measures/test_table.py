@@ -9,7 +9,6 @@ from deepfsi.measures import (
     MEASURES,
     ClassAnswers,
     Measure,
-    details_text,
     main_measure,
     results_lines,
 )
@@ -54,15 +53,6 @@ def test_a_new_measure_is_one_entry(digits, tmp_path, monkeypatch):
     page = write_report(tmp_path).read_text(encoding="utf-8")
     assert '<button type="button">top 2</button>' in page
     assert f"<td>{row['top_2']:.3f}</td>" in page
-
-
-def test_files_have_no_further_measures(digits):
-    """Numbers of images are kept once: those of the balanced accuracy are of the accuracy."""
-    [result] = evaluate(quick(digits, "pca", masks=3, epochs=2), digits, 1e3, draws=2)
-    assert not result.further
-    assert "top" not in details_text(result, digits.classes)
-    assert [*result.image_terms] == ["accuracy"]
-    assert result.right == result.image_terms["accuracy"]
 
 
 @pytest.mark.parametrize("title", ["accuracy", "AUC", "R²"])

@@ -27,23 +27,6 @@ def test_dropout_drops_its_share_and_keeps_the_mean(dropout):
     assert ((dropped.mean(dim=0) - dropout).abs() <= 5 * one / math.sqrt(5000)).all()
 
 
-@pytest.mark.parametrize("dropout", [0.0, 0.3])
-def test_stacked_networks_are_as_those_alone(dropout):
-    """What a step of descent makes of their weights."""
-    features, ends = torch.randn(5, 3, 4, generator=generator()), []
-    for stacked in (False, True):
-        networks = [Mlp(4, 2, (6, 5), dropout, generator(seed)) for seed in range(3)]
-        replicas = Replicas(networks, stacked=stacked)
-        optimiser = torch.optim.SGD(replicas.parameters(), lr=0.1)
-        replicas(features).square().sum().backward()
-        optimiser.step()
-        replicas.hand_back()
-        ends.append([weight for net in networks for weight in net.parameters()])
-    for one, other in zip(*ends, strict=True):
-        assert torch.allclose(one, other, atol=1e-6)
-    assert not torch.equal(ends[0][0], next(Mlp(4, 2, (6, 5), 0, generator()).parameters()))
-
-
 def test_products_in_bfloat16_round_logits_and_gradients():
     """Both are those of float32, but for the rounding; the logits are returned as float32."""
     features, exact, rounded = torch.randn(64, 2, 30, generator=generator()), [], []

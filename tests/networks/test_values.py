@@ -10,8 +10,7 @@ from deepfsi import Scanner, evaluate, ideal_observer, learn, predict
 from deepfsi.base import InputError
 from deepfsi.design import to_onnx
 from deepfsi.evaluation import check_playable, cramer_rao, stop
-from deepfsi.evaluation.bounds import linear_bound
-from deepfsi.physics.noise import Click
+from deepfsi.physics import noise
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
 
 SIGMA = 4.0
@@ -47,8 +46,8 @@ def test_the_bound_is_the_posterior_of_the_linear_gaussian_model(linear):
     noise = SPREAD**2 * mask @ mask.T + SIGMA**2 * frames * np.eye(8)
     inverse = np.eye(2) + (mask @ SLOPES.T).T @ np.linalg.solve(noise, mask @ SLOPES.T)
     expected = np.sqrt(np.diag(np.linalg.inv(inverse)))
-    found = linear_bound(made, made.front_end(made.camera), data, 1e3)
-    assert found == pytest.approx(expected, rel=5 / math.sqrt(2 * 6000))
+    [result] = evaluate(made, data, 1e3, draws=1)
+    assert result.bound == pytest.approx(expected, rel=5 / math.sqrt(2 * 6000))
 
 
 def test_a_linear_network_reaches_the_bound_and_none_is_below_it(linear):
@@ -76,7 +75,7 @@ def test_brightness_is_estimated_as_well_as_its_photons_are_counted(placed):
 @pytest.mark.parametrize("gates", [1, 3])
 def test_information_of_clicks_is_that_of_their_distribution(gates):
     rates = torch.tensor([[0.2, 1.0, 4.0]], dtype=torch.float64, requires_grad=True)
-    scanner = Scanner.from_rails(torch.ones(1, 3, 1, dtype=torch.float64), Click(gates))
+    scanner = Scanner.from_rails(torch.ones(1, 3, 1, dtype=torch.float64), noise.Click(gates))
     clicks = torch.arange(gates + 1, dtype=torch.float64)[:, None, None]
     chance = torch.distributions.Binomial(gates, -torch.expm1(-rates / gates))
     weights = chance.log_prob(clicks).exp().detach()

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.distributions import Binomial
 
 from conftest import assert_moments, generator
-from deepfsi.physics.noise import Click
+from deepfsi.physics import noise
 
 DRAWS = 200_000
 
@@ -19,13 +19,13 @@ DRAWS = 200_000
 def test_clicks_are_binomial_of_the_chance_that_a_gate_has_photons(rate, gates):
     """Number by number, in the mean, and in the variance; of many gates it is Poisson's law."""
     rates = torch.full((DRAWS,), rate, dtype=torch.float64)
-    clicks = Click(gates)(rates, generator())
+    clicks = noise.Click(gates)(rates, generator())
     assert (clicks == clicks.round()).all()
     assert (clicks.min() >= 0) & (clicks.max() <= gates)
     chance = -math.expm1(-rate / gates)
     mean, variance = gates * chance, gates * chance * (1 - chance)
     assert_moments(clicks, mean, variance, poisson=True, rounding=5 * variance / DRAWS + 1e-12)
-    assert float(Click(gates).mean(rates[:1])) == pytest.approx(mean, rel=1e-12)
+    assert float(noise.Click(gates).mean(rates[:1])) == pytest.approx(mean, rel=1e-12)
     numbers = torch.arange(min(gates, 60) + 1, dtype=torch.float64)
     shares = Binomial(gates, torch.tensor(chance).double()).log_prob(numbers).exp()
     if rate < gates / 10 and gates > 1000:
@@ -59,7 +59,7 @@ def of_all_outcomes(function, rates: Tensor, gates: int) -> Tensor:
 def drawn(function, rates: Tensor, gates: int) -> Tensor:
     """Gradients (draws, 3) of a function of clicks that are drawn."""
     every = rates.expand(DRAWS, -1).clone().requires_grad_()
-    function(Click(gates)(every, generator())).sum().backward()
+    function(noise.Click(gates)(every, generator())).sum().backward()
     return every.grad
 
 
@@ -92,5 +92,5 @@ def test_of_another_loss_it_is_nearer_than_straight_through(rates):
 @pytest.mark.parametrize("gates", [1, 4])
 def test_dark_and_saturated_detectors_have_a_finite_gradient(rate, gates):
     rates = torch.full((1000,), rate, requires_grad=True)
-    Click(gates)(rates, generator()).sum().backward()
+    noise.Click(gates)(rates, generator()).sum().backward()
     assert torch.isfinite(rates.grad).all()

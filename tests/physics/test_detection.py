@@ -59,27 +59,6 @@ def test_each_detector_counts_what_its_part_of_the_mask_passes(detectors, light,
     assert torch.allclose(whole, Scanner.from_rails(frames).rates(photons()), rtol=10 * FLOAT32)
 
 
-def test_a_detector_for_each_pixel_and_one_open_frame_is_impulse_imaging():
-    open_frame = torch.ones(1, 1, 48)
-    every = Scanner.from_rails(open_frame, detection=detection_by("6x8"))
-    impulse = Scanner.from_rails(torch.eye(48).unsqueeze(0))
-    assert light_law("free-dwell").excess(open_frame) == 0
-    assert torch.equal(every.rates(photons()), impulse.rates(photons()))
-    assert torch.equal(every(photons(), generator()), impulse(photons(), generator()))
-
-
-def test_frames_repeated_over_tiles_are_the_masks_of_a_patch():
-    patch = light_law("free-dwell").fit(torch.randn(5, 12, generator=generator(1)))
-    frames = patch.unflatten(-1, (3, 4)).repeat(1, 1, 2, 2).flatten(-2)
-    scenes = photons()
-    cut = scenes.view(-1, 2, 3, 2, 4).transpose(2, 3).flatten(1, 2).flatten(-2)
-    wanted = Scanner.from_rails(patch).rates(cut)  # (scenes, patches, rails, masks)
-    found = Scanner.from_rails(frames, detection=detection_by("2x2")).rates(scenes)
-    assert torch.allclose(
-        found.unflatten(-1, (5, 4)), wanted.permute(0, 2, 3, 1), rtol=10 * FLOAT32, atol=1e-3
-    )
-
-
 @every_optics
 @every_readout
 @pytest.mark.parametrize("noise", ["poisson", "gaussian", "ml_gauss", "camera", "none"])

@@ -5,16 +5,13 @@ from contextlib import ExitStack, contextmanager
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 import deepfsi
 from deepfsi.design import to_onnx
 from deepfsi.evaluation import playable, stop
 from deepfsi.hardware.counting import TableSettings
-from deepfsi.lab.adaptive_looks import adaptive_rails
 from deepfsi.sweeps import Recipe, compare
-
-FEW = deepfsi.Training(epochs=1, hidden=(8,))
+from shared.pictures import save_images
 
 
 @contextmanager
@@ -78,81 +75,75 @@ def same(wanted, found):
     return np.array_equal(wanted, found) if isinstance(wanted, np.ndarray) else wanted == found
 
 
+def learn(data, **others):
+    return deepfsi.learn(
+        data, photons=1e4, masks=3, training={"epochs": 1, "hidden": (8,)}, **others
+    )
+
+
+def learn_adaptive(data):
+    return deepfsi.learn(data, design="adaptive", masks=3, photons=1e4, camera="dmd")
+
+
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_a_design_is_learned_whatever_torch_is_set_to(digits, setting):
-    def learn():
-        return deepfsi.learn(digits, photons=1e4, masks=3, training=FEW).rails.stacked
+    def rails():
+        return learn(digits).rails.stacked
 
-    assert same(learn(), under([setting], learn))
+    assert same(rails(), under([setting], rails))
 
 
 def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digits, tmp_path):
     """Designs of known masks, of looks, and adaptive; all settings in force at once."""
-
-    held = digits.hold_out(239)
-
-    def learn(data=digits, **others):
-        return deepfsi.learn(data, photons=1e4, masks=3, training=FEW, **others)
-
-    def learn_adaptive():
-        return deepfsi.learn(digits, design="adaptive", masks=3, photons=1e4, camera="dmd")
-
-    design, adaptive = learn(), learn_adaptive()
-    looks = learn(held, exposure=deepfsi.Looks(looks=2))
-    file, adaptive_file = tmp_path / "d.safetensors", tmp_path / "a.safetensors"
-    design.save(file)
-    adaptive.save(adaptive_file)
-    (tmp_path / "new").mkdir()
+    held, two = digits.hold_out(239), deepfsi.Looks(looks=2)
+    design, looks, adaptive = learn(digits), learn(held, exposure=two), learn_adaptive(digits)
+    file = design.save(tmp_path / "d.safetensors")
+    adaptive_file = adaptive.save(tmp_path / "a.safetensors")
     rng = np.random.default_rng(0)
-    Image.fromarray(rng.integers(0, 255, (8, 8), dtype=np.uint8)).save(tmp_path / "new" / "a.png")
+    save_images(tmp_path / "new", rng.integers(0, 255, (1, 8, 8), dtype=np.uint8))
     counts = rng.poisson(100, (60, *design.counts_shape))
     np.save(tmp_path / "counts.npy", counts)
-    scenes, scanner = torch.from_numpy(digits.x_test[:4].reshape(4, -1)), design.scanner()
+    scenes = torch.from_numpy(digits.x_test[:4].reshape(4, -1))
     features = torch.from_numpy(np.full((1, design.features), 50, np.float32))
+    recipe = Recipe(designs=("deepfsi",), photons=(1e4,), masks=(3,), training={"epochs": 1})
 
     def sweep():
-        recipe = Recipe(designs=("deepfsi",), photons=(1e4,), masks=(3,), training={"epochs": 1})
         folder = tmp_path / f"sweep{len([*tmp_path.iterdir()])}"
         points = compare(recipe, digits, folder, command="a")[0].points
         return [each.as_dict() | {"seconds": 0} for each in points]
 
-    def answers(made):
-        return [each.as_dict() for each in deepfsi.evaluate(made, digits, 1e4, draws=1)]
+    def results():
+        every = (deepfsi.evaluate(each, digits, 1e4, draws=1) for each in (design, looks, adaptive))
+        return [result.as_dict() for one in every for result in one]
 
-    calls = {
-        "learn adaptive": lambda: learn_adaptive().prior_exposure.prior.components,
-        "learn looks": lambda: learn(exposure=deepfsi.Looks(looks=2)).mean,
-        "load": lambda: deepfsi.load_design(file).rails.stacked,
-        "load adaptive": lambda: deepfsi.load_design(adaptive_file).prior_exposure.prior.components,
-        "save": lambda: [design.to_bytes(), adaptive.to_bytes()],
-        "evaluate": lambda: [answers(each) for each in (design, looks, adaptive)],
-        "ideal observer": lambda: str(deepfsi.ideal_observer(design, digits, 1e4, draws=1)),
-        "classify": lambda: design.classify(counts, 1e4),
-        "classify live": lambda: looks.classify_live(
-            lambda shares: np.full(looks.counts_shape, 50), 1e4
-        ),
-        "consistency": lambda: design.consistency(counts, 1e4).exposures,
-        "table": lambda: str(
-            deepfsi.classify_table(
-                file, tmp_path / "counts.npy", TableSettings(photons=1e4), force=True
-            )
-        ),
-        "predict": lambda: deepfsi.predict(design, tmp_path / "new", 1e4).as_csv(),
-        "rates": lambda: design.rates(scanner, scenes),
-        "logits": lambda: design.logits(features, 1e4),
-        "as shown": lambda: (
-            design.as_shown(design.rails.stacked.numpy(), design.image_shape, 1.0)
-            .quantised(8)
-            .rails.stacked.numpy()
-        ),
-        "onnx": lambda: to_onnx(design),
-        "page": lambda: str(playable(looks, digits)),
-        "stop": lambda: str(stop(looks, digits, 1e4)),
-        "rails": lambda: adaptive_rails(adaptive_file).rails,
-        "looks": lambda: adaptive.looks_at(digits.x_test[0].ravel(), 1e4)[0],
-        "sweep": sweep,
-    }
-    for name, call in calls.items():
+    def table():
+        settings = TableSettings(photons=1e4)
+        return str(deepfsi.classify_table(file, tmp_path / "counts.npy", settings, force=True))
+
+    def shown():
+        same_size = design.as_shown(design.rails.stacked.numpy(), design.image_shape, 1.0)
+        return same_size.quantised(8).rails.stacked.numpy()
+
+    calls = [
+        lambda: learn_adaptive(digits).prior_exposure.prior.components,
+        lambda: learn(digits, exposure=two).mean,
+        lambda: deepfsi.load_design(file).rails.stacked,
+        lambda: deepfsi.load_design(adaptive_file).prior_exposure.prior.components,
+        lambda: [design.to_bytes(), adaptive.to_bytes()],
+        lambda: str(deepfsi.ideal_observer(design, digits, 1e4, draws=1)),
+        lambda: design.classify(counts, 1e4),
+        lambda: looks.classify_live(lambda shares: np.full(looks.counts_shape, 50), 1e4),
+        lambda: design.consistency(counts, 1e4).exposures,
+        lambda: deepfsi.predict(design, tmp_path / "new", 1e4).as_csv(),
+        lambda: design.rates(design.scanner(), scenes),
+        lambda: design.logits(features, 1e4),
+        lambda: to_onnx(design),
+        lambda: str(playable(looks, digits)),
+        lambda: str(stop(looks, digits, 1e4)),
+        lambda: adaptive.looks_at(digits.x_test[0].ravel(), 1e4)[0],
+        sweep, results, table, shown,
+    ]  # fmt: skip
+    for number, call in enumerate(calls):
         with torch.no_grad():
             wanted = call()
-        assert same(wanted, under(SETTINGS, call)), name
+        assert same(wanted, under(SETTINGS, call)), number

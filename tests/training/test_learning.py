@@ -20,10 +20,7 @@ from conftest import (
     two_valued,
 )
 from deepfsi import evaluate
-from deepfsi.exposure import TrainingSet
 from deepfsi.physics import light_law
-from deepfsi.training import train
-from shared.jobs import job as job_of
 from shared.jobs import learn
 
 
@@ -34,16 +31,6 @@ def test_learned_masks_are_dark_where_no_scene_varies(digits, made, light, rails
     rails_there = made("deepfsi", light, rails).rails.stacked[..., constant]
     assert constant.any()
     assert (rails_there > 0).all() if light == "two-arm" else not rails_there.any()
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@every_optics
-def test_the_control_group_has_the_masks_learned_under_gaussian_noise(digits, light, rails):
-    settings = {"light": light, "rails": rails, "sigma": 2.0}
-    control = quick(digits, "control", **settings)
-    source = quick(digits, "deepfsi", noise="gaussian", **settings)
-    assert torch.allclose(control.rails.stacked, source.rails.stacked, rtol=1e-6, atol=1e-9)
-    assert not same(control, source)
 
 
 @pytest.mark.parametrize("design", ["deepfsi", "control", "pca"])
@@ -72,22 +59,6 @@ def test_a_two_level_design_shows_dark_and_peak_alone(digits, light, rails, nois
     assert two_valued(one.rails.stacked)
     assert torch.allclose(one.quantised(2).rails.stacked, one.rails.stacked, rtol=FLOAT32, atol=0)
     light_law(light).check(one.rails.stacked)
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize(("light", "rails"), [("column", "dual"), ("free-dwell", "single")])
-def test_two_level_designs_train_together_as_alone(digits, light, rails):
-    """But for cells so near half their frame's peak that float32 rounding decides them."""
-    how = {**RECIPE, "light": light, "rails": rails, "levels": 2, "mask_lr": 0.1, "epochs": 3}
-    numbers = ((3, 1e3), (3, 1e5), (4, 1e4))
-    jobs = [job_of(masks=6, photons=photons, seed=seed, **how) for seed, photons in numbers]
-    training_set = TrainingSet(digits, "cpu")
-    together = train(training_set, jobs)
-    for one, job in zip(together, jobs, strict=True):
-        assert two_valued(one.rails.stacked)
-        lit, alone = one.rails.stacked > 0, train(training_set, [job])[0].rails.stacked > 0
-        assert (lit != alone).double().mean() <= 0.01
-    assert ((together[0].rails.stacked > 0) != (together[1].rails.stacked > 0)).any()
 
 
 def test_scenes_that_are_all_alike_can_still_be_trained_on():
