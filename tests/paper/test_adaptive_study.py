@@ -1,7 +1,6 @@
 """The study of adaptive masks answers to the numbers."""
 
 from dataclasses import asdict
-from itertools import product
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ import deepfsi
 from deepfsi.base import SILENT
 from deepfsi_paper.adaptive import claims as study
 from deepfsi_paper.adaptive import clock
-from shared.results import a_point, some_results
+from shared.results import of_three, some_results
 
 LIGHTS = (1e2, 1e3, 1e4, 1e5)
 KNOWN = {1e2: 0.2, 1e3: 0.5, 1e4: 0.85, 1e5: 0.97}
@@ -23,39 +22,35 @@ DECISION_S, LOAD_S = 5e-3, 3e-3
 
 def point(recipe, photons, accuracy, **fields):
     accuracy = min(accuracy, 0.998)
-    shifted = tuple(accuracy + np.array([-0.001, 0.0, 0.001]))
-    loss = (1 - accuracy) * 2.0
-    given = {"light": "free-dwell", "rails": "single", "accuracies": shifted, "log_loss": loss}
-    return a_point(accuracy, 0.002, recipe=recipe, photons=photons, **{**given, **fields})
+    optics = {"light": "free-dwell", "rails": "single", "log_loss": (1 - accuracy) * 2.0}
+    return of_three(accuracy, recipe=recipe, photons=photons, **{**optics, **fields})
 
 
-def results(priors=(("adaptive-1x1", 3000), ("scenes-1x1", 60000)), **changed):
-    """Results; `NAME_PHOTONS` is another accuracy of a kind at a budget with one detector."""
+def results(less=0.1, scenes=0.2, **changed):
+    """Results; `NAME_PHOTONS` is another accuracy of a kind at a budget with one detector.
+
+    One look reads `less` than 16, and the largest prior `scenes` less than the second.
+    """
     points = []
-    for photons, (name, more) in product(LIGHTS, (("1x1", 0.0), ("2x2", 1.0))):
-        added = more * MORE[photons]
-        at = {
-            kind: changed.get(f"{kind}_{photons:g}", level[photons]) + added
-            for kind, level in (("adaptive", ADAPTIVE), ("fixed", KNOWN), ("looks", KNOWN))
-        }
-        adaptive = {"design": "adaptive", "detectors": name}
-        for looks, less in ((1, changed.get("less", 0.1)), (16, 0.0)):
-            one = point(f"adaptive-{name}", photons, at["adaptive"] - less, **adaptive, masks=looks)
-            points.append(one)
-        for kind in ("fixed", "looks"):
-            one = point(f"{kind}-{name}", photons, at[kind], detectors=name, masks=24)
-            points.append(one)
     for photons in LIGHTS:
-        scenes = changed.get(f"adaptive_{photons:g}", ADAPTIVE[photons]) - changed.get(
-            "scenes", 0.2
-        )
-        one = {"design": "adaptive", "detectors": "1x1", "masks": 1}
-        points.append(point("scenes-1x1", photons, scenes, **one))
+        levels = {"adaptive": ADAPTIVE, "fixed": KNOWN, "looks": KNOWN}
+        at = {kind: changed.get(f"{kind}_{photons:g}", levels[kind][photons]) for kind in levels}
+        adaptive = {"design": "adaptive", "detectors": "1x1", "masks": 1}
+        points.append(point("scenes-1x1", photons, at["adaptive"] - scenes, **adaptive))
+        for name, more in (("1x1", 0.0), ("2x2", MORE[photons])):
+            adaptive["detectors"] = name
+            for looks, off in ((1, less), (16, 0.0)):
+                adaptive["masks"] = looks
+                accuracy = at["adaptive"] + more - off
+                points.append(point(f"adaptive-{name}", photons, accuracy, **adaptive))
+            for kind in ("fixed", "looks"):
+                fixed = {"detectors": name, "masks": 24}
+                points.append(point(f"{kind}-{name}", photons, at[kind] + more, **fixed))
         impulse = {"design": "impulse", "light": "column", "masks": 1024, "ratio": 1.0}
         points.append(point("impulse", photons, 0.99, **impulse))
-    known = [clock.Prior(recipe, "", size, DECISION_S) for recipe, size in priors]
-    two = clock.Prior("adaptive-2x2", "", 3000, DECISION_S)
-    return some_results(points, extra=asdict(clock.Measures(np.log2(10), LOAD_S, [*known, two])))
+    sizes = {"adaptive-1x1": 3000, "scenes-1x1": 60000, "adaptive-2x2": 3000}
+    priors = [clock.Prior(recipe, "", size, DECISION_S) for recipe, size in sizes.items()]
+    return some_results(points, extra=asdict(clock.Measures(np.log2(10), LOAD_S, priors)))
 
 
 def answers(**changed):
@@ -106,23 +101,19 @@ def test_by_the_clock_light_is_lost_while_masks_are_made():
 
 
 def test_the_number_of_looks_is_chosen_on_validation_images():
-    better, chosen = (
-        [
-            point("adaptive-1x1", each, accuracy, masks=looks, validation=validation)
-            for each in LIGHTS
-        ]
+    points = [
+        point("adaptive-1x1", each, accuracy, masks=looks, validation=validation)
         for looks, accuracy, validation in ((4, 0.9, 0.8), (16, 0.7, 0.85))
-    )
-    assert clock.best_at(clock.rivals([*better, *chosen]), 1e3, 1.0) == pytest.approx(0.7)
+        for each in LIGHTS
+    ]
+    assert clock.best_at(clock.rivals(points), 1e3, 1.0) == pytest.approx(0.7)
     measures = clock.Measures(3.3, LOAD_S, [clock.Prior("adaptive-1x1", "", 3000, 0.03)])
-    assert clock.best_at(clock.rivals([*better, *chosen], measures), 1e3, 1.0) == pytest.approx(0.9)
+    assert clock.best_at(clock.rivals(points, measures), 1e3, 1.0) == pytest.approx(0.9)
 
 
 def test_priors_and_entropy_are_measured(tmp_path, digits):
-    training = {"clusters": 5}
-    design = deepfsi.learn(
-        digits, design="adaptive", masks=2, photons=1e3, camera="dmd", training=training
-    )
+    settings = {"design": "adaptive", "masks": 2, "photons": 1e3, "camera": "dmd"}
+    design = deepfsi.learn(digits, **settings, training={"clusters": 5})
     design.save(tmp_path / "key.safetensors")
     made = some_results([point("adaptive-1x1", 1e3, 0.9, design="adaptive", masks=2)])
     found = clock.measure(made, digits, tmp_path, 1, SILENT)

@@ -12,35 +12,21 @@ from deepfsi.report import style
 from deepfsi_paper.camera import figures
 from shared.figures import assert_legible
 
-DESIGNS = {
-    "deepfsi": ("DFSI", True),
-    "pca": ("FSI", True),
-    "truncated-hadamard": ("TH", False),
-    "raster": ("RS", False),
-    "hadamard": ("HB", False),
-}
-TITLES = {design: code.title for design, code in CODES.items()}
-TITLES["deepfsi"] = "DeepFSI, equal dwell"
+SHOWN = ("deepfsi", "pca", "truncated-hadamard", "raster", "hadamard")
+TITLES = {**{design: CODES[design].title for design in SHOWN}, "deepfsi": "DeepFSI, equal dwell"}
+LABELS = [CODES[design].label for design in SHOWN]
 EXPOSURES = (1e-4, 1e-3, 1e-2, 1e-1)
-DIGITS = [str(digit) for digit in range(10)]
 
 
 def points(reach=0.03, offset=0.0):
-    return [
-        figures.Accuracy(
-            design,
-            label,
-            TITLES[design],
-            specific,
-            exposure,
-            accuracy,
-            accuracy - reach,
-            accuracy + reach,
-        )
-        for place, (design, (label, specific)) in enumerate(DESIGNS.items())
-        for step, exposure in enumerate(EXPOSURES)
-        for accuracy in [0.3 + 0.2 * step - 0.05 * place + offset]
-    ]
+    made = []
+    for place, design in enumerate(SHOWN):
+        name = (design, CODES[design].label, TITLES[design], CODES[design].specific)
+        for step, exposure in enumerate(EXPOSURES):
+            accuracy = 0.3 + 0.2 * step - 0.05 * place + offset
+            numbers = (accuracy, accuracy - reach, accuracy + reach)
+            made.append(figures.Accuracy(*name, exposure, *numbers))
+    return made
 
 
 @pytest.mark.parametrize("flux", [None, 1e7])
@@ -51,13 +37,9 @@ def test_exposures_have_lines_and_published_values_open_beside(flux):
     ax = figure.axes[0]
     ours = [line for line in ax.get_lines() if line.get_label() == TITLES["deepfsi"]]
     np.testing.assert_allclose(ours[0].get_ydata(), [0.3, 0.5, 0.7, 0.9])
-    open_ones = [
-        line
-        for line in ax.get_lines()
-        if line.get_markerfacecolor() == style.PAPER and len(line.get_ydata()) == 1
-    ]
-    assert len(open_ones) == len(published)
-    for line, point in zip(open_ones, published, strict=True):
+    hollow = [line for line in ax.get_lines() if line.get_markerfacecolor() == style.PAPER]
+    alone = [line for line in hollow if len(line.get_ydata()) == 1]
+    for line, point in zip(alone, published, strict=True):
         assert line.get_ydata()[0] == pytest.approx(point.accuracy)
         assert point.exposure_s < line.get_xdata()[0] < 2 * point.exposure_s
         assert line.get_marker() == ("o" if point.specific else "s")
@@ -72,8 +54,8 @@ def test_squares_have_the_success_rate_as_grey_and_as_number():
     panels = {f"{exposure:g} s": rng.random((5, 10)) for exposure in EXPOSURES}
     panels["0.1 s"][2, 3] = np.nan
     panels["0.1 s"][0] = 1
-    labels = [label for label, _ in DESIGNS.values()]
-    figure = figures.digits_figure(panels, labels, DIGITS)
+    classes = [str(digit) for digit in range(10)]
+    figure = figures.digits_figure(panels, LABELS, classes)
     assert_legible(figure)
     for ax, (heading, rates) in zip(figure.axes, panels.items(), strict=False):
         assert ax.get_title(loc="left") == heading
@@ -85,7 +67,7 @@ def test_squares_have_the_success_rate_as_grey_and_as_number():
         assert words == ["–" if np.isnan(rate) else f"{100 * rate:.0f}" for rate in rates.ravel()]
         assert ax.get_ylim() == (5, 0)
     with pytest.raises(InputError, match="5 designs and 10 classes"):
-        figures.digits_figure({"a": np.ones((4, 10))}, labels, DIGITS)
+        figures.digits_figure({"a": np.ones((4, 10))}, LABELS, classes)
 
 
 AXES = {
@@ -102,25 +84,21 @@ VALUES = {
 
 
 def test_effects_have_a_column_each_and_exposures_a_row():
+    shown = [replace(p, accuracy=0.5) for p in points() if p.exposure_s in (1e-3, 1e-2)]
     rows = [
-        replace(point, effect=effect, value=value, accuracy=0.5, low=0.4, high=0.5 + k)
+        replace(point, effect=effect, value=value, low=0.4, high=0.6 + place / 50)
         for effect, values in VALUES.items()
-        for k, value in zip(np.linspace(0.1, 0.2, len(values)), values, strict=True)
-        for point in points()
-        if point.exposure_s in (1e-3, 1e-2)
+        for place, value in enumerate(values)
+        for point in shown
     ]
     figure = figures.effects_figure(rows, AXES, flux=1e7)
     assert_legible(figure)
     heads = [ax.get_title(loc="left") for ax in figure.axes]
-    assert [head for head in heads if head] == [
-        "exposure 0.01 s, 10⁵ photons",
-        "exposure 0.001 s, 10⁴ photons",
-    ]
-    assert heads[0]
-    assert heads[3]
+    wanted = {0: "exposure 0.01 s, 10⁵ photons", 3: "exposure 0.001 s, 10⁴ photons"}
+    assert {place: head for place, head in enumerate(heads) if head} == wanted
     axes = dict(zip(VALUES, figure.axes, strict=False))
     ambient = axes["ambient"].containers
-    assert len(ambient) == len(DESIGNS)
+    assert len(ambient) == len(SHOWN)
     np.testing.assert_allclose(ambient[0].lines[0].get_xdata(orig=False)[1:], VALUES["ambient"][1:])
     dead = axes["dead_time_s"].containers[0].lines[0].get_xdata(orig=False)
     np.testing.assert_allclose(dead[1:], [20, 50, 200])
@@ -130,10 +108,8 @@ def test_effects_have_a_column_each_and_exposures_a_row():
     assert figure.axes[4].get_xlabel() == "dead time (ns)"
     marks = [axes[effect].get_lines()[-1].get_xdata()[0] for effect in ("ambient", "assumed")]
     assert marks == [1e7, 1e5]
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
-        *(TITLES[design] for design in DESIGNS),
-        figures.MARKS,  # the dotted lines are explained
-    ]
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == [*TITLES.values(), figures.MARKS]  # the dotted lines are explained
     breaks = [line for line in axes["ambient"].get_lines() if line.get_ydata()[0] == 0]
     assert len(breaks) >= 3  # 0 is not on the logarithmic scale
     assert not [line for line in axes["assumed"].get_lines()[:-1] if line.get_ydata()[0] == 0]

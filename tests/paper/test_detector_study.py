@@ -3,12 +3,11 @@
 from itertools import product
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from deepfsi_paper import detectors as study
 from deepfsi_paper import experiment
-from shared.results import a_point, some_results
+from shared.results import of_three, some_results
 
 LIGHTS = (1e2, 1e3, 1e4, 1e5)
 NAMES = ("1x1", "2x2", "4x4", "8x8")
@@ -21,10 +20,8 @@ ACCURACY = {  # by photons, a column for each number of detectors, the last that
 
 
 def point(recipe, name, photons, accuracy, **fields):
-    shifted = tuple(accuracy + np.array([-0.001, 0.0, 0.001]))
     optics = {"light": "free-dwell", "rails": "single", "detectors": name, "masks": 4}
-    given = {**optics, "photons": photons, "accuracies": shifted, **fields}
-    return a_point(accuracy, 0.002, recipe=recipe, **given)
+    return of_three(accuracy, recipe=recipe, **{**optics, "photons": photons, **fields})
 
 
 def results(gain=0.02, bare=-0.1, **changed):
@@ -80,13 +77,11 @@ def test_the_start_is_chosen_on_validation_images_and_not_on_those_of_the_test()
         assert table.rows[1][3] == "0.650 (12)"
 
 
+JPEG = "cifar10-jpeg"
+
+
 @pytest.mark.parametrize(
-    ("here", "taken"),
-    [
-        (("cifar10", "cifar10-jpeg"), "cifar10"),
-        (("cifar10-jpeg",), "cifar10-jpeg"),
-        ((), "cifar10"),
-    ],
+    ("here", "taken"), [(("cifar10", JPEG), "cifar10"), ((JPEG,), JPEG), ((), "cifar10")]
 )
 def test_a_copy_in_jpeg_is_taken_where_the_original_is_not_here(monkeypatch, here, taken):
     found = [SimpleNamespace(name=name, where="a folder") for name in here]

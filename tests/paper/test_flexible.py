@@ -8,15 +8,14 @@ import pytest
 from deepfsi.evaluation import MeanEstimate, Stopped, stopping
 from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.flexible import measures
-from shared.results import a_point, some_results
+from shared.results import of_three, some_results
 
 LIGHTS = (1e3, 1e4)
 SHIFTS = np.array([-0.001, 0.0, 0.001])
 
 
 def point(recipe, accuracy, **fields):
-    given = {"recipe": recipe, "label": "DFSI", "title": "DeepFSI", **fields}
-    return a_point(accuracy, 0.002, accuracies=tuple(accuracy + SHIFTS), **given)
+    return of_three(accuracy, **{"recipe": recipe, "label": "DFSI", "title": "DeepFSI", **fields})
 
 
 def rate(mean):
@@ -25,27 +24,14 @@ def rate(mean):
 
 def stopped_trials(used, lost):
     """Exposures of three trials that stop early."""
+    rest = dict.fromkeys(("confidence", "calibration_error", "uncalibrated_error", "log_loss"), 0.1)
+    rest |= {"uncalibrated_log_loss": 0.2, "reliability": [], "stops": [0.5, 0.5]}
+    rest |= {"rejection": [{"accepted": 1.0, "stopped": 0.9, "whole": 0.9}], "validation": {}}
+    rest |= {"curve": [{"threshold": 1.0, "used": 1.0, "accuracy": 0.9}], "images": 10, "draws": 1}
+    rule = stopping.StoppingRule(after=(1, 2), threshold=0.9, photons=1e5)
+    rest |= {"photons": 1e5, "rule": rule, "whole": rate(0.9), "stopped": rate(0.9 - lost)}
     return [
-        Stopped(
-            photons=1e5,
-            rule=stopping.StoppingRule(after=(1, 2), threshold=0.9, photons=1e5),
-            used=rate(used + change),
-            whole=rate(0.9),
-            stopped=rate(0.9 - lost),
-            difference=rate(-lost + change / 1000),
-            stops=[0.5, 0.5],
-            confidence=0.9,
-            calibration_error=0.01,
-            uncalibrated_error=0.02,
-            log_loss=0.1,
-            uncalibrated_log_loss=0.2,
-            reliability=[],
-            rejection=[{"accepted": 1.0, "stopped": 0.9, "whole": 0.9}],
-            curve=[{"threshold": 1.0, "used": 1.0, "accuracy": 0.9}],
-            validation={},
-            images=10,
-            draws=1,
-        )
+        Stopped(used=rate(used + change), difference=rate(-lost + change / 1000), **rest)
         for change in SHIFTS
     ]
 

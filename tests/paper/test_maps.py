@@ -12,53 +12,33 @@ from shared.figures import assert_legible, assert_sound
 from shared.results import a_point
 
 BUDGETS = [1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8]
-
 RATIOS = [mask_count((k / 10) ** 2, 1024) / 1024 for k in range(1, 11)]
+GRID = (BUDGETS, RATIOS)
 
 
-def accuracies(seed=0, budgets=BUDGETS, ratios=RATIOS):
-    rng = np.random.default_rng(seed)
-    curve = 0.1 + 0.87 / (1 + np.exp(2 * (3.5 - np.log10(budgets))))
-    return np.clip(
-        curve - np.array(ratios)[:, None] / 10 + rng.normal(0, 0.005, (len(ratios), len(budgets))),
-        0,
-        1,
-    )
+def accuracies(seed):
+    curve = 0.1 + 0.87 / (1 + np.exp(2 * (3.5 - np.log10(BUDGETS))))
+    spread = np.random.default_rng(seed).normal(0, 0.005, (len(RATIOS), len(BUDGETS)))
+    return np.clip(curve - np.array(RATIOS)[:, None] / 10 + spread, 0, 1)
 
 
+MAPS = {name: accuracies(k) for k, name in enumerate(("truncated Hadamard", "PCA", "DeepFSI"), 1)}
+FIRST, SECOND, _ = MAPS.values()
+NOISES, LEVELS = ("MLGauss", "Poisson"), ("full precision", "1/768 of the peak")
 FIGURES = {
-    "heat": lambda: maps.heat_figure(
-        {"truncated Hadamard": accuracies(1), "PCA": accuracies(2), "DeepFSI": accuracies(3)},
-        BUDGETS,
-        RATIOS,
-        trained_at=1e5,
-    ),
+    "heat": lambda: maps.heat_figure(MAPS, *GRID, trained_at=1e5),
     "contour": lambda: maps.contour_figure(
-        accuracies(1),
-        accuracies(2),
-        BUDGETS,
-        RATIOS,
-        ("tested with MLGauss", "tested with Poisson"),
-        pixels=1024,
-        apart=np.abs(accuracies(2) - accuracies(1)) > 0.01,
+        FIRST, SECOND, *GRID, NOISES, pixels=1024, apart=np.abs(SECOND - FIRST) > 0.01
     ),
-    "quantised": lambda: maps.contour_figure(
-        accuracies(1), accuracies(2), BUDGETS, RATIOS, ("full precision", "1/768 of the peak")
-    ),
+    "quantised": lambda: maps.contour_figure(FIRST, SECOND, *GRID, LEVELS),
 }
 
-every_figure = pytest.mark.parametrize("draw", FIGURES.values(), ids=FIGURES.keys())
 
-
-@every_figure
-def test_words_can_be_read(draw):
+@pytest.mark.parametrize("draw", FIGURES.values(), ids=FIGURES)
+def test_words_can_be_read_and_fragments_are_sound(draw):
     figure = draw()
     assert figure.get_figwidth() <= 8.5
     assert_legible(figure)
-
-
-@every_figure
-def test_fragments_are_sound_and_settings_untouched(draw):
     assert_sound(draw)
 
 
@@ -67,40 +47,32 @@ def test_grid_holds_every_point_once_and_gaps_are_nan():
         a_point(0.9 - ratio / 50, photons=photons, ratio=ratio)
         for photons, ratio in itertools.product(BUDGETS, RATIOS[:-1])
     ]
-    grid = maps.accuracy_grid(points, BUDGETS, RATIOS)
+    grid = maps.accuracy_grid(points, *GRID)
     assert np.isnan(grid[-1]).all()
     for point in points:
-        place = RATIOS.index(point.ratio), BUDGETS.index(point.photons)
-        assert grid[place] == point.accuracy
+        assert grid[RATIOS.index(point.ratio), BUDGETS.index(point.photons)] == point.accuracy
     with pytest.raises(ValueError, match="two points"):
-        maps.accuracy_grid([*points, points[0]], BUDGETS, RATIOS)
+        maps.accuracy_grid([*points, points[0]], *GRID)
 
 
 def test_cells_hold_their_values_and_the_training_budget_is_framed():
     ax = FIGURES["heat"]().axes[0]
-    values = accuracies(1)
     for text in ax.texts:
         x, y = text.get_position()
-        value = values[int(y), round(x) - 2]
-        assert text.get_text() == f"{value:.2f}".removeprefix("0")
-    assert len(ax.texts) == values.size
+        assert text.get_text() == f"{FIRST[int(y), round(x) - 2]:.2f}".removeprefix("0")
+    assert len(ax.texts) == FIRST.size
+    assert len(ax.patches) == 2
     for frame in ax.patches:
         assert frame.get_x() < 5 < frame.get_x() + frame.get_width()
         assert frame.get_width() == pytest.approx(1)
         assert frame.get_height() == len(RATIOS)
-    assert len(ax.patches) == 2
-
-
-def dots_of(ax):
-    return [c for c in ax.collections if isinstance(c, PathCollection)]
 
 
 @pytest.mark.parametrize("largest", [0, 1e-4, 0.012, 0.0225, 0.1, 0.47, 1])
 def test_levels_of_differences_hold_all_and_never_magnify_noise(largest):
     levels = maps.difference_levels(np.array([[largest, np.nan], [-largest / 2, 0.0]]))
     np.testing.assert_allclose(levels, -levels[::-1], atol=1e-12)
-    assert levels[-1] >= max(largest, 0.0125)
-    assert levels[-1] <= max(2.5 * largest, 0.0125)
+    assert max(largest, 0.0125) <= levels[-1] <= max(2.5 * largest, 0.0125)
     assert 6 <= len(levels) <= 10
 
 
@@ -109,12 +81,9 @@ def test_triangles_point_where_the_difference_goes():
     second = first + np.array([[0.02, -0.02, 0.02], [-0.02, np.nan, 0.0]])
     apart = np.array([[True, True, False], [True, False, False]])
     figure = maps.contour_figure(first, second, [1e2, 1e3, 1e4], [0.1, 1], ("A", "B"), apart=apart)
-    dots, up, down = dots_of(figure.axes[2])
-    assert sorted(map(tuple, dots.get_offsets())) == [(4, -1), (4, 0)]
-    assert sorted(map(tuple, up.get_offsets())) == [(2, -1)]
-    assert sorted(map(tuple, down.get_offsets())) == [(2, 0), (3, -1)]
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
-        "difference within its 95 % interval",
-        "higher, beyond that interval",
-        "lower, beyond that interval",
-    ]
+    marks = [c for c in figure.axes[2].collections if isinstance(c, PathCollection)]
+    places = [sorted(map(tuple, mark.get_offsets())) for mark in marks]
+    assert places == [[(4, -1), (4, 0)], [(2, -1)], [(2, 0), (3, -1)]]  # dots, up, down
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    beyond = [f"{way}, beyond that interval" for way in ("higher", "lower")]
+    assert words == ["difference within its 95 % interval", *beyond]

@@ -1,18 +1,15 @@
 """The study of the vision transformer: its trials, what they leave on disk, and its claims."""
 
 import csv
-import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi.base import InputError
-from deepfsi.sweeps import Recipe, Workers, batch
+from deepfsi.sweeps import Recipe
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.ovit import claims as ovit
-from shared.results import a_point, some_results
+from shared.results import a_point, of_three, some_results
 
 TINY = Recipe(
     data="synthetic",
@@ -67,76 +64,12 @@ def test_a_study_ends_in_a_page_with_figures_and_claims(images, tmp_path):
     assert {row["data"] for row in table(tmp_path / "ovit-trials.csv")} == {"synthetic"}
 
 
-def test_a_stopped_study_goes_on_where_it_was(images, tmp_path, monkeypatch):
-    trained, most = [], 3
-    train = batch.train
-
-    def counted(training_set, jobs, *others, **how):
-        if len(trained) == most:
-            raise KeyboardInterrupt
-        trained.extend(jobs)
-        return train(training_set, jobs, *others, **how)
-
-    monkeypatch.setattr(batch, "train", counted)
-    with pytest.raises(KeyboardInterrupt):
-        ovit.EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
-    assert len(list((tmp_path / "trials").glob("*.json"))) == 3
-    assert not list((tmp_path / "designs").glob(".*"))
-    most = 31
-    ovit.EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", device="cpu")
-    assert len(trained) == 20
-    assert len({(job.design, job.photons, job.seed) for job in trained}) == 20
-    ovit.EXPERIMENT.run(tmp_path, command="deepfsi reproduce ovit", trials=3, device="cpu")
-    assert len(trained) == 30
-
-
-def test_a_study_is_trained_by_the_processes_asked_for(images, tmp_path, monkeypatch):
-    """That several train what one does is a law of `sweeps/test_queue.py`."""
-    real, asked = experiment.compare, []
-
-    def watched(*given, workers, **named):
-        asked.append(workers)
-        return real(*given, workers=Workers(1), **named)
-
-    monkeypatch.setattr(experiment, "compare", watched)
-    ovit.EXPERIMENT.run(tmp_path, command="", trials=1, device="cpu", workers=2)
-    assert asked == [Workers(2)]
-
-
-@pytest.mark.parametrize(
-    ("original", "jpeg", "loaded"),
-    [
-        ("here", "here", "cifar10"),
-        ("here", "not here", "cifar10"),
-        ("not here", "here", "cifar10-jpeg"),
-        ("not here", "not here", "cifar10"),
-    ],
-)
-def test_the_jpeg_copy_stands_in_only_where_it_must(tmp_path, monkeypatch, original, jpeg, loaded):
-    where = {"cifar10": original, "cifar10-jpeg": jpeg}
-    found = [SimpleNamespace(name=name, where=place) for name, place in where.items()]
-    monkeypatch.setattr(experiment, "list_datasets", lambda: found)
-
-    def load(name, **how):
-        raise InputError(f"asked for {name}, {how}")
-
-    monkeypatch.setattr(experiment, "load_dataset", load)
-    how = {"size": (64, 64), "images": 12_000, "split": None}
-    with pytest.raises(InputError, match=re.escape(f"asked for {loaded}, {how}")):
-        ovit.EXPERIMENT.run(tmp_path, command="")
-
-
 def results_of(gap: float):
     """Results in which the learned design is ahead of the others by `gap`, with little spread."""
     points = [
-        a_point(
-            base + step + 0.002,
-            photons=photons,
-            design=design,
-            accuracies=tuple(base + step + seed for seed in (0.0, 0.002, 0.004)),
-        )
+        of_three(base + step, photons=photons, design=design)
         for photons, base in ((1e2, 0.2), (1e6, 0.4))
-        for design, step in (("deepfsi", gap), ("raster", 0), ("hadamard", 0), ("pca", 0))
+        for design, step in (("deepfsi", gap), ("pca", 0))
     ]
     return {(point.design, point.photons): point for point in points}
 

@@ -1,7 +1,7 @@
 """The fit of published rates: the law of their covariance, and settings that it finds again."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -60,24 +60,23 @@ def test_the_covariance_is_that_of_many_experiments_of_ten_pictures():
 
 
 def table_at(rng, at, exposures=10):
-    return right_answers(rng, at, 1, exposures)[0].mean(axis=(1, 2)) / exposures
+    return right_answers(rng, np.array([at]), 1, exposures)[0].mean(axis=(1, 2)) / exposures
+
+
+def fitted(emulated, table, parameters=PARAMETERS, tables=2):
+    """The emulator of a table of ten exposures, and the fit of the parameters to it."""
+    emulator = rate_fit.Emulator(*emulated, table, np.full(CONDITIONS, 10))
+    conditions = [("a", float(k)) for k in range(CONDITIONS)]
+    start = {"gain": 10.0, "level": 0.5}
+    return emulator, rate_fit.fit_rates(emulator, parameters, conditions, start, tables=tables)
 
 
 def test_a_setting_is_found_again_and_its_table_is_likely(emulated):
     rng = np.random.default_rng(2)
-    at = np.array([[0.35, 0.6]])
-    inside = []
+    at, inside = (0.35, 0.6), []
     for _ in range(12):
-        table = table_at(rng, at)
-        emulator = rate_fit.Emulator(*emulated, table, np.full(CONDITIONS, 10))
-        fit = rate_fit.fit_rates(
-            emulator,
-            PARAMETERS,
-            [("a", float(k)) for k in range(CONDITIONS)],
-            {"gain": 10.0, "level": 0.5},
-            tables=2,
-        )
-        for profile, parameter, true in zip(fit.profiles, PARAMETERS, at[0], strict=True):
+        _, fit = fitted(emulated, table_at(rng, at))
+        for profile, parameter, true in zip(fit.profiles, PARAMETERS, at, strict=True):
             assert min(profile.deviance) == pytest.approx(0, abs=1e-3)
             assert profile.low <= profile.best <= profile.high
             inside.append(profile.low <= parameter.value(true) <= profile.high)
@@ -87,27 +86,16 @@ def test_a_setting_is_found_again_and_its_table_is_likely(emulated):
 
 def test_a_table_that_no_setting_gives_is_unlikely(emulated):
     table = np.where(np.arange(CONDITIONS) % 2, 0.9, 0.1)
-    emulator = rate_fit.Emulator(*emulated, table, np.full(CONDITIONS, 10))
-    conditions = [("a", float(k)) for k in range(CONDITIONS)]
-    fit = rate_fit.fit_rates(
-        emulator, PARAMETERS, conditions, {"gain": 10.0, "level": 0.5}, tables=40
-    )
+    _, fit = fitted(emulated, table, tables=40)
     assert fit.p < 0.05
     assert fit.deviance > 30
     assert max(abs(each.pull) for each in fit.conditions) > 3
 
 
 def test_a_parameter_with_levels_has_no_other_values(emulated):
-    rng = np.random.default_rng(5)
-    table = table_at(rng, np.array([[0.35, 0.75]]))
-    emulator = rate_fit.Emulator(*emulated, table, np.full(CONDITIONS, 10))
-    stepped = rate_fit.Parameter(
-        "level", "level", 0.0, 1.0, log=False, levels=(0.0, 0.25, 0.75, 1.0)
-    )
-    conditions = [("a", float(k)) for k in range(CONDITIONS)]
-    fit = rate_fit.fit_rates(
-        emulator, [PARAMETERS[0], stepped], conditions, {"gain": 10.0, "level": 0.5}, tables=2
-    )
+    stepped = replace(PARAMETERS[1], levels=(0.0, 0.25, 0.75, 1.0))
+    table = table_at(np.random.default_rng(5), (0.35, 0.75))
+    _, fit = fitted(emulated, table, [PARAMETERS[0], stepped])
     level = fit.profiles[1]
     assert level.values == [0.0, 0.25, 0.75, 1.0]
     assert level.best == 0.75
@@ -119,11 +107,7 @@ def test_a_parameter_with_levels_has_no_other_values(emulated):
 def test_a_rate_is_expected_given_the_others(emulated):
     """By the normal law of one coordinate given all others."""
     table = np.linspace(0.2, 0.8, CONDITIONS)
-    emulator = rate_fit.Emulator(*emulated, table, np.full(CONDITIONS, 10))
-    conditions = [("a", float(k)) for k in range(CONDITIONS)]
-    fit = rate_fit.fit_rates(
-        emulator, PARAMETERS, conditions, {"gain": 10.0, "level": 0.5}, tables=2
-    )
+    emulator, fit = fitted(emulated, table)
     at = np.array([[float(p.share(q.best)) for p, q in zip(PARAMETERS, fit.profiles, strict=True)]])
     mean, covariance = emulator.means(at)[0], emulator.covariance(at)[0]
     for place, each in enumerate(fit.conditions):

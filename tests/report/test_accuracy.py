@@ -36,6 +36,8 @@ def test_one_budget_is_a_ranking_without_an_empty_half(tmp_path):
     results = make_results(tmp_path, budgets=(1e3,), noises=("poisson", "gaussian"))
     figure = accuracy_figure(results)
     assert_legible(figure)
+    heads = [ax.get_title(loc="left") for ax in figure.axes]
+    assert heads == ["photon noise", "Gaussian read noise"]
     for ax, noise in zip(figure.axes, ("poisson", "gaussian"), strict=True):
         best = [p for p in results.points if p.best and p.noise == noise]
         ordered = sorted(best, key=lambda p: p.accuracy)
@@ -64,8 +66,7 @@ def test_markers_and_bars_are_named_in_the_figure(tmp_path):
 
 def test_names_are_short_only_where_they_would_be_too_long(tmp_path):
     results = make_results(tmp_path, designs=("deepfsi",), lights=("column", "free-dwell"))
-    long = results.with_points(p.model_copy(update={"title": 40 * "x"}) for p in results.points)
-    for given, name in ((results, "DeepFSI"), (long, "DFSI")):
+    for given, name in ((results, "DeepFSI"), (with_all(results, title=40 * "x"), "DFSI")):
         named = {text.get_text() for text in accuracy_figure(given).axes[0].texts}
         assert named == {"", "chance", f"{name} column", f"{name} free-dwell"}
 

@@ -85,6 +85,12 @@ def a_point(accuracy: float = 0.9, half: float = 0.01, **fields: Any) -> Point:
     return Point(**{**follows, **scores, **given})
 
 
+def of_three(accuracy: float, **fields: Any) -> Point:
+    """A point of three trainings that differ by 0.001."""
+    accuracies = tuple(accuracy + step for step in (-0.001, 0.0, 0.001))
+    return a_point(accuracy, 0.002, **{"accuracies": accuracies, **fields})
+
+
 def some_results(
     points: Iterable[Point], *, recipe: dict[str, Any] | None = None, data: Any = (), **fields: Any
 ) -> Results:

@@ -4,10 +4,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from safetensors.numpy import load_file
 
 from deepfsi.datasets import Dataset
 from deepfsi.jobs import find_table
-from deepfsi.sweeps import Recipe, Trial, Workers, run_trials
+from deepfsi.sweeps import Recipe, Trial, Workers, plan_trials, run_trials
 
 
 def train_trials(
@@ -45,3 +46,22 @@ def small(**changes: Any) -> Recipe:
         table, key = find_table(name)
         fields[table] = {**fields.get(table, {}), key: settings[name]}
     return Recipe(**fields)
+
+
+def planned(data: Dataset, **changes: Any) -> list[Trial]:
+    """Trials of `small` with these changes."""
+    return plan_trials(small(**changes), data)
+
+
+def tensors(folder: Path) -> dict[str, dict[str, bytes]]:
+    """Bits of all tensors of each design, by the name of its file."""
+    return {
+        path.name: {name: tensor.tobytes() for name, tensor in load_file(path).items()}
+        for path in folder.glob("designs/*")
+    }
+
+
+def left_over(folder: Path) -> list[Path]:
+    """Drafts, locks, checkpoints, and what is not where it belongs yet."""
+    names = (".*", "locks*", "finished*", "*checkpoint*")
+    return [path for name in names for path in folder.rglob(name)]

@@ -62,14 +62,6 @@ def test_one_test_part_where_it_is_large_or_asked_for(few, digits):
         check_settings({"folds": 60, "masks": 3}, lambda _: few)
 
 
-def test_as_many_folds_as_are_asked_for(few, tmp_path):
-    recipe, data = check_settings(small(**{**FEW, "folds": 3}).model_dump(), lambda _: few)
-    results, records = compare(recipe, data, tmp_path, command="deepfsi")
-    assert (results.data.folds, results.data.test, len(records)) == (3, 60, 3)
-    (point,) = results.points
-    assert len(unpack_values(point.terms[0])) == 60
-
-
 def test_a_design_of_a_fold_is_tested_on_the_scenes_of_its_fold(few, tmp_path):
     """It remembers its fold: the test part of the whole data holds scenes that it learned."""
     path = tmp_path / "few.npz"
@@ -84,10 +76,12 @@ def test_a_design_of_a_fold_is_tested_on_the_scenes_of_its_fold(few, tmp_path):
     assert "fold 2 of 5" in trained_on(design.info).words
 
 
-def test_values_are_tested_in_folds(tmp_path):
+def test_values_are_tested_in_as_many_folds_as_are_asked_for(tmp_path):
     x = np.random.default_rng(0).random((60, 16))
     data = from_arrays(x, x[:, :4].mean(axis=1), values=["corner"])
-    results, _ = compare(small(**FEW), data, tmp_path, command="deepfsi")
+    recipe, _ = check_settings(small(**{**FEW, "folds": 3}).model_dump(), lambda _: data)
+    results, records = compare(recipe, data, tmp_path, command="deepfsi")
+    assert (results.data.folds, results.data.test, len(records)) == (3, 60, 3)
     (point,) = results.points
     [terms] = [unpack_values(text) for text in point.terms]
     assert len(terms) == 60

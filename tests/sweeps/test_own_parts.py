@@ -1,5 +1,6 @@
 """Sweeps over classifiers of one's own, named in a recipe."""
 
+import numpy as np
 import pytest
 
 from conftest import same
@@ -41,10 +42,8 @@ def test_a_recipe_names_classifiers_of_ones_own(digits, tmp_path):
 def test_settings_of_one_kind_of_classifier_are_not_those_of_the_other(digits):
     own = {"hidden": [[8], [16]], "classifier_arguments": {"width": 3}}
     trials = plan_trials(recipe(photons=1e3, training=own), digits)
-    found = [
-        (each.classifier, each.hidden, each.classifier_arguments)
-        for each in (trial.job.training for trial in trials)
-    ]
+    jobs = [trial.job.training for trial in trials]
+    found = [(job.classifier, job.hidden, job.classifier_arguments) for job in jobs]
     assert found == [("mlp", (8,), {}), ("mlp", (16,), {}), (CNN, (40, 128), {"width": 3})]
     with pytest.raises(InputError, match="are of the usual classifier"):
         plan_trials(recipe(training={**own, "classifier": CNN}), digits)
@@ -55,9 +54,8 @@ def test_records_depend_on_the_file_of_the_classifier(digits, tmp_path, monkeypa
     file = tmp_path / "edited_nets.py"
     keys = []
     for bias in (True, False):
-        file.write_text(
-            f"from torch import nn\ndef make(i, c): return nn.Linear(i, c, bias={bias})\n"
-        )
+        made = f"nn.Linear(i, c, bias={bias})"
+        file.write_text(f"from torch import nn\ndef make(i, c): return {made}\n")
         trials = plan_trials(recipe(training={"classifier": "edited_nets:make"}), digits)
         keys.append({trial.design_key for trial in trials})
     assert not keys[0] & keys[1]
@@ -73,6 +71,8 @@ def test_an_unknown_classifier_is_refused_before_any_work(digits, name, match):
         plan_trials(recipe(training={"classifier": ["mlp", name]}), digits)
 
 
-def test_a_name_that_is_no_import_path_is_a_mistake_of_the_recipe():
-    with pytest.raises(ValueError, match="classifier"):
-        recipe(training={"classifier": "Cnn"})
+def test_a_matrix_of_ones_own_is_compared(digits, tmp_path):
+    matrix = np.eye(64)[:5] / 5
+    trials = plan_trials(small(designs=("custom", "pca"), masks=5), digits, matrix)
+    assert {trial.job.design: trial.job.masks for trial in trials} == {"custom": 5, "pca": 5}
+    assert len(train_trials(trials, digits, tmp_path, matrix=matrix)) == len(trials)
