@@ -10,7 +10,7 @@ from deepfsi.base import InputError
 from deepfsi.camera import CounterEffects, DeadTime
 from deepfsi.hardware.counting import FrameCounts, Scene
 from deepfsi.hardware.light import PARTS_OF_FRAME
-from deepfsi.hardware.live import SceneObserver, run
+from deepfsi.hardware.live import SceneObserver, looks, run
 from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Detector, arrival_rates
 from deepfsi.lab import open_looks
@@ -24,11 +24,11 @@ def patterns(request, digits, tmp_path_factory):
     return make_patterns(tmp_path_factory.mktemp("decisions"), digits, request.param)
 
 
-def observe(patterns, rates, scenes=1, background=None, looks=None, **settings):
+def observe(patterns, rates, scenes=1, background=None, **settings):
     """Decisions on scenes whose counts are their means, and the lists that were asked for."""
     acquisition = run.plan_live(patterns, (Scene(name="a"),), EXPOSURE_S, **settings)
-    looks, asked = looks or open_looks(patterns), []
-    observer = SceneObserver(looks, read_patterns(patterns).manifest, acquisition)
+    manifest = read_patterns(patterns).manifest
+    observer, asked = SceneObserver(open_looks(patterns), manifest, acquisition), []
     rates = rates if background is None else np.concatenate([rates, background[None]])
 
     def source(scene):
@@ -155,10 +155,10 @@ def test_every_optics_is_decided_upon_as_by_the_design(digits, patterns):
     manifest = read_patterns(patterns).manifest
     rates = rates_of(patterns, digits)
     (decided,), (_, *asked, _) = observe(patterns, rates)
-    looks = iter(asked)
+    shown = iter(asked)
 
     def read(dwell):
-        each, share = next(looks), np.zeros_like(dwell)
+        each, share = next(shown), np.zeros_like(dwell)
         rails = np.zeros((2, design.masks, design.detection.count))
         for place, gate_ns in zip(each.frames, each.gate_ns, strict=True):
             frame = manifest.frames[place]
@@ -175,42 +175,22 @@ def test_every_optics_is_decided_upon_as_by_the_design(digits, patterns):
 
 @pytest.mark.parametrize("dead_s", [0.0, 25e-9])
 def test_law_all_on_frames_have_the_noise_of_what_is_subtracted_and_of_a_dead_time(
-    digits, patterns, dead_s
+    digits, patterns, monkeypatch, dead_s
 ):
     """Of n arrivals a second a non-paralysable counter gives the variance n (1 + nτ)."""
     rates, dead, seen = rates_of(patterns, digits), DeadTime(seconds=dead_s), []
     dark = FLUX * np.linspace(0.2, 0.4, rates.shape[2])
     arrived = rates + dark
-    looks, effects = Watched(open_looks(patterns), seen), CounterEffects(dead_time=dead)
-    _, asked = observe(patterns, arrived / (1 + arrived * dead_s), looks=looks, effects=effects)
+    exposure, usual = looks.FixedMaskExposure, looks.FixedMaskExposure.compare
+    monkeypatch.setattr(exposure, "compare", lambda self, on: seen.append(on) or usual(self, on))
+    effects = CounterEffects(dead_time=dead)
+    _, asked = observe(patterns, arrived / (1 + arrived * dead_s), effects=effects)
     [on], arm = seen, slice(0, read_patterns(patterns).manifest.detector_count)
     seconds = sum(each.gate_ns[0] for each in (asked[0], asked[-1])) * 1e-9
     assert on.seconds == pytest.approx(seconds)
     assert on.counts == pytest.approx(rates[0, 0, arm].sum() * seconds, rel=1e-6)
     lost = (arrived[0, 0] ** 2 * dead_s)[arm].sum() * seconds
     assert on.noise == pytest.approx(dark[arm].sum() * seconds + lost, rel=1e-6)
-
-
-class Watched:
-    """Looks whose exposures keep the counts of the all-ON frames that they are compared with."""
-
-    def __init__(self, looks, seen):
-        self._looks, self._seen = looks, seen
-
-    def __getattr__(self, name):
-        return getattr(self._looks, name)
-
-    def expose(self, scene, state):
-        exposure, seen = self._looks.expose(scene, state), self._seen
-
-        class Exposure:
-            ask, take = exposure.ask, exposure.take
-
-            def compare(self, on):
-                seen.append(on)
-                return exposure.compare(on)
-
-        return Exposure()
 
 
 def test_a_scene_without_light_is_not_decided_upon_and_changes_no_budget(digits, patterns):
@@ -239,6 +219,6 @@ def test_a_mask_beyond_the_rate_that_is_sure_is_corrected_as_there(digits, patte
 def test_the_light_of_a_decision_is_that_of_all_looks_so_far(digits, patterns):
     rates = rates_of(patterns, digits, 2)
     decided, asked = observe(patterns, rates, 2)
-    looks = np.array([each.gate_ns.sum() for each in asked if each.look >= 0])
-    for scene, own in zip(decided, looks.reshape(2, LOOKS), strict=True):
+    light = np.array([each.gate_ns.sum() for each in asked if each.look >= 0])
+    for scene, own in zip(decided, light.reshape(2, LOOKS), strict=True):
         assert [each.light_s for each in scene] == pytest.approx(np.cumsum(own) * 1e-9)
