@@ -2,6 +2,7 @@
 
 import sys
 import time
+from unittest.mock import Mock
 
 import numpy as np
 import ptufile
@@ -159,15 +160,9 @@ def test_the_library_is_found_by_either_name_or_its_lack_is_said(device, monkeyp
     with swabian.TaggerCounter(trigger=8):
         assert device.used
     monkeypatch.setitem(sys.modules, "TimeTagger", None)
-    with (
-        pytest.raises(InputError, match="pip install Swabian-TimeTagger"),
-        swabian.TaggerCounter(trigger=8),
-    ):
-        pass
-
-    def broken(name):
-        raise ImportError("libusb is not there")
-
+    with pytest.raises(InputError, match="pip install Swabian-TimeTagger"):
+        swabian.TaggerCounter(trigger=8).__enter__()
+    broken = Mock(side_effect=ImportError("libusb is not there"))
     monkeypatch.setattr(swabian.importlib, "import_module", broken)
-    with pytest.raises(InputError, match="libusb is not there"), swabian.TaggerCounter(trigger=8):
-        pass
+    with pytest.raises(InputError, match="libusb is not there"):
+        swabian.TaggerCounter(trigger=8).__enter__()
