@@ -44,18 +44,19 @@ def test_hold_out_takes_the_last_training_scenes():
         assert (held.classes, held.image_shape) == (data.classes, data.image_shape)
 
 
-@pytest.mark.parametrize("count", [0, -1, 30, 31])
-def test_hold_out_of_nothing_or_everything(count):
-    with refused(f"{count} of 30", "at least 1 and at most 29"):
-        from_arrays(X, Y, X, Y).hold_out(count)
-
-
-def test_hold_out_of_a_whole_class():
+@pytest.mark.parametrize(
+    ("count", "parts"),
+    [
+        *((count, (f"{count} of 30", "at least 1 and at most 29")) for count in (0, -1, 30, 31)),
+        (10, ("class '2' has none left",)),
+    ],
+)
+def test_hold_out_of_nothing_or_everything_or_a_whole_class(count, parts):
     data = from_arrays(X, Y, X, Y)
     by_class = np.argsort(data.y_train, kind="stable")
     data = replace(data, x_train=data.x_train[by_class], y_train=data.y_train[by_class])
-    with refused("class '2' has none left"):
-        data.hold_out(10)
+    with refused(*parts):
+        data.hold_out(count)
 
 
 def test_folds_test_each_scene_once_by_data_that_lack_it():
