@@ -134,11 +134,11 @@ class Detection:
         active = (frames > 0).unflatten(-1, (self.count, -1)).any(dim=-1).flatten(-2)
         first = 2 * torch.arange(rails.masks, device=arms.device).expand(arms.shape)
         frame = torch.stack([first, torch.where(arms, first, first + 1)])
-        time, frame = (each.repeat_interleave(self.count, dim=-1) for each in (time, frame))
+        time, frame = (tensor.repeat_interleave(self.count, dim=-1) for tensor in (time, frame))
         if self.readout == "difference" or rails.count == 1:
             return Readouts(active, time, frame)
-        one = [self._mask_by_mask(each.movedim(0, -2)) for each in (active, time, frame)]
-        return Readouts(*(torch.stack([each, torch.zeros_like(each)]) for each in one))
+        one = [self._mask_by_mask(tensor.movedim(0, -2)) for tensor in (active, time, frame)]
+        return Readouts(*(torch.stack([tensor, torch.zeros_like(tensor)]) for tensor in one))
 
 
 SINGLE_DETECTION = Detection()

@@ -428,7 +428,7 @@ class Dose(LightLaw):
 
 
 LAW_CLASSES: dict[str, type[LightLaw]] = {
-    each.name: each for each in (Column, EqualDwell, FreeDwell, TwoArm, Dose)
+    law.name: law for law in (Column, EqualDwell, FreeDwell, TwoArm, Dose)
 }
 """Class of each light law, by its name."""
 

@@ -176,7 +176,7 @@ class Noise(ABC):
     def side_by_side(cls, noises: Sequence["Noise"], device: torch.device) -> "Noise":
         """One noise with the numbers (R, 1) of R trainings that differ in these alone."""
         numbers = {
-            name: torch.tensor([each.settings[name] for each in noises], device=device)[:, None]
+            name: torch.tensor([noise.settings[name] for noise in noises], device=device)[:, None]
             for name, value in noises[0].settings.items()
             if isinstance(value, float)
         }
@@ -563,7 +563,7 @@ class Fluctuation(Noise):
     @classmethod
     def side_by_side(cls, noises: Sequence[Noise], device: torch.device) -> Noise:
         """One noise with the numbers of R trainings, whose light fluctuates alike."""
-        inner = [each.inner for each in noises if isinstance(each, Fluctuation)]
+        inner = [noise.inner for noise in noises if isinstance(noise, Fluctuation)]
         return replace(noises[0], inner=type(inner[0]).side_by_side(inner, device))  # type: ignore[type-var]
 
     def brightness(self, like: Tensor, random: Random = None) -> Tensor:
@@ -573,7 +573,7 @@ class Fluctuation(Noise):
 
 
 NOISE_CLASSES: dict[str, type[Noise]] = {
-    each.name: each for each in (NoNoise, Gaussian, Poisson, MlGauss, CameraNoise, Click)
+    noise.name: noise for noise in (NoNoise, Gaussian, Poisson, MlGauss, CameraNoise, Click)
 }
 """Class of each noise of the package, by its name."""
 
@@ -602,7 +602,7 @@ def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
         noise = CustomNoise(load_plugin(setting), setting)
     else:
         made = NOISE_CLASSES[setting]
-        names = {each.name for each in fields(made)}  # type: ignore[arg-type]
+        names = {field_.name for field_ in fields(made)}  # type: ignore[arg-type]
         noise = made(**{name: one for name, one in numbers.items() if name in names})
     dark = numbers.get("dark", 0.0)
     if not (isinstance(dark, int | float) and math.isfinite(dark) and dark >= 0):

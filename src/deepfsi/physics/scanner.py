@@ -167,14 +167,14 @@ class Scanner(nn.Module):
     def _variance(self, rates: Tensor) -> Tensor:
         """Variance of the counts of rails that so many photons reach."""
         read = self._readouts(rates.shape[-2])
-        alone = Readouts(*(each.unsqueeze(0) for each in read))  # each rail is a feature
+        alone = Readouts(*(tensor.unsqueeze(0) for tensor in read))  # each rail is a feature
         power = self.noise.variance(Expectation(rates, rates, alone))
         return torch.where(read.active, power, 0.0).expand_as(rates)
 
     def _readouts(self, rails: int) -> Readouts:
         """Readouts (..., rails, m · D): which rails are not dark by construction, and how long."""
         every = Detection(count=self.detection.count).readouts(self._arranged())
-        read = Readouts(*(each.movedim(0, -2)[..., :rails, :] for each in every))
+        read = Readouts(*(tensor.movedim(0, -2)[..., :rails, :] for tensor in every))
         return read._replace(time=read.time.detach())
 
     def rates(self, photons: Tensor) -> Tensor:
@@ -227,7 +227,7 @@ def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
     if parts == 1:
         product = photons @ low.T
     else:
-        pieces = (each.unflatten(-1, (parts, -1)) for each in (photons, low))
+        pieces = (tensor.unflatten(-1, (parts, -1)) for tensor in (photons, low))
         product = torch.einsum("...dp,kdp->...kd", *pieces).flatten(-2)
     wider = torch.promote_types(photons.dtype, masks.dtype)
     return product.to(wider).unflatten(-1, (*masks.shape[:-2], masks.shape[-2] * parts))

@@ -88,12 +88,12 @@ class TrainingNoise:
 
     def counted(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
         """Features (B, R, k) from counts of two rails; parameters as of `features`."""
-        whole = [each if each.ndim == 4 else each.unsqueeze(1) for each in read]
+        whole = [tensor if tensor.ndim == 4 else tensor.unsqueeze(1) for tensor in read]
         counts = []
         with torch.set_grad_enabled(not self.kind.unbiased and torch.is_grad_enabled()):
             rates = self._rates(mean, total)
             for job, kind in enumerate(self._kinds):
-                own = Readouts(*(each[:, :, job % each.shape[2]] for each in whole))
+                own = Readouts(*(tensor[:, :, job % tensor.shape[2]] for tensor in whole))
                 dark = kind.dark_counts(own.time)
                 counts.append(
                     kind.sample(rates[:, :, job], own, dark, self.generators[job], rails=0)

@@ -93,8 +93,8 @@ class ScenePath:
         part = place - low
         index = low.long().expand(*lead, -1)
         here, next_, whole = (
-            each.expand(*lead, -1).gather(-1, index + step)
-            for each, step in ((correlation, 0), (correlation, 1), (summed, 0))
+            sums.expand(*lead, -1).gather(-1, index + step)
+            for sums, step in ((correlation, 0), (correlation, 1), (summed, 0))
         )
         integral = whole + part * here + part.square() / 2 * (next_ - here)
         return (integral.diff(dim=-1) / edges.diff(dim=-1)).clamp(min=0)  # of rounding

@@ -90,7 +90,7 @@ def characterise(
         if (
             design is first
             or chooses
-            or not torch.equal(*(each.rails.stacked for each in (first, design)))
+            or not torch.equal(*(made.rails.stacked for made in (first, design)))
         ):
             design.distribution = _distribution(design, scenes, training_set.data.groups)
         else:
@@ -135,8 +135,8 @@ def find_temperatures(
     stops = design.mask_exposure.count_stops
     if left_out and not data.held_out:
         parts = [
-            Exposed(each, each.front_end(job.camera), fold.x_test, fold.y_test)
-            for fold, each in left_out
+            Exposed(made, made.front_end(job.camera), fold.x_test, fold.y_test)
+            for fold, made in left_out
         ]
         draws = draws_of([fold for fold, _ in left_out])
         scenes = CalibrationScenes(parts, stops, draws, doubt=DOUBT)

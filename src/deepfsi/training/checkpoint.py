@@ -83,7 +83,7 @@ class LoopState:
     step: int = 0
 
     def __post_init__(self) -> None:
-        self.generators = [*(each.generator for each in self.draws.streams), *self.generators]
+        self.generators = [*(stream.generator for stream in self.draws.streams), *self.generators]
 
     def learned(self) -> dict[str, Tensor]:
         """Parameters and buffers of the modules, as they are now."""
@@ -122,7 +122,7 @@ class LoopState:
         if step < self.total:
             for index, stream in enumerate(self.draws.streams):
                 stream.follow(torch.from_numpy(arrays[f"rows.{index}"]))
-        learning = [each for group in self.optimiser.param_groups for each in group["params"]]
+        learning = [weight for group in self.optimiser.param_groups for weight in group["params"]]
         moments: dict[int, dict[str, Tensor]] = {}
         for name, array in arrays.items():
             if name.startswith("optimiser."):
@@ -227,7 +227,7 @@ class Checkpoint:
             )
         self.seconds = header.seconds
         self._before = [
-            (step, {name.partition("/")[2]: each for name, each in arrays.items()
+            (step, {name.partition("/")[2]: array for name, array in arrays.items()
                     if name.startswith(f"{place}/")})
             for place, step in enumerate(header.steps)
         ]  # fmt: skip
@@ -309,10 +309,10 @@ def _key(
         )
     settings = {
         "revision": REVISION,
-        "jobs": [each.model_dump(mode="json") for each in jobs],
+        "jobs": [job.model_dump(mode="json") for job in jobs],
         "sources": [source_hash(name) for name in names],
         "data": (training_set.data.hash, training_set.data.held_out),
-        **{name: None if each is None else array_hash(each) for name, each in masks.items()},
+        **{name: None if array is None else array_hash(array) for name, array in masks.items()},
         "counts": counts,
         "torch": torch.__version__,
         "device": training_set.device.type,

@@ -227,7 +227,7 @@ class LoopWatch:
         if loss < self._lowest or self.best is None:
             self._lowest = loss
             self._best_number = self.number
-            self.best = {name: each.clone() for name, each in self.state.learned().items()}
+            self.best = {name: weight.clone() for name, weight in self.state.learned().items()}
         return self.number - self._best_number >= self.hooks.patience
 
     def _validated(self) -> list[dict[str, float]]:
@@ -235,7 +235,9 @@ class LoopWatch:
         if not self.exposure.training_set.data.held_out:
             return [{} for _ in self.exposure.jobs]
         before = [generator.get_state() for generator in self.state.generators]
-        modes = [(each, each.training) for network in self.networks for each in network.modules()]
+        modes = [
+            (module, module.training) for network in self.networks for module in network.modules()
+        ]
         for module in self.state.modules:
             if isinstance(module, Replicas):
                 module.hand_back()

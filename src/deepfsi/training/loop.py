@@ -72,7 +72,7 @@ def optimise(
     choose = exposure.choose
     networks = [*classifiers, *choose.networks]
     batch = batch_of(settings, len(labels))
-    draws = Draws([each.seed for each in exposure.jobs], exposure.noise, labels, batch)
+    draws = Draws([job.seed for job in exposure.jobs], exposure.noise, labels, batch)
     steps = draws.steps
     total = settings.epochs * steps
     exposure.prepare()
@@ -160,7 +160,7 @@ def one_cycle(optimiser: torch.optim.Optimizer, steps: int) -> LRScheduler:
 
 def parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[str, Any]:
     """Parameters of a module with their peak learning rate and weight decay."""
-    learning = [each for each in module.parameters() if each.requires_grad]
+    learning = [weight for weight in module.parameters() if weight.requires_grad]
     return {"params": learning, "lr": lr, "weight_decay": decay}
 
 
@@ -168,7 +168,9 @@ def _generators(
     settings: Training, networks: Sequence[nn.Module], device: torch.device
 ) -> list[torch.Generator]:
     """Generators that networks draw from in a training: their own, or torch's global ones."""
-    generators = [each.generator for each in networks if isinstance(each, Mlp) and each.generator]
+    generators = [
+        network.generator for network in networks if isinstance(network, Mlp) and network.generator
+    ]
     if settings.is_custom:
         generators.append(torch.default_generator)
         if device.type == "cuda":
@@ -190,10 +192,10 @@ def _classifiers(exposure: ExposureTraining) -> list[Classifier]:
             classes,
             seed=exposure.job.seed,
         )
-        if not any(each.requires_grad for each in made.parameters()):
+        if not any(weight.requires_grad for weight in made.parameters()):
             raise InputError("the classifier has no parameter that learns: give another module")
         return [made.to(device).train()]
-    seeds = [torch.Generator(device).manual_seed(each.seed) for each in exposure.jobs]
+    seeds = [torch.Generator(device).manual_seed(job.seed) for job in exposure.jobs]
     network = CLASSIFIER_TYPES[settings.classifier]
     sizes = Sizes(inputs, classes, exposure.tokens)
     return [network.of_settings(settings, sizes, seed) for seed in seeds]

@@ -132,7 +132,7 @@ class ReadoutsResult:
 
     def test(self, split: str) -> SplitTest:
         """Test of a split."""
-        return next(each for each in self.splits if each.split == split)
+        return next(test for test in self.splits if test.split == split)
 
     @property
     def verdict(self) -> tuple[str, ...]:
@@ -140,11 +140,11 @@ class ReadoutsResult:
         random = self.test("random").network
         later = self.test("later").network
         lines = [f"order: {self.order.words}"]
-        for each in self.monitors:
-            tells = each.ridge.low > self.chance
+        for test in self.monitors:
+            tells = test.ridge.low > self.chance
             lines.append(
-                f"monitors: {each.name} alone {'tells' if tells else 'does not tell'} the class: "
-                f"{each.ridge.text}, chance {self.chance:.3f}"
+                f"monitors: {test.name} alone {'tells' if tells else 'does not tell'} the class: "
+                f"{test.ridge.text}, chance {self.chance:.3f}"
             )
         # the interval of the difference of two rates, by Newcombe's method
         apart = math.hypot(random.mean - random.low, later.high - later.mean)
@@ -159,7 +159,7 @@ class ReadoutsResult:
                 f"drift: {later.text} on the last fifth of each class, {random.text} on a "
                 "random fifth: no difference that these numbers of recordings show"
             )
-        pictures = [each.network for each in self.splits if each.split == "pictures"]
+        pictures = [test.network for test in self.splits if test.split == "pictures"]
         lines.append(
             f"pictures: {pictures[0].text} on pictures that were not trained on"
             if pictures
@@ -195,8 +195,8 @@ class ReadoutsResult:
     def figure_rows(self) -> list[tuple[str, Interval | None, Interval | None]]:
         """Accuracies of the network and of kernel ridge, each after what they were tested on."""
         return [
-            *((SPLIT_WORDS[each.split], each.network, each.ridge) for each in self.splits),
-            *((f"{each.name} alone", None, each.ridge) for each in self.monitors),
+            *((SPLIT_WORDS[test.split], test.network, test.ridge) for test in self.splits),
+            *((f"{test.name} alone", None, test.ridge) for test in self.monitors),
         ]
 
     def as_dict(self) -> dict[str, Any]:
@@ -208,7 +208,7 @@ class ReadoutsResult:
         return {
             **{name: getattr(self, name) for name in ("recordings", "readouts", "classes")},
             "chance": self.chance,
-            "splits": [each.as_dict() for each in self.splits],
+            "splits": [test.as_dict() for test in self.splits],
             "monitors": [{"name": m.name, **m.ridge._asdict()} for m in self.monitors],
             "order": order,
             "verdict": list(self.verdict),
@@ -337,14 +337,14 @@ def measure_order(readouts: MeasuredReadouts) -> OrderTest:
         shares = np.bincount(labels) / len(labels)
         found = Interval(same, *wilson(same, len(labels) - 1))
         return OrderTest(found, float(np.square(shares).sum()))
-    monitors = [each for each in readouts.monitors.values() if np.ptp(each, axis=0).any()]
+    monitors = [monitor for monitor in readouts.monitors.values() if np.ptp(monitor, axis=0).any()]
     if not monitors:
         return OrderTest()
     values = _ranks(np.concatenate(monitors, axis=1))
     values = values[:, np.ptp(values, axis=0) > 0]
     files = [values[readouts.file == number] for number in range(int(readouts.file.max()) + 1)]
     count = min(map(len, files))
-    places = np.stack([each[:count] for each in files], axis=1)  # (places, files, q)
+    places = np.stack([file[:count] for file in files], axis=1)  # (places, files, q)
     spread = 2 * values.var(axis=0).mean()
     blocks, turns = (
         np.square(np.diff(places, axis=axis)).mean(axis=(1, 2))[: count - 1] / spread
@@ -352,7 +352,7 @@ def measure_order(readouts: MeasuredReadouts) -> OrderTest:
     )
     # over segments, as neighbours are alike; in logarithms, as a few jumps would outweigh the rest
     parts = zip(
-        *(np.array_split(each, min(SEGMENTS, count - 1)) for each in (turns, blocks)), strict=True
+        *(np.array_split(order, min(SEGMENTS, count - 1)) for order in (turns, blocks)), strict=True
     )
     logs = [float(np.log((a.mean() + LEAST_DRIFT) / (b.mean() + LEAST_DRIFT))) for a, b in parts]
     ends = (float(np.mean(logs)), *student(logs))
