@@ -67,8 +67,8 @@ def test_files_that_cannot_quote_have_numbers_of_the_file(name):
     assert not foreign((ROOT / name).read_text(), set(NUMBERS.values()))
 
 
-def test_readme_says_of_100_what_adaptive_masks_and_a_raster_scan_recognise():
-    quotes = "{{ adaptive.1e4 of 100 }} {{ column.raster-1e4 of 100 }}"
+def test_readme_says_of_100_what_masks_and_a_raster_scan_recognise():
+    quotes = "{{ shared.1e4 of 100 }} {{ looks.1-1e4 of 100 }} {{ column.raster-1e4 of 100 }}"
     said = re.findall(r"recognises (\d+)", (ROOT / "README.md").read_text())
     assert said == measured.filled(quotes).split()
 

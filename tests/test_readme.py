@@ -25,6 +25,7 @@ LINES = {
     "docs/do/cluster": 2,
     "docs/do/camera": 9,
     "docs/do/live": 6,
+    "docs/do/shared-light": 5,
     "docs/do/values": 5,
     "docs/notebook/passing": 5,
     "docs/notebook/reproduce": 3,
@@ -157,6 +158,7 @@ def test_readme(run, tmp_path):
     [
         ("do/compare", ("masks.png", "patterns/manifest.json", "runs/plan/plan.json")),
         ("do/deploy", ("looks.html", "digits.onnx")),
+        ("do/shared-light", ("shared.safetensors", "stops.safetensors")),
         ("do/cluster", ("runs/quick.csv",)),
         ("notebook/reproduce", ("runs/paper/report.html",)),
     ],

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from deepfsi.jobs import Passing as Passing
     from deepfsi.jobs import Patches as Patches
     from deepfsi.jobs import Range as Range
+    from deepfsi.jobs import SharedLight as SharedLight
     from deepfsi.jobs import Training as Training
     from deepfsi.lab import classify_run as classify_run
     from deepfsi.lab import classify_table as classify_table
@@ -61,6 +62,7 @@ _HOMES = {
     "Range": "jobs",
     "Result": "measures",
     "Scanner": "physics",
+    "SharedLight": "jobs",
     "Training": "jobs",
     "classify_run": "lab",
     "classify_table": "lab",
@@ -92,6 +94,7 @@ __all__ = [
     "Range",
     "Result",
     "Scanner",
+    "SharedLight",
     "Training",
     "classify_run",
     "classify_table",

@@ -78,6 +78,29 @@ def test_the_choice_does_not_look_at_the_test_scenes(nested, digits, stopped):
     assert stopped.validation["used"] < 1
 
 
+@pytest.mark.parametrize("share", [0.5, 0.7])
+def test_a_mean_light_is_that_of_the_held_out_scenes_and_nearly_of_the_tests(nested, digits, share):
+    """Shares of an exposure lie in (0, 1): their deviation is 0.5 at most, of both sets."""
+    found = stop(nested, digits, PHOTONS, held_out=HELD_OUT, mean_light=share * PHOTONS, draws=2)
+    error = 0.5 * (1 / HELD_OUT + 1 / len(digits.x_test)) ** 0.5
+    assert share - 1 / HELD_OUT < found.validation["used"] <= share
+    assert found.used.mean == pytest.approx(share, abs=4 * error)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"mean_light": 2 * PHOTONS}, "above 0 and at most that"),
+        ({"mean_light": PHOTONS / 2, "threshold": 0.9}, "a threshold is given, or found"),
+        ({"mean_light": PHOTONS * 1e-6}, "the first stop alone"),
+    ],
+    ids=["more than the whole", "and a threshold", "less than the first"],
+)
+def test_a_mean_light_that_cannot_be_is_one_line(nested, digits, settings, words):
+    with pytest.raises(InputError, match=words):
+        stop(nested, digits, PHOTONS, held_out=HELD_OUT, **settings)
+
+
 def test_the_interval_of_the_light_used_is_normal_over_images(nested, digits):
     """One draw of each image: the stops are independent, and their shares give the spread."""
     found = stop(nested, digits, PHOTONS, held_out=HELD_OUT, threshold=0.9, draws=1)

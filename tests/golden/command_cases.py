@@ -35,7 +35,7 @@ COMMANDS = (
 )  # fmt: skip
 
 
-ADDED = {"fluctuation"}
+ADDED = {"fluctuation", "cap", "mean-light"}
 """Settings that came after the reference, and are left out of what is listed."""
 
 

@@ -126,6 +126,13 @@ class StopEarly(Command):
         Share | None,
         Field(description="confidence above which to stop; chosen on left-out scenes unless given"),
     ] = None
+    mean_light: Annotated[
+        fields.Number | None,
+        Field(
+            description="photons that exposures take in the mean over scenes: the confidence is "
+            "found at which left-out scenes do"
+        ),
+    ] = None
     out: Annotated[
         Path | None,
         fields.Output(DESIGN_ENDINGS),
@@ -155,6 +162,7 @@ class StopEarly(Command):
                 self.photons,
                 held_out=self.hold_out,
                 threshold=self.threshold,
+                mean_light=self.mean_light,
                 draws=self.draws,
                 seed=self.seed,
             )

@@ -221,7 +221,7 @@ def expose_scenes(
     budgets = conditions.budgets
     generators = [torch.Generator(shares.device).manual_seed(conditions.seed) for _ in budgets]
     outputs: list[list[list[np.ndarray]]] = [[] for _ in budgets]
-    light = np.zeros((len(budgets), 2))  # counts and photons
+    light = np.zeros((len(budgets), 3))  # counts, photons, and light of exposures that stop
     exposed = []
     chunks = torch.arange(len(data.x_test)).split(EXPOSED_AT_ONCE)
     with torch.no_grad():
@@ -233,7 +233,7 @@ def expose_scenes(
                 for _ in range(conditions.draws):
                     answers, counted = answer(generator, budget)
                     outputs[place].append([each.cpu().numpy() for each in answers])
-                    light[place] += counted
+                    light[place] += np.array(counted, dtype=float)
             report(done / len(chunks))
     means = light / (conditions.draws * len(data.x_test))
     return [
@@ -245,11 +245,12 @@ def expose_scenes(
             draws=conditions.draws,
             counts=counts,
             arriving=arriving,
+            used=None if np.isnan(used) else used / budget,
             shares=shares.tolist(),
             truth=data.y_test,
             scenes=np.concatenate(exposed),
         )
-        for budget, exposures, (counts, arriving) in zip(
+        for budget, exposures, (counts, arriving, used) in zip(
             budgets, outputs, means.tolist(), strict=True
         )
     ]

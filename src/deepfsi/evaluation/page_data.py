@@ -111,7 +111,7 @@ def playable(
 
 
 def of_page(design: Design, seed: int = 0) -> Design:
-    """The design as a page plays it: it knows some of its scenes, and no exposure stops early.
+    """The design as a page plays it: it knows some of its scenes, and stops for shared light alone.
 
     Parameters
     ----------

@@ -293,12 +293,14 @@ def stop(
     *,
     held_out: int | None = None,
     threshold: float | None = None,
+    mean_light: float | None = None,
     draws: int = 3,
     seed: int = 0,
 ) -> Stopped:
     """Choose when to stop on held-out scenes, and test it on the test scenes.
 
-    The threshold is that of the fewest photons whose accuracy is not below that of whole exposures.
+    The threshold is that of the fewest photons whose accuracy is not below that of whole exposures;
+    or that at which the held-out scenes take `mean_light` in the mean, so that scenes share it.
 
     Parameters
     ----------
@@ -312,6 +314,8 @@ def stop(
         Last training scenes that the training left out; those that the design names unless given.
     threshold : float, optional
         Confidence above which to stop, from 0 to 1, in place of the choice.
+    mean_light : float, optional
+        Photons that exposures are to take in the mean, in place of the choice, at most `photons`.
     draws : int
         Noise draws of each scene.
     seed : int
@@ -327,9 +331,24 @@ def stop(
     check_draws(draws, seed)
     scenes = as_dataset(data)
     check_data(design, scenes)
-    after, used = design.exposure.stops
+    stops = design.exposure.stops
+    after, used = stops
     if threshold is not None and not 0 <= threshold <= 1:
         raise InputError(f"threshold {threshold!r} is not a confidence: give 0 to 1")
+    if mean_light is not None and not 0 < mean_light <= budget:
+        raise InputError(
+            "{given:g} photons in the mean are not of exposures of {budget:g}: give {mean_light} "
+            "above 0 and at most that",
+            setting="mean_light",
+            given=mean_light,
+            budget=budget,
+        )
+    if mean_light is not None and threshold is not None:
+        raise InputError(
+            "a threshold is given, or found for a mean light: leave {threshold} or {mean_light} "
+            "out",
+            setting=("threshold", "mean_light"),
+        )
     kept = _held_out(design, scenes, held_out)
     front = design.front_end()
     temperatures = np.ones(len(after))
@@ -341,7 +360,9 @@ def stop(
         return _Answers(logits, part.y_test, temperatures)
 
     choice = answers(kept, seed ^ 2**31)
-    if threshold is None:
+    if mean_light is not None:
+        threshold = stops.threshold(choice.calibrated.values, mean_light / budget)
+    elif threshold is None:
         accuracy = choice.right[:, -1].mean()
         curve = choice.curve(used)[:-1]
         costs = [(p["used"], p["threshold"]) for p in curve if p["accuracy"] >= accuracy]

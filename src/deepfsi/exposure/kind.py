@@ -5,6 +5,7 @@ a prior of scenes, of which they make theirs. What needs one or the other asks `
 """
 
 from abc import ABC, abstractmethod
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import prod
@@ -99,6 +100,51 @@ class Stops(NamedTuple):
     after: tuple[int, ...]
     used: np.ndarray
 
+    def threshold(self, confidence: np.ndarray, light: float) -> float:
+        """Confidence above which exposures stop so that they take a share of the light at most.
+
+        The highest such one: the mean over these exposures does not fall as it rises.
+
+        Parameters
+        ----------
+        confidence : array, shape (E, K)
+            Of exposures after each stop.
+        light : float
+            Share of the budget that they are to take in the mean.
+
+        Raises
+        ------
+        InputError
+            If they take more even where all stop at once.
+        """
+        steps = np.diff(self.used, prepend=0.0)
+
+        def taken(threshold: float) -> float:
+            return float(self.going(confidence, threshold).mean(axis=0) @ steps)
+
+        tried: list[float] = np.unique(np.append(confidence[:, :-1], [0.0, 1.0])).tolist()
+        if taken(tried[0]) > light:
+            raise InputError(
+                f"the first stop alone takes {self.used[0]:.3g} of the budget, and {light:.3g} is "
+                "asked for in the mean: give more looks or masks, or more mean light"
+            )
+        first = bisect_right(range(len(tried)), light, key=lambda place: taken(tried[place]))
+        return tried[first - 1]
+
+    @staticmethod
+    def going(confidence: np.ndarray, threshold: float) -> np.ndarray:
+        """True where an exposure (E, K) takes a part, as none before it was sure enough.
+
+        Parameters
+        ----------
+        confidence : array, shape (E, K)
+            Of exposures after each stop.
+        threshold : float
+            Confidence above which they stop.
+        """
+        sure = np.logical_or.accumulate(confidence[:, :-1] > threshold, axis=1)
+        return np.pad(~sure, ((0, 0), (1, 0)), constant_values=True)
+
 
 @dataclass(frozen=True)
 class Dwells:
@@ -149,10 +195,13 @@ class CountedLight(NamedTuple):
     ----------
     counts, photons : float
         Counts that are expected, and photons that arrive.
+    used : float or None
+        Light on the coding device, of exposures that stop; None where none does.
     """
 
     counts: float
     photons: float
+    used: float | None = None
 
 
 class ExposureKind(ABC):

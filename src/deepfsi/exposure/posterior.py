@@ -381,6 +381,10 @@ class AdaptivePosterior:
         some._looks = self._looks
         return some
 
+    def leave_out(self, places: Tensor) -> None:
+        """Take one scene of the prior, at a place of each exposure (b,), for impossible."""
+        self.logs[torch.arange(len(self)), places] = -torch.inf
+
     def expected(self, masks: Tensor, x: Tensor, share: float) -> Tensor:
         """Expected counts (b, Q) of scenes (b, N) behind masks (b, N) for a share of the whole."""
         return self.optics.count(masks, x, share, self.gain)

@@ -30,6 +30,7 @@ from deepfsi.jobs.exposures import (
     Patches,
     PatchesEntry,
     Range,
+    SharedLight,
     cut_patches,
     find_exposure,
 )
@@ -93,6 +94,7 @@ __all__ = [
     "Precision",
     "Range",
     "Scale",
+    "SharedLight",
     "Training",
     "TrainingSource",
     "Widths",

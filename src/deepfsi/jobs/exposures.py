@@ -6,6 +6,7 @@
     Looks     several looks; the counts so far choose the dwells of the next
     Patches   an image seen patch by patch, with a detector for each patch and mask
     Passing   a scene that passes a static pattern, of which each time bin is a readout
+    SharedLight  adaptive masks whose exposures end when a class is sure, at a mean budget
 
 A kind is here what is asked for, its settings, and what a design file's header says of it, its
 entry. An entry and the tensors beside it rebuild the exposure of a trained design: nothing of a
@@ -19,7 +20,13 @@ from math import ceil
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, SerializeAsAny
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializeAsAny,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+)
 
 from deepfsi.base import InputError, Message, as_input_error, closest_choice
 from deepfsi.base.models import Amount, Count, Positive, StrictModel, UserModel, WholeNumber
@@ -595,6 +602,40 @@ ExposureEntry = Annotated[
 """Field of a header: how the masks of a design are exposed, where they are known before."""
 
 
+class SharedLight(Exposure):
+    """Adaptive masks that share the light among exposures: the budget is the mean of all.
+
+    An exposure ends as soon as the probability of a class is above a threshold, and takes at most
+    `cap` times the budget where it is never. The training finds the threshold at which its own
+    scenes, each left out of the prior, take the budget in the mean.
+
+    Examples
+    --------
+    >>> import deepfsi
+    >>> seen = deepfsi.SharedLight(cap=2)
+    >>> deepfsi.Job(design="adaptive", masks=32, photons=1e4, exposure=seen).exposure.cap
+    2.0
+    """
+
+    of_classes: ClassVar[bool] = True
+
+    cap: float = Field(
+        gt=1,
+        le=100,
+        description="most light of one exposure with adaptive masks, over the mean of all, which "
+        "the budget then is: each ends as soon as a class is sure; all take the same unless given",
+    )
+
+    def faults(self, job: "Job") -> Iterator[str]:
+        """Masks that are not adaptive."""
+        if not job.code.adaptive:
+            yield Message(
+                "{cap} is of adaptive masks: leave it out, or give {design:adaptive}; for nested "
+                "masks and several looks `deepfsi stop` finds a rule for a mean light",
+                setting=("cap", "design"),
+            )
+
+
 class AdaptiveMasks(UserModel):
     """Exposure with adaptive masks: how a design that makes each next mask looks at a scene.
 
@@ -642,11 +683,26 @@ class AdaptiveMasks(UserModel):
         "given",
     )
 
+    cap: float = Field(
+        default=1.0,
+        ge=1,
+        le=100,
+        description="light of all looks over the budget, which is the mean of exposures that stop",
+    )
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """All fields; `cap` only where exposures share their light, as files have it."""
+        content: dict[str, Any] = handler(self)
+        if self.cap == 1:
+            del content["cap"]
+        return content
+
     @property
     def shares(self) -> list[float]:
-        """Share of the exposure that each look takes; their sum is 1."""
+        """Share of the budget that each look takes; their sum is `cap`."""
         times = self.growth ** np.linspace(0, 1, self.looks)
-        return (times / times.sum()).tolist()
+        return (self.cap * (times / times.sum())).tolist()
 
     @staticmethod
     def check_camera(camera: Camera) -> None:
@@ -670,14 +726,15 @@ EXPOSURE_KINDS: dict[str, type[Exposure]] = {
     "patch": Patches,
     "nested": Nested,
     "span": Range,
+    "cap": SharedLight,
     **dict.fromkeys(Passing.model_fields, Passing),
 }
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 
-EXPOSURE_FIELDS = ("nested", "looks", "patch", *Passing.model_fields)
+EXPOSURE_FIELDS = ("nested", "looks", "patch", "cap", *Passing.model_fields)
 """Settings that ask for an exposure by an option of their own; a range is one of budgets."""
 
-NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "patch": "0", "bins": "0"}
+NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "patch": "0", "cap": "1", "bins": "0"}
 """Values of these settings that ask for nothing."""
 
 

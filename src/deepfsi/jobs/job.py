@@ -35,6 +35,7 @@ from deepfsi.jobs.exposures import (
     Exposure,
     ExposureSource,
     Fixed,
+    SharedLight,
     find_exposure,
 )
 from deepfsi.jobs.tiles import check_count, count_allowed
@@ -48,6 +49,9 @@ from deepfsi.jobs.training import (
     classifier_name,
     loss_name,
 )
+
+FEWEST_SHARING_SCENES = 50
+"""Training scenes below which no threshold is found that spends a mean light."""
 
 REVISION = 5
 """Raised whenever a change makes the same job end in another design: old records then expire."""
@@ -167,6 +171,11 @@ class Job(UserModel):
         elif self.camera.rails == "single":
             changes |= {"readout": "difference"}
         return self.camera.model_copy(update=changes)
+
+    @property
+    def cap(self) -> float:
+        """Most light of one exposure over the budget; above 1 the budget is the mean of all."""
+        return self.exposure.cap if isinstance(self.exposure, SharedLight) else 1.0
 
     @property
     def resolved(self) -> "Job":
@@ -359,18 +368,27 @@ class Job(UserModel):
                 fewest=fewest,
                 most=fewest // 2,
             )
-        if not isinstance(self.exposure, Fixed):
+        if not isinstance(self.exposure, Fixed | SharedLight):
             yield "adaptive masks have a look each: give no looks, nested, span or patch"
+        scenes = len(data.x_train)
+        if isinstance(self.exposure, SharedLight) and scenes < FEWEST_SHARING_SCENES:
+            yield Message(
+                "{scenes} training scenes say too little of the mean light of exposures that stop: "
+                "give {fewest} or more, or leave {cap} out",
+                setting="cap",
+                scenes=scenes,
+                fewest=FEWEST_SHARING_SCENES,
+            )
         if self.training.classifier != MLP:
             yield Message(
                 "adaptive masks are read by their posterior: leave {classifier} out",
                 setting="classifier",
             )
         shortest = self.camera.shortest_share
-        if shortest * self.masks > 1:
+        if shortest * self.masks > self.cap:
             yield (
                 f"{self.masks} looks are shorter than {shortest:.3g} of the exposure, the shortest "
-                f"picture of the camera: give at most {int(1 / shortest)} masks"
+                f"picture of the camera: give at most {int(self.cap / shortest)} masks"
             )
 
 

@@ -33,6 +33,8 @@ class Answers:
         Independent noise draws of each scene.
     counts, arriving : float
         What the detectors count, and photons that reach them, in the mean over exposures.
+    used : float or None
+        Light of exposures that stop early over the budget, in the same mean; None where none does.
     shares : list of float, length m
         Share of the budget that each mask's rails count together, in the training mean.
     truth : array, shape (n,) or (n, q)
@@ -50,6 +52,7 @@ class Answers:
     shares: list[float]
     truth: np.ndarray
     scenes: np.ndarray
+    used: float | None = None
 
     def by_scene(self, values: np.ndarray) -> np.ndarray:
         """Values (n, draws, …) of exposures (E, …)."""

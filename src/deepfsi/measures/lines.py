@@ -32,9 +32,9 @@ def details_text(result: Result | Estimates, classes: Sequence[str]) -> str:
         errors = ", ".join(map(" ".join, zip(result.values, _answers(result, ()), strict=True)))
         return f"root mean squared error (of the best linear estimator): {errors}"
     _, balanced, *others = (
-        f"{each.title} {_interval(result, each)}"
-        for each in result.measures()
-        if each.interval and result.score(each.key) is not None
+        f"{measure.title} {_interval(result, measure)}"
+        for measure in result.measures()
+        if measure.interval and result.score(measure.key) is not None
     )
     return ", ".join((balanced, f"worst class {_worst(result, classes)}", *others))
 
@@ -63,33 +63,42 @@ def results_lines(
     values = results[0].values if isinstance(results[0], Estimates) else []
     clicks = any(result.clicks for result in results)
     light = ("counts", "arriving") if clicks else ("counts",)
-    measures = [each for each in results[0].measures() if each.column]
-    main, *others = (each for each in measures if each.interval)
-    last = [each for each in measures if not each.interval]
+    measures = [
+        measure
+        for measure in results[0].measures()
+        if measure.column
+        and (measure.interval or any(r.score(measure.key) is not None for r in results))
+    ]
+    main, *others = (measure for measure in measures if measure.interval)
+    last = [measure for measure in measures if not measure.interval]
     rows = [
         (
             budget_text(r.photons),
             _interval(r, main),
-            *(_number(r.score(each.key)) for each in others),
+            *(_number(r.score(measure.key)) for measure in others),
             *_answers(r, classes),
-            *(count_text(getattr(r, each)) for each in light),
+            *(count_text(getattr(r, name)) for name in light),
             f"{r.throughput:.3f}",
-            *(_number(r.score(each.key)) for each in last),
+            *(_number(r.score(measure.key)) for measure in last),
         )
         for r in results
     ]
     names = map(short_name, values) if values else ("worst class",)
-    heads = (*(each.column for each in (main, *others)), *names, *light, "counted")
-    heads = ("photons", *heads, *(each.column for each in last))
+    heads = (*(measure.column for measure in (main, *others)), *names, *light, "counted")
+    heads = ("photons", *heads, *(measure.column for measure in last))
     yield Table(title, heads, rows)
     if values:
         yield "of each value: root mean squared error (that of the best linear estimator)"
     for result in results:
         if isinstance(result, Result):
-            for each in result.measures():
-                if each.interval and not each.column and result.score(each.key) is not None:
+            for measure in result.measures():
+                if (
+                    measure.interval
+                    and not measure.column
+                    and result.score(measure.key) is not None
+                ):
                     where = f"{budget_text(result.photons)} photons"
-                    yield f"{each.title} at {where}: {_interval(result, each)}"
+                    yield f"{measure.title} at {where}: {_interval(result, measure)}"
             yield _confusion_table(result, classes)
     if bounds:
         yield Table(
@@ -109,7 +118,7 @@ def results_lines(
     )
     reached = "reaches them" if clicks else "they count"
     yield f"counted: share of the budget that {reached}, in the mean over training scenes"
-    yield from (each.legend for each in measures if each.legend)
+    yield from (measure.legend for measure in measures if measure.legend)
 
 
 def _confusion_table(result: Result, classes: Sequence[str]) -> Table:
@@ -144,7 +153,7 @@ def _answers(result: Result | Estimates, classes: Sequence[str]) -> tuple[str, .
     """The worst class; or the error of each value, and that of the best linear estimator."""
     if isinstance(result, Estimates):
         errors = zip_longest(result.rmse, result.bound or ())
-        return tuple(error_text(*each) for each in errors)
+        return tuple(error_text(*pair) for pair in errors)
     return (_worst(result, classes),)
 
 

@@ -42,7 +42,7 @@ class AnswerTest:
     @classmethod
     def measures(cls) -> list[Measure]:
         """Measures of such answers, that by which data are judged first."""
-        return [each for each in MEASURES.values() if each.of is cls.kind]
+        return [measure for measure in MEASURES.values() if measure.of is cls.kind]
 
     def score(self, key: str) -> float | None:
         """A measure by its key; None where the answers do not have it."""
@@ -50,7 +50,9 @@ class AnswerTest:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only, without the numbers of each image."""
-        declared = {each.name: getattr(self, each.name) for each in fields(self) if each.repr}
+        declared = {
+            field_.name: getattr(self, field_.name) for field_ in fields(self) if field_.repr
+        }
         return declared | self.further
 
     def packed_terms(self) -> dict[str, str]:
@@ -67,7 +69,7 @@ class AnswerTest:
                 terms[measure.terms] = numbers
             values = measure.values(answers, terms.get(measure.terms))
             scores |= zip(measure.keys, values, strict=True)
-        names = {each.name for each in fields(cls)}
+        names = {field_.name for field_ in fields(cls)}
         return {
             "photons": answers.photons,
             "noise": answers.noise,
@@ -78,7 +80,11 @@ class AnswerTest:
             "arriving": answers.arriving,
             "throughput": sum(answers.shares),
             "photons_per_mask": [answers.photons * share for share in answers.shares],
-            "further": {key: score for key, score in scores.items() if key not in names},
+            "further": {
+                key: score
+                for key, score in scores.items()
+                if key not in names and score is not None
+            },
             "image_terms": {name: numbers.tolist() for name, numbers in terms.items()},
             **{key: score for key, score in scores.items() if key in names},
         }
@@ -194,7 +200,7 @@ class ResultList(list[Result]):
     """Results at several budgets, which a notebook shows as a curve."""
 
     def _repr_html_(self) -> str:
-        points = [(each.photons, each.accuracy, each.low, each.high) for each in self]
+        points = [(result.photons, result.accuracy, result.low, result.high) for result in self]
         return accuracy_curve(points) if points else ""
 
 

@@ -34,7 +34,8 @@ class Measure:
     of : type
         Kind of answers that have it.
     compute : callable or None
-        Gives the measure of such answers; None where it is the mean of the interval.
+        Gives the measure of such answers, or None where these have none; None where it is the mean
+        of the interval.
     interval : callable or None
         Gives mean and 95 % interval of numbers of images, (S, n) or (n,) of S trainings and n
         images, and the truth (n,) of these.
@@ -58,7 +59,7 @@ class Measure:
     key: str
     title: str
     of: type[Answers]
-    compute: Callable[[Any], float] | None = None
+    compute: Callable[[Any], float | None] | None = None
     interval: Callable[[np.ndarray, np.ndarray], Interval] | None = None
     ends: tuple[str, str] = ("", "")
     terms: str = ""
@@ -177,6 +178,16 @@ MEASURES: dict[str, Measure] = {
             compute=lambda answers: float(answers.losses.mean()),
             averaged=True,
         ),
+        Measure(
+            key="mean_light",
+            title="mean light",
+            of=ClassAnswers,
+            compute=lambda answers: answers.used,
+            column="light",
+            legend="light: share of the budget that exposures take, in the mean over test scenes, "
+            "as each ends when a class is sure",
+            averaged=True,
+        ),
         MainMeasure(
             key="r2",
             title="R²",
@@ -201,5 +212,7 @@ MEASURES: dict[str, Measure] = {
 
 def main_measure(title: str) -> MainMeasure:
     """The measure that data sets are judged by which say so, such as "accuracy", "AUC" or "R²"."""
-    named = {each.title: each for each in MEASURES.values() if isinstance(each, MainMeasure)}
+    named = {
+        measure.title: measure for measure in MEASURES.values() if isinstance(measure, MainMeasure)
+    }
     return named[title]

@@ -230,15 +230,16 @@ class _Plan:
             * recipe.trials
             * len(recipe.budgets(named.camera.noise_name))
             for named, design in self._pairs()
-            for _, exposure in recipe.exposures()
+            for _, exposure in recipe.exposures(design)
         )
 
     def jobs(self) -> Iterator[tuple[CameraVariant, str, Job]]:
         """Yield camera, variant of the settings, and job of every trial that can be."""
         recipe = self.recipe
-        for (named, design), (exposure_variant, exposure) in product(
-            self._pairs(), recipe.exposures()
-        ):
+        pairs = (
+            (*pair, *exposure) for pair in self._pairs() for exposure in recipe.exposures(pair[1])
+        )
+        for named, design, exposure_variant, exposure in pairs:
             for masks, (training_variant, training), seed, photons in product(
                 self._mask_counts(design, named, exposure),
                 recipe.trainings(design),

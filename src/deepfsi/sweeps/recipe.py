@@ -40,6 +40,7 @@ from deepfsi.jobs import (
     DESIGNS,
     MLP,
     Exposure,
+    SharedLight,
     Training,
     check_design,
     count_allowed,
@@ -296,10 +297,28 @@ class Recipe(UserModel):
         """Cameras of the product of its axes, but those that cannot be."""
         return _cameras(self.camera)
 
-    def exposures(self) -> list[tuple[str, Exposure]]:
-        """Exposures of the product of its axes, with a name where there are several."""
+    def exposures(self, design: str) -> list[tuple[str, Exposure]]:
+        """Exposures of a design, of the product of its axes, with a name where there are several.
+
+        Those that share light among scenes have one always, as their budget is a mean.
+
+        Parameters
+        ----------
+        design : str
+            Its name. Adaptive masks alone share light among exposures here.
+        """
         axes = self.exposure
-        return [(_variant(point, axes), find_exposure(point)) for point in _points(axes)]
+        if not DESIGNS[design].adaptive:
+            axes = {name: values for name, values in axes.items() if name != "cap"}
+        others = {name: values for name, values in axes.items() if name != "cap"}
+        found = []
+        for point in _points(axes):
+            exposure = find_exposure(point)
+            names = [_variant({name: point[name] for name in others}, others)]
+            if isinstance(exposure, SharedLight):
+                names.append(f"mean light, at most {exposure.cap:g} Φ")
+            found.append((", ".join(filter(None, names)), exposure))
+        return found
 
     @property
     def noises(self) -> tuple[str, ...]:

@@ -324,12 +324,12 @@ def _check(
 ) -> None:
     """Raise an error unless jobs can train together on the data, in the memory that is free."""
     # Jobs that learn the masks of others before ask for nothing that these do not
-    if len({companions(each, training_set.device) for each in jobs}) > 1:
+    if len({companions(job, training_set.device) for job in jobs}) > 1:
         raise ValueError("jobs that train together may differ in photons, sigma and seed only")
-    for each in jobs:
-        each.check(training_set.data, matrix)
+    for job in jobs:
+        job.check(training_set.data, matrix)
         if start is not None:
-            _check_start(start, each, training_set)
+            _check_start(start, job, training_set)
     check_fits(training_set, jobs)
 
 
@@ -389,7 +389,7 @@ def _designs(
         # their own
         before, report = report.split(2)
         teachers = JobGroup.of(
-            group.training_set, [each.mask_job() for each in jobs], start=group.start
+            group.training_set, [job.mask_job() for job in jobs], start=group.start
         )
         taught = _optimised(teachers, before, checkpoint=checkpoint, hooks=hooks)[0]
         group = replace(group, masks=taught.masks)
@@ -405,7 +405,9 @@ def _optimised(
     exposure.fix()
     networks = [*classifiers, *exposure.choose.networks]
     weights = [parameter for network in networks for parameter in network.parameters()]
-    if not all(bool(torch.isfinite(each).all()) for each in [exposure.masks().stacked, *weights]):
+    if not all(
+        bool(torch.isfinite(tensor).all()) for tensor in [exposure.masks().stacked, *weights]
+    ):
         checkpoint.remove()
         raise Diverged(f"training of {group.jobs[0].design} diverged: {REMEDY}")
     return exposure, classifiers
@@ -430,34 +432,41 @@ def _adaptive_designs(
     """Designs of jobs whose masks learn by no steps, of one prior of scenes."""
     began = time.perf_counter()
     data = training_set.data
-    settings = AdaptiveMasks(looks=jobs[0].masks, clusters=jobs[0].training.clusters)
+    settings = AdaptiveMasks(
+        looks=jobs[0].masks, clusters=jobs[0].training.clusters, cap=jobs[0].cap
+    )
     exposure = AdaptiveTraining(data, settings)
-    designs = []
+    designs: list[Design] = []
     folds = [(fold, prior_without(fold, settings)) for fold in folds_of(data)]
-    for done, job in enumerate(jobs, start=1):
+    for job, span in zip(jobs, report.split(len(jobs)), strict=True):
         shares, misfit = exposure.finish(job)
         prior = exposure.prior
         info = provenance(job, data, torch.device("cpu"), 0.0)
-        report((done - 0.5) / len(jobs))
+        span(0.5)
         if folds:
             prior, info["left_out"] = calibrated_prior(exposure, folds, job)
-        info["seconds"] = (time.perf_counter() - began) / done
-        design = Design(
-            name=job.design,
-            classes=data.classes,
-            exposure=AdaptiveExposure(
-                prior,
-                settings,
-                shape=data.image_shape,
-                counted=shares,
-                usual_misfit=misfit,
-                optics=info["job"]["camera"],
-            ),
-            info=info,
-            training_scenes=training_set.scenes,
+        made = AdaptiveExposure(
+            prior,
+            settings,
+            shape=data.image_shape,
+            counted=shares,
+            usual_misfit=misfit,
+            optics=info["job"]["camera"],
         )
-        designs.append(design)
-        report(done / len(jobs))
+        if settings.cap > 1:
+            made = exposure.share_light(made, job, span.between(0.5, 1.0))
+            info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
+        info["seconds"] = (time.perf_counter() - began) / (len(designs) + 1)
+        designs.append(
+            Design(
+                name=job.design,
+                classes=data.classes,
+                exposure=made,
+                info=info,
+                training_scenes=training_set.scenes,
+            )
+        )
+        span(1.0)
     return designs
 
 

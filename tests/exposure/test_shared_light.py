@@ -1,0 +1,117 @@
+"""Laws of light that is shared among exposures: the budget is their mean, and none takes more."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import deepfsi
+from deepfsi.base import InputError
+from deepfsi.evaluation import evaluate
+from deepfsi.exposure import AdaptiveExposure
+from deepfsi.exposure.kind import Stops
+from deepfsi.jobs import AdaptiveMasks
+
+PHOTONS, DRAWS = 1e3, 3
+
+
+@pytest.fixture(scope="module")
+def shared(digits):
+    return deepfsi.learn(digits, design="adaptive", masks=16, photons=PHOTONS, exposure={"cap": 2})
+
+
+@pytest.fixture(scope="module")
+def tested(digits, shared):
+    [result] = evaluate(shared, digits, PHOTONS, draws=DRAWS)
+    return result
+
+
+def confidences(seed, exposures=500, stops=12):
+    """Confidences (E, K) of some exposures, which rise and fall."""
+    rng = np.random.default_rng(seed)
+    return rng.random((exposures, stops)) ** (1 / np.arange(1, stops + 1))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_threshold_takes_the_light_asked_for_and_rises_with_it(seed):
+    seen = confidences(seed)
+    stops = Stops(tuple(range(1, 13)), np.cumsum(np.full(12, 1 / 6)))  # 2 together
+    found = [stops.threshold(seen, light) for light in np.linspace(0.2, 2, 10)]
+    for threshold, light in zip(found, np.linspace(0.2, 2, 10), strict=True):
+        ends = np.argmax(np.c_[seen[:, :-1] > threshold, np.ones(len(seen))], axis=1)
+        taken = stops.used[ends].mean()
+        assert light - stops.used[-1] / len(seen) < taken <= light + 1e-12  # one exposure apart
+        assert stops.going(seen, threshold).sum() == (ends + 1).sum()
+    assert found == sorted(found)
+
+
+def test_less_light_than_the_first_stop_takes_is_refused():
+    with pytest.raises(InputError, match="the first stop alone"):
+        Stops((1, 2), np.array([0.5, 1.0])).threshold(confidences(0, stops=2), 0.4)
+
+
+def test_looks_are_as_long_as_those_of_as_many_in_the_budget():
+    shares = AdaptiveMasks(looks=32, cap=2).shares
+    assert shares[:16] == AdaptiveMasks(looks=16).shares
+    assert sum(shares) == pytest.approx(2)
+
+
+def test_files_of_equal_light_are_as_they_were():
+    assert "cap" not in AdaptiveMasks().model_dump()
+    assert AdaptiveMasks.model_validate(AdaptiveMasks(cap=2).model_dump()).cap == 2
+
+
+def test_test_scenes_take_the_budget_in_the_mean_and_at_most_the_cap(digits, shared, tested):
+    """Light of an exposure lies within (1/8, 2), so that its deviation is 0.94 at most.
+
+    The threshold is of all training scenes, and the mean of the tests has a deviation, too.
+    """
+    error = 0.94 * (1 / len(digits.x_test) + 1 / min(1024, len(digits.x_train))) ** 0.5
+    assert tested.score("mean_light") == pytest.approx(1, abs=4 * error)
+    assert shared.exposure.stops.used[-1] == pytest.approx(2)
+
+
+def test_shared_light_is_more_accurate_than_equal_light(digits, tested):
+    equal = deepfsi.learn(digits, design="adaptive", masks=8, photons=PHOTONS)
+    [result] = evaluate(equal, digits, PHOTONS, draws=DRAWS)
+    gains = np.subtract(tested.right, result.right)
+    assert gains.mean() > 2 * gains.std() / len(gains) ** 0.5
+    assert result.score("mean_light") is None
+
+
+def test_counts_in_the_training_mean_are_of_exposures_that_stop(tested):
+    """What test scenes count lies within 10 % of what training scenes do: they differ by draws."""
+    assert tested.counts == pytest.approx(tested.throughput * PHOTONS, rel=0.1)
+
+
+def test_a_file_and_a_camera_know_the_rule(shared, tmp_path):
+    path = tmp_path / "shared.safetensors"
+    shared.save(path)
+    again = deepfsi.load_design(path)
+    assert isinstance(again.exposure, AdaptiveExposure)
+    assert again.exposure.settings == shared.exposure.settings
+    assert again.info["stopping"] == {
+        "threshold": shared.exposure.settings.until,
+        "photons": PHOTONS,
+    }
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"design": "deepfsi"}, "is of adaptive masks"),
+        ({"exposure": {"cap": 2, "looks": 4}}, "different exposures"),
+        ({"exposure": {"cap": 0.5}}, "cap"),
+    ],
+    ids=["other masks", "looks of dwells", "less than the mean"],
+)
+def test_what_cannot_share_is_one_line(digits, settings, words):
+    asked = {"design": "adaptive", "masks": 8, "photons": PHOTONS, "exposure": {"cap": 2}}
+    with pytest.raises(InputError, match=words):
+        deepfsi.learn(digits, **asked | settings)
+
+
+def test_few_scenes_say_too_little_of_the_mean(digits):
+    few = replace(digits, x_train=digits.x_train[:40], y_train=digits.y_train[:40])
+    with pytest.raises(InputError, match="40 training scenes say too little"):
+        deepfsi.learn(few, design="adaptive", masks=8, photons=PHOTONS, exposure={"cap": 2})
