@@ -62,13 +62,6 @@ def test_data_may_be_a_name_or_arrays(digits):
             learn(other, **BRIEF)
 
 
-def test_a_design_shows_itself_in_one_line(made):
-    assert repr(made("deepfsi", "free-dwell", "dual")) == (
-        "<Design deepfsi: 7 masks of 8x8, free-dwell, dual rails, mlp-8, 10 classes, "
-        "learned at 10000 photons>"
-    )
-
-
 def test_a_bar_is_shown_where_a_terminal_is_attached(digits, capsys, monkeypatch):
     def shown():
         deepfsi.evaluate(design, digits, 1e4)

@@ -14,7 +14,10 @@ def test_times_are_read_back():
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("0.01", 0.01), ("10ms", 0.01), ("44us", 44e-6), ("44 µs", 44e-6), ("1e-3s", 1e-3)],
+    [
+        *((0.01, 0.01), (0, 0.0), ("0.01", 0.01), ("10ms", 0.01), ("44us", 44e-6)),
+        *(("44 µs", 44e-6), ("1e-3s", 1e-3), ("20NS", 20e-9), ("3ps", 3e-12), ("2s", 2.0)),
+    ],
 )
 def test_times_have_units(text, value):
     assert seconds(text) == pytest.approx(value)

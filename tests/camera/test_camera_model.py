@@ -1,4 +1,4 @@
-"""Laws of the camera: a laboratory's units, presets, what follows from what, files and refusals.
+"""Laws of the camera: presets, what follows from what, files and refusals.
 
 Each field with values that are allowed and refused, files and words are golden.
 """
@@ -7,29 +7,9 @@ import json
 
 import pytest
 
-from deepfsi.base import InputError, seconds
+from deepfsi.base import InputError
 from deepfsi.camera import DEVICES, PRESETS, Camera
 from shared.noises import saturating
-
-
-@pytest.mark.parametrize(
-    ("time", "wanted"),
-    [
-        (0.01, 0.01),
-        ("0.01", 0.01),
-        ("10ms", 0.01),
-        ("10 ms", 0.01),
-        ("44us", 44e-6),
-        ("44µs", 44e-6),
-        ("20NS", 20e-9),
-        ("3ps", 3e-12),
-        ("2s", 2.0),
-        (0, 0.0),
-        ("1e-3 s", 1e-3),
-    ],
-)
-def test_times_are_seconds_or_have_a_unit(time, wanted):
-    assert seconds(time) == pytest.approx(wanted, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.camera import DEVICES, Device, DmdLayout, find_device, find_grid
+from deepfsi.camera import DEVICES, DmdLayout, find_device, find_grid
 from deepfsi.hardware.patterns import check_patterns, read_frames, read_patterns, unpack
 from hardware.patterns.pattern_samples import SMALL, export
 
@@ -98,9 +98,3 @@ def test_a_manifest_that_says_no_layout_is_of_stretched_cells(tmp_path):
     del content["layout"], content["sha256"]
     file.write_text(json.dumps(content))
     assert read_patterns(tmp_path / "p").manifest.grid == made.manifest.grid
-
-
-def test_the_share_of_the_light_is_that_of_the_mirrors(tmp_path):
-    device = Device(name="d", columns=64, rows=48)
-    assert export(tmp_path / "p", device=device, layout=DmdLayout()).manifest.used == 0.75
-    check_patterns(tmp_path / "p")

@@ -18,8 +18,6 @@ from torch import nn
 from conftest import PHOTONS, every_optics, light_on
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
-from deepfsi.camera import share_out
-from deepfsi.exposure import Observation
 from shared import vectors
 from shared.design_files import header_of, refused, rewrite
 from shared.jobs import learn
@@ -189,20 +187,9 @@ def test_it_answers_the_vectors(kind, tmp_path):
     design = Design.load(path)
     np.testing.assert_allclose(design.matrix, matrix, atol=1e-7)
     for vector in expected:
-        part = design if vector.masks == design.masks else design.first(vector.masks)
-        counts = vector.counts[:, : vector.masks].reshape(part.counts_shape)
-        photons = vector.photons * part.exposure.used / design.exposure.used
-        dwell = None if vector.dwell is None else design.exposure.dwells.by_rail(vector.dwell)
-        chances = part.classify(counts, photons, dwell)
+        chances, dwell = vectors.answer(design, vector)
         np.testing.assert_allclose(chances, vector.chances, atol=vectors.AGREES)
         if vector.look is not None:
-            exposure = design.exposure
-            features = design.features_of(torch.from_numpy(counts).float()) / vector.photons
-            seen = Observation(features, torch.from_numpy(vector.dwell).float())
-            left = torch.tensor([1 - vector.look / exposure.looks])
-            inputs = seen.inputs(design.mean, design.std)
-            dwell = exposure.next_dwell(exposure.network, inputs, left).double().detach().numpy()
-            dwell = share_out(dwell, exposure.shortest)
             np.testing.assert_allclose(dwell, vector.next_dwell, atol=vectors.AGREES)
 
 

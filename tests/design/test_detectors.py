@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from conftest import generator, once
-from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.networks import stop_temperatures
 from deepfsi.physics import ROUNDING_SLACK, Detection, light_law
@@ -46,29 +45,22 @@ def trained(digits, kind="fixed", light="free-dwell", rails="single", readout=No
         if (k, optics[0]) != ("looks", "equal-dwell")
     ],
 )
-def test_every_kind_of_design_works_with_several_detectors(
-    digits, tmp_path, kind, light, rails, readout
-):
-    """It obeys its law, is read back from its file, and classifies counts as it was tested."""
+def test_every_kind_of_design_works_with_several_detectors(digits, kind, light, rails, readout):
+    """It obeys its law, and classifies counts as it was tested."""
     design = trained(digits, kind, light, rails, readout)
     assert light_law(light).excess(design.rails.stacked) <= ROUNDING_SLACK
     assert design.counts_shape == ((5, 4) if rails == "single" else (2, 5, 4))
     read = "both" if light == "two-arm" else "difference"
     assert design.detection.readout == (readout or read)
-    loaded = Design.load(design.save(tmp_path / "design.safetensors"))
-    assert torch.equal(loaded.detection.labels, design.detection.labels)
-    first, second = (evaluate(each, digits, 1e4, draws=1)[0] for each in (design, loaded))
-    assert first == second
-    assert len(first.photons_per_mask) == 5
     if kind == "looks":
         return
-    scanner = loaded.scanner()
-    rates = loaded.rates(scanner, torch.from_numpy(digits.x_test[:30]))
+    scanner = design.scanner()
+    rates = design.rates(scanner, torch.from_numpy(digits.x_test[:30]))
     counts = scanner.read(rates * 1e4, generator(7))
-    shown = counts.reshape(30, *loaded.counts_shape).numpy()
-    logits = loaded.logits(loaded.detection.features(counts), 1e4).detach()
-    by_hand = (logits / stop_temperatures(loaded.temperatures, 1e4)[-1]).softmax(-1)
-    np.testing.assert_allclose(loaded.classify(shown, 1e4), by_hand, atol=1e-6)
+    shown = counts.reshape(30, *design.counts_shape).numpy()
+    logits = design.logits(design.detection.features(counts), 1e4).detach()
+    by_hand = (logits / stop_temperatures(design.temperatures, 1e4)[-1]).softmax(-1)
+    np.testing.assert_allclose(design.classify(shown, 1e4), by_hand, atol=1e-6)
 
 
 @pytest.mark.parametrize(("light", "rails", "readout"), [*OPTICS[:1], *OPTICS[2:]])

@@ -54,12 +54,6 @@ def test_it_says_and_chooses_what_the_design_does(design):
     np.testing.assert_allclose(file.first_dwell, asked[0], rtol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["dmd-mnist", "adaptive-mnist"])
-def test_a_file_comes_back_byte_by_byte(name):
-    path = find_design(name)
-    assert DesignFile.read(path).to_bytes() == path.read_bytes()
-
-
 def test_what_it_cannot_do_is_said(good):
     file, bias = file_of(good), "classifier.layers.0.bias"
     with pytest.raises(InputError, match="one look: learn one of several `looks`"):

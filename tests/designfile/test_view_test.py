@@ -1,12 +1,10 @@
-"""Test of the view of a run: its law, false alarms, power, and its place in a design's file."""
+"""Test of the view of a run: its law, false alarms and power."""
 
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from conftest import quick
 from deepfsi.designfile import SceneModel, SceneReadouts, ViewTest, view_test
-from shared.design_files import file_of
 
 SHAPE, PHOTONS, MASKS = (8, 8), 1e4, 16
 
@@ -89,11 +87,3 @@ def test_each_fault_is_refused_and_named_in_40_scenes(digits, model, masks, view
     assert result.named
     assert result.likeliest == view.words
     assert view.words in result.remark
-
-
-def test_the_file_of_a_design_keeps_the_model_and_one_without_reads(digits):
-    design = quick(digits, masks=4, epochs=1, photons=1e4)
-    for name, kept in file_of(design).scene_model.arrays.items():
-        np.testing.assert_array_equal(design.scene_model.arrays[name], kept)
-    design.scene_model = None
-    assert file_of(design).scene_model is None

@@ -88,6 +88,24 @@ def scenes() -> Dataset:
     return synthetic((4, 4), scenes=360)
 
 
+@torch.no_grad()
+def answer(design: Design, vector: Vector) -> tuple[np.ndarray, np.ndarray | None]:
+    """Chances of the counts of a vector, and the next dwells where it has a next look."""
+    exposure = design.exposure
+    part = design if vector.masks == design.masks else design.first(vector.masks)
+    counts = vector.counts[:, : vector.masks].reshape(part.counts_shape)
+    photons = vector.photons * part.exposure.used / exposure.used
+    dwell = None if vector.dwell is None else exposure.dwells.by_rail(vector.dwell)
+    chances = part.classify(counts, photons, dwell)
+    if vector.look is None:
+        return chances, None
+    features = design.features_of(torch.from_numpy(counts).float()) / vector.photons
+    seen = Observation(features, torch.from_numpy(vector.dwell).float())
+    left = torch.tensor([1 - vector.look / exposure.looks])
+    chosen = exposure.next_dwell(exposure.network, seen.inputs(design.mean, design.std), left)
+    return chances, share_out(chosen.double().numpy(), exposure.shortest)
+
+
 def main() -> None:
     """Learn the designs and write their vectors."""
     rng, entries = np.random.default_rng(0), {}
@@ -96,48 +114,30 @@ def main() -> None:
         job = {"photons": 1e3, "epochs": 8, "lr": 2e-2, "hidden": (5, 4), **settings}
         learned = learn(scenes(), device="cpu", **job)
         design = replace(learned, info={"job": learned.info["job"]}, **bare)
-        answer = answer_look if design.exposure.looks > 1 else answer_masks
+        drawn = [draw(design, float(photons), rng) for photons in np.geomspace(3, 3e6, CASES)]
         entries[kind] = {
             "file": base64.b64encode(design.to_bytes()).decode(),
             "matrix": design.matrix.tolist(),
-            "vectors": [answer(design, photons, rng) for photons in np.geomspace(3, 3e6, CASES)],
+            "vectors": [{n: v for n, v in vars(one).items() if v is not None} for one in drawn],
         }
-    PATH.write_text(json.dumps(entries, indent=0) + "\n")
+    PATH.write_text(json.dumps(entries, indent=0, default=np.ndarray.tolist) + "\n")
 
 
-def drawn(design: Design, photons: float, rng: np.random.Generator) -> dict[str, Any]:
-    """Counts (rails, m, D) of an exposure, and its budget."""
+def draw(design: Design, photons: float, rng: np.random.Generator) -> Vector:
+    """Vector of the first masks of a design, all unless they are nested, or of one of its looks."""
     mean = photons * float(design.shares.mean()) / design.detection.width(design.rails.count)
     shape = (design.rails.count, design.masks, design.detection.count)
-    counts = rng.poisson(mean * rng.uniform(0.5, 1.5, shape))
-    return {"counts": counts.tolist(), "photons": float(photons), "masks": design.masks}
-
-
-def answer_masks(design: Design, photons: float, rng: np.random.Generator) -> dict[str, Any]:
-    """Vector of the first masks of a design of fixed dwells; all unless they are nested."""
-    fields = drawn(design, photons, rng)
-    first = int(rng.integers(design.fewest_masks, design.masks + 1))
-    part = design.first(first) if first < design.masks else design
-    counts = np.array(fields["counts"])[:, :first].reshape(part.counts_shape)
-    chances = part.classify(counts, photons * part.exposure.used / design.exposure.used)
-    return fields | {"masks": first, "chances": chances.tolist()}
-
-
-@torch.no_grad()
-def answer_look(design: Design, photons: float, rng: np.random.Generator) -> dict[str, Any]:
-    """Vector of an exposure after one of its looks."""
-    fields, exposure = drawn(design, photons, rng), design.exposure
-    look = int(rng.integers(1, exposure.looks + 1))
-    dwell = rng.dirichlet(np.ones(exposure.dwells.count)) * look / exposure.looks
-    counts = torch.tensor(fields["counts"]).float().reshape(design.counts_shape)
-    seen = Observation(design.features_of(counts) / photons, torch.from_numpy(dwell).float())
-    fields |= {"chances": design.chances(seen, photons).tolist(), "dwell": dwell.tolist()}
-    if look == exposure.looks:
-        return fields
-    left = torch.full((1,), 1 - look / exposure.looks)
-    chosen = exposure.next_dwell(exposure.network, seen.inputs(design.mean, design.std), left)
-    shared = share_out(chosen.double().numpy(), exposure.shortest)
-    return fields | {"look": look, "next_dwell": shared.tolist()}
+    counts, looks = rng.poisson(mean * rng.uniform(0.5, 1.5, shape)), design.exposure.looks
+    vector = Vector(counts, photons, design.masks, chances=np.empty(0))
+    if looks > 1:
+        look = int(rng.integers(1, looks + 1))
+        dwell = rng.dirichlet(np.ones(design.exposure.dwells.count)) * look / looks
+        vector = replace(vector, dwell=dwell, look=look if look < looks else None)
+    else:
+        first = int(rng.integers(design.fewest_masks, design.masks + 1))
+        vector = replace(vector, masks=first)
+    chances, next_dwell = answer(design, vector)
+    return replace(vector, chances=chances, next_dwell=next_dwell)
 
 
 if __name__ == "__main__":
