@@ -10,9 +10,9 @@ from pydantic import BaseModel, Field
 
 from deepfsi.base import InputError, Table
 from deepfsi.base.models import Share, WholeNumber
-from deepfsi.cli.command import ClickCommand, Command, read_parameters
-from deepfsi.cli.fields import NumberList, OptionsOf, Size, Time, argument
-from deepfsi.cli.terminal import Outcome, Terminal
+from deepfsi.cli import command
+from deepfsi.cli import fields as fields_module
+from deepfsi.cli import terminal as terminal_module
 
 
 class Thing(BaseModel):
@@ -22,27 +22,28 @@ class Thing(BaseModel):
     weight: float = Field(description="its weight", gt=0)
 
 
-class Show(Command):
+class Show(command.Command):
     """`show`.
 
     What it shows.
     """
 
-    name: Annotated[str, argument("of the thing", "THING")]
+    name: Annotated[str, fields_module.argument("of the thing", "THING")]
     settings: Annotated[
-        dict[str, Any], OptionsOf({n: ("Things", f) for n, f in Thing.model_fields.items()})
+        dict[str, Any],
+        fields_module.OptionsOf({n: ("Things", f) for n, f in Thing.model_fields.items()}),
     ]
-    times: Annotated[Time | None, Field(gt=0, description="how long")] = None
+    times: Annotated[fields_module.Time | None, Field(gt=0, description="how long")] = None
     part: Annotated[Share, Field(description="share of it")] = 0.5
     places: Annotated[tuple[WholeNumber, ...], Field(alias="place", description="where")] = ()
-    budgets: Annotated[NumberList, Field(description="light")] = (1.0,)
-    size: Size = None
+    budgets: Annotated[fields_module.NumberList, Field(description="light")] = (1.0,)
+    size: fields_module.Size = None
     deep: Annotated[bool, Field(description="all of it")] = False
 
-    def run(self, terminal: Terminal) -> Outcome:
+    def run(self, terminal: terminal_module.Terminal) -> terminal_module.Outcome:
         """What was read."""
         terminal.say("at once")
-        return Outcome(
+        return terminal_module.Outcome(
             self.model_dump(mode="json"),
             [f"shown: {self.name}", Table("things", ("name",), [(self.name,)])],
             failed=self.name == "bad",
@@ -51,7 +52,7 @@ class Show(Command):
 
 
 def run(*words: str) -> tuple[int, str]:
-    result = CliRunner().invoke(ClickCommand(Show, "show", "Show a thing."), words)
+    result = CliRunner().invoke(command.ClickCommand(Show, "show", "Show a thing."), words)
     if isinstance(result.exception, InputError):
         raise result.exception
     return result.exit_code, result.output
@@ -131,20 +132,20 @@ def test_what_cannot_be_read_is_named_by_its_option(words, message):
 def test_an_axis_takes_several_values():
     fields = {"width": ("Things", Thing.model_fields["width"])}
 
-    class Compare(Command):
+    class Compare(command.Command):
         """`compare`."""
 
-        settings: Annotated[dict[str, Any], OptionsOf(fields, axes=True)]
+        settings: Annotated[dict[str, Any], fields_module.OptionsOf(fields, axes=True)]
 
-    [_, width] = read_parameters(Compare)
+    [_, width] = command.read_parameters(Compare)
     assert width.metavar == "<int,…>"
     assert not width.default
 
 
 def test_a_missing_argument_is_named_by_click():
-    result = CliRunner().invoke(ClickCommand(Show, "show", "Show a thing."), [])
+    result = CliRunner().invoke(command.ClickCommand(Show, "show", "Show a thing."), [])
     assert result.exit_code == 2
     assert "THING" in result.output
     assert isinstance(result.exception, SystemExit)
     with pytest.raises(click.MissingParameter):
-        ClickCommand(Show, "show", "").main([], standalone_mode=False)
+        command.ClickCommand(Show, "show", "").main([], standalone_mode=False)

@@ -1,7 +1,5 @@
 """Devices on the command line: named ones, one's own, and what they cannot show."""
 
-import pytest
-
 SCAN = ("dmd", "export", "hadamard", "--size", "8x8")
 
 
@@ -20,30 +18,3 @@ def test_times_of_a_video_are_told(done, tmp_path):
     out = done(*words, "--dwell", "300us", "-o", tmp_path / "p")
     assert "since all pictures last as long as the longest" in out
     assert "24 frames, pictures of 400 to 400 µs" in out  # 104.2 pictures of 24 in a second
-
-
-def test_too_many_frames_are_refused_before_any_is_written(refuse, tmp_path):
-    words = ["dmd", "export", "hadamard", "--size", "16x16", "--device", "dlp6500"]
-    said = refuse(*words, "-o", tmp_path / "p")
-    assert "515 frames do not fit dlp6500, whose controller holds 400" in said
-    assert "a smaller --size" in said
-    assert "dlp7000" in said
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (None, "is missing: give a TOML file"),
-        ("columns = 40\nrows = ", "is no TOML file"),
-        ("columns = 40\n", "rows"),
-        ("columns = 40\nrows = 0\n", "rows"),
-        ('columns = 40\nrows = 30\nname = "x"\nspeed = 3\n', "speed"),
-        ('columns = 40\nrows = 30\ncontroller = "dlpc999"\n', "controller"),
-    ],
-)
-def test_a_toml_file_that_is_no_device_is_refused(refuse, tmp_path, content, message):
-    file = tmp_path / "mine.toml"
-    if content is not None:
-        file.write_text(content)
-    assert message in refuse(*SCAN, "--device", file, "-o", tmp_path / "p")

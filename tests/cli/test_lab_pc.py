@@ -9,7 +9,7 @@ import pytest
 
 import deepfsi
 from conftest import quick
-from deepfsi.base.plugins import TORCH_MISSING
+from deepfsi.base import plugins
 from shared import lab_pc
 
 LIGHT = "--flux 1e7 --exposure 3ms --virtual ideal"
@@ -58,7 +58,7 @@ def test_a_lab_s_computer_shows_counts_and_decides_without_torch(designs, tmp_pa
     )
     exits = [line for line in done.stdout.splitlines() if line.startswith("exit ")]
     assert exits == [*(f"exit 0: {line}" for line in COMMANDS), f"exit 2: {DECIDED}"], done.stderr
-    assert f"deepfsi: {TORCH_MISSING}" in done.stderr.splitlines()
+    assert f"deepfsi: {plugins.TORCH_MISSING}" in done.stderr.splitlines()
     assert "as decided in the run, bit for bit: 10 of 10 scenes" in done.stdout
 
 

@@ -2,8 +2,6 @@
 
 import json
 import re
-import shlex
-import sys
 
 import numpy as np
 import pytest
@@ -30,8 +28,8 @@ def test_a_design_says_where_its_probabilities_only_guess(done, tmp_path):
     """Two classes of one distribution are guessed, two of different ones are not."""
     rng, file = np.random.default_rng(3), tmp_path / "d.safetensors"
     settings = ("--photons", "1e4", "--masks", 4, "--epochs", 3, "-o", file, "--force")
+    labels = np.arange(40) % 2
     for shift in (0, 2500):
-        labels = np.arange(40) % 2
         levels = rng.integers(0, 1200, (40, 8, 8)) + shift * labels[:, None, None] * np.eye(8)
         np.savez(tmp_path / f"{shift}.npz", x=levels.astype(np.uint16), y=labels)
     for design in ("deepfsi", "adaptive"):
@@ -50,15 +48,29 @@ def pictures(tmp_path, trained_once):
     return save_pictures(tmp_path / "leaves", {"ash": 30, "oak": 30, "yew": 30})
 
 
-SAID = "data: leaves. 90 images of 8x8 pixels; 16-bit values from 10"
+@pytest.fixture
+def file(tmp_path):
+    return tmp_path / "leaves.safetensors"
+
+
 TRAINED = ("--photons", "1e4", "--masks", 4, "--epochs", 1)
+OPTICS = ("--light", "free-dwell", "--rails", "single", "--levels", 2)
+SHOWN = ("--flux", "1e7", "--exposure", "5ms", "--virtual", "ideal")
 
 
-def test_what_was_done_to_pictures_is_said_in_one_line(done, pictures, tmp_path):
-    file = tmp_path / "leaves.safetensors"
+@pytest.fixture
+def patterns(done, pictures, file, tmp_path):
+    """Patterns of a design of the pictures, on a small device."""
+    done("design", "--data", pictures, *TRAINED, *OPTICS, "-o", file)
+    words = ("--device", "64x48", "--dwell", "4ms", "-o", tmp_path / "patterns")
+    done("dmd", "export", file, *words)
+    return tmp_path / "patterns"
+
+
+def test_what_was_done_to_pictures_is_said_in_one_line(done, pictures, file, tmp_path):
     out = done("design", "--data", pictures, *TRAINED, "-o", file)
     [line] = [line for line in out.splitlines() if line.startswith("data:")]
-    assert line.startswith(SAID)
+    assert line.startswith("data: leaves. 90 images of 8x8 pixels; 16-bit values from 10")
     assert line.endswith("divided by 4095 (12 bits).")
     assert line in done("evaluate", file, "--data", pictures, "--photons", "1e4")
     words = ["--designs", "pca", "--photons", "1e4", "--masks", 3, "--epochs", 1, "--workers", 1]
@@ -68,16 +80,10 @@ def test_what_was_done_to_pictures_is_said_in_one_line(done, pictures, tmp_path)
     assert line == f"data: {facts['name']}. {facts['preprocessing']}"
 
 
-OPTICS = ("--light", "free-dwell", "--rails", "single", "--levels", 2)
-SMALL_DEVICE = ("--device", "64x48", "--dwell", "4ms")
-SHOWN = ("--flux", "1e7", "--exposure", "5ms", "--virtual", "ideal")
-
-
-def test_pictures_that_were_trained_on_are_told_apart_in_a_recorded_run(done, pictures, tmp_path):
+def test_pictures_that_were_trained_on_are_told_apart_in_a_recorded_run(
+    done, pictures, file, patterns, tmp_path
+):
     """Of a whole folder of one's own a fifth is new, and the test scenes of `data export` are."""
-    file, patterns = tmp_path / "leaves.safetensors", tmp_path / "patterns"
-    done("design", "--data", pictures, *TRAINED, *OPTICS, "-o", file)
-    done("dmd", "export", file, *SMALL_DEVICE, "-o", patterns)
     done("data", "export", pictures, "--per-class", 6, "-o", tmp_path / "new")
     for source, trained in ((pictures, 72), (tmp_path / "new", 0)):
         run = tmp_path / f"run_{source.name}"
@@ -86,32 +92,27 @@ def test_pictures_that_were_trained_on_are_told_apart_in_a_recorded_run(done, pi
         said = json.loads(done("camera", "classify", file, run, "--json"))
         score = {name: each["scenes"] for name, each in said["score"].items()}
         assert score == {"new": 18, "trained_on": trained, "unknown": 0}
-        flags = [scene["trained_on"] for scene in said["scenes"]]
-        assert flags.count(True) == trained
-        right, printed = said["score"]["new"]["right"], done("camera", "classify", file, run)
+        assert [scene["trained_on"] for scene in said["scenes"]].count(True) == trained
+        new, old = (said["score"][name]["right"] for name in ("new", "trained_on"))
+        printed = done("camera", "classify", file, run)
         if trained:
-            assert f"right: {right} of 18 new exposures (" in printed
-            assert (
-                f"72 of these 90 exposures were trained on ({said['score']['trained_on']['right']} "
-                in printed
-            )
+            assert f"right: {new} of 18 new exposures (" in printed
+            assert f"72 of these 90 exposures were trained on ({old} " in printed
         else:
-            assert f"right: {right} of 18 exposures, none of them trained on (" in printed
+            assert f"right: {new} of 18 exposures, none of them trained on (" in printed
     done("camera", "prepare", patterns, "--scenes", pictures, "-o", tmp_path / "lab")
-    prepared = json.loads((tmp_path / "lab" / "acquisition.json").read_text())["scenes"]
-    simulated = json.loads((tmp_path / "run_leaves" / "acquisition.json").read_text())["scenes"]
+    prepared, simulated = (
+        json.loads((tmp_path / run / "acquisition.json").read_text())["scenes"]
+        for run in ("lab", "run_leaves")
+    )
     assert prepared == simulated
     assert all(len(scene["hash"]) == 8 for scene in prepared)
 
 
-def test_of_scenes_by_name_it_is_not_known(done, pictures, tmp_path):
+def test_of_scenes_by_name_it_is_not_known(done, pictures, file, patterns, tmp_path):
     """Their acquisition is as it was before scenes had hashes, and so are its counts."""
-    file, patterns = tmp_path / "leaves.safetensors", tmp_path / "patterns"
-    done("design", "--data", pictures, *TRAINED, *OPTICS, "-o", file)
-    done("dmd", "export", file, *SMALL_DEVICE, "-o", patterns)
-    run, lab = tmp_path / "run", tmp_path / "lab"
+    run, lab, names = tmp_path / "run", tmp_path / "lab", tmp_path / "scenes.csv"
     done("camera", "simulate", patterns, "--scene", pictures / "ash", *SHOWN, "-o", run)
-    names = tmp_path / "scenes.csv"
     names.write_text("".join(f"{k:03}.png,ash\n" for k in range(30)))
     done("camera", "prepare", patterns, "--scenes", names, "--exposure", "5ms", "-o", lab)
     (run / "photons.ptu").rename(lab / "photons.ptu")
@@ -124,67 +125,76 @@ def test_of_scenes_by_name_it_is_not_known(done, pictures, tmp_path):
 
 @pytest.mark.parametrize("looks", [("--design", "adaptive"), ("--looks", 2, *OPTICS)])
 def test_pictures_that_were_trained_on_are_told_apart_in_a_live_run(
-    done, pictures, tmp_path, looks
+    done, pictures, file, tmp_path, looks
 ):
-    file, patterns, run = tmp_path / "l.safetensors", tmp_path / "patterns", tmp_path / "run"
+    frames, run = tmp_path / "patterns", tmp_path / "run"
     done("design", "--data", pictures, *TRAINED, "--light", "free-dwell", *looks, "-o", file)
-    done("dmd", "export", file, "--device", "dlp7000", "--dwell", "4ms", "-o", patterns)
-    told = json.loads(
-        done("camera", "live", patterns, "--scene", pictures / "oak", *SHOWN, "-o", run, "--json")
-    )
-    count = sum(scene["trained_on"] for scene in told["scenes"])
-    assert count == 24, "30 pictures of a class, of which six are test scenes"
+    done("dmd", "export", file, "--device", "dlp7000", "--dwell", "4ms", "-o", frames)
+    words = ("--scene", pictures / "oak", *SHOWN, "-o", run, "--json")
+    told = json.loads(done("camera", "live", frames, *words))
+    trained_on = [scene["trained_on"] for scene in told["scenes"]]
+    assert sum(trained_on) == 24, "30 pictures of a class, of which six are test scenes"
     done("camera", "count", run)
     again = json.loads(done("camera", "classify", file, run, "--json"))
-    assert [s["trained_on"] for s in again["scenes"]] == [s["trained_on"] for s in told["scenes"]]
+    assert [scene["trained_on"] for scene in again["scenes"]] == trained_on
     assert again["score"] == told["score"]
 
 
-@pytest.mark.parametrize("command", ["design", "compare", "plan"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "design --design pca --photons 1e4",
+        "compare --designs pca --workers 1 --photons 1e4",
+        "plan --designs pca --workers 1 --trials 1 --target 0.4",
+    ],
+)
 def test_pictures_that_cannot_be_read_are_left_out_and_named(
     done, refuse, pictures, tmp_path, command
 ):
     (pictures / "ash" / "bad.png").write_text("no picture")
-    out = tmp_path / "out.safetensors"
-    words = [command, "--data", pictures, "--masks", 3, "--epochs", 1]
-    words += {
-        "design": ["--design", "pca", "--photons", "1e4"],
-        "compare": ["--designs", "pca", "--workers", 1, "--photons", "1e4"],
-        "plan": ["--designs", "pca", "--workers", 1, "--trials", 1, "--target", 0.4],
-    }[command]
-    said = refuse(*words, "-o", out)
-    assert "bad.png" in said
-    assert "--skip-bad" in said
-    [line] = [
-        line
-        for line in done(*words, "--skip-bad", "-o", out).splitlines()
-        if line.startswith("data:")
-    ]
+    words = [*command.split(), "--data", pictures, "--masks", 3, "--epochs", 1]
+    words += ["-o", tmp_path / "out.safetensors"]
+    assert re.search(r"bad\.png.*--skip-bad", refuse(*words))
+    out = done(*words, "--skip-bad").splitlines()
+    [line] = [line for line in out if line.startswith("data:")]
     assert "bad.png" in line
     assert "90 images" in line
 
 
-def test_a_design_remembers_its_data_size_and_camera(done, pictures, tmp_path, monkeypatch):
-    file = tmp_path / "leaves.safetensors"
+def test_a_design_remembers_its_data_size_and_camera(done, pictures, file, tmp_path, monkeypatch):
+    """Every later command takes them from the design, and the light of the camera."""
+    lab, shown, run = (tmp_path / name for name in ("lab.toml", "shown", "run"))
+    lab.write_text('device = "dlp7000"\nexposure = "10ms"\nflux = 1e6\ndark = 200\n')
+    trained = ["--size", "4x4", "--camera", lab, "--masks", 4, "--epochs", 1]
     monkeypatch.chdir(pictures.parent)  # told by a relative path
-    made = json.loads(
-        done("design", "--data", "leaves", "--size", "4x4", *TRAINED, "-o", file, "--json")
-    )
+    made = json.loads(done("design", "--data", "leaves", *trained, "-o", file, "--json"))
     monkeypatch.chdir(tmp_path.parent)
-    words = ("evaluate", file, "--photons", "1e4", "--json")
-    found = json.loads(done(*words))
+    words = ("evaluate", file, "--photons", "1e4")
+    found = json.loads(done(*words, "--json"))
     assert found["notes"] == []
     assert found["results"] == made["tests"]
-    assert json.loads(done(*words, "--data", pictures, "--size", 4)) == found
-    memory = Design.load(file).info["data"]
-    assert memory["origin"]["data"] == str(pictures)
-    assert memory["origin"]["size"] == [4, 4]
-    assert memory["origin"]["white"] == 4095
+    assert json.loads(done(*words, "--data", pictures, "--size", 4, "--json")) == found
+    origin = Design.load(file).info["data"]["origin"]
+    assert origin == origin | {"data": str(pictures), "size": [4, 4], "white": 4095}
     assert f"trained on: {pictures} at 4x4" in done("show", file, "-o", tmp_path / "x.png")
+    for told in ((), ("--data", pictures)):
+        assert "90 images of 8x8 pixels, averaged to 4x4 pixels;" in done(*words, *told)
+    out = done("predict", file, pictures)
+    assert "averaged to 4x4" in out
+    assert "1e4 photons" in out
+    assert "were trained on" in out.splitlines()[-1]  # the sum, below 90 rows
+    assert "6 pictures" in done("data", "export", file, "--per-class", 2, "-o", shown)
+    with Image.open(next(shown.rglob("*.png"))) as picture:
+        assert picture.size == (4, 4)
+    done("dmd", "export", file, "-o", tmp_path / "frames")
+    done("camera", "simulate", tmp_path / "frames", "--scene", pictures, "-o", run)
+    counted = done("camera", "count", run)
+    assert "90 scenes, 90 exposures of 10 ms, 90 of them whole" in counted
+    assert "e+" not in counted
+    assert "were trained on" in done("camera", "classify", file, run).splitlines()[-1]
 
 
-def test_a_design_remembers_what_was_held_out(done, refuse, tmp_path):
-    file = tmp_path / "nested.safetensors"
+def test_a_design_remembers_what_was_held_out(done, refuse, file, tmp_path):
     words = ["--photons", "1e3:1e5", "--masks", 4, "--nested", 2, "--epochs", 1]
     words += ["--light", "free-dwell", "--rails", "single", "-o", file]
     done("design", *words, "--hold-out", 321)
@@ -198,25 +208,21 @@ def test_a_design_remembers_what_was_held_out(done, refuse, tmp_path):
     assert "learn it with" in refuse(*stop)
 
 
-def test_a_design_says_when_it_is_told_otherwise(done, pictures, tmp_path):
-    file = tmp_path / "leaves.safetensors"
+def test_a_design_says_when_it_is_told_otherwise(done, refuse, pictures, file, tmp_path):
+    """Other data, and data that changed, which keep their white."""
     done("design", "--data", pictures, *TRAINED, "-o", file)
     other = save_pictures(tmp_path / "more", {"ash": 20, "oak": 20, "yew": 20}, side=12, seed=9)
-    words = ("evaluate", file, "--photons", "1e4", "--data", other, "--size", 8)
-    [note] = [line for line in done(*words).splitlines() if line.startswith("note: ")]
+    words = ("evaluate", file, "--photons", "1e4")
+    elsewhere = (*words, "--data", other, "--size", 8)
+    out = done(*elsewhere)
+    [note] = [line for line in out.splitlines() if line.startswith("note: ")]
     assert note == f"note: the design was trained on {pictures}; this is {other} at 8x8"
-    assert "12 bits" in done(*words)
-    assert len(json.loads(done(*words, "--json"))["notes"]) == 1
-
-
-def test_data_that_changed_is_noticed_and_keeps_its_white(done, refuse, pictures, tmp_path):
-    file = tmp_path / "leaves.safetensors"
-    done("design", "--data", pictures, *TRAINED, "-o", file)
+    assert "12 bits" in out
+    assert len(json.loads(done(*elsewhere, "--json"))["notes"]) == 1
     for path in (pictures / "ash").glob("00*.png"):
         with Image.open(path) as image:
             dim = (np.asarray(image) // 8).astype(np.uint16)
         Image.fromarray(dim).save(path)
-    words = ("evaluate", file, "--photons", "1e4")
     out = done(*words)
     assert "note: " in out
     assert "has changed since the design was trained" in out
@@ -227,9 +233,8 @@ def test_data_that_changed_is_noticed_and_keeps_its_white(done, refuse, pictures
     assert "give the data to test it on" in refuse(*words)
 
 
-def test_a_design_of_arrays_asks_for_data(refuse, done, tmp_path):
-    x = np.random.default_rng(0).random((60, 9))
-    file, npz = tmp_path / "arrays.safetensors", tmp_path / "scenes.npz"
+def test_a_design_of_arrays_asks_for_data(refuse, done, file, tmp_path):
+    x, npz = np.random.default_rng(0).random((60, 9)), tmp_path / "scenes.npz"
     data = from_arrays(x, np.arange(60) % 2)
     learn(data, photons=1e4, masks=3, training={"epochs": 1}, device="cpu").save(file)
     words = ("evaluate", file, "--photons", "1e4")
@@ -240,152 +245,73 @@ def test_a_design_of_arrays_asks_for_data(refuse, done, tmp_path):
     assert "is not the data that the design was trained on" in done(*words, "--data", npz)
 
 
-@pytest.mark.usefixtures("trained_once", "undrawn")
-def test_unbalanced_data_shows_its_worst_class(done, tmp_path):
-    """At `design`, `evaluate`, `compare` and on its page; --balance is a setting of them."""
-    folder = save_pictures(tmp_path / "leaves", {"ash": 90, "oak": 8, "yew": 8})
-    file, out = tmp_path / "leaves.safetensors", tmp_path / "out"
-    words = ("design", "--data", folder, "--photons", "1e2", "--masks", 3, "--epochs", 2)
-    worst = r"balanced accuracy 0\.\d{3} ± 0\.\d{3}, worst class 0\.\d{3} \((ash|oak|yew)\)"
-    assert re.search(worst, done(*words, "-o", file))
-    tested = json.loads(done("evaluate", file, "--photons", "1e2", "--json"))["results"][0]
-    assert tested["balanced"] == pytest.approx(np.mean(tested["rates"]))
-    table = done("evaluate", file, "--photons", "1e2")
-    assert f"{tested['balanced']:.3f}" in table
-    assert f"{min(tested['rates']):.3f} (" in table
-    done(*words, "--balance", "-o", file, "--force")
-    assert Design.load(file).info["job"]["training"]["balance"] is True
-    words = ["--designs", "pca", "--photons", "1e2", "--masks", "2,3", "--epochs", 2]
-    words += ["--workers", 1, "--data", folder, "-o", out, "--balance"]
-    printed = done("compare", *words)
-    results = json.loads((out / "results.json").read_text(encoding="utf-8"))
-    [best] = [point for point in results["points"] if point["best"]]
-    name = results["data"]["classes"][best["worst_class"]]
-    told = f"accuracy of {best['balanced']:.3f}, worst class {best['worst']:.3f} ({name})"
-    assert told in printed or abs(best["balanced"] - best["accuracy"]) < 0.02
-    assert results["chosen_by"] == "balanced"
-    page = (out / "report.html").read_text(encoding="utf-8")
-    assert f"balanced {best['balanced']:.3f} (" in page
-    assert f"worst {best['worst']:.3f} ({name})" in page
-    assert "by balanced accuracy" in page
-
-
 NETWORK = """
 from torch import nn
 
 def Small(inputs, classes):
     return nn.Sequential(nn.Linear(inputs, 32), nn.GELU(), nn.Linear(32, classes))
 """
-RECIPE = """
-data = "my-pictures"
-size = [8, 8]
-designs = ["pca", "deepfsi"]
-photons = [1e5]
-masks = [6]
-camera = "dmd"
-training.classifier = ["mlp", "mynets:Small"]
-training.balance = true
-"""
-LINES = """
-compare --recipe mine.toml -o runs/mine
-design --data my-pictures/ --size 8x8 --photons 1e5 --masks 20 --balance \\
-    --classifier mynets:Small -o small.safetensors
-dmd export small.safetensors --device 64x48 --exposure 10ms -o my-frames/
-data export small.safetensors --per-class 3 -o my-images/
-camera simulate my-frames/ --scene my-images/ --flux 1e7 --exposure 10ms --virtual ideal -o my-run/
-camera count my-run/
-camera classify small.safetensors my-run/ --trust
-"""
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("trained_once", "undrawn")
-def test_a_new_user_goes_from_pictures_to_counted_classes(done, refuse, tmp_path, monkeypatch):
-    """From pictures to classes: 16 bits, unequal classes, a network of one's own."""
-    monkeypatch.chdir(tmp_path)
+def test_unbalanced_data_shows_its_worst_class(done, file, tmp_path, monkeypatch):
+    """At `design`, `evaluate`, `compare` and on its page, with a network of one's own."""
     monkeypatch.syspath_prepend(tmp_path)
-    save_pictures(tmp_path / "my-pictures", {"ash": 200, "oak": 24, "yew": 20}, side=16)
-    (tmp_path / "mynets.py").write_text(NETWORK, encoding="utf-8")
-    (tmp_path / "mine.toml").write_text(RECIPE, encoding="utf-8")
-    lines = LINES.replace("\\\n", "").strip().splitlines()
-    compare, design, *rest, classify = map(shlex.split, lines)
-
-    printed = done(*compare, "--epochs", 3, "--workers", 1)
+    (tmp_path / "mynets.py").write_text(NETWORK)
+    folder, out = (
+        save_pictures(tmp_path / "leaves", {"ash": 90, "oak": 8, "yew": 8}),
+        tmp_path / "o",
+    )
+    light = ("--data", folder, "--photons", "1e2", "--epochs", 2)
+    words = ("design", *light, "--masks", 3, "-o", file)
+    worst = r"balanced accuracy 0\.\d{3} ± 0\.\d{3}, worst class 0\.\d{3} \((ash|oak|yew)\)"
+    assert re.search(worst, done(*words))
+    tested = json.loads(done("evaluate", file, "--photons", "1e2", "--json"))["results"][0]
+    assert tested["classes"] == ["ash", "oak", "yew"]
+    assert len(tested["rates"]) == len(tested["confusion"]) == 3
+    assert tested["balanced"] == pytest.approx(np.mean(tested["rates"]))
+    table = done("evaluate", file, "--photons", "1e2")
+    assert f"{tested['balanced']:.3f}" in table
+    assert f"{min(tested['rates']):.3f} (" in table
+    done(*words, "--balance", "--force")
+    assert Design.load(file).info["job"]["training"]["balance"] is True
+    words = ["--designs", "pca", "--masks", "2,3", "--workers", 1, "-o", out, "--balance"]
+    printed = done("compare", *light, *words, "--classifier", "mlp,mynets:Small")
     assert "classifier mynets:Small" in printed
-    assert "mask counts were chosen" not in printed  # there is but one number of masks
-    report = (tmp_path / "runs" / "mine" / "report.html").read_text(encoding="utf-8")
-    assert "mynets:Small" in report
-    assert '<td title="balanced ' in report
-    assert "Each design had one number of masks" in report
-    assert "best number of masks" not in report.lower()
-
-    printed = done(*design, "--epochs", 20)
-    assert "divided by 4095 (12 bits)" in printed
-    assert "worst class" in printed
-    for line in rest:
-        done(*line)
-    assert "--trust" in refuse(*classify[:-1])
-    scenes = json.loads(done(*classify, "--json"))["scenes"]
-    assert len(scenes) == 9
-    assert {scene["label"] for scene in scenes} == {"ash", "oak", "yew"}
-    said = done(*classify)
-    sys.modules.pop("mynets")
-    right, exposures = map(int, re.search(r"right: (\d+) of (\d+) exposures", said).groups())
-    assert exposures >= 9
-    assert right >= 0.8 * exposures
+    results = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    best = next(point for point in results["points"] if point["best"])
+    name = results["data"]["classes"][best["worst_class"]]
+    told = f"accuracy of {best['balanced']:.3f}, worst class {best['worst']:.3f} ({name})"
+    assert told in printed or abs(best["balanced"] - best["accuracy"]) < 0.02
+    assert results["chosen_by"] == "balanced"
+    page = (out / "report.html").read_text(encoding="utf-8")
+    for said in (f"balanced {best['balanced']:.3f} (", f"worst {best['worst']:.3f} ({name})"):
+        assert said in page
+    assert "mynets:Small" in page
+    assert "by balanced accuracy" in page
 
 
-def test_pictures_of_the_size_asked_for_are_not_said_to_be_resized(done, pictures, tmp_path):
-    for side, said in ((8, "8x8 pixels;"), (4, "8x8 pixels, averaged to 4x4 pixels;")):
-        file = tmp_path / f"{side}.safetensors"
-        out = done("design", "--data", pictures, "--size", f"{side}x{side}", *TRAINED, "-o", file)
-        assert f"90 images of {said}" in out
+def test_pictures_of_the_size_asked_for_are_not_said_to_be_resized(done, pictures, file):
+    out = done("design", "--data", pictures, "--size", "8x8", *TRAINED, "-o", file)
+    assert "90 images of 8x8 pixels;" in out
 
 
-def test_the_size_of_a_folder_is_told_once(done, pictures, tmp_path):
-    """`design` keeps it; every later command takes it from there, and the light of the camera."""
-    lab, file = tmp_path / "lab.toml", tmp_path / "d.safetensors"
-    lab.write_text('device = "dlp7000"\nexposure = "10ms"\nflux = 1e6\ndark = 200\n')
-    trained = ["--camera", lab, "--masks", 4, "--epochs", 1]
-    done("design", "--data", pictures, "--size", "4x4", *trained, "-o", file)
-    assert "averaged to 4x4" in done("evaluate", file, "--photons", "1e4")
-    assert "averaged to 4x4" in done("evaluate", file, "--photons", "1e4", "--data", pictures)
-    out = done("predict", file, pictures)
-    assert "averaged to 4x4" in out
-    assert "1e4 photons" in out
-    assert "were trained on" in out.splitlines()[-1]  # the sum, below 90 rows
-    shown = tmp_path / "shown"
-    assert "6 pictures" in done("data", "export", file, "--per-class", 2, "-o", shown)
-    with Image.open(next(shown.rglob("*.png"))) as picture:
-        assert picture.size == (4, 4)
-    done("dmd", "export", file, "-o", tmp_path / "frames")
-    run = tmp_path / "run"
-    done("camera", "simulate", tmp_path / "frames", "--scene", pictures, "-o", run)
-    counted = done("camera", "count", run)
-    assert "90 scenes, 90 exposures of 10 ms, 90 of them whole" in counted
-    assert "e+" not in counted
-    assert "were trained on" in done("camera", "classify", file, run).splitlines()[-1]
-
-
-def test_a_picture_of_the_masks_stands_beside_the_design(done, call, pictures, tmp_path):
-    file = tmp_path / "d.safetensors"
+def test_a_picture_of_the_masks_stands_beside_the_design(done, call, pictures, file):
     done("design", "--data", pictures, *TRAINED, "-o", file)
-    assert f"drawn: {tmp_path / 'd.png'}" in done("show", file)
+    assert f"drawn: {file.with_suffix('.png')}" in done("show", file)
     code, out, errors = call("show", file)
     assert (code, out) == (2, "")
-    assert "d.png exists already: give another name, or --force" in errors
+    assert f"{file.stem}.png exists already: give another name, or --force" in errors
     done("show", file, "--force")
 
 
-def test_masks_that_have_no_time_are_told(done, pictures, tmp_path):
+def test_masks_that_have_no_time_are_told(done, pictures, file):
     """Of 40 masks in an exposure of 10 frames at most."""
-    file, words = tmp_path / "d.safetensors", ["--exposure", "400us", "--flux", "1e8"]
-    asked = ["--data", pictures, "--dmd", "dlp7000", "--masks", 40, "--epochs", 2, *words]
-    out = done("design", *asked, "-o", file)
-    rails = Design.load(file).rails.stacked
-    lit = int((rails.amax(dim=-1) > 0).any(dim=0).sum())
+    asked = ["--data", pictures, "--dmd", "dlp7000", "--masks", 40, "--epochs", 2]
+    asked += ["--exposure", "400us", "--flux", "1e8", "-o", file]
+    out = done("design", *asked)
+    lit = int((Design.load(file).rails.stacked.amax(dim=-1) > 0).any(dim=0).sum())
     assert 0 < lit <= 12
     assert f"masks: 40 asked, {lit} lit: {40 - lit} have no time under this budget" in out
-    told = json.loads(done("design", *asked, "-o", file, "--json"))
-    assert told["lit_masks"] == lit
+    assert json.loads(done("design", *asked, "--json"))["lit_masks"] == lit
     done("show", file)

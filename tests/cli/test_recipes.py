@@ -6,57 +6,43 @@ import sys
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.cli.studies import read_recipe, shipped_recipes
+from deepfsi.cli import studies
 
 
-def test_a_recipe_of_the_package_goes_by_its_name():
-    assert read_recipe("mnist")["data"] == "mnist"
-
-
-def test_a_file_of_the_name_is_asked_for_by_its_path(tmp_path, monkeypatch):
+def test_a_recipe_of_the_package_goes_by_its_name_and_a_file_by_its_path(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mnist").write_text("trials = 7")
-    assert read_recipe("mnist")["data"] == "mnist"
-    assert read_recipe("./mnist") == {"trials": 7}
+    assert studies.read_recipe("mnist")["data"] == "mnist"
+    assert studies.read_recipe("./mnist") == {"trials": 7}
 
 
 def test_a_sweep_by_name(done, tmp_path, monkeypatch):
     """The recipe is found from any folder; what it says is shrunk to a moment."""
-    from deepfsi.cli import studies
-
-    tiny = {
-        "data": "digits",
-        "designs": "pca",
-        "masks": 3,
-        "photons": 1e3,
-        "training": {"epochs": 1},
-    }
-    monkeypatch.setattr(studies, "read_toml", lambda file: {**tiny, "draws": 1})
+    tiny = {"data": "digits", "designs": "pca", "masks": 3, "photons": 1e3, "draws": 1}
+    monkeypatch.setattr(studies, "read_toml", lambda file: {**tiny, "training": {"epochs": 1}})
     monkeypatch.chdir(tmp_path)
     assert json.loads(done("sweep", "baseline", "--dry-run", "--json"))["trials"] == 1
 
 
 @pytest.mark.parametrize(
-    ("source", "words"),
+    ("source", "content", "words"),
     [
-        ("mnst", "did you mean 'mnist'"),
-        ("recipes/mnist.toml", "no recipe at recipes/mnist.toml"),
-        ("nothing.toml", "nothing.toml is empty"),
-        ("words.toml", "words.toml is no TOML file"),
+        ("mnst", "", "did you mean 'mnist'"),
+        ("recipes/mnist.toml", "", "no recipe at recipes/mnist.toml"),
+        ("x.toml", "# nothing yet\n", "x.toml is empty"),
+        ("x.toml", "designs: pca\n", "x.toml is no TOML file"),
     ],
 )
-def test_what_is_no_recipe_is_refused(tmp_path, monkeypatch, source, words):
+def test_what_is_no_recipe_is_refused(tmp_path, monkeypatch, source, content, words):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "nothing.toml").write_text("# nothing yet\n")
-    (tmp_path / "words.toml").write_text("designs: pca\n")
+    (tmp_path / "x.toml").write_text(content)
     with pytest.raises(InputError, match=words):
-        read_recipe(source)
+        studies.read_recipe(source)
 
 
 def test_the_package_works_without_the_papers_experiments(monkeypatch, refuse, done, tmp_path):
     monkeypatch.setitem(sys.modules, "deepfsi_paper", None)
-    assert set(shipped_recipes()) == {"arms", "baseline", "limits"}
-    assert read_recipe("baseline")["data"] == "mnist"
+    assert set(studies.shipped_recipes()) == {"arms", "baseline", "limits"}
     assert "install deepfsi again" in refuse("reproduce", "mnist", "-o", tmp_path / "paper")
     words = ("--designs", "pca", "--photons", "1e3", "--masks", "3", "--epochs", "1")
     done("compare", *words, "--workers", "1", "-o", tmp_path)
@@ -67,4 +53,5 @@ def test_the_package_works_without_the_papers_experiments(monkeypatch, refuse, d
 
 def test_every_recipe_says_how_it_is_run():
     """A recipe's own words name it as `sweep` knows it, not as a file beside the source."""
-    assert not [name for name, each in shipped_recipes().items() if "recipes/" in each.read_text()]
+    every = studies.shipped_recipes().items()
+    assert not [name for name, each in every if "recipes/" in each.read_text()]

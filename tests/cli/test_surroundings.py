@@ -8,47 +8,40 @@ import sys
 import pytest
 
 from deepfsi.base import InputError
-from deepfsi.cli.fields import check_new_folder
-from deepfsi.cli.terminal import print_json
+from deepfsi.cli import fields, terminal
 from shared.disks import nearly_full
+
+
+def run(words, folder, **streams):
+    command = [sys.executable, "-m", "deepfsi", *map(str, words)]
+    return subprocess.run(command, cwd=folder, check=False, text=True, **streams)
 
 
 def test_figures_are_drawn_whatever_matplotlib_is_told(made, tmp_path):
     """A backend and a LaTeX that are not there, a console of letters alone."""
-    made("pca", "free-dwell", "single").save(tmp_path / "d.safetensors")
+    file = made("pca", "free-dwell", "single").save(tmp_path / "d.safetensors")
     (tmp_path / "matplotlibrc").write_text("text.usetex: True\nbackend: Qt4Agg\n")
     around = {"MPLBACKEND": "module://no_such_backend", "MATPLOTLIBRC": str(tmp_path)}
     around |= {"PYTHONIOENCODING": "ascii", "COLUMNS": "nonsense"}
-    words = ["show", str(tmp_path / "d.safetensors"), "-o", str(tmp_path / "s.png")]
-    done = subprocess.run(
-        [sys.executable, "-m", "deepfsi", *words],
-        env=os.environ | around,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    words = ("show", file, "-o", "s.png")
+    done = run(words, tmp_path, env=os.environ | around, capture_output=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_full_disk_is_said_before_the_work(tmp_path):
     with nearly_full(1000), pytest.raises(InputError, match=r"cannot write to .*: File"):
-        check_new_folder(tmp_path / "run")
-    check_new_folder(tmp_path / "run")
+        fields.check_new_folder(tmp_path / "run")
+    fields.check_new_folder(tmp_path / "run")
     assert not [*tmp_path.iterdir()]
 
 
 def test_json_of_a_path_that_is_not_utf_8_can_be_read(capsys):
-    print_json("show", {"picture": os.fsdecode(b"s\xff.png"), "size": 0.1, "é": "𝄞"})
+    terminal.print_json("show", {"picture": os.fsdecode(b"s\xff.png"), "size": 0.1, "é": "𝄞"})
     found = json.loads(capsys.readouterr().out.encode())
     assert found == {
         "schema": "deepfsi.show/1", "picture": r"s\xff.png", "size": 0.1, "é": "𝄞",
     }  # fmt: skip
-
-
-def run(words, folder, **streams):
-    command = [sys.executable, "-m", "deepfsi", *words]
-    return subprocess.run(command, cwd=folder, check=False, text=True, **streams)
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")

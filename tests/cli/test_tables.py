@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base import Table, budget_text
-from deepfsi.cli.fields import number
-from deepfsi.cli.terminal import print_table
+from deepfsi.cli import fields, terminal
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -29,7 +28,7 @@ def lines_of(printed: str, width: int = WIDTH) -> list[str]:
 )
 def test_photons_have_one_notation_that_options_take(photons, text):
     assert budget_text(photons) == text
-    assert number(text) == pytest.approx(photons, rel=5e-3)
+    assert fields.number(text) == pytest.approx(photons, rel=5e-3)
 
 
 def test_a_comparison_is_one_matrix_one_sentence_and_one_path(done, tmp_path, monkeypatch):
@@ -54,35 +53,30 @@ def test_a_comparison_is_one_matrix_one_sentence_and_one_path(done, tmp_path, mo
     assert told["verdict"] == said
 
 
-def test_each_noise_of_a_comparison_has_its_rows(done, tmp_path):
-    words = ["--designs", "pca", "--photons", "1e2,1e4", "--noise", "poisson,gaussian"]
-    words += ["--light", "column,equal-dwell", "--rails", "dual,single", "--masks", 3]
-    words += ["--trials", 1, "--epochs", 1, "--workers", 1, "-o", tmp_path]
-    rows = [row.split() for row in lines_of(done("compare", *words), width=100)]
+def test_optics_are_axes_of_a_comparison_and_each_noise_has_its_rows(done, tmp_path):
+    """Layers of a network are no axis, and numbers are numbers in what is written."""
+    words = "--designs pca --photons 1e2,1e4 --noise poisson,gaussian --light column,equal-dwell "
+    words += "--rails dual,single --masks 3 --trials 1 --epochs 1 --hidden 8,4 --workers 1 -o"
+    rows = [row.split() for row in lines_of(done("compare", *words.split(), tmp_path), width=100)]
     assert [row[-3] for row in rows] == ["poisson"] * 4 + ["gaussian"] * 4
-    assert {tuple(row[:-3]) for row in rows} == {
-        ("PCA", light, rails) for light in ("column", "equal-dwell") for rails in ("dual", "single")
-    }
+    optics = {(light, rails) for light in ("column", "equal-dwell") for rails in ("dual", "single")}
+    assert {tuple(row[:-3]) for row in rows} == {("PCA", *each) for each in optics}
+    told = json.loads((tmp_path / "results.json").read_text())
+    assert {(point["light"], point["rails"]) for point in told["points"]} == optics
+    assert told["recipe"]["training"] == {"epochs": [1], "hidden": [[8, 4]]}
 
 
-def test_budgets_of_a_test_are_sorted(done, made, tmp_path, monkeypatch):
-    monkeypatch.setenv("COLUMNS", str(WIDTH))
-    file = made("deepfsi", "column", "dual").save(tmp_path / "one.safetensors")
-    rows = lines_of(done("evaluate", file, "--photons", "1e4,1e2,31623"))
-    assert [row.split()[0] for row in rows] == ["1e2", "1e4", "3.16e4"]
-    assert max(map(len, rows)) <= WIDTH
-
-
-def test_long_names_of_classes_are_shortened(done, tmp_path, monkeypatch):
+def test_budgets_are_sorted_and_long_names_of_classes_shortened(done, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(WIDTH))
     x, y = np.random.default_rng(0).random((60, 9)), np.arange(60) % 2
     classes = ["a class of a very long name", "another class of a very long name"]
     data, file = tmp_path / "scenes.npz", tmp_path / "one.safetensors"
     np.savez(data, x=x, y=np.array(classes)[y])
     done("design", "--data", data, "--photons", "1e4", "--masks", 3, "--epochs", 1, "-o", file)
-    [row] = lines_of(done("evaluate", file, "--photons", "3.16e4"))
-    assert re.search(r"\((a class of a|another clas)…\)", row)
-    assert len(row) <= WIDTH
+    rows = lines_of(done("evaluate", file, "--photons", "1e4,1e2,31623"))
+    assert [row.split()[0] for row in rows] == ["1e2", "1e4", "3.16e4"]
+    assert all(re.search(r"\((a class of a|another clas)…\)", row) for row in rows)
+    assert max(map(len, rows)) <= WIDTH
 
 
 def test_names_of_data_sets_are_whole(done, monkeypatch, tmp_path):
@@ -107,7 +101,7 @@ def test_a_terminal_that_is_too_narrow_loses_nothing(capsys, monkeypatch):
     monkeypatch.setenv("NO_COLOR", "1")
     heads = ("design", "photons", "masks", "accuracy", "counted")
     row = ("impulse imaging", "1.27e3", "64", "0.279 ± 0.020", "0.016")
-    print_table(Table("a table", heads, [row]))
+    terminal.print_table(Table("a table", heads, [row]))
     words = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).split()
     assert "".join(sorted("".join((*heads, *row)).replace(" ", ""))) == "".join(
         sorted("".join(words).replace("atable", "").replace("─", ""))
@@ -115,7 +109,7 @@ def test_a_terminal_that_is_too_narrow_loses_nothing(capsys, monkeypatch):
 
 
 def test_names_in_brackets_are_text(capsys):
-    print_table(Table("[bold]title", ("name",), [("[red]class",), (":smile:",)]))
+    terminal.print_table(Table("[bold]title", ("name",), [("[red]class",), (":smile:",)]))
     printed = capsys.readouterr().out
     for text in ("[bold]title", "[red]class", ":smile:"):
         assert text in printed

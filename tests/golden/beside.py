@@ -13,26 +13,33 @@ import io
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import tarfile
 import tempfile
-import traceback
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from hashlib import sha256
+from importlib import metadata
+from multiprocessing import get_context
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 REFERENCE = "fa3deae976ce05cfc1c32dbe71e112b5e93f04db"
 """Commit of the package with which floats and bytes are compared."""
 
 HERE = Path(__file__).parent
-EXACT = HERE / "exact"
 CACHE = HERE.parents[1] / ".venv" / "reference"
 """Source of the reference, and its facts of each case, on this machine."""
 
 MODULES = tuple(sorted(path.stem for path in HERE.glob("*_cases.py")))
 """Modules that have cases."""
+
+APART = ("__init__", "beside", "test_golden")
+"""Modules on which no fact depends."""
 
 TOLERANCE = 0.05
 """Relative error of a case's size on another processor.
@@ -43,17 +50,19 @@ of one sign, and 0.012 for those of random ones. Four of these are 0.05.
 """
 
 
+def content_of(module: str) -> Any:
+    return importlib.import_module(f"golden.{module}")
+
+
 def cases(module: str) -> dict[str, Any]:
     """Cases of a module by name, those of real files only where these are."""
-    content = importlib.import_module(f"golden.{module}")
-    real = getattr(content, "REAL_CASES", {}) if os.environ.get("DEEPFSI_DATA") else {}
-    return {**content.CASES, **real}
+    real = getattr(content_of(module), "REAL_CASES", {}) if os.environ.get("DEEPFSI_DATA") else {}
+    return {**content_of(module).CASES, **real}
 
 
 def facts(module: str, name: str) -> dict[str, Any]:
     """Facts of a case, run in a folder of its own: exact ones, bits, and sizes of the floats."""
-    from golden.facts import parts
-    from golden.sizes import sizes
+    from golden.facts import parts, sizes
 
     case = cases(module)[name]
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), version_of_the_files():
@@ -62,38 +71,27 @@ def facts(module: str, name: str) -> dict[str, Any]:
     return json.loads(json.dumps({"exact": exact, "bits": bits, "sizes": sizes(value)}))
 
 
-@contextlib.contextmanager
-def version_of_the_files() -> Iterator[None]:
+def version_of_the_files() -> Any:
     """Let the package say the version that made the stored files, so that a release changes none.
 
-    Files hold the version, and hashes of files hold it, too. It is read from the first folder of
-    `sys.path` that has metadata of the package.
+    Files hold the version, and hashes of files hold it, too.
     """
     from golden.file_cases import MADE_BY
 
-    with tempfile.TemporaryDirectory() as folder:
-        about = Path(folder) / f"deepfsi-{MADE_BY}.dist-info"
-        about.mkdir()
-        text = f"Metadata-Version: 2.1\nName: deepfsi\nVersion: {MADE_BY}\n"
-        (about / "METADATA").write_text(text)
-        sys.path.insert(0, folder)
-        try:
-            yield
-        finally:
-            sys.path.remove(folder)
+    usual = metadata.distribution
+
+    def distribution(name: str) -> Any:
+        return SimpleNamespace(version=MADE_BY) if name == "deepfsi" else usual(name)
+
+    return mock.patch.object(metadata, "distribution", distribution)
 
 
-def to_be_stored(module: str, of_case: dict[str, Any]) -> Any:
+def to_be_stored(module: str, of_case: dict[str, Any]) -> dict[str, Any]:
     """What is stored of a case's facts: the exact ones, or of many only their hash and sizes."""
     exact = of_case["exact"]
-    if not is_hashed(module):
+    if not getattr(content_of(module), "HASHED", False):
         return exact
     return {key: [digest(one), of_case["sizes"][key]] for key, one in exact.items()}
-
-
-def is_hashed(module: str) -> bool:
-    """True if only hashes are stored of what is exact in a module's cases."""
-    return getattr(importlib.import_module(f"golden.{module}"), "HASHED", False)
 
 
 def digest(exact: Any) -> str:
@@ -104,78 +102,45 @@ def digest(exact: Any) -> str:
 @functools.cache
 def stored(module: str) -> dict[str, Any]:
     """What is stored of each case."""
-    return json.loads((EXACT / f"{module}.json").read_text())
+    return json.loads((HERE / "exact" / f"{module}.json").read_text())
 
 
-class Reference:
-    """The reference in a process of its own, which starts when a case is not in the cache."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen[str] | None = None
-
-    def facts(self, module: str, name: str) -> dict[str, Any] | None:
-        """Facts of a case; None where the source of the reference is not at hand."""
-        path = CACHE / module / _state(module) / f"{digest(name)}.json"
-        if not path.exists():
-            source = _source()
-            if source is None:
-                return None
-            path.parent.mkdir(parents=True, exist_ok=True)
-            text = self._ask(source, [module, name])
-            with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False) as file:
-                file.write(text)
-            Path(file.name).rename(path)
-        return json.loads(path.read_text())
-
-    def close(self) -> None:
-        """End its process."""
-        if self._process is not None:
-            self._process.communicate()
-            self._process = None
-
-    def _ask(self, source: Path, question: list[str]) -> str:
-        if self._process is None:
-            folders = [str(source / "src"), str(HERE.parent)]
-            environment = {
-                **os.environ,
-                "PYTHONPATH": os.pathsep.join(folders),
-                "OMP_NUM_THREADS": "1",
-                "MPLBACKEND": "Agg",
-                "COLUMNS": "80",
-            }
-            self._process = subprocess.Popen(
-                [sys.executable, __file__, "serve"],
-                env=environment,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-            )
-        process = self._process
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.stdin.write(json.dumps(question) + "\n")
-        process.stdin.flush()
-        text = process.stdout.readline()
-        if not text or "error" in json.loads(text):
-            raise RuntimeError(f"the reference fails in {question}: {text and json.loads(text)}")
-        return text
+Ask = Any
+"""Gives the facts of a case, `(module, name)`; None where the reference is not at hand."""
 
 
-def serve() -> None:
-    """Give facts of the cases whose module and name come in, a line each."""
+@contextlib.contextmanager
+def reference() -> Iterator[Ask]:
+    """Give who is asked for facts of the reference, which starts when one is not in the cache."""
+    source = _source()
+    if source is None:
+        yield lambda module, name: None
+        return
+    spawned = get_context("spawn")
+    with ProcessPoolExecutor(1, spawned, _be_reference, (str(source / "src"),)) as process:
+
+        def ask(module: str, name: str) -> dict[str, Any]:
+            path = CACHE / module / _state(module) / f"{digest(name)}.json"
+            if not path.exists():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                text = json.dumps(process.submit(facts, module, name).result())
+                with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False) as file:
+                    file.write(text)
+                Path(file.name).rename(path)
+            return json.loads(path.read_text())
+
+        yield ask
+
+
+def _be_reference(source: str) -> None:
+    """Import the reference in this process, and in those that it starts."""
+    sys.path[:0] = [source, str(HERE.parent)]
+    os.environ |= {"PYTHONPATH": os.pathsep.join(sys.path[:2]), "MPLBACKEND": "Agg"}
+    os.environ |= {"OMP_NUM_THREADS": "1", "COLUMNS": "80"}
+    sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
     import deepfsi
 
     assert CACHE in Path(deepfsi.__file__).parents, deepfsi.__file__
-    out, sys.stdout = sys.stdout, open(os.devnull, "w")  # noqa: SIM115
-    for line in sys.stdin:
-        module, name = json.loads(line)
-        try:
-            answer = facts(module, name)
-        except Exception:
-            answer = {"error": traceback.format_exc()}
-        out.write(json.dumps(answer) + "\n")
-        out.flush()
 
 
 @functools.cache
@@ -184,7 +149,10 @@ def _state(module: str) -> str:
     import numpy
     import torch
 
-    machine = [platform.machine(), _processor(), sys.version, numpy.__version__, torch.__version__]
+    about = Path("/proc/cpuinfo")
+    processor = re.findall("model name.*", about.read_text())[:1] if about.exists() else []
+    processor += [platform.machine(), platform.processor()]
+    machine = [*processor, sys.version, numpy.__version__, torch.__version__]
     state = sha256(json.dumps([REFERENCE, *machine, os.environ.get("DEEPFSI_DATA")]).encode())
     shared = [path for path in HERE.glob("*.py") if path.stem not in (*MODULES, *APART)]
     for path in sorted([HERE / f"{module}.py", *shared, *(HERE / "inputs").rglob("*")]):
@@ -193,20 +161,8 @@ def _state(module: str) -> str:
     return state.hexdigest()[:16]
 
 
-APART = ("__init__", "beside", "test_golden", "make_inputs")
-"""Modules on which no fact depends."""
-
-
-def _processor() -> str:
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line
-    return platform.processor()
-
-
 def _source() -> Path | None:
-    """Source of the reference, taken from the repository's history once."""
+    """Source of the reference, taken from the repository's history once; None without it."""
     import filelock
 
     folder = CACHE / REFERENCE
@@ -215,10 +171,8 @@ def _source() -> Path | None:
         if not folder.exists():
             words = ["git", "-C", str(HERE.parents[1]), "archive", REFERENCE, "src"]
             try:
-                archived = subprocess.run(words, capture_output=True, check=False)
-            except OSError:
-                return None
-            if archived.returncode:
+                archived = subprocess.run(words, capture_output=True, check=True)
+            except (OSError, subprocess.CalledProcessError):
                 return None
             unpacked = Path(tempfile.mkdtemp(dir=CACHE))
             with tarfile.open(fileobj=io.BytesIO(archived.stdout)) as archive:
@@ -229,67 +183,38 @@ def _source() -> Path | None:
 
 def store(modules: list[str]) -> None:
     """Write what is stored of the cases of modules, from the reference."""
-    reference = Reference()
-    for module in modules or MODULES:
-        content = {}
-        for name in cases(module):
-            of_case = reference.facts(module, name)
-            if of_case is None:
-                raise SystemExit(f"the history of this repository lacks {REFERENCE}")
-            content[name] = to_be_stored(module, of_case)
-        lines = {
-            name: json.dumps(one, ensure_ascii=False, sort_keys=True)
-            for name, one in sorted(content.items())
-        }
-        text = ",\n".join(f"{json.dumps(name)}: {one}" for name, one in lines.items())
-        EXACT.mkdir(exist_ok=True)
-        (EXACT / f"{module}.json").write_text(f"{{\n{text}\n}}\n")
-    reference.close()
-
-
-def differences(stored: Any, now: Any, path: str = "") -> list[str]:
-    """Where facts differ. A message may name more options than it did."""
-    if isinstance(stored, dict) and isinstance(now, dict):
-        keys = [*stored, *(key for key in now if key not in stored)]
-        return [
-            line
-            for key in keys
-            for line in differences(
-                stored.get(key, MISSING), now.get(key, MISSING), f"{path}/{key}"
+    with reference() as ask:
+        for module in modules or MODULES:
+            content = {name: to_be_stored(module, ask(module, name)) for name in cases(module)}
+            lines = (
+                f"{json.dumps(name)}: {json.dumps(one, ensure_ascii=False, sort_keys=True)}"
+                for name, one in sorted(content.items())
             )
-        ]
-    if isinstance(stored, list) and isinstance(now, list):
-        if path.endswith("/options") and set(stored) <= set(now):
-            return []
-        if len(stored) == len(now):
-            pairs = zip(stored, now, strict=True)
-            return [
-                line for k, (a, b) in enumerate(pairs) for line in differences(a, b, f"{path}/{k}")
-            ]
-    return [] if stored == now else [f"{path}: {stored!r} became {now!r}"]
+            text = ",\n".join(lines)
+            (HERE / "exact" / f"{module}.json").write_text(f"{{\n{text}\n}}\n")
 
 
-def hashes_only(content: Any) -> Any:
-    """What is stored, without the sizes, which another processor may change."""
-    if isinstance(content, list) and len(content) == 2 and isinstance(content[1], float):
-        return content[0]
-    return {k: hashes_only(v) for k, v in content.items()} if isinstance(content, dict) else content
+def differences(before: Any, now: Any, path: str = "") -> list[str]:
+    """Where facts differ. A message may name more options than it did.
 
-
-def far_sizes(stored: dict[str, Any], now: dict[str, Any]) -> list[str]:
-    """Where sizes of floats, beside hashes, are further from what is stored than `TOLERANCE`."""
-    return [
-        f"/{key}: size {size} became {now[key][1]}"
-        for key, (_, size) in stored.items()
-        if key in now and abs(size - now[key][1]) > TOLERANCE * abs(size)
-    ]
+    Beside hashes stand sizes, which another processor may change by `TOLERANCE`.
+    """
+    lists = isinstance(before, list) and isinstance(now, list)
+    if lists and path.endswith("/options") and set(before) <= set(now):
+        return []
+    if lists and len(before) == len(now):
+        before, now = dict(enumerate(before)), dict(enumerate(now))
+    if isinstance(before, dict) and isinstance(now, dict):
+        keys = [*before, *(key for key in now if key not in before)]
+        pairs = ((key, before.get(key, MISSING), now.get(key, MISSING)) for key in keys)
+        return [line for key, a, b in pairs for line in differences(a, b, f"{path}/{key}")]
+    if isinstance(before, float) and isinstance(now, float):
+        return [] if abs(before - now) <= TOLERANCE * abs(before) else [f"{path}: {before} {now}"]
+    return [] if before == now else [f"{path}: {before!r} became {now!r}"]
 
 
 MISSING = "missing"
 
 if __name__ == "__main__":
     sys.path[0] = str(HERE.parent)
-    if sys.argv[1] == "serve":
-        serve()
-    else:
-        store(sys.argv[2:])
+    importlib.import_module("golden.beside").store(sys.argv[2:])

@@ -1,17 +1,13 @@
-"""Cameras: presets, each field with a value that is allowed and several that are refused.
+"""Cameras: presets, each field with a value that is allowed and several that are refused."""
 
-A case is a function without parameters that works in the current folder, which is its own and
-empty, and gives facts as `facts.parts` takes them.
-"""
-
-from collections.abc import Callable
-from functools import partial
+from pathlib import Path
 from typing import Any
 
 import deepfsi
-from golden.scenes import refused_or
+from golden.facts import Cases, refused_or
 
-Case = Callable[[], dict[str, Any]]
+CASES = Cases()
+HASHED = True
 
 PRESETS = ("dmd", "dmd-2x2", "dmd-4x4", "two-arm", "paper")
 
@@ -93,10 +89,13 @@ def described(**fields: Any) -> Any:
     def facts() -> dict[str, Any]:
         camera = deepfsi.Camera.load(None, **fields)
         implied = {name: str(getattr(camera, name)) for name in DERIVED}
-        order = list(camera.model_dump())
-        return {"dump": _exact(camera), "implied": implied, "order": order}
+        return {"dump": _exact(camera), "implied": implied, "order": list(camera.model_dump())}
 
     return refused_or(facts)
+
+
+def loaded(source: str, **fields: Any) -> Any:
+    return refused_or(lambda: _exact(deepfsi.Camera.load(source, **fields)))
 
 
 def _exact(camera: Any) -> dict[str, Any]:
@@ -107,82 +106,73 @@ def _exact(camera: Any) -> dict[str, Any]:
     }
 
 
+@CASES
 def presets() -> dict[str, Any]:
     """Every preset, alone and with each field that is given."""
     out: dict[str, Any] = {}
     for name in PRESETS:
-        out[name] = _exact(deepfsi.Camera.load(name))
+        out[name] = loaded(name)
         for field, (value, *_) in ALLOWED.items():
-            out[f"{name} {field}"] = refused_or(
-                lambda name=name, field=field, value=value: _exact(
-                    deepfsi.Camera.load(name, **{field: value})
-                )
-            )
+            out[f"{name} {field}"] = loaded(name, **{field: value})
     return out
 
 
-def fields(name: str) -> dict[str, Any]:
+@CASES.of(WRONG)
+def field(name: str) -> dict[str, Any]:
     """A field with each value."""
-    values = (*ALLOWED.get(name, ()), *WRONG.get(name, ()))
+    values = (*ALLOWED.get(name, ()), *WRONG[name])
     return {f"{name}={value!r}": described(**{name: value}) for value in values}
 
 
+@CASES
 def pairs() -> dict[str, Any]:
     """Fields together."""
     return {repr(pair): described(**pair) for pair in PAIRS}
 
 
+FILES = {
+    "right": 'light = "two-arm"\nexposure = "10ms"\nflux = 1e6\n',
+    "unknown": 'ligth = "two-arm"\n',
+    "syntax": 'light = "two-arm\n',
+    "empty": "",
+}
+
+
+@CASES
 def files() -> dict[str, Any]:
     """Cameras of TOML files, right and wrong."""
-    from pathlib import Path
-
-    contents = {
-        "right": 'light = "two-arm"\nexposure = "10ms"\nflux = 1e6\n',
-        "unknown": 'ligth = "two-arm"\n',
-        "syntax": 'light = "two-arm\n',
-        "empty": "",
-    }
     out: dict[str, Any] = {}
-    for name, content in contents.items():
+    for name, content in FILES.items():
         Path(f"{name}.toml").write_text(content)
-        out[name] = refused_or(lambda name=name: _exact(deepfsi.Camera.load(f"{name}.toml")))
-    out["missing"] = refused_or(lambda: _exact(deepfsi.Camera.load("nosuch.toml")))
-    out["name"] = refused_or(lambda: _exact(deepfsi.Camera.load("nosuch")))
-    return out
+        out[name] = loaded(f"{name}.toml")
+    return {**out, "missing": loaded("nosuch.toml"), "name": loaded("nosuch")}
 
 
+JOBS: tuple[dict[str, Any], ...] = (
+    {"masks": 10, "photons": 1e4},
+    {"masks": 10, "photons": 1e4, "camera": "two-arm", "exposure": {"looks": 4}},
+    {"masks": 10, "photons": 1e4, "design": "raster"},
+    {"masks": 10, "photons": 1e4, "design": "hadamard", "training": {"lr": 0.3}},
+    {"masks": 10, "photons": 1e4, "exposure": {"nested": 3, "span": 10}},
+    {"photons": 1e4, "exposure": {"bins": 16}},
+    {"masks": 8, "photons": 1e4, "camera": "paper", "exposure": {"patch": 4}},
+    {"masks": 8, "camera": {"exposure": "10ms", "flux": 1e6}},
+    {"masks": 8, "photons": 1e4, "training": {"counts": 30}},
+    {"masks": 0, "photons": 1e4},
+    {"masks": 8},
+    {"masks": 8, "photons": -1},
+    {"masks": 8, "photons": 1e4, "design": "deepfis"},
+    {"masks": 8, "photons": 1e4, "epochs": 3},
+    {"masks": 8, "photons": 1e4, "training": {"epoch": 3}},
+    {"masks": 8, "photons": 1e4, "exposure": {"looks": 1}},
+    {"masks": 8, "photons": 1e4, "exposure": {"looks": 3, "nested": 2}},
+    {"masks": 8, "photons": 1e4, "seed": -1},
+)
+
+
+@CASES
 def jobs() -> dict[str, Any]:
     """Jobs as they are dumped, and their refusals."""
-    given: tuple[dict[str, Any], ...] = (
-        {"masks": 10, "photons": 1e4},
-        {"masks": 10, "photons": 1e4, "camera": "two-arm", "exposure": {"looks": 4}},
-        {"masks": 10, "photons": 1e4, "design": "raster"},
-        {"masks": 10, "photons": 1e4, "design": "hadamard", "training": {"lr": 0.3}},
-        {"masks": 10, "photons": 1e4, "exposure": {"nested": 3, "span": 10}},
-        {"photons": 1e4, "exposure": {"bins": 16}},
-        {"masks": 8, "photons": 1e4, "camera": "paper", "exposure": {"patch": 4}},
-        {"masks": 8, "camera": {"exposure": "10ms", "flux": 1e6}},
-        {"masks": 8, "photons": 1e4, "training": {"counts": 30}},
-        {"masks": 0, "photons": 1e4},
-        {"masks": 8},
-        {"masks": 8, "photons": -1},
-        {"masks": 8, "photons": 1e4, "design": "deepfis"},
-        {"masks": 8, "photons": 1e4, "epochs": 3},
-        {"masks": 8, "photons": 1e4, "training": {"epoch": 3}},
-        {"masks": 8, "photons": 1e4, "exposure": {"looks": 1}},
-        {"masks": 8, "photons": 1e4, "exposure": {"looks": 3, "nested": 2}},
-        {"masks": 8, "photons": 1e4, "seed": -1},
-    )
     return {
-        repr(one): refused_or(lambda one=one: deepfsi.Job(**one).model_dump_json()) for one in given
+        repr(one): refused_or(lambda one=one: deepfsi.Job(**one).model_dump_json()) for one in JOBS
     }
-
-
-CASES: dict[str, Case] = {
-    "presets": presets,
-    **{f"field {name}": partial(fields, name) for name in WRONG},
-    "pairs": pairs,
-    "files": files,
-    "jobs": jobs,
-}
-HASHED = True

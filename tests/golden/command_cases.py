@@ -1,11 +1,7 @@
-"""Command lines of every command: exit codes, JSON, files, and what `--help` lists.
-
-A case works in the current folder, which is its own and empty, as those of `run_cases`.
-"""
+"""Command lines of every command: exit codes, JSON, files, and what `--help` lists."""
 
 import json
 import re
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,41 +9,34 @@ import numpy as np
 
 from golden.facts import (
     INPUTS,
-    Case,
+    Cases,
     answer,
     file_of,
     files,
     patterns_of,
     recording,
     say,
-    without_paths,
-    without_times,
+    timeless,
 )
 
-COMMANDS = (
-    "", "design", "readouts", "show", "page", "evaluate", "predict", "stop", "export", "mask",
-    "designs", "designs make", "designs list", "compare", "plan", "sweep", "reproduce", "report",
-    "dmd", "dmd export", "dmd check", "dmd devices", "data", "data list", "data download",
-    "data check", "data export", "camera", "camera describe", "camera prepare", "camera simulate",
-    "camera record", "camera live", "camera import", "camera inspect", "camera count",
-    "camera classify", "camera image", "camera picture", "camera scan", "camera transits",
-    "camera spots", "camera calibrate", "camera check",
-)  # fmt: skip
-
+CASES = Cases()
 
 ADDED = {"fluctuation", "cap", "mean-light"}
 """Settings that came after the reference, and are left out of what is listed."""
 
 
-def helped() -> dict[str, Any]:
+@CASES
+def help() -> dict[str, Any]:
     """Options of every command, and the commands of every group, as `--help` lists them."""
-    out = {}
-    for command in COMMANDS:
+    out, left = {}, [""]
+    while left:
+        command = left.pop()
         said = say(*command.split(), "--help")
         options = re.findall(r"^  (?:-\w, )?(--[a-z-]+)", said.out, re.MULTILINE)
         options = [option for option in options if option.removeprefix("--") not in ADDED]
         commands = re.findall(r"^  ([a-z]+)  ", said.out, re.MULTILINE)
         out[command] = {"code": said.code, "listed": options, "commands": commands}
+        left += [f"{command} {name}".strip() for name in commands]
     return out
 
 
@@ -81,6 +70,7 @@ EXPORTED = {
 """Patterns: design, and options of `dmd export`."""
 
 
+@CASES.of(EXPORTED)
 def exported(name: str) -> dict[str, Any]:
     """Every file of a folder of patterns, and what checks it."""
     design, words = EXPORTED[name]
@@ -102,6 +92,7 @@ def exported(name: str) -> dict[str, Any]:
     return out
 
 
+@CASES
 def checked() -> dict[str, Any]:
     """Folders of patterns that were changed."""
     folder = Path(patterns_of("dual"))
@@ -118,18 +109,20 @@ def checked() -> dict[str, Any]:
     return out
 
 
+@CASES
 def masks() -> dict[str, Any]:
     """Photomasks of the pattern that scenes pass."""
     passing = file_of("passing")
     return {
-        "svg": without_paths(answer("mask", passing, "--pixel", 5, "-o", "m.svg")),
-        "png": without_paths(answer("mask", passing, "--pixel", 2.5, "-o", "m.png")),
-        "other": without_paths(answer("mask", file_of("dual"), "--pixel", 5, "-o", "n.svg")),
-        "end": without_paths(answer("mask", passing, "--pixel", 5, "-o", "n.gif")),
+        "svg": answer("mask", passing, "--pixel", 5, "-o", "m.svg"),
+        "png": answer("mask", passing, "--pixel", 2.5, "-o", "m.png"),
+        "other": answer("mask", file_of("dual"), "--pixel", 5, "-o", "n.svg"),
+        "end": answer("mask", passing, "--pixel", 5, "-o", "n.gif"),
         "files": files("."),
     }
 
 
+@CASES
 def graphs() -> dict[str, Any]:
     """ONNX graphs: their tensors; their weights bit for bit."""
     import onnx
@@ -138,7 +131,7 @@ def graphs() -> dict[str, Any]:
     for design in ("single", "dual", "arms", "quad", "click", "passing", "looks", "adaptive"):
         path = f"{design}.onnx"
         said = answer("export", file_of(design), "-o", path)
-        out[design] = {"said": without_paths(said)}
+        out[design] = {"said": said}
         if Path(path).exists():
             graph = onnx.load(path).graph
             out[design] |= {
@@ -154,9 +147,10 @@ def _tensor(value: Any) -> list[Any]:
     return [value.name, kind.elem_type, [one.dim_param or one.dim_value for one in kind.shape.dim]]
 
 
+@CASES.of(("single", "looks", "adaptive"))
 def page(design: str) -> dict[str, Any]:
     """The data in a page to play with, and what it says in JSON."""
-    out = {"said": without_paths(answer("page", file_of(design), "-o", "p.html"))}
+    out = {"said": answer("page", file_of(design), "-o", "p.html")}
     text = Path("p.html").read_text()
     out["data"] = [
         block.encode()
@@ -167,6 +161,7 @@ def page(design: str) -> dict[str, Any]:
     return out
 
 
+@CASES
 def described() -> dict[str, Any]:
     """Cameras: presets, files, designs, patterns, and the template of a file."""
     Path("lab.toml").write_text('light = "equal-dwell"\nflux = 1e6\nexposure = "10ms"\n')
@@ -183,6 +178,7 @@ def described() -> dict[str, Any]:
     return {**out, "fields": [field for field in fields if field not in ADDED]}
 
 
+@CASES
 def devices_and_data() -> dict[str, Any]:
     """Lists of devices, data sets and designs; scenes as pictures."""
     return {
@@ -200,50 +196,21 @@ def devices_and_data() -> dict[str, Any]:
     }
 
 
-def designed(words: str) -> dict[str, Any]:
-    """A design that is learned: what is said, and its tensors bit for bit."""
-    told = without_times(answer("design", *words.split(), "-o", "one.safetensors"))
-    out = {"said": told}
-    if Path("one.safetensors").exists():
-        from safetensors.numpy import load_file
-
-        out["tensors"] = load_file("one.safetensors")
-        out["again"] = answer("design", *words.split(), "--seed", 1, "-o", "one.safetensors")
-    return out
-
-
 LEARNED = (
     "--masks 4 --epochs 1 --hidden 8 --photons 1e3",
     "--masks 4 --epochs 1 --hidden 8 --photons 1e2:1e4 --camera two-arm",
     "--masks 4 --epochs 1 --hidden 8 --photons 1e3 --nested 2 --detectors 2x2",
 )
 
-FULL = "--designs pca,impulse --photons 1e2,1e4 --masks 3 --trials 1 --epochs 1 --workers 1"
 
+@CASES.of(LEARNED)
+def design(words: str) -> dict[str, Any]:
+    """A design that is learned: what is said, its tensors, and no other in its place."""
+    from safetensors.numpy import load_file
 
-def compared() -> dict[str, Any]:
-    """A comparison, its records and its report."""
-    said = answer("compare", *FULL.split(), "-o", "c")
-    return {
-        "said": without_times(said),
-        "again": without_times(answer("compare", *FULL.split(), "-o", "c")),
-        "report": without_times(answer("report", "c")),
-        "results": without_times(json.loads(Path("c/results.json").read_text())),
-        "names": sorted(path.name for path in Path("c").iterdir() if path.is_file()),
-    }
-
-
-def reported_of_another_law() -> dict[str, Any]:
-    """The page of results whose light law the package does not know, as of a later version."""
-    words = "--designs pca --photons 1e3 --masks 3 --trials 1 --epochs 1 --workers 1"
-    say("compare", *words.split(), "-o", "c")
-    path = Path("c/results.json")
-    content = json.loads(path.read_text())
-    for point in content["points"]:
-        point["light"] = "daylight"
-    path.write_text(json.dumps(content))
-    Path("c/report.html").unlink()
-    return {"report": answer("report", "c"), "page": Path("c/report.html").exists()}
+    said = timeless(answer("design", *words.split(), "-o", "one.safetensors"))
+    again = answer("design", *words.split(), "--seed", 1, "-o", "one.safetensors")
+    return {"said": said, "tensors": load_file("one.safetensors"), "again": again}
 
 
 TESTED = {
@@ -265,25 +232,27 @@ TESTED = {
 """Tests of stored designs: words, the second one a design."""
 
 
+@CASES
 def tested() -> dict[str, Any]:
     out = {}
     for name, words in TESTED.items():
         command, design, *others = words.split()
         pictures = [INPUTS / word if word == "few" else word for word in others]
         said = answer(command, file_of(design), *pictures)
-        out[name] = without_times(without_paths(said))
-    out["shown"] = without_paths(answer("show", file_of("dual"), "-o", "masks.png"))
-    out["shown, too"] = without_paths(answer("show", file_of("looks"), "-o", "masks.txt"))
+        out[name] = timeless(said)
+    out["shown"] = answer("show", file_of("dual"), "-o", "masks.png")
+    out["shown, too"] = answer("show", file_of("looks"), "-o", "masks.txt")
     written = answer(
         "stop", file_of("looks"), "--photons", "1e4", "--draws", 1, "--threshold", 0.6,
         "-o", "sure.safetensors",
     )  # fmt: skip
-    out["rule"] = without_times(without_paths(written))
+    out["rule"] = timeless(written)
     shown = answer("dmd", "export", "sure.safetensors", "--device", "64x48", "-o", "patterns")
-    out["rule, shown"] = without_paths(shown)
+    out["rule, shown"] = shown
     return out
 
 
+@CASES
 def readouts() -> dict[str, Any]:
     """A classifier of readouts that were measured."""
     rng = np.random.default_rng(0)
@@ -292,121 +261,10 @@ def readouts() -> dict[str, Any]:
     np.savez("r.npz", volts=values, digit=labels, laser=rng.normal(1, 0.01, 120))
     words = "--values volts --label digit --monitor laser --epochs 3 --hidden 8"
     out = {
-        "said": without_times(answer("readouts", "r.npz", *words.split(), "-o", "r.safetensors")),
+        "said": timeless(answer("readouts", "r.npz", *words.split(), "-o", "r.safetensors")),
         "wrong": answer("readouts", "r.npz", "--values", "amps", "-o", "s.safetensors"),
     }
     if Path("r.safetensors").exists():
         np.savetxt("t.csv", values[:4], delimiter=",")
         out["classes"] = answer("camera", "classify", "r.safetensors", "t.csv")
     return out
-
-
-REFUSED = (
-    "design --masks 4 --photons 1e4 -o d",
-    "design --photons 0 -o d.safetensors",
-    "design --photons 1e4 --masks 0 -o d.safetensors",
-    "design --masks 4 --photons 1e4 --design nosuch -o d.safetensors",
-    "design --masks 4 --photons 1e4 --light nosuch -o d.safetensors",
-    "design --masks 4 --photons 1e4 --light two-arm --rails single -o d.safetensors",
-    "design --masks 4 --photons 1e4 --camera nosuch -o d.safetensors",
-    "design --masks 4 --photons 1e4 --data nosuch -o d.safetensors",
-    "design --masks 4 --photons 1e4 --detectors 3x -o d.safetensors",
-    "design --masks 4 --photons 1e4 --looks 99 -o d.safetensors",
-    "design --masks 4 --photons 1e4 --noise click --gates 0 -o d.safetensors",
-    "design --masks 4 --photons 1e4 --hidden 0 -o d.safetensors",
-    "design --masks 4 --photons 1e4 --lr -1 -o d.safetensors",
-    "design --masks 4 --photons 1e4 --dead-time 1h -o d.safetensors",
-    "design --masks 4 --photons 1e4:1e2 -o d.safetensors",
-    "design --masks 4 --photons 1e4 --matrix nosuch.npy -o d.safetensors",
-    "design --masks 4 --photons 1e4 --size 4x -o d.safetensors",
-    "design --masks 4 --photons 1e4 --levels 1 -o d.safetensors",
-    "design --masks 4 --photons 1e4 --exposure soon -o d.safetensors",
-    "compare --designs nosuch -o c",
-    "compare --photons 1e4 --masks x -o c",
-    "compare --recipe nosuch -o c",
-    "sweep nosuch -o c",
-    "reproduce nosuch -o c",
-    "report nosuch",
-    "plan --target 2 -o c",
-    "evaluate nosuch.safetensors --photons 1e4",
-    "evaluate {dual} --photons many",
-    "evaluate {dual} --photons 1e4 --first 2",
-    "predict {dual} nosuch --photons 1e4",
-    "export {adaptive} -o a.onnx",
-    "export {dual} -o a.txt",
-    "page {dual} -o page.txt",
-    "designs make nosuch.toml -o c",
-    "dmd export {dual} --device nosuch -o p",
-    "dmd export {dual} --device 64x48 --exposure soon -o p",
-    "dmd export {dual} --device 64x48 --rotate 45 -o p",
-    "dmd export {dual} --device 64x48 --format jpg -o p",
-    "dmd export {dual} --device 64x48 --selection some -o p",
-    "dmd export {dual} --device 64x48 --region 9x -o p",
-    "dmd check nosuch",
-    "camera count nosuch",
-    "camera count {run} --exposure 10s",
-    "camera count {run} --tolerance never",
-    "camera count {run} --input 0",
-    "camera count {run} --input 9",
-    "camera count {run} --marker 4",
-    "camera count {run} --repeats 0",
-    "camera count {run} --dead-time -1ns",
-    "camera count {run} --dead-time 1us --dead-time-model nosuch",
-    "camera count {run} --background nosuch",
-    "camera classify {dual} nosuch",
-    "camera classify {single} {run}",
-    "camera image {run} -o x.txt",
-    "camera inspect {dual}",
-    "camera inspect nosuch.ptu",
-    "camera scan {run}/photons.ptu -o s.npz",
-    "camera calibrate {run} --spots nosuch -o c",
-    "camera check {run}",
-    "camera spots --size 4 -o s",
-    "camera simulate {run}/patterns --scene nosuch --flux 1e6 --exposure 10ms -o r",
-    "camera simulate {run}/patterns --scene {few} --flux -1 --exposure 10ms -o r",
-    "camera simulate {run}/patterns --scene {few} --flux 1e6 --virtual eye -o r",
-    "camera simulate {run}/patterns --scene {few} --flux 1e6 --seed -1 -o r",
-    "camera record {run}/patterns --scene {few} --projector nosuch -o r",
-    "camera record {run}/patterns --scene {few} --counter nosuch -o r",
-    "camera live {run}/patterns --scene {few} --flux 1e6 --exposure 10ms -o r",
-    "camera live {looks} --scene {few} --flux 1e6 --exposure 10ms --until 2 -o r",
-    "camera live {looks} --scene {few} --flux 1e6 --exposure 10ms --shortest-dwell 1s -o r",
-    "camera live {looks} --scene {few} --exposure 10ms --virtual ideal -o r",
-    "data export digits --per-class 5000 -o d",
-    "data export nosuch -o d",
-    "data download nosuch",
-)
-"""Bad input: exit code 2, one line of errors, and nothing is written."""
-
-
-def refused() -> dict[str, Any]:
-    run = recording("jump", "dual")
-    places: dict[str, object] = {"run": run, "few": INPUTS / "few"}
-    places |= {name: file_of(name) for name in ("dual", "single", "looks", "adaptive")}
-    before = files(".")
-    out = {line: say(*line.format(**places).split()).refused() for line in REFUSED}
-    after = files(".")
-    return {**out, "written": sorted(set(after) - set(before)), "same": before == after}
-
-
-CASES: dict[str, Case] = {
-    "help": helped,
-    **{f"exported {name}": partial(exported, name) for name in EXPORTED},
-    **{f"page {name}": partial(page, name) for name in ("single", "looks", "adaptive")},
-    **{f"design {words}": partial(designed, words) for words in LEARNED},
-    **{
-        case.__name__.replace("_", " "): case
-        for case in (
-            checked,
-            masks,
-            graphs,
-            described,
-            devices_and_data,
-            compared,
-            reported_of_another_law,
-            tested,
-            readouts,
-            refused,
-        )
-    },
-}

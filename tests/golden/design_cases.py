@@ -1,21 +1,25 @@
-"""Designs of every exposure, light law and noise, trained for a moment: their files and answers.
+"""Designs of every exposure, light law and noise, trained for a moment: their files and answers."""
 
-A case is a function without parameters that works in the current folder, which is its own and
-empty, and gives facts as `facts.parts` takes them.
-"""
-
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 import deepfsi
-from golden.facts import answer, parts
-from golden.scenes import BUDGET, STEPS, digits, facts_of, file_facts, refused_or, spots, tested
+from golden.facts import Cases, answer, refused_or
+from golden.scenes import (
+    ADAPTIVE,
+    BUDGET,
+    PATCHES,
+    STEPS,
+    digits,
+    facts_of,
+    file_facts,
+    spots,
+    tested,
+)
 
-Case = Callable[[], dict[str, Any]]
-
+CASES = Cases()
 HASHED = True
 """Of the exact facts of so many designs only hashes are stored."""
 
@@ -24,17 +28,9 @@ EXPOSURES: dict[str, dict[str, Any]] = {
     "range": {"masks": 4, "exposure": {"span": 10}},
     "nested": {"masks": 4, "exposure": {"nested": 2}},
     "looks": {"masks": 4, "exposure": {"looks": 2}},
-    "patches": {
-        "masks": 4,
-        "exposure": {"patch": 4},
-        "training": {
-            "epochs": 1,
-            "batch": 45,
-            "classifier_arguments": {"width": 8, "depth": 1, "heads": 2, "hidden": 8},
-        },
-    },
+    "patches": {"masks": 4, **PATCHES},
     "passing": {"exposure": {"bins": 8, "jitter": 0.5, "speed_jitter": 0.05}},
-    "adaptive": {"design": "adaptive", "masks": 3, "training": {"clusters": 2}},
+    "adaptive": ADAPTIVE,
 }
 """Kinds of exposure, by settings of a job."""
 
@@ -71,9 +67,14 @@ def exposed(exposure: str, light: str) -> dict[str, Any]:
     }
 
 
+CASES.update(
+    {f"{kind} {light}": partial(exposed, kind, light) for kind in EXPOSURES for light in LIGHTS}
+)
+
+
 def _trained(exposure: str, camera: dict[str, Any]) -> dict[str, Any]:
-    settings = {"training": STEPS, "photons": BUDGET, "camera": camera, "seed": 3}
     data = digits(classes=4).hold_out(9)
+    settings = {"training": STEPS, "photons": BUDGET, "camera": camera, "seed": 3}
     test = {"noise": camera["noise"]} if ":" in camera.get("noise", "") else {}
     return facts_of(deepfsi.learn(data, **{**settings, **EXPOSURES[exposure]}), data, **test)
 
@@ -89,11 +90,10 @@ CAMERAS: dict[str, dict[str, Any]] = {
 """Cameras that all exposures are seen with, where they can be."""
 
 
-def pictured(camera: str) -> dict[str, Any]:
+@CASES.of(CAMERAS)
+def camera(name: str) -> dict[str, Any]:
     """Each kind of exposure with one camera, or that it is refused."""
-    return {
-        exposure: refused_or(partial(_trained, exposure, CAMERAS[camera])) for exposure in EXPOSURES
-    }
+    return {kind: refused_or(partial(_trained, kind, CAMERAS[name])) for kind in EXPOSURES}
 
 
 TRAININGS: dict[str, dict[str, Any]] = {
@@ -111,11 +111,11 @@ TRAININGS: dict[str, dict[str, Any]] = {
         }
     },
     "few counts": {
-        "camera": {"light": "column", "rails": "single", "noise": "poisson"},
+        "camera": {**LIGHTS["column single"], "noise": "poisson"},
         "training": {**STEPS, "counts": 50.0},
     },
     "few clicks": {
-        "camera": {"light": "column", "rails": "single", "noise": "click"},
+        "camera": {**LIGHTS["column single"], "noise": "click"},
         "training": {**STEPS, "counts": 3.0},
     },
     "target counts": {"photons": None, "counts": 200.0, "training": {**STEPS, "epochs": 1}},
@@ -125,7 +125,8 @@ TRAININGS: dict[str, dict[str, Any]] = {
 """Other ways to train, by settings."""
 
 
-def trained(name: str) -> dict[str, Any]:
+@CASES.of(TRAININGS)
+def training(name: str) -> dict[str, Any]:
     """A design that was trained in some way."""
     data = digits().hold_out(9)
     settings = {"training": STEPS, "photons": BUDGET, "masks": 4, "seed": 1, "camera": "dmd"}
@@ -134,19 +135,14 @@ def trained(name: str) -> dict[str, Any]:
 
 
 NAMED = {
-    "impulse": 64,
-    "raster": 64,
-    "hadamard": 64,
-    "truncated-hadamard": 6,
-    "pca": 6,
-    "random": 6,
-    "lda": 6,
-    "class-pairs": 6,
+    **dict.fromkeys(("impulse", "raster", "hadamard"), 64),
+    **dict.fromkeys(("truncated-hadamard", "pca", "random", "lda", "class-pairs"), 6),
     "s-matrix": 67,
 }
 """Named designs, by their masks."""
 
 
+@CASES
 def named() -> dict[str, Any]:
     """Each named design, trained under the paper's optics and one device's."""
     data = digits().hold_out(9)
@@ -163,6 +159,7 @@ def named() -> dict[str, Any]:
     }
 
 
+@CASES
 def values() -> dict[str, Any]:
     """Each kind of exposure that estimates values, with the usual loss and one's own."""
     data = spots()
@@ -180,6 +177,7 @@ def values() -> dict[str, Any]:
     return {**out, "own loss": made(masks=4, training=own)}
 
 
+@CASES
 def characterised() -> dict[str, Any]:
     """A design with all that is measured after its training: folds, temperatures, readouts."""
     data = digits(600, classes=4)
@@ -190,6 +188,7 @@ def characterised() -> dict[str, Any]:
     return {**whole, "ideal observer": numbers}
 
 
+@CASES
 def characterised_ranges() -> dict[str, Any]:
     """Temperatures of budgets and of first masks."""
     data = digits(500, classes=3)
@@ -201,53 +200,7 @@ def characterised_ranges() -> dict[str, Any]:
     return out
 
 
-GUESSING = 0.15
-"""Accuracy on digits that guessing has in less than one of 10⁵ tests of 360 scenes."""
-
-SLACK = 1e-6
-"""Relative error of a sum of float32 numbers: no design counts more light than there is by more."""
-
-LAWFUL: dict[str, dict[str, Any]] = {
-    **{
-        name: {"design": name, "camera": "paper", "masks": 64 if masks == 64 else min(masks, 8)}
-        for name, masks in NAMED.items()
-        if name != "s-matrix"
-    },
-    "s-matrix": {"design": "s-matrix", "camera": "paper", "masks": 67},
-    "control": {"design": "control", "camera": "paper"},
-    "learned": {"camera": "paper"},
-    "adaptive": {"design": "adaptive", "masks": 4, "training": {"clusters": 10}},
-    **{light: {"camera": {"light": light}} for light in ("equal-dwell", "free-dwell", "two-arm")},
-    **{name: {"exposure": EXPOSURES[name]["exposure"]} for name in ("range", "nested", "looks")},
-    "patches": {
-        "masks": 16,
-        "camera": "paper",
-        "photons": 1e6,
-        "exposure": {"patch": 4},
-        "training": {"epochs": 3},
-    },
-}
-"""Designs that must obey the laws of light, and classify digits."""
-
-
-def lawful(name: str) -> dict[str, Any]:
-    """A design that is better than guessing, counts no more light than there is, and repeats."""
-    data = deepfsi.load_dataset("digits").hold_out(300)
-    training = {"epochs": 2, "hidden": (16,), "batch": 100, "lr": 1e-2}
-    settings = {"masks": 8, "photons": 1e5, "camera": "dmd", "training": training, "seed": 5}
-    given = {**settings, **LAWFUL[name]}
-    design, again = (deepfsi.learn(data, **given) for _ in range(2))
-    [result] = deepfsi.evaluate(design, data, given["photons"], draws=1)
-    assert result.accuracy > GUESSING
-    assert result.throughput <= 1 + SLACK
-    assert _without_seconds(design) == _without_seconds(again)
-    return {"accuracy": result.accuracy, "throughput": result.throughput}
-
-
-def _without_seconds(design: Any) -> Any:
-    return parts(file_facts(design.save("one.safetensors")))
-
-
+@CASES
 def own_scanner() -> dict[str, Any]:
     """Masks and network that a user trained, made a design; masks from an array."""
     import torch
@@ -261,51 +214,28 @@ def own_scanner() -> dict[str, Any]:
     data = digits()
     photons = deepfsi.photons_per_pixel(torch.tensor(data.x_train[:4]), BUDGET, 30.0)
     made = deepfsi.design_of(scanner, network, data, photons=BUDGET)
+    mlp = deepfsi.Mlp(5, 3, (4,), 0.0, torch.Generator().manual_seed(0))
     matrix = np.random.default_rng(3).random((4, 64)) / 4
     custom = {"design": "custom", "matrix": matrix, "masks": 4, "training": STEPS}
+
+    def learned(light: str) -> dict[str, Any]:
+        return facts_of(deepfsi.learn(data, photons=BUDGET, camera=LIGHTS[light], **custom), data)
+
     return {
         "design": {"matrix": made.matrix, "test": tested(made, data)},
         "photons": photons.numpy(),
         "counts": scanner(photons, torch.Generator().manual_seed(1)).numpy(),
         **{
-            f"custom {light}": refused_or(
-                lambda light=light: facts_of(
-                    deepfsi.learn(data, photons=BUDGET, camera=LIGHTS[light], **custom), data
-                )
-            )
+            f"custom {light}": refused_or(partial(learned, light))
             for light in ("column single", "equal-dwell", "free-dwell")
         },
-        "network": deepfsi.Mlp(5, 3, (4,), 0.0, torch.Generator().manual_seed(0))(torch.ones(2, 5))
-        .detach()
-        .numpy(),
+        "network": mlp(torch.ones(2, 5)).detach().numpy(),
     }
 
 
+@CASES
 def anomalies() -> dict[str, Any]:
     """Scenes of one class told from anomalies, which are made of them."""
     words = ("--data", "digits", "--normal", "3", "--masks", 4, "--photons", "1e4", "--epochs", 1)
     said = answer("design", *words, "--hidden", "8", "-o", "d.safetensors")
     return {"said": sorted(said), "file": file_facts("d.safetensors")}
-
-
-CASES: dict[str, Case] = {
-    **{
-        f"{exposure} {light}": partial(exposed, exposure, light)
-        for exposure in EXPOSURES
-        for light in LIGHTS
-    },
-    **{f"camera {name}": partial(pictured, name) for name in CAMERAS},
-    **{f"lawful {name}": partial(lawful, name) for name in LAWFUL},
-    **{f"training {name}": partial(trained, name) for name in TRAININGS},
-    **{
-        case.__name__.replace("_", " "): case
-        for case in (
-            named,
-            values,
-            characterised,
-            characterised_ranges,
-            own_scanner,
-            anomalies,
-        )
-    },
-}

@@ -1,4 +1,4 @@
-"""What a command line gave, as facts that can be compared.
+"""What cases are made of: a command line's answer, stored inputs, and facts that can be compared.
 
 Runs in two packages, of now and of the reference, so it knows the command line and no module.
 """
@@ -10,8 +10,9 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -19,15 +20,26 @@ from typing import Any
 import numpy as np
 
 INPUTS = Path(__file__).parent / "inputs"
-"""Stored designs, recordings, tables and pictures; `make_inputs.py` says how they were made."""
-
 DATA = Path(os.environ.get("DEEPFSI_DATA") or "nowhere")
 """Real files of the user; without them their cases are left out."""
 
-Case = Callable[[], dict[str, Any]]
 
-OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
-NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+class Cases(dict[str, Callable[[], dict[str, Any]]]):
+    """Cases of a module by their names, which are those of their functions."""
+
+    def __call__(self, case: Callable[[], Any]) -> Callable[[], Any]:
+        self[case.__name__.replace("_", " ")] = case
+        return case
+
+    def of(self, names: Iterable[str]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+        """Make a case of each name, which is what the function gets."""
+
+        def add(case: Callable[..., Any]) -> Callable[..., Any]:
+            kind = case.__name__.replace("_", " ")
+            self.update({f"{kind} {name}": partial(case, name) for name in names})
+            return case
+
+        return add
 
 
 @dataclass(frozen=True)
@@ -49,7 +61,7 @@ class Said:
         That it also leads to the command's help is left out.
         """
         lines = [line for line in self.errors.splitlines() if line.startswith("deepfsi: ")]
-        options = sorted(set(OPTION.findall(" ".join(lines))) - {"--help"})
+        options = sorted({*re.findall(r"(?<![\w-])--[a-z][a-z-]*", " ".join(lines))} - {"--help"})
         printed = bool(self.out)
         return {"code": self.code, "lines": len(lines), "printed": printed, "options": options}
 
@@ -73,61 +85,73 @@ def say(*words: object) -> Said:
 
 
 def answer(*words: object) -> Any:
-    """JSON of a command line that may be refused; the words of faults and remarks are left out."""
+    """JSON of a command line that may be refused, cleaned."""
     said = say(*words, "--json")
-    return without_words(said.json) if said.code == 0 else said.refused()
+    return cleaned(said.json) if said.code == 0 else said.refused()
 
 
 WORDS = ("detail", "warnings", "remarks", "refusal", "problems", "notes")
 """Fields whose text may become better: of these the numbers are compared."""
 
 
-def without_words(value: Any) -> Any:
+def cleaned(value: Any) -> Any:
+    """JSON without where files are, and without the words of faults and remarks."""
     if isinstance(value, dict):
-        return {
-            key: _numbers(one) if key in WORDS else without_words(one) for key, one in value.items()
-        }
-    if isinstance(value, list):
-        return [without_words(one) for one in value]
-    return value
+        return {key: _numbers(one) if key in WORDS else cleaned(one) for key, one in value.items()}
+    if isinstance(value, str):
+        for path, name in ((INPUTS, "INPUTS"), (DATA, "DATA"), (os.getcwd(), "HERE")):
+            value = value.replace(str(path), name)
+    return [cleaned(one) for one in value] if isinstance(value, list) else value
 
 
 def _numbers(value: Any) -> Any:
     if isinstance(value, str):
-        return [float(number) for number in NUMBER.findall(value)]
+        return [float(number) for number in re.findall(r"\d+(?:\.\d+)?(?:e[+-]?\d+)?", value)]
     return [_numbers(one) for one in value] if isinstance(value, list) else value
 
 
-def without_paths(value: Any) -> Any:
-    """Without where inputs, real files and the current folder are."""
-    if isinstance(value, dict):
-        return {key: without_paths(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [without_paths(one) for one in value]
-    if isinstance(value, str):
-        for path, name in ((INPUTS, "INPUTS"), (DATA, "DATA"), (os.getcwd(), "HERE")):
-            value = value.replace(str(path), name)
-    return value
+TIMES = ("seconds", "training_seconds", "finished", "machine")
+VERSIONS = ("version", "deepfsi", "torch", "python", "numpy")
+ANSWERS = ("confusion", "terms", "worst_class", "best")
+"""Fields that follow the last bits of a network: compared with the reference alone."""
 
 
-TIMES = (
-    "seconds",
-    "training_seconds",
-    "finished",
-    "version",
-    "deepfsi",
-    "torch",
-    "machine",
-    "python",
-    "numpy",
-)
-
-
-def without_times(value: Any) -> Any:
+def timeless(value: Any) -> Any:
     """Without what depends on when and where it ran."""
     if isinstance(value, dict):
-        return {key: without_times(one) for key, one in value.items() if key not in TIMES}
-    return [without_times(one) for one in value] if isinstance(value, list) else value
+        return {
+            key: json.dumps(one).encode() if key in ANSWERS else timeless(one)
+            for key, one in value.items()
+            if key not in (*TIMES, *VERSIONS)
+        }
+    return [timeless(one) for one in value] if isinstance(value, list) else value
+
+
+def refused_or(make: Callable[[], Any]) -> Any:
+    """Facts of what is made, or that it is refused in one line."""
+    from deepfsi import InputError
+
+    try:
+        return make()
+    except InputError as error:
+        lines = str(error).splitlines()
+        assert len(lines) == 1, lines
+        return {"refused": True}
+
+
+def plain(value: Any) -> Any:
+    """Fields of a result that are numbers, words or arrays."""
+    if hasattr(value, "detach"):
+        return value.detach().cpu().numpy()
+    if hasattr(value, "__dataclass_fields__"):
+        return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__}
+    if isinstance(value, dict):
+        return {name: plain(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(one) for one in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value if isinstance(value, (str, int, float, np.ndarray, type(None))) else {}
 
 
 def parts(value: Any) -> tuple[Any, dict[str, str]]:
@@ -147,8 +171,10 @@ def _without_floats(value: Any, place: str, bits: dict[str, str]) -> Any:
     if isinstance(value, bytes):
         bits[place] = sha256(value).hexdigest()[:16]
         return "bytes"
-    if isinstance(value, list) and _is_long(value):
-        value = np.array(value)
+    if isinstance(value, list):
+        with contextlib.suppress(ValueError):  # of lists that differ in length
+            array = np.array(value)
+            value = array if array.dtype.kind in "iufb" and array.size > MOST_LISTED else value
     if isinstance(value, np.ndarray):
         said = f"{value.dtype.kind}{list(value.shape)}"
         digest = sha256(np.ascontiguousarray(value).tobytes()).hexdigest()[:16]
@@ -166,13 +192,24 @@ def _without_floats(value: Any, place: str, bits: dict[str, str]) -> Any:
     return value
 
 
-def _is_long(value: list[Any]) -> bool:
-    """True of a long list of numbers, or of lists of numbers of one shape."""
-    try:
-        array = np.array(value)
-    except ValueError:
-        return False
-    return array.dtype.kind in "iufb" and array.size > MOST_LISTED
+def sizes(value: dict[str, Any]) -> dict[str, float]:
+    """For each first key of a case's facts, the mean size of all floats below it, to four digits.
+
+    The size of an array or a number is ln(1 + rms): rough, and nearly the same on every processor.
+    """
+    terms = {key: list(_sizes(one)) for key, one in value.items()}
+    return {key: float(f"{np.mean(one):.4g}") if one else 0.0 for key, one in terms.items()}
+
+
+def _sizes(value: Any) -> Iterator[float]:
+    if isinstance(value, (dict, list, tuple)):
+        for one in value.values() if isinstance(value, dict) else value:
+            yield from _sizes(one)
+    elif isinstance(value, (float, np.floating, np.ndarray)):
+        numbers = np.asarray(value)
+        if numbers.dtype.kind == "f" and numbers.size:
+            finite = np.nan_to_num(numbers.astype(float), posinf=0.0, neginf=0.0)
+            yield float(np.log1p(np.sqrt(np.mean(np.square(np.clip(finite, -1e100, 1e100))))))
 
 
 def files(folder: Path | str, *left_out: str) -> dict[str, bytes]:
@@ -185,10 +222,15 @@ def files(folder: Path | str, *left_out: str) -> dict[str, bytes]:
     }
 
 
-def arrays(path: Path | str) -> dict[str, np.ndarray]:
-    """Arrays of an .npz file."""
+def arrays(path: Path | str) -> dict[str, Any]:
+    """Arrays of an .npz file; text holds floats, so that it is given as bytes."""
     with np.load(path) as file:
-        return {name: file[name] for name in file.files}
+        content = {name: file[name] for name in file.files}
+    return {name: one.tobytes() if one.dtype == np.uint8 else one for name, one in content.items()}
+
+
+def file_of(design: str) -> Path:
+    return INPUTS / "designs" / f"{design}.safetensors"
 
 
 def recording(name: str, design: str, folder: str = "run") -> str:
@@ -199,16 +241,11 @@ def recording(name: str, design: str, folder: str = "run") -> str:
     return folder
 
 
-def file_of(design: str) -> Path:
-    return INPUTS / "designs" / f"{design}.safetensors"
-
-
-def patterns_of(design: str, *words: object) -> str:
+def patterns_of(design: str) -> str:
     """Patterns of a stored design on a small device, in the folder of its name."""
     folder = f"patterns-{design}"
-    if not Path(folder).exists():
-        device = INPUTS / "loading.toml" if "adaptive" in design else "64x48"
-        words = ("--device", device, "--exposure", "10ms", *words)
-        said = say("dmd", "export", file_of(design), *words, "-o", folder)
-        assert said.code == 0, said.errors
+    device = INPUTS / "loading.toml" if "adaptive" in design else "64x48"
+    words = ("--device", device, "--exposure", "10ms", "-o", folder)
+    said = say("dmd", "export", file_of(design), *words)
+    assert said.code == 0, said.errors
     return folder

@@ -1,14 +1,9 @@
-"""Runs that are stored, recorded, counted, classified, lived and replayed; tables of counts.
-
-A case is a function without parameters that works in the current folder, which is its own and
-empty, and gives facts as `facts.parts` takes them.
-"""
+"""Runs that are stored, recorded, counted, classified, lived and replayed; tables of counts."""
 
 import json
 import os
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,49 +12,40 @@ import numpy as np
 from golden.facts import (
     DATA,
     INPUTS,
-    Case,
+    Cases,
     answer,
     arrays,
+    cleaned,
     file_of,
     files,
     patterns_of,
+    plain,
     recording,
+    refused_or,
     say,
-    without_paths,
-    without_words,
 )
 
+CASES, REAL_CASES = Cases(), Cases()
+"""The latter need `DEEPFSI_DATA`."""
+
 DESIGNS = {
-    "one-arm": "single",
-    "both-rails": "dual",
+    **dict.fromkeys(("one-arm", "paralysable", "drifting", "edges", "flicker"), "single"),
+    **dict.fromkeys(("drift", "ambient", "fluctuating"), "single"),
+    **dict.fromkeys(("both-rails", "lost", "late", "extra", "jump", "brighter"), "dual"),
+    **dict.fromkeys(("gains", "blind"), "quad"),
     "two-arms": "arms",
-    "paralysable": "single",
-    "gains": "quad",
     "image": "image",
     "clicks": "click",
-    "lost": "dual",
-    "late": "dual",
-    "extra": "dual",
-    "drifting": "single",
-    "edges": "single",
-    "flicker": "single",
-    "drift": "single",
-    "jump": "dual",
-    "brighter": "dual",
-    "blind": "quad",
-    "ambient": "single",
-    "fluctuating": "single",
-    "live": "looks",
-    "live-rails": "looks-dual",
-    "live-arms": "looks-arms",
-    "live-quad": "looks-quad",
-    "live-adaptive": "adaptive",
-    "live-adaptive-arms": "adaptive-arms",
-    "live-adaptive-quad": "adaptive-quad",
-    "live-mirrored": "looks",
-    "live-fluctuating": "looks-dual",
 }
 """Design of each stored run."""
+
+LIVED = {
+    **{f"live-{name}": f"looks-{name}" for name in ("arms", "quad")},
+    **{f"live-{name}": name for name in ("adaptive", "adaptive-arms", "adaptive-quad")},
+    **dict.fromkeys(("live", "live-mirrored"), "looks"),
+    **dict.fromkeys(("live-rails", "live-fluctuating"), "looks-dual"),
+}
+"""Design of each stored live run."""
 
 COUNTED = {
     "one-arm": (
@@ -82,6 +68,7 @@ COUNTED = {
 """Options of `camera count` that stored runs are counted with, beside none."""
 
 
+@CASES.of(DESIGNS)
 def counted(name: str) -> dict[str, Any]:
     """A stored run, counted in several ways and classified after each."""
     run, design = recording(name, DESIGNS[name]), DESIGNS[name]
@@ -90,7 +77,7 @@ def counted(name: str) -> dict[str, Any]:
         said = {"count": answer("camera", "count", run, *words.split())}
         if Path(run, "counts.npz").exists():
             said["file"] = Path(run, "counts.npz").read_bytes()
-            said["arrays"] = _about_as_text(arrays(Path(run, "counts.npz")))
+            said["arrays"] = arrays(Path(run, "counts.npz"))
         said["classes"] = answer("camera", "classify", file_of(design), run)
         if "code" in said["classes"]:
             said["forced"] = answer("camera", "classify", Path(run, "patterns"), run, "--force")
@@ -98,20 +85,13 @@ def counted(name: str) -> dict[str, Any]:
     return out
 
 
-def _about_as_text(content: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Arrays of counts.npz; its text holds floats, so that it is compared bit for bit."""
-    return {
-        name: array.tobytes() if array.dtype == np.uint8 else array
-        for name, array in content.items()
-    }
-
-
+@CASES.of(LIVED)
 def replayed(name: str) -> dict[str, Any]:
     """A stored live run, counted and replayed."""
-    run, design = recording(name, DESIGNS[name]), DESIGNS[name]
+    run, design = recording(name, LIVED[name]), LIVED[name]
     return {
         "count": answer("camera", "count", run),
-        "arrays": _about_as_text(arrays(Path(run, "counts.npz"))),
+        "arrays": arrays(Path(run, "counts.npz")),
         "decisions": answer("camera", "classify", file_of(design), run),
         "other design": answer("camera", "classify", file_of("looks-quad"), run),
     }
@@ -125,6 +105,7 @@ runpy.run_module("deepfsi", run_name="__main__")
 """
 
 
+@CASES
 def without_torch() -> dict[str, Any]:
     """Commands of a camera's computer that has no torch: a live run, counted and classified."""
     run = recording("live", "looks")
@@ -141,12 +122,11 @@ def without_torch() -> dict[str, Any]:
     for name, line in lines.items():
         words = [sys.executable, "-c", WITHOUT_TORCH, *line.split(), "--json"]
         said = subprocess.run(words, capture_output=True, text=True, check=False)
-        out[name] = without_words(without_paths(json.loads(said.stdout or "{}"))) | {
-            "code": said.returncode
-        }
+        out[name] = cleaned(json.loads(said.stdout or "{}")) | {"code": said.returncode}
     return out
 
 
+@CASES.of(("both-rails", "two-arms"))
 def without_ends(name: str) -> dict[str, Any]:
     """A stored run whose second pass lacks its first marker, or its last: photons place it."""
     run, out = Path(recording(name, DESIGNS[name])), {}
@@ -160,21 +140,22 @@ def without_ends(name: str) -> dict[str, Any]:
         words[markers[lost]] ^= (inputs[markers[lost]] ^ 8) << 25  # on another marker input
         (run / "photons.ptu").write_bytes(whole[:offset] + words.tobytes())
         said = answer("camera", "count", run)
-        out[str(lost)] = {"said": said, "arrays": _about_as_text(arrays(run / "counts.npz"))}
+        out[str(lost)] = {"said": said, "arrays": arrays(run / "counts.npz")}
     return out
 
 
+@CASES
 def with_a_flat() -> dict[str, Any]:
     """Efficiencies of several detectors from a run of uniform white with the same patterns."""
-    run, white = recording("gains", "quad"), INPUTS / "white"
+    run, patterns = recording("gains", "quad"), patterns_of("quad")
     for flat, flux in (("flat", "1e8"), ("dim", "1e6")):
         words = ("--virtual", INPUTS / "gains.toml", "--flux", flux, "--exposure", "10ms")
-        answer("camera", "simulate", patterns_of("quad"), "--scene", white, *words, "-o", flat)
+        answer("camera", "simulate", patterns, "--scene", INPUTS / "white", *words, "-o", flat)
     return {
         "uncounted": answer("camera", "count", run, "--flat", "flat"),
         "flat": answer("camera", "count", "flat"),
         "count": answer("camera", "count", run, "--flat", "flat"),
-        "arrays": _about_as_text(arrays(Path(run, "counts.npz"))),
+        "arrays": arrays(Path(run, "counts.npz")),
         "classes": answer("camera", "classify", file_of("quad"), run),
         "dim": [
             answer("camera", "count", "dim")["whole"],
@@ -183,19 +164,21 @@ def with_a_flat() -> dict[str, Any]:
     }
 
 
+@CASES
 def with_a_dark_run() -> dict[str, Any]:
     """The background of another run, whose scenes were dark."""
     run, dark = recording("ambient", "single"), recording("one-arm", "single", "dark")
     answer("camera", "count", dark, "--dead-time", 0)
     return {
         "count": answer("camera", "count", run, "--background", dark),
-        "arrays": _about_as_text(arrays(Path(run, "counts.npz"))),
+        "arrays": arrays(Path(run, "counts.npz")),
         "other patterns": answer(
             "camera", "count", run, "--background", recording("jump", "dual", "other")
         ),
     }
 
 
+@CASES
 def inspected() -> dict[str, Any]:
     """Photon files that are listed, one cut; a picture of a run."""
     run = recording("both-rails", "dual")
@@ -227,19 +210,20 @@ SIMULATED = {
 """Runs of a virtual camera: design, and options of `camera simulate`."""
 
 
-def simulated(command: str, name: str) -> dict[str, Any]:
-    """A recording of the virtual camera or of virtual devices: every file of it, and its counts."""
-    design, words = SIMULATED[name] if command == "simulate" else RECORDED[name]
-    shown = ["--scene", INPUTS / "few", "--exposure", "10ms", *_with_paths(words), "-o", "run"]
-    out = {"said": without_paths(answer("camera", command, patterns_of(design), *shown))}
+@CASES.of(SIMULATED)
+def simulated(name: str) -> dict[str, Any]:
+    """A recording of the virtual camera: every file of it, and its counts."""
+    return _made("simulate", *SIMULATED[name])
+
+
+def _made(command: str, design: str, words: str) -> dict[str, Any]:
+    options = [INPUTS / word if word.endswith(".toml") else word for word in words.split()]
+    shown = ["--scene", INPUTS / "few", "--exposure", "10ms", *options, "-o", "run"]
+    out = {"said": answer("camera", command, patterns_of(design), *shown)}
     if Path("run").exists():
-        out["files"] = files("run", "manifest.json")
+        out["files"] = files("run", "manifest.json", "loop.safetensors")
         out["counted"] = answer("camera", "count", "run")
     return out
-
-
-def _with_paths(words: str) -> list[str | Path]:
-    return [INPUTS / word if word.endswith(".toml") else word for word in words.split()]
 
 
 RECORDED = {
@@ -251,6 +235,13 @@ RECORDED = {
     "unknown latency": ("single", "--flux 4e5 --latency comand=1ms"),
 }
 """Runs of virtual devices: design, and options of `camera record`."""
+
+
+@CASES.of(RECORDED)
+def recorded(name: str) -> dict[str, Any]:
+    """A recording of virtual devices: every file of it, and its counts."""
+    return _made("record", *RECORDED[name])
+
 
 LIVE = {
     "looks": ("looks", "--virtual ideal --flux 8e5"),
@@ -276,18 +267,17 @@ LIVE = {
 """Live runs: design, and options of `camera live`."""
 
 
+@CASES.of(LIVE)
 def lived(name: str) -> dict[str, Any]:
     """A live run of virtual devices: its decisions, files, counts and its replay."""
     design, words = LIVE[name]
-    shown = ["--scene", INPUTS / "few", "--exposure", "10ms", *_with_paths(words), "-o", "run"]
-    out = {"said": without_paths(answer("camera", "live", patterns_of(design), *shown))}
+    out = _made("live", design, words)
     if Path("run").exists():
-        out["files"] = files("run", "manifest.json", "loop.safetensors")
-        out["counted"] = answer("camera", "count", "run")
         out["replayed"] = answer("camera", "classify", file_of(design), "run")
     return out
 
 
+@CASES
 def transits() -> dict[str, Any]:
     """Scenes that passed a pattern, in a photon file without markers."""
     ptu, design = INPUTS / "passing.ptu", file_of("passing")
@@ -313,6 +303,7 @@ TABLES = {
 """Options of `camera classify` that each stored table of counts is classified with."""
 
 
+@CASES.of(TABLES)
 def table(name: str) -> dict[str, Any]:
     """A table of counts, behind the folder of patterns and behind the design alone."""
     source, patterns = INPUTS / "tables" / f"{name}.csv", patterns_of(name)
@@ -323,6 +314,7 @@ def table(name: str) -> dict[str, Any]:
     }
 
 
+@CASES
 def tables_of_each_format() -> dict[str, Any]:
     """One table in every format that is read, turned, of analogue values, and with names."""
     import h5py
@@ -330,29 +322,15 @@ def tables_of_each_format() -> dict[str, Any]:
     from scipy.io import savemat
 
     values = np.loadtxt(INPUTS / "tables/single.csv", delimiter=",")
-    names = [
-        "scene",
-        "label",
-        "on",
-        "off",
-        "mask0",
-        "mask1",
-        "mask2",
-        "mask3",
-        "mask4",
-        "mask5",
-        "on2",
-        "off2",
-    ]
+    names = ["scene", "label", "on", "off", *(f"mask{k}" for k in range(6)), "on2", "off2"]
     values = values[:, : len(names) - 2]
     rows = [f"s{k},{k},{','.join(f'{v:.0f}' for v in row)}" for k, row in enumerate(values)]
     Path("names.csv").write_text("\n".join([",".join(names), *rows]))
     order = [0, 1, 11, 10, *range(4, 10), 2, 3]
     turned = [",".join(line.split(",")[k] for k in order) for line in [",".join(names), *rows]]
     Path("order.csv").write_text("\n".join(turned))
-    Path("comma.csv").write_text("\n".join(";".join(f"{v:.1f}" for v in r) for r in values))
-    decimal = Path("comma.csv").read_text().replace(".", ",")
-    Path("comma.csv").write_text(decimal)
+    decimal = "\n".join(";".join(f"{v:.1f}" for v in row) for row in values)
+    Path("comma.csv").write_text(decimal.replace(".", ","))
     np.savetxt("tabs.tsv", values, delimiter="\t", fmt="%d", header="a comment")
     np.savetxt("spaces.txt", values, fmt="%d")
     np.save("array.npy", values.astype(np.int32))
@@ -381,35 +359,12 @@ def tables_of_each_format() -> dict[str, Any]:
     return {words: answer("camera", "classify", asked, *words.split()) for words in files_and_words}
 
 
-WRONG_TABLES = {
-    "negative": "1,0,3,4,-5,6,7,8,9,1",
-    "a word": "1,0,3,4,five,6,7,8,9,1",
-    "a fraction": "1,0,3,4,5.5,6,7,8,9,1",
-    "no number": "1,0,3,4,nan,6,7,8,9,1",
-    "one value": "7",
-    "three values": "1,2,3",
-    "ragged": "1,0,3,4,5,6,7,8,9,1\n1,2",
-    "empty": "",
-    "half of the names": "on,off,mask0,x,y\n1,2,3,4,5",
-    "huge": "1,0,3,4,1e300,6,7,8,9,1",
-}
-"""Tables that are refused."""
-
-
-def wrong_tables() -> dict[str, Any]:
-    """Refused, whoever is asked."""
-    out, asked = {}, patterns_of("single")
-    for name, text in WRONG_TABLES.items():
-        Path("table.csv").write_text(text)
-        out[name] = answer("camera", "classify", asked, "table.csv")
-    return out
-
-
+@CASES
 def prepared() -> dict[str, Any]:
     """A folder for a real acquisition, and the scenes that are listed for it."""
     Path("list.csv").write_text("name,label\nfirst,cat\nsecond,dog\nthird,\n")
     Path("twice.csv").write_text("a\na\n")
-    out = {}
+    out, patterns = {}, patterns_of("dual")
     for number, words in enumerate(
         (
             "--scenes list.csv --input 1 --marker 0",
@@ -420,13 +375,14 @@ def prepared() -> dict[str, Any]:
             "--scenes list.csv --exposure 1s",
         )
     ):
-        said = answer("camera", "prepare", patterns_of("dual"), *words.split(), "-o", f"r{number}")
-        out[str(number)] = without_paths(said)
+        said = answer("camera", "prepare", patterns, *words.split(), "-o", f"r{number}")
+        out[str(number)] = said
         if Path(f"r{number}").exists():
             out[f"files {number}"] = files(f"r{number}", "manifest.json")
     return out
 
 
+@CASES
 def imported() -> dict[str, Any]:
     """Events, cumulative counts and bins of other counters."""
     events, latched = INPUTS / "tables/events.csv", INPUTS / "tables/cumulative.txt"
@@ -449,7 +405,7 @@ def imported() -> dict[str, Any]:
     ):
         name = words.split("-o ")[1].replace("OUT", str(number))
         words = words.replace("OUT", str(number))
-        out[str(number)] = without_paths(answer("camera", "import", source, *words.split()))
+        out[str(number)] = answer("camera", "import", source, *words.split())
         if Path(name).exists():
             out[f"file {number}"] = Path(name).read_bytes()
             if name.endswith(".ptu"):
@@ -457,6 +413,7 @@ def imported() -> dict[str, Any]:
     return out
 
 
+@CASES
 def pictured() -> dict[str, Any]:
     """Pictures of tables of counts behind named masks, and a verdict on their light."""
     from scipy.linalg import hadamard
@@ -490,6 +447,7 @@ def pictured() -> dict[str, Any]:
     return out
 
 
+@CASES
 def calibrated() -> dict[str, Any]:
     """Spots through a tilted camera, the view fitted to them, and scenes checked."""
     Path("tilted.toml").write_text(
@@ -503,13 +461,14 @@ def calibrated() -> dict[str, Any]:
     }
     words = ("--scene", "spots", "--flux", "1e6", "--exposure", "0.2s", "--repeats", 1)
     camera = ("--virtual", "tilted.toml", "-o", "run")
-    out["run"] = without_paths(answer("camera", "simulate", "p", *words, *camera))
+    out["run"] = answer("camera", "simulate", "p", *words, *camera)
     out["count"] = answer("camera", "count", "run")
     out["fit"] = answer("camera", "calibrate", "run", "--spots", "spots", "-o", "calibration")
     out["files"] = files("calibration") if Path("calibration").exists() else None
     return out
 
 
+@CASES
 def public_names() -> dict[str, Any]:
     """`classify_run`, `classify_table` and `predict`, as a program of the user calls them."""
     import deepfsi
@@ -520,50 +479,34 @@ def public_names() -> dict[str, Any]:
     loaded = deepfsi.load_design(dual)
     np.savetxt("negative.csv", -np.loadtxt(counts, delimiter=","), delimiter=",")
     out = {
-        "run": _public(deepfsi.classify_run(dual, run)),
-        "table": _public(deepfsi.classify_table(dual, counts)),
-        "predict": _public(deepfsi.predict(loaded, INPUTS / "few", 1e4, seed=1)),
+        "run": plain(deepfsi.classify_run(dual, run)),
+        "table": plain(deepfsi.classify_table(dual, counts)),
+        "predict": plain(deepfsi.predict(loaded, INPUTS / "few", 1e4, seed=1)),
         "camera": loaded.camera.model_dump(mode="json"),
     }
-    for name, bad in (
-        ("table", lambda: deepfsi.classify_table(dual, "negative.csv")),
-        ("run", lambda: deepfsi.classify_run(file_of("single"), run)),
-        ("budget", lambda: deepfsi.predict(loaded, INPUTS / "few", 0.0)),
-    ):
-        try:
-            bad()
-        except deepfsi.InputError:
-            out[f"refused {name}"] = True
-    return out
+    wrong = {
+        "table": lambda: deepfsi.classify_table(dual, "negative.csv"),
+        "run": lambda: deepfsi.classify_run(file_of("single"), run),
+        "budget": lambda: deepfsi.predict(loaded, INPUTS / "few", 0.0),
+    }
+    return {**out, "wrong": {name: refused_or(call) for name, call in wrong.items()}}
 
 
-def _public(value: Any) -> Any:
-    """Public numbers of a result: its attributes that are plain, and arrays."""
-    if isinstance(value, (list, tuple)):
-        return [_public(one) for one in value]
-    if isinstance(value, (str, int, float, bool, np.ndarray, type(None))):
-        return value
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, dict):
-        return {str(key): _public(one) for key, one in value.items()}
-    names = [name for name in getattr(value, "__dataclass_fields__", {}) if name[0] != "_"]
-    return {name: _public(getattr(value, name)) for name in names}
-
-
+@REAL_CASES
 def real_photons() -> dict[str, Any]:
     """Files of PicoQuant devices: listed, and refused or scanned."""
     out = {}
     for name in ("hydraharp_v20_t2", "hydraharp_v20_t3", "picoharp_v30_t2"):
         out[name] = answer("camera", "inspect", DATA / "ptu" / f"{name}.ptu")
     said = answer("camera", "scan", DATA / "ptu/hazelnut_flim.ptu", "--pixels", 16, "-o", "s.npz")
-    out["scan"] = without_paths(said)
+    out["scan"] = said
     if Path("s.npz").exists():
         out["lines"] = arrays("s.npz")
     out["spc"] = answer("camera", "inspect", DATA / "bh/test_noise.spc")
     return out
 
 
+@REAL_CASES
 def real_pictures() -> dict[str, Any]:
     """Counts of a photon counter and coefficients of wavelets."""
     out = {}
@@ -578,40 +521,7 @@ def real_pictures() -> dict[str, Any]:
             f"{wavelet}/Jaszczak_Haar_4_128x128.mat --masks wavelet-haar-4",
         )
     ):
-        out[str(number)] = without_paths(
-            answer("camera", "picture", *words.split(), "-o", f"p{number}")
-        )
+        out[str(number)] = answer("camera", "picture", *words.split(), "-o", f"p{number}")
         if Path(f"p{number}").exists():
             out[f"pictures {number}"] = np.load(f"p{number}/pictures.npy")
     return out
-
-
-CASES: dict[str, Case] = {
-    **{f"counted {name}": partial(counted, name) for name in DESIGNS if "live" not in name},
-    **{f"without ends {name}": partial(without_ends, name) for name in ("both-rails", "two-arms")},
-    **{f"replayed {name}": partial(replayed, name) for name in DESIGNS if "live" in name},
-    **{f"simulated {name}": partial(simulated, "simulate", name) for name in SIMULATED},
-    **{f"recorded {name}": partial(simulated, "record", name) for name in RECORDED},
-    **{f"lived {name}": partial(lived, name) for name in LIVE},
-    **{f"table {name}": partial(table, name) for name in TABLES},
-    **{
-        case.__name__.replace("_", " "): case
-        for case in (
-            without_torch,
-            with_a_flat,
-            with_a_dark_run,
-            inspected,
-            transits,
-            tables_of_each_format,
-            wrong_tables,
-            prepared,
-            imported,
-            pictured,
-            calibrated,
-            public_names,
-        )
-    },
-}
-
-REAL_CASES: dict[str, Case] = {"real photons": real_photons, "real pictures": real_pictures}
-"""Cases that need `DEEPFSI_DATA`."""

@@ -9,12 +9,23 @@ from typing import Any
 import numpy as np
 
 import deepfsi
+from golden.facts import plain, refused_or
 
 BUDGET = 1e4
 """Photons of a training."""
 
 STEPS = {"epochs": 2, "hidden": (8,), "batch": 30}
 """A training of a moment."""
+
+PATCHES: dict[str, Any] = {
+    "exposure": {"patch": 4},
+    "training": {
+        "epochs": 1,
+        "batch": 45,
+        "classifier_arguments": {"width": 8, "depth": 1, "heads": 2, "hidden": 8},
+    },
+}
+ADAPTIVE: dict[str, Any] = {"design": "adaptive", "masks": 3, "training": {"clusters": 2}}
 
 
 def digits(scenes: int = 120, *, classes: int = 10) -> deepfsi.Dataset:
@@ -37,39 +48,35 @@ def spots() -> deepfsi.Dataset:
     return deepfsi.from_arrays(x[:90], y[:90], x[90:], y[90:], values=names, name="spots")
 
 
+def opened(content: bytes) -> tuple[str, dict[str, Any], dict[str, Any], bytes]:
+    """Name of the description of a design file, what it says, layout of tensors, their bytes."""
+    (length,) = struct.unpack("<Q", content[:8])
+    layout = json.loads(content[8 : 8 + length])
+    [(name, words)] = layout.pop("__metadata__").items()
+    return name, json.loads(words), layout, content[8 + length :]
+
+
 def file_facts(path: Path | str) -> dict[str, Any]:
     """Header and tensors of a design file, but for what depends on the clock and on versions."""
-    content = Path(path).read_bytes()
-    (length,) = struct.unpack("<Q", content[:8])
-    header = json.loads(content[8 : 8 + length])
-    words = header.pop("__metadata__", {})
-    [name] = words
-    described = json.loads(words[name])
+    name, described, layout, content = opened(Path(path).read_bytes())
     described.pop("deepfsi", None)
     for field in ("deepfsi", "torch", "seconds"):
         described.get("info", {}).pop(field, None)
     described.get("info", {}).get("left_out", {}).pop("guesses", None)  # follows its accuracy
-    tensors, layout = {}, {}
-    for tensor, entry in header.items():
-        start, stop = entry["data_offsets"]
-        tensors[tensor] = np.frombuffer(
-            content[8 + length + start : 8 + length + stop], TYPES[entry["dtype"]]
-        )
-        layout[tensor] = [entry["dtype"], entry["shape"], start, stop]
+    places = {
+        tensor: [entry["dtype"], entry["shape"], *entry["data_offsets"]]
+        for tensor, entry in layout.items()
+    }
+    tensors = {
+        tensor: np.frombuffer(content[start:stop], TYPES[kind])
+        for tensor, (kind, _, start, stop) in places.items()
+    }
     order = [name, *described]
-    return {"header": described, "order": order, "layout": layout, "tensors": tensors}
+    return {"header": described, "order": order, "layout": places, "tensors": tensors}
 
 
-TYPES = {
-    "F16": "<f2",
-    "F32": "<f4",
-    "F64": "<f8",
-    "I8": "i1",
-    "I32": "<i4",
-    "I64": "<i8",
-    "U8": "u1",
-    "BOOL": "?",
-}
+TYPES = {"F16": "<f2", "F32": "<f4", "F64": "<f8", "I8": "i1", "I32": "<i4", "I64": "<i8"}
+TYPES |= {"U8": "u1", "BOOL": "?"}
 """NumPy's names of the types of tensors."""
 
 
@@ -97,50 +104,31 @@ def answered(design: Any, data: deepfsi.Dataset) -> dict[str, Any]:
     def read(dwell: np.ndarray) -> np.ndarray:
         return rng.poisson(40 * np.ones(design.counts_shape) * dwell.mean())
 
-    tests = design.consistency
     calls = {
         "classify": lambda: design.classify(counts, BUDGET),
         "estimate": lambda: design.estimate(counts, BUDGET),
         "live": lambda: design.classify_live(read, BUDGET),
-        "consistency": lambda: plain(tests(counts, BUDGET)),
+        "consistency": lambda: plain(design.consistency(counts, BUDGET)),
         "first": lambda: design.first(2).matrix,
         "quantised": lambda: design.quantised(5).matrix,
     }
     return {name: refused_or(call) for name, call in calls.items()}
 
 
-def plain(value: Any) -> Any:
-    """Fields of a result, as far as they are numbers, words or arrays."""
-    if hasattr(value, "detach"):
-        return value.detach().cpu().numpy()
-    if hasattr(value, "__dataclass_fields__"):
-        return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__}
-    if isinstance(value, dict):
-        return {name: plain(one) for name, one in value.items()}
-    return [plain(one) for one in value] if isinstance(value, (list, tuple)) else value
+def about(design: Any) -> dict[str, Any]:
+    """What a design says of itself."""
+    words = None if design.name == "adaptive" else repr(design)
+    return {"words": words, "camera": design.camera.model_dump(mode="json")}
 
 
 def facts_of(design: Any, data: deepfsi.Dataset, **test: Any) -> dict[str, Any]:
     """Whatever a design is, and answers; `test` are fields of the camera of its test."""
     path = design.save("design.safetensors")
-    again = deepfsi.load_design(path)
-    same = again.to_bytes() == Path(path).read_bytes()
     return {
         "file": file_facts(path),
-        "written again alike": same,
+        "written again alike": deepfsi.load_design(path).to_bytes() == Path(path).read_bytes(),
         "test": tested(design, data, BUDGET / 3, BUDGET, **test),
         "answers": answered(design, data),
         "matrix": None if design.name == "adaptive" else design.matrix,
-        "camera": design.camera.model_dump(mode="json"),
-        "words": None if design.name == "adaptive" else repr(design),
+        **about(design),
     }
-
-
-def refused_or(make: Any) -> Any:
-    """Facts of what is made, or that it is refused in one line."""
-    try:
-        return make()
-    except deepfsi.InputError as error:
-        lines = str(error).splitlines()
-        assert len(lines) == 1, lines
-        return {"refused": True}

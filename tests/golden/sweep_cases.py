@@ -1,13 +1,7 @@
-"""Comparisons with their records and results, and the keys of every recipe's trials.
-
-A case is a function without parameters that works in the current folder, which is its own and
-empty, and gives facts as `facts.parts` takes them.
-"""
+"""Comparisons with their records, results and pages, and the keys of every recipe's trials."""
 
 import json
 import tomllib
-from collections.abc import Callable
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,94 +9,97 @@ from typing import Any
 import numpy as np
 
 import deepfsi
-from golden.facts import answer, say
-from golden.scenes import digits, file_facts, refused_or
+from golden.facts import Cases, answer, cleaned, refused_or, timeless
+from golden.scenes import digits, file_facts
 
-Case = Callable[[], dict[str, Any]]
+CASES = Cases()
+HASHED = True
 
-CLOCK = ("seconds", "training_seconds", "finished", "deepfsi", "torch", "numpy", "python")
-"""Fields that depend on the clock or on versions."""
-
-ANSWERS = ("confusion", "terms", "worst_class", "best")
-"""Fields that follow the last bits of a network: compared with the reference alone."""
-
-
-def timeless(value: Any) -> Any:
-    """JSON without what depends on the clock, and with folders left out of the names of files."""
-    if isinstance(value, dict):
-        return {
-            key: json.dumps(one).encode() if key in ANSWERS else timeless(one)
-            for key, one in value.items()
-            if key not in CLOCK
-        }
-    if isinstance(value, str) and value.startswith("/"):
-        return Path(value).name
-    return [timeless(one) for one in value] if isinstance(value, list) else value
-
-
-LINE = ("compare", "--data", "some.npz", "-o", "out", "--json")
 TRAINING = ("--epochs", 1, "--hidden", 8, "--batch", 40, "--workers", 1)
 
-
-def compared(*words: object) -> dict[str, Any]:
-    """A comparison on few digits."""
-    data = digits(160, classes=3)
-    shape = (-1, 8, 8)
-    parts = {"x": data.x_train, "y": data.y_train, "x_test": data.x_test, "y_test": data.y_test}
-    parts |= {name: parts[name].reshape(shape) for name in ("x", "x_test")}
-    np.savez("some.npz", **parts)
-    first = say(*LINE, *words, *TRAINING)
-    if first.code:
-        return {"refused": first.refused()}
-    out = {"said": timeless(first.json), **folder_facts("out")}
-    return out
-
-
-def resumed() -> dict[str, Any]:
-    """A comparison of three budgets and two seeds, run again as it is, and with one record lost."""
-    words = ("--designs", "deepfsi", "--photons", "1e3,1e4,1e5", "--masks", 4, "--trials", 2)
-    out = compared(*words)
-    line = (*LINE, *words, *TRAINING)
-    before, results = _records("out"), timeless(json.loads(Path("out/results.json").read_text()))
-    out["again"] = timeless(say(*line).json) == out["said"] and _records("out") == before
-    lost = min(Path("out/trials").glob("*.json"))
-    lost.unlink()
-    say(*line)
-    out["resumed"] = sorted(_records("out")) == sorted(before)
-    out["resumed record"] = timeless(json.loads(lost.read_text()))
-    out["same results"] = timeless(json.loads(Path("out/results.json").read_text())) == results
-    return out
-
-
-def _records(folder: str) -> dict[str, str]:
-    return {path.name: path.read_text() for path in sorted(Path(folder, "trials").glob("*.json"))}
-
-
-def folder_facts(folder: str) -> dict[str, Any]:
-    """Names of the files of a comparison, its results, records and designs."""
-    paths = [path for path in sorted(Path(folder).rglob("*")) if path.is_file()]
-    return {
-        "files": [path.relative_to(folder).as_posix() for path in paths],
-        "results": timeless(json.loads(Path(folder, "results.json").read_text())),
-        "records": {name: timeless(json.loads(text)) for name, text in _records(folder).items()},
-        "designs": {
-            path.relative_to(folder).as_posix(): timeless(file_facts(path))
-            for path in paths
-            if path.suffix == ".safetensors"
-        },
-    }
-
-
-COMPARED: dict[str, tuple[object, ...]] = {
-    "designs": ("--designs", "impulse,raster,pca,random,deepfsi", "--photons", "1e4", "--masks", 4),
-    "looks": ("--designs", "deepfsi", "--photons", "1e4", "--masks", 4, "--looks", 2),
-    "folds": ("--designs", "pca", "--photons", "1e4", "--masks", "3,5"),
-    "wrong": ("--designs", "pca,nosuch", "--photons", "1e4", "--masks", 4),
+COMPARED = {
+    "designs": "--designs impulse,raster,pca,random,deepfsi --photons 1e4 --masks 4",
+    "looks": "--designs deepfsi --photons 1e4 --masks 4 --looks 2",
+    "folds": "--designs pca --photons 1e4 --masks 3,5",
+    "wrong": "--designs pca,nosuch --photons 1e4 --masks 4",
 }
 """Options of comparisons."""
 
 
-def keys(name: str) -> dict[str, Any]:
+def _compare(words: str) -> Any:
+    """What a comparison on few digits says."""
+    data = digits(160, classes=3)
+    images = {"x": data.x_train.reshape(-1, 8, 8), "x_test": data.x_test.reshape(-1, 8, 8)}
+    np.savez("some.npz", y=data.y_train, y_test=data.y_test, **images)
+    line = ("compare", "--data", "some.npz", "-o", "out", *words.split())
+    return timeless(answer(*line, *TRAINING))
+
+
+@CASES.of(COMPARED)
+def compared(name: str) -> dict[str, Any]:
+    """A comparison, the files of its folder, its records and designs."""
+    out = {"said": _compare(COMPARED[name])}
+    paths = {path.relative_to("out").as_posix(): path for path in sorted(Path("out").rglob("*"))}
+    paths = {name: path for name, path in paths.items() if path.is_file()}
+    designs = {name: path for name, path in paths.items() if path.suffix == ".safetensors"}
+    return {
+        **out,
+        "files": list(paths),
+        "results": _read("out/results.json") if paths else None,
+        "records": {path.name: _read(path) for path in sorted(Path("out").glob("trials/*.json"))},
+        "designs": {name: timeless(cleaned(file_facts(path))) for name, path in designs.items()},
+    }
+
+
+def _read(path: Path | str) -> Any:
+    return timeless(cleaned(json.loads(Path(path).read_text())))
+
+
+@CASES
+def resumed() -> dict[str, Any]:
+    """A comparison of three budgets and two seeds, run again as it is, and with one record lost."""
+    words = "--designs deepfsi --photons 1e3,1e4,1e5 --masks 4 --trials 2"
+
+    def records() -> dict[str, str]:
+        return {path.name: path.read_text() for path in Path("out/trials").glob("*.json")}
+
+    said, before, results = _compare(words), records(), _read("out/results.json")
+    out = {"said": said, "again": _compare(words) == said and records() == before}
+    lost = min(Path("out/trials").glob("*.json"))
+    lost.unlink()
+    _compare(words)
+    return {
+        **out,
+        "resumed": records().keys() == before.keys(),
+        "resumed record": _read(lost),
+        "same results": _read("out/results.json") == results,
+    }
+
+
+@CASES
+def reported() -> dict[str, Any]:
+    """Pages of results: as they are, and of a light law that a later version may have."""
+    _compare("--designs pca --photons 1e4 --masks 3 --trials 1")
+    out = {"report": answer("report", "out")}
+    path, page = Path("out/results.json"), Path("out/report.html")
+    content = json.loads(path.read_text())
+    for point in content["points"]:
+        point["light"] = "daylight"
+    path.write_text(json.dumps(content))
+    page.unlink()
+    return {**out, "of another law": answer("report", "out"), "page": page.exists()}
+
+
+RECIPES = {
+    Path(path.name).stem: path
+    for folder in (files("deepfsi") / "sweeps" / "recipes", files("deepfsi_paper") / "recipes")
+    for path in sorted(folder.iterdir(), key=str)
+}
+"""Recipes that come with the package."""
+
+
+@CASES.of(RECIPES)
+def keys_of(name: str) -> dict[str, Any]:
     """Keys of the trials of each part of a recipe, on scenes that no file holds."""
     try:
         from deepfsi.sweeps import Recipe, only, plan_trials
@@ -110,51 +107,28 @@ def keys(name: str) -> dict[str, Any]:
         from deepfsi.sweeps.trial import plan as plan_trials
 
         from deepfsi.sweeps.recipe import Recipe, only
+    images = np.random.default_rng(0).integers(0, 256, (200, 32, 32), np.uint8)
+    spectra = np.random.default_rng(1).random((320, 200))
+    every = {
+        "images": deepfsi.from_arrays(images, np.arange(200) % 10, name="images"),
+        "spectra": deepfsi.from_arrays(spectra, np.arange(320) % 16, name="spectra"),
+    }
     content = tomllib.loads(RECIPES[name].read_text())
-    out: dict[str, Any] = {}
-    for part in content.get("parts", {None: None}):
-        for quick in (False, True):
-            for scenes, data in (("images", _images()), ("spectra", _spectra())):
 
-                def trials(part=part, quick=quick, data=data):
-                    recipe = Recipe(**{**only(content, part, quick), "validation": 0})
-                    planned = plan_trials(recipe, data)
-                    return sorted(f"{one.key} {one.design_key}" for one in planned)
+    def trials(part: str | None, quick: bool, data: deepfsi.Dataset) -> list[str]:
+        recipe = Recipe(**{**only(content, part, quick), "validation": 0})
+        return sorted(f"{one.key} {one.design_key}" for one in plan_trials(recipe, data))
 
-                out[f"{part} {quick} {scenes}"] = refused_or(trials)
-    return out
-
-
-def _images() -> deepfsi.Dataset:
-    rng = np.random.default_rng(0)
-    return deepfsi.from_arrays(
-        rng.integers(0, 256, (200, 32, 32), np.uint8), np.arange(200) % 10, name="images"
-    )
+    return {
+        f"{part} {quick} {scenes}": refused_or(lambda p=part, q=quick, d=data: trials(p, q, d))
+        for part in content.get("parts", {None: None})
+        for quick in (False, True)
+        for scenes, data in every.items()
+    }
 
 
-def _spectra() -> deepfsi.Dataset:
-    rng = np.random.default_rng(1)
-    return deepfsi.from_arrays(rng.random((320, 200)), np.arange(320) % 16, name="spectra")
-
-
-RECIPES = {
-    Path(path.name).stem: path
-    for folder in (files("deepfsi") / "sweeps" / "recipes", files("deepfsi_paper") / "recipes")
-    for path in folder.iterdir()
-}
-"""Recipes that come with the package."""
-
-
+@CASES
 def planned() -> dict[str, Any]:
     """A plan of photons for a target accuracy."""
     words = ("--data", "digits", "--designs", "pca", "--target", 0.5, "--masks", 4, "--epochs", 1)
     return {"said": timeless(answer("plan", *words, "--hidden", 8, "--workers", 1, "-o", "plan"))}
-
-
-CASES: dict[str, Case] = {
-    **{f"compared {name}": partial(compared, *words) for name, words in COMPARED.items()},
-    **{f"keys of {name}": partial(keys, name) for name in sorted(RECIPES)},
-    "resumed": resumed,
-    "planned": planned,
-}
-HASHED = True

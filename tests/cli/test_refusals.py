@@ -1,0 +1,479 @@
+"""Whatever is wrong with a command is said before its work, in one line, and leaves nothing."""
+
+import contextlib
+import errno
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from golden.facts import INPUTS, file_of, patterns_of, recording
+
+FAST = "--flux 1e7 --exposure 10ms"
+REAL = "camera live looks --scene few --exposure 10ms --projector vialux --counter picoquant"
+REFUSED = {
+    "design": """
+        --masks 3 | photons
+        --masks 3 --photons abc | --photons: 'abc' is not a number
+        --masks 3 --photons 0 | above 0, or LOW:HIGH
+        --masks 3 --photons 1e4:1e2 | above 0, or LOW:HIGH
+        --masks 0 --photons 1e3 | masks = 0: give 1 or more
+        --masks 2 --photons 1e3 --counts 1000 | 1000 counts are not fewer than 1000
+        --masks 2 --photons 1e3 --design adaptive --clusters 400 | 400 clusters of each class are
+        --masks 4 --photons 1e4 --normal 13 | no class '13'
+    """,
+    "design --photons 1e3 --masks 3": """
+        --design nosuch | unknown design 'nosuch'
+        --data nosuch | unknown data set 'nosuch'
+        --light colum | light = 'colum'
+        --camera papr | did you mean 'paper'
+        --camera key.toml | key.toml has an unknown key 'lihgt'
+        --camera unit.toml | unit.toml cannot be used at exposure
+        --looks 99 | looks = '99': give 64 or less
+        --looks 3 --nested 2 | nested and looks are of different
+        --light two-arm --rails single | use dual rails
+        --dmd dlp7000 --light column | device
+        --light column --detectors 2x2 | column is other optics
+        --readout sum | readout
+        --detectors 2x2 --light free-dwell --rails dual --looks 2 | read by themselves
+        --sigma 2 | --sigma is not of poisson noise: leave it out
+        --noise none --sigma 5 | --sigma is not of none noise
+        --noise poisson --dark 5 | poisson noise has no dark counts
+        --noise click --gates 0 | gates = '0': give 1 or more
+        --train-noise camera --noise none --dark 5 | none noise has no dark counts
+        --looks 2 --noise gaussian --train-noise poisson | several looks are for photon noise
+        --noise nowhere:noise --train-noise ml_gauss | nowhere
+        --epochs 10000000000000000000000 | 10000000000000000000000
+        --hidden 0 | hidden.0 = '0': give 1 or more
+        --lr -1 | lr = '-1': give more than 0
+        --dead-time 1h | dead_time = '1h'
+        --exposure soon | exposure = 'soon': 'soon' is not a time
+        --levels 1 | levels = '1'
+        --size 4x | --size: '4x'
+        --counts 0 | counts = 0.0
+        --counts nan | counts
+        --counts= | counts
+    """,
+    "compare": """
+        --data mnits | mnist
+        --designs pac | pca
+        --light colum | column
+        --noise poison | poisson
+        --noise poisson --sigma 5 | --sigma is not of
+        --ratios 0 | ratio
+        --ratios 1.5 | ratio
+        --masks x | --masks: 'x' is not a number
+        --masks 1.5 | masks
+        --masks 100 | 64
+        --masks 3 --ratios 0.1 | not both
+        --photons 1e39 | photons
+        --photons= | empty place
+        --photons 1e3,,1e4 | empty place
+        --photons 1e3, | empty place
+        --trials 0 | --trials 0: give
+        --trials two | trials
+        --size big | size
+        --designs pca --masks 2 --matrix bright.npy | matrix
+        --designs pca --masks 2 --matrix short.npy | matrix
+        --designs pca --masks 2 --matrix negative.npy --rails single | matrix
+        --designs pca --photons 1e4 --masks 3 --detectors 9x9 | do not divide
+        --colour red | colour
+        --epochs 10000000000000000000000 | 10000000000000000000000
+    """,
+    "sweep": """
+        nosuch | no recipe at nosuch
+        vast-pca.toml | 1000000000 trials
+        vast-deepfsi.toml | 1000000000 trials
+        split.toml | digits: a split was given; only a hyperspectral image takes one
+        split.toml --dry-run | digits: a split was given; only a hyperspectral image takes one
+        halves.toml | 'random' or 'blocks'
+    """,
+    "reproduce nosuch": "| unknown experiment 'nosuch'",
+    "plan": """
+        --target 2 | target 2 is not allowed
+        --target 0.5 --designs pca --masks 3 --detectors gap.npy | from 0 without a gap
+    """,
+    "design --photons 1e4 --masks 3 --light free-dwell --rails single --detectors": """
+        9x9 | do not divide scenes of 8x8: give ROWSxCOLUMNS from 1x1 to 8x8
+        four | give ROWSxCOLUMNS such as 2x2, a number of bands, or a .npy map
+        2 | do not divide
+        none.npy | none.npy
+        bright.npy | give the detector of each pixel as a whole number
+        gap.npy | from 0 without a gap
+        tens.npy | give 64 whole numbers
+        key.toml | key.toml
+    """,
+    "evaluate": """
+        a --photons 1e3 | did you mean a.safetensors?
+        a.safetensors --photons many | 'many' is not a number
+        a.safetensors --photons 1e4 --first 2 | the first 2 masks
+        a.safetensors --photons 1e4 --draws 0 | --draws 0: give
+        a.safetensors --photons 1e4 --draws 10000000000000000000000 | 10000000000000000000000
+        a.safetensors --photons 1e4 --sigma -1 --noise gaussian | --sigma -1: give
+        a.safetensors --photons 1e3 --noise poisson --sigma 1e9 | --sigma is not of poisson noise
+        a.safetensors --photons 1e3 --ideal --noise gaussian | leave --ideal out
+        a.safetensors --photons 1e3 --data small.npz | 64
+    """,
+    "stop a.safetensors --photons 1e4": """
+        --threshold 2 | --threshold 2: give
+        | --nested
+    """,
+    "show a.safetensors --count 0": "| --count 0: give",
+    "predict a.safetensors nosuch --photons 1e4": "| there is nothing at nosuch",
+    "nonsense": "| see `deepfsi --help`",
+    "dmd nonsense": "| see `deepfsi dmd --help`",
+    "dmd export": """
+        a.safetensors --device nosuch | unknown device 'nosuch'
+        a.safetensors --selection some | unknown selection 'some'
+        a.safetensors --selection random --seed -1 | seed
+        a.safetensors --device 64x48 --exposure soon | 'soon' is not a time
+        a.safetensors --device 64x48 --rotate 45 | rotate = 45: give 0, 90, 180 or 270
+        a.safetensors --device 64x48 --format jpg | unknown format 'jpg'
+        a.safetensors --device 64x48 --region 9x | region = '9x'
+        a.safetensors --device 64x48 --shortest 1.5us | whole microseconds
+        a.safetensors --device 64x48 --settle 60us --dwell 50us | in which mirrors settle
+        a.safetensors --device 64x48 --size 8x8 | cells of its design
+        a.safetensors --device 64x48 --detectors 4 | has the detectors of its design; leave it out
+        hadamard --size 16x16 --device dlp6500 | 515 frames do not fit dlp6500
+        hadamard --size 8x8 --device none.toml | is missing: give a TOML file
+        hadamard --size 8x8 --device broken.toml | is no TOML file
+        hadamard --size 8x8 --device key.toml | key.toml
+    """,
+    "data export": """
+        digits --seed -1 | seed
+        digits --per-class 5000 | give 1 to 36
+        nosuch | unknown data set 'nosuch'
+    """,
+    "data download nosuch": "| unknown data set 'nosuch'",
+    "camera spots": """
+        --size 4 | do not fit a display of 4 x 4
+        --size 99999999999 | size
+        --size 8x8x8 | size
+    """,
+    "camera count run": """
+        --exposure 10s | give at most
+        --tolerance never | --tolerance: 'never' is not a time
+        --input 0 | --input 0: give 1 or more
+        --input 9 | no light on input 9
+        --marker 4 | --marker 4: give 3 or less
+        --repeats 0 | --repeats 0: give 1 or more
+        --dead-time -1ns | dead_time = '-1ns'
+        --dead-time 1us --dead-time-model nosuch | dead_time_model = 'nosuch'
+        --background nosuch | no scene and no folder nosuch
+    """,
+    "camera classify a.safetensors run": "| counts.npz is missing",
+    "camera image run --out x.txt": "| end the name in .png",
+    "camera inspect a.safetensors": "| is not a PTU file",
+    "camera scan run/photons.ptu --out s.npz": "| give --line-start",
+    "camera calibrate run --spots nosuch": "| no picture at nosuch",
+    "camera check run": "| counts.npz is missing",
+    f"camera live looks --scene few --virtual ideal {FAST}": """
+        --projector dlp | unknown projector
+        --projector vialux | do not go together
+        --counter-config levels.ini | for --counter picoquant
+        --alp-version 4.1 | for --projector vialux
+        --latency comand=1ms | did you mean 'command'
+        --latency command=fast | is not a time
+        --latency block=0 | block
+        --until 2 | --until between 0 and 1
+        --shortest-dwell 1s | shortest_dwell
+        --exposure 0 | exposure = '0': give more than 0
+        --exposure 1e9s | hold
+        --flux 1e14 | flux
+        --flux 1e12 | --yes
+        --flux 0 | flux = '0': give more than 0
+        --input 1 --input 1 | an input of its own
+        --input 1 --input 2 | 2 inputs
+        --input 40 --input 41 | inputs
+    """,
+    REAL: """
+        | ALP4lib
+        --counter-config levels.ini | levels.ini
+        --flux 1e7 | --flux is for virtual devices
+        --virtual pmt | --virtual is for virtual devices
+        --latency command=1ms | --latency is for virtual devices
+        --seed 0 | --seed is for virtual devices
+        --yes | --yes is for virtual devices
+        --projector dlpc900 | deepfsi camera record
+    """,
+    "camera live looks --scene few --exposure 10ms": "| --flux",
+    f"camera live run/patterns --scene few {FAST}": "| fixed dwells",
+    f"camera live clicks --scene few {FAST}": "| fixed dwells",
+    "camera prepare looks --scenes few": "| use `deepfsi camera live`",
+    "camera simulate looks --scene few --flux 1e7 --exposure 1ms": "| use `deepfsi camera live`",
+    f"camera simulate clicks --scene few {FAST}": """
+        --dark 20 | clicks have no dark counts
+        --dead-time 20ns | clicks have no dead time
+    """,
+    f"camera simulate run/patterns {FAST}": """
+        --scene nosuch | no picture at nosuch
+        --scene few --flux -1 | flux = '-1': give more than 0
+        --scene few --virtual eye | unknown camera 'eye'
+        --scene few --seed -1 | --seed -1: give 0 or more
+    """,
+    f"camera record clicks --scene few {FAST} --virtual gated.toml": "| leave gates out",
+    "camera record run/patterns --scene few --counter nosuch": "| unknown counter 'nosuch'",
+}
+"""Command line, what follows it, and what the refusal names."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Stored designs, patterns, pictures, a run, and files that cannot be used, by their names."""
+    folder = tmp_path_factory.mktemp("inputs")
+    shutil.copy(file_of("single"), folder / "a.safetensors")
+    shutil.copytree(INPUTS / "few", folder / "few")
+    with contextlib.chdir(folder):
+        recording("jump", "dual")
+        for design, name in (("looks", "looks"), ("click", "clicks")):
+            Path(patterns_of(design)).rename(name)
+    np.savez(folder / "small.npz", x=np.eye(60, 9), y=np.arange(60) % 2)
+    arrays = {
+        "bright": np.ones((4, 64)),
+        "short": np.ones((4, 63)),
+        "negative": -np.eye(64)[:4],
+        "gap": np.arange(64) // 32 * 2,
+        "tens": np.zeros(10, int),
+    }
+    for name, array in arrays.items():
+        np.save(folder / f"{name}.npy", array)
+    rates = [1e-3 + 1e-6 * k for k in range(1000)]
+    vast = f"masks = 3\nphotons = {[100.0 + k for k in range(1000)]}\ntrials = 1000\n"
+    texts = {
+        "key": 'lihgt = "column"\n',
+        "unit": 'exposure = "10 parsec"\n',
+        "broken": "columns = 40\nrows = ",
+        "gated": "gates = 2\n",
+        "split": 'data = "digits"\nsplit = "blocks"\n',
+        "halves": 'data = "digits"\nsplit = "halves"\n',
+        **{
+            f"vast-{design}": f'designs = "{design}"\n{vast}[training]\nlr = {rates}\n'
+            for design in ("pca", "deepfsi")
+        },
+    }
+    for name, text in texts.items():
+        (folder / f"{name}.toml").write_text(text)
+    return folder
+
+
+@pytest.fixture
+def no_training(monkeypatch):
+    """Fail a test in which anything is trained."""
+    from deepfsi.training import learning  # by its path it is not found after it was left out
+
+    def train(*_, **__):
+        raise AssertionError("trained before all was checked")
+
+    monkeypatch.setattr("deepfsi.sweeps.run.SweepRun.finish", train)
+    monkeypatch.setattr(learning, "learn", train)
+
+
+pytestmark = pytest.mark.usefixtures("no_training")
+
+OUT = {
+    "design": "out.safetensors",
+    "show": "out.png",
+    "page": "out.html",
+    "export": "out.onnx",
+    **dict.fromkeys(("compare", "sweep", "plan", "reproduce", "dmd export", "data export"), "out"),
+    **{f"camera {name}": "out" for name in ("simulate", "record", "live", "spots", "prepare")},
+    "camera calibrate": "out",
+}
+"""What a command writes."""
+
+
+def written(line):
+    """Words of a command line, and the option that says where to."""
+    words = line.split()
+    out = OUT.get(words[0]) or OUT.get(" ".join(words[:2]))
+    return [*words, "-o", out] if out else words
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        pytest.param(f"{start} {words}", said, id=f"{start} {words}")
+        for start, block in REFUSED.items()
+        for words, _, said in (row.partition("|") for row in block.strip().splitlines())
+    ],
+)
+def test_what_cannot_be_is_one_line_that_names_it(refuse, monkeypatch, folder, line, said):
+    monkeypatch.chdir(folder)
+    before = sorted(folder.rglob("*"))
+    assert said.strip() in refuse(*written(line))
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize("number", ["inf", "-inf", "nan"])
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        ("compare", "photons"),
+        ("compare", "ratios"),
+        ("plan", "target"),
+        ("design --masks 2", "photons"),
+        ("evaluate a.safetensors", "photons"),
+        ("stop a.safetensors", "photons"),
+    ],
+)
+def test_numbers_are_finite(refuse, monkeypatch, folder, command, option, number):
+    monkeypatch.chdir(folder)
+    assert "give a finite number" in refuse(*written(f"{command} --{option}={number}"))
+
+
+TEN_MISTAKES = """
+data = "digits"
+split = "blocks"
+designs = ["pca", "hadamrd", "lda"]
+photons = [1e3, -1.0]
+masks = [3, 100]
+trials = 0
+colour = "red"
+validation = 5000
+training.epochs = [1, 0]
+exposure.nested = 9
+training.lurch = 1
+tuned.pac.lr = 1e-3
+tuned.pca.lr = -1.0
+"""
+NAMED = (
+    *("a split was given", "'hadamrd'", "photons.1 = -1.0", "100 masks are not allowed"),
+    *("trials = 0", "colour", "epochs", "the first 9 of 3 masks", "lurch", "'pac'", "pca: lr"),
+)
+
+
+def test_ten_mistakes_of_a_recipe_are_told_at_once(refuse, tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text(TEN_MISTAKES)
+    told = refuse("sweep", path, "-o", tmp_path / "out")
+    assert [name for name in NAMED if name not in told] == []
+
+
+FOLDERS = [
+    *("compare", "sweep baseline", "reproduce mnist", "plan --target 0.5"),
+    *("data export digits", "camera spots", "dmd export a.safetensors"),
+    "camera simulate looks --scene few --flux 1e7 --exposure 1ms",
+    "camera calibrate run --spots spots",
+    "camera prepare a.safetensors --scenes few",
+]
+"""Commands that write a folder."""
+
+FILES = [
+    "design --photons 1e3 --masks 2",
+    *(f"{name} a.safetensors" for name in ("show", "page", "export")),
+]
+
+
+@pytest.mark.parametrize("command", FOLDERS)
+def test_a_file_where_a_folder_belongs_is_said_first(
+    refuse, tmp_path, monkeypatch, folder, command
+):
+    monkeypatch.chdir(folder)
+    there = tmp_path / "there"
+    there.write_text("in the way")
+    for out in (there, there / "under"):
+        assert str(out) in refuse(*command.split(), "-o", out)
+
+
+@pytest.mark.parametrize("command", [*FOLDERS, *FILES])
+def test_a_folder_that_is_read_only_is_said_first(refuse, tmp_path, monkeypatch, folder, command):
+    def refused(*_, dir, **__):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), f"{dir}/tmpw3x")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refused)
+    monkeypatch.chdir(folder)
+    out = tmp_path / written(command)[-1]
+    told = refuse(*command.split(), "-o", out)
+    assert f"cannot write to {out}: Read-only file system" in told
+
+
+@pytest.mark.parametrize("command", FILES)
+def test_names_of_files_are_not_guessed(refuse, tmp_path, monkeypatch, folder, command):
+    monkeypatch.chdir(folder)
+    out = written(command)[-1]
+    end, missing = Path(out).suffix, tmp_path / "missing"
+    assert f"end the name in {end}" in refuse(*command.split(), "-o", tmp_path / "digits")
+    assert f"there is no folder {missing}" in refuse(*command.split(), "-o", missing / out)
+    assert "is a folder" in refuse(*command.split(), "-o", tmp_path)
+
+
+@pytest.mark.parametrize("command", FILES[1:])
+def test_a_file_is_replaced_with_force_only(call, refuse, tmp_path, monkeypatch, folder, command):
+    monkeypatch.chdir(folder)
+    out = tmp_path / written(command)[-1]
+    out.write_text("mine")
+    told = refuse(*command.split(), "-o", out)
+    assert f"{out} exists already: give another name, or --force" in told
+    assert out.read_text() == "mine"
+    if out.suffix == ".png":
+        assert call(*command.split(), "-o", out, "--force")[0] == 0
+        assert out.read_bytes().startswith(b"\x89PNG")
+
+
+MISSING = """
+compare --data none.npz
+compare --recipe none.toml
+sweep none.toml
+report none
+plan --target 0.5 --data none.npz
+design --photons 1e3 -o d.safetensors --data none.npz
+evaluate none.safetensors --photons 1e3
+stop none.safetensors --photons 1e3
+show none.safetensors -o x.png
+page none.safetensors -o x.html
+export none.safetensors
+dmd export none.safetensors -o patterns
+dmd check none
+camera simulate none --scene none --flux 1e7 --exposure 1ms -o run
+camera count none
+camera classify none.safetensors run
+camera image none
+camera picture none.npy --masks hadamard-natural -o picture
+camera inspect none.ptu
+camera prepare none --scenes none -o run
+""".strip()
+"""Commands whose input is not there."""
+
+WITHOUT_TORCH = """
+import sys
+from deepfsi.cli import run_command_line
+sys.modules["torch"] = None  # importing it is now an error
+for line in sys.stdin:
+    sys.argv = ["deepfsi", *line.split()]
+    try:
+        run_command_line()
+    except SystemExit as stop:
+        print(stop.code)
+"""
+
+
+def test_a_missing_file_is_found_before_torch_is_imported(tmp_path):
+    words = [sys.executable, "-c", WITHOUT_TORCH]
+    done = subprocess.run(words, cwd=tmp_path, input=MISSING, capture_output=True, text=True)
+    told, count = done.stderr.splitlines(), len(MISSING.splitlines())
+    assert done.stdout.split() == ["2"] * count, done.stderr
+    assert [line for line in told if not line.startswith("deepfsi: ") or "none" not in line] == []
+    assert len(told) == count
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_names_the_path_and_leaves_nothing(refuse, tmp_path, monkeypatch):
+    whole, written = Path.write_bytes, []
+
+    def write(path, content):
+        if len(written) == 3:
+            whole(path, content[:10])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written.append(path)
+        return whole(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", write)
+    out = tmp_path / "images"
+    told = refuse("data", "export", "digits", "-o", out)
+    assert f"cannot write {out}: No space left on device" in told
+    assert len(written) == 3
