@@ -57,6 +57,8 @@ def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rail
     """So much light that noise is left out, whatever a picture lasts beyond its share."""
     patterns = exported(tmp_path / "p", light, rails, cells)
     manifest, wanted = patterns.manifest, expected(patterns.rails, cells)
+    asked = design_of(light, rails, cells).rails
+    assert abs(patterns.rails - asked).max() < 0.02 * asked.max()  # each arm its rail
     rates = arrival_rates(tmp_path / "p", SCENES, VirtualCamera(dark=DARK), FLUX)
     values = np.rint(rates * manifest.picture_s[:, None]).reshape(len(SCENES), -1)
     assert values.shape[1] == len(tables.column_names(manifest))
