@@ -20,8 +20,9 @@ def run(words, folder, **streams):
 def test_figures_are_drawn_whatever_matplotlib_is_told(made, tmp_path):
     """A backend and a LaTeX that are not there, a console of letters alone."""
     file = made("pca", "free-dwell", "single").save(tmp_path / "d.safetensors")
-    (tmp_path / "matplotlibrc").write_text("text.usetex: True\nbackend: Qt4Agg\n")
-    around = {"MPLBACKEND": "module://no_such_backend", "MATPLOTLIBRC": str(tmp_path)}
+    (tmp_path / "rc").mkdir()
+    (tmp_path / "rc" / "matplotlibrc").write_text("text.usetex: True\nbackend: Qt4Agg\n")
+    around = {"MPLBACKEND": "module://no_such_backend", "MATPLOTLIBRC": str(tmp_path / "rc")}
     around |= {"PYTHONIOENCODING": "ascii", "COLUMNS": "nonsense"}
     words = ("show", file, "-o", "s.png")
     done = run(words, tmp_path, env=os.environ | around, capture_output=True)
