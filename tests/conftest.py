@@ -322,3 +322,11 @@ def browser(tmp_path_factory):
     with chromium(tmp_path_factory.mktemp("profile")) as chrome:
         chrome.set_script_timeout(60)
         yield chrome
+
+
+@pytest.fixture
+def opened(browser, pages):
+    """Open the page of a kind of design, at the address that `pages` gives, and wait for it."""
+    from shared.playground import open_playground
+
+    return lambda kind, *screen, **motion: open_playground(browser, pages(kind), *screen, **motion)

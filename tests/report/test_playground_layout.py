@@ -8,11 +8,18 @@ from selenium.webdriver.common.by import By
 
 from conftest import quick, synthetic
 from deepfsi import learn
-from deepfsi.evaluation import page_data as payload
-from deepfsi.evaluation import playable
-from deepfsi.report.playground import write_page
+from deepfsi.evaluation import page_data
 from shared.browser import CONTRASTS, CUT, OVERFLOW, look, requests_of
-from shared.playground import KINDS, ask, open_playground, outside
+from shared.playground import (
+    KINDS,
+    ask,
+    outside,
+    page_writer,
+    press_button,
+    said,
+    wait_for_the_end,
+)
+from shared.waiting import until
 
 WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
 ADAPTIVE = {"adaptive": "dmd", "adaptive-arms": "two-arm", "adaptive-spectra": "dmd"}
@@ -24,37 +31,18 @@ every_kind = pytest.mark.parametrize("kind", ["column", "looks", "spectra", *ADA
 
 @pytest.fixture(scope="module")
 def pages(digits, tmp_path_factory):
-    """Give a function that gives the address of the page of a design, which it makes once."""
-    home = tmp_path_factory.mktemp("pages")
-    patch = pytest.MonkeyPatch()
-    patch.setattr(
-        payload, "SLIDER_BUDGETS", payload.SLIDER_BUDGETS[:1]
-    )  # no test reads the accuracy here
+    def design(kind):
+        if kind not in ADAPTIVE:
+            return quick(data(kind), **KINDS[kind])
+        settings = {"camera": ADAPTIVE[kind], "masks": LOOKS, "photons": 1e3}
+        return learn(data(kind), design="adaptive", **settings)
 
-    def address(kind):
-        page = home / f"{kind}.html"
-        if not page.exists():
-            data = synthetic((24,)) if kind.endswith("spectra") else digits
-            if kind in ADAPTIVE:
-                settings = {"camera": ADAPTIVE[kind], "masks": LOOKS, "photons": 1e3}
-                design = learn(data, design="adaptive", **settings)
-            else:
-                design = quick(data, **KINDS[kind])
-            write_page(page, playable(design, data))
-        return page.as_uri()
+    def data(kind):
+        return synthetic((24,)) if kind.endswith("spectra") else digits
 
-    yield address
-    patch.undo()
-
-
-@pytest.fixture
-def opened(browser, pages):
-    """Give a function that opens a page and waits for it."""
-
-    def open_page(kind, width=1280, scheme="light", **screen):
-        return open_playground(browser, pages(kind), width, scheme, **screen)
-
-    return open_page
+    with pytest.MonkeyPatch.context() as patch:  # no test reads the accuracy here
+        patch.setattr(page_data, "SLIDER_BUDGETS", page_data.SLIDER_BUDGETS[:1])
+        yield page_writer(tmp_path_factory.mktemp("pages"), design, data)
 
 
 @every_kind
@@ -62,24 +50,20 @@ def opened(browser, pages):
 def test_expose_exposure_and_answer_are_in_view_together(opened, kind, width):
     browser, adaptive = opened(kind, width, height=800), kind in ADAPTIVE
     assert outside(browser, "expose", "scene", "light") == []  # before anything is scrolled
-    said = browser.find_element(By.ID, "verdict").text
-    assert said == "Nothing is exposed yet: press Expose."
-    assert browser.find_element(By.ID, "count-words").text == "0"
+    assert said(browser, "verdict") == "Nothing is exposed yet: press Expose."
+    assert said(browser, "count-words") == "0"
     if adaptive:
         assert ask(browser, "return page.exposure.taken") == 1  # the first mask needs no counts
-    browser.find_element(By.ID, "expose").click()
+    press_button(browser, "expose")
     time.sleep(1.5)  # where the page goes to the exposure, it goes smoothly
     seen = ["expose", "state", "mask", "verdict", "answer", *(["through"] if adaptive else [])]
     assert outside(browser, *seen) == []
     if adaptive:  # masks are made while one watches
         assert 1 < ask(browser, "return page.exposure.taken") < LOOKS
-    browser.execute_script("document.getElementById('speed').value = '16'")
-    for _ in range(200):
-        if "finished" in browser.find_element(By.ID, "state").text:
-            break
-        time.sleep(0.05)
+    wait_for_the_end(browser)
     assert outside(browser, *seen) == []
-    assert browser.find_element(By.ID, "verdict").text.startswith("Answer: ")
+    assert said(browser, "play") == "Play"
+    assert said(browser, "verdict").startswith("Answer: ")
 
 
 @every_kind
@@ -96,7 +80,6 @@ def test_nothing_is_cut_hard_to_read_or_asked_for(opened, kind, width, scheme):
     assert contrasts[0][0] >= 4.5, contrasts[:5]
     assert browser.get_log("browser") == []
     assert [url for url in requests_of(browser) if not url.startswith("file:")] == []
-    assert len(requests_of(browser)) == 0
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -109,15 +92,15 @@ def test_an_embedded_page_stands_whole_and_shows_its_exposure(browser, pages, tm
     browser.get(home.as_uri())
     embedded = browser.find_element(By.CSS_SELECTOR, "iframe")
     size = "const e = document.documentElement; return [e.scrollHeight, innerHeight]"
-    for _ in range(200):
+
+    def whole():
         browser.switch_to.default_content()
         browser.switch_to.frame(embedded)
-        whole, seen = browser.execute_script(size)
-        if whole == seen > 1000:
-            break
-        time.sleep(0.05)
-    assert whole == seen > 1000
-    browser.find_element(By.ID, "expose").click()
+        height, seen = browser.execute_script(size)
+        return height == seen > 1000
+
+    until(whole)
+    press_button(browser, "expose")
     time.sleep(1.5)  # the page goes to the exposure smoothly
     ends = "return [expose, answer].map((each) => each.getBoundingClientRect())"
     first, last = browser.execute_script(ends)

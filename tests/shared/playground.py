@@ -1,18 +1,23 @@
 """Designs that the tests of the page play, counts of theirs, and a test of Poisson's law."""
 
-import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import torch
 from scipy import stats
 from selenium.webdriver.common.by import By
 
-from conftest import synthetic
-from deepfsi import Design
-from deepfsi.datasets import Dataset
+from conftest import generator
+from deepfsi import Design, Mlp
+from deepfsi.evaluation import playable
+from deepfsi.exposure import FixedExposure, TrainedMasks
+from deepfsi.physics import Detection, Rails, light_law
+from deepfsi.report.playground import write_page
 from shared.browser import look
+from shared.waiting import until
 
-VECTORS = 100
 ONE_ARM = {"light": "free-dwell", "rails": "single"}
 KINDS = {
     "column": {"masks": 7},
@@ -30,9 +35,9 @@ DARK = 300.0
 """Dark counts of a detector in an exposure."""
 
 DARK_KINDS = {
-    "single": {"masks": 6, "dark": DARK, "detectors": "2x2", **ONE_ARM},
-    "arms": {"masks": 5, "dark": DARK, "light": "two-arm"},
-    "looks": {"masks": 5, "looks": 3, "dark": DARK, "light": "free-dwell", "readout": "both"},
+    "dark": {"masks": 6, "dark": DARK, "detectors": "2x2", **ONE_ARM},
+    "dark-arms": {"masks": 5, "dark": DARK, "light": "two-arm"},
+    "dark-looks": {"masks": 5, "looks": 3, "dark": DARK, "light": "free-dwell", "readout": "both"},
 }
 """Settings of designs for cameras with dark counts."""
 
@@ -43,14 +48,15 @@ PARTS = (
 """Parts of a page that a test may ask."""
 
 
-def read_counts(design: Design, digits: Dataset, kind: str):
-    """Scenes, budgets, expected counts for one photon, and counts (V, rails · m · D)."""
-    rng = np.random.default_rng(0)
-    scenes = synthetic((24,), scenes=600).x_test if kind == "spectra" else digits.x_test
-    photons = 10 ** rng.uniform(1, 7, VECTORS)
-    rates = design.rates(design.scanner(), torch.from_numpy(scenes[:VECTORS])).numpy()
-    counts = rng.poisson(rates * photons[:, None, None]).astype(np.float32)
-    return scenes[:VECTORS], photons, rates, counts.reshape(VECTORS, -1)
+def page_writer(home: Path, design_of: Callable, data_of: Callable) -> Callable[[str], str]:
+    """Address of the page of a kind of design, which is written once it is asked for."""
+
+    @cache
+    def address(kind: str) -> str:
+        page = write_page(home / f"{kind}.html", playable(design_of(kind), data_of(kind)))
+        return page.as_uri()
+
+    return address
 
 
 def open_playground(browser, address: str, width=1280, scheme="light", **screen):
@@ -59,10 +65,7 @@ def open_playground(browser, address: str, width=1280, scheme="light", **screen)
     for log in ("browser", "performance"):
         browser.get_log(log)
     browser.get(address)
-    for _ in range(200):
-        if browser.execute_script("return window.playground !== undefined"):
-            break
-        time.sleep(0.05)
+    until(lambda: browser.execute_script("return window.playground !== undefined"))
     return browser
 
 
@@ -84,13 +87,33 @@ def ask(browser, body, **given):
 
 def verdict_at(browser, exponent: float) -> str:
     """What the page says at the end of an exposure at a budget of 10 to this power."""
+    set_light(browser, exponent)
+    ask(browser, "page.time = page.exposure.length; page.draw()")
+    return said(browser, "verdict")
+
+
+def set_light(browser, exponent: float) -> None:
+    """Move the slider of light to a budget of 10 to this power."""
     browser.execute_script(
         "const l = document.getElementById('light'); l.value = arguments[0];"
-        "l.dispatchEvent(new Event('input'));"
-        "const { page } = window.playground; page.time = page.exposure.length; page.draw()",
+        "l.dispatchEvent(new Event('input'))",
         exponent,
-    )  # fmt: skip
-    return browser.find_element(By.ID, "verdict").text
+    )
+
+
+def said(browser, name: str) -> str:
+    """Text of the element of an id."""
+    return browser.find_element(By.ID, name).text
+
+
+def press_button(browser, name: str) -> None:
+    browser.find_element(By.ID, name).click()
+
+
+def wait_for_the_end(browser) -> None:
+    """Wait until an exposure that is played at the highest speed is finished."""
+    browser.execute_script("document.getElementById('speed').value = '16'")
+    until(lambda: "finished" in said(browser, "state"))
 
 
 def fits(counts: np.ndarray, rate: float) -> float:
@@ -103,3 +126,24 @@ def fits(counts: np.ndarray, rate: float) -> float:
     groups = [*zip(seen[kept], chances[kept], strict=True), *rest]
     observed, expected = np.array([each for each in groups if each[1] > 1e-12]).T
     return stats.chisquare(observed, expected * len(counts)).pvalue
+
+
+def large_design() -> Design:
+    """A design of 96 signed masks of 32 × 32, both rails read by a 512-256 network."""
+    signs = torch.randn(96, 1024, generator=generator())
+    optics = TrainedMasks(
+        rails=Rails.of(light_law("free-dwell").fit(signs)),
+        light="free-dwell",
+        image_shape=(32, 32),
+        detection=Detection("both"),
+        summed_reflectance=600.0,
+        mean=torch.zeros(192),
+        std=torch.ones(192),
+        shares=torch.ones(192) / 192,
+    )
+    return Design(
+        name="deepfsi",
+        classes=tuple("0123456789"),
+        exposure=FixedExposure(optics=optics),
+        classifier=Mlp(192, 10, (512, 256), generator=generator()),
+    )

@@ -1,7 +1,6 @@
 """Comparisons of recipes, and their trials that are stopped, killed, shared and repeated."""
 
 import fcntl
-import json
 import multiprocessing
 import time
 import tomllib
@@ -14,127 +13,17 @@ import pytest
 from deepfsi import Design, evaluate
 from deepfsi.base import InputError
 from deepfsi.base.numeric import unpack_values
-from deepfsi.cli.studies import shipped_recipes
-from deepfsi.sweeps import Recipe, Trial, batch, compare, parts, plan_trials
+from deepfsi.cli import studies
+from deepfsi.sweeps import Recipe, Trial, batch, compare, parts
 from deepfsi.sweeps.records import record_rows
-from shared.trials import small, train_trials
-
-FILES = {name: tomllib.loads(file.read_text()) for name, file in sorted(shipped_recipes().items())}
-
+from shared.trials import planned, small, train_trials
 
 RECIPES = {
     f"{name} {part}".strip(): settings
-    for name, file in FILES.items()
-    for part, settings in parts(file).items()
+    for name in ("arms", "baseline", "limits")
+    for part, settings in parts(tomllib.loads(studies.shipped_recipes()[name].read_text())).items()
 }
-
-
-def tiny(settings):
-    """Settings of a recipe that trains each of its designs for a moment on digits."""
-    camera, exposure = settings.get("camera", {}), settings.get("exposure", {})
-    nested = exposure.get("nested", 0)
-    detectors = camera.get("detectors", "1x1")
-    training = {**settings.get("training", {}), "epochs": 1, "batch": 500}
-    if "clusters" in training:
-        training["clusters"] = 5
-    if "patch" in exposure:
-        exposure = {**exposure, "patch": 4}
-        training["classifier_arguments"] = {"width": 8, "depth": 1, "heads": 2, "hidden": 8}
-    return {
-        **settings,
-        "data": "digits",
-        "images": None,
-        "masks": max(4, *nested) if isinstance(nested, list) else max(4, nested),
-        "ratios": (),
-        "camera": {
-            **camera,
-            "detectors": detectors if isinstance(detectors, str) else detectors[:2],
-        },
-        "exposure": exposure,
-        "photons": 1e3,
-        "gaussian_photons": 1e3 if "gaussian_photons" in settings else (),
-        "trials": 1,
-        "validation": min(settings.get("validation", 200), 200),
-        "training": training,
-    }
-
-
-UNLIKE = dict(
-    {
-        json.dumps(tiny(settings), sort_keys=True): (name, tiny(settings))
-        for name, settings in reversed(RECIPES.items())
-    }.values()
-)
-"""Tiny recipes that differ."""
-
-
-def test_levels_are_an_axis_and_a_column(digits, tmp_path):
-    recipe = small(designs="deepfsi", masks=3, levels=[0, 2, 769], training={"epochs": 1})
-    trials = plan_trials(recipe, digits)
-    levels = [trial.job.camera.levels for trial in trials]
-    assert set(levels) == {0, 2, 769}
-    assert {Trial.model_validate_json(t.model_dump_json()).key for t in trials} == {
-        t.key for t in trials
-    }
-    table = record_rows(train_trials(trials, digits, tmp_path))
-    assert [row["training_levels"] for row in table] == levels
-    assert {row["levels"] for row in table} == {0}
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize("settings", UNLIKE.values(), ids=UNLIKE)
-def test_every_recipe_runs_small(settings, digits, tmp_path):
-    recipe = Recipe(**settings)
-    results, _ = compare(recipe, digits, tmp_path, command="deepfsi")
-    assert {point.design for point in results.points} == set(recipe.designs)
-
-
-def test_a_test_scene_that_was_trained_on_is_in_no_interval(digits, tmp_path):
-    data = replace(
-        digits,
-        x_test=np.concatenate([digits.x_train[:1], digits.x_test]),
-        y_test=np.concatenate([digits.y_train[:1], digits.y_test]),
-    )
-    recipe = small(designs="pca", masks=3, photons=1e3, training={"epochs": 1})
-    results, _ = compare(recipe, data, tmp_path, command="deepfsi")
-    (point,) = results.points
-    assert len(unpack_values(point.terms[0])) == len(digits.x_test)
-    np.testing.assert_array_equal(
-        np.sum(point.confusion, axis=1), np.bincount(digits.y_test, minlength=10)
-    )
-
-
-def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, monkeypatch):
-    trials = plan_trials(small(), digits)
-    first = train_trials(trials, digits, tmp_path, device="cpu")
-    monkeypatch.setattr(
-        batch, "train", lambda *_, **__: pytest.fail("a finished trial was repeated")
-    )
-    assert train_trials(trials, digits, tmp_path) == first
-    record = first[-1]
-    design = Design.load(tmp_path / "designs" / f"{record['design']}.safetensors")
-    job = record["trial"]["job"]
-    again = evaluate(design, digits, job["photons"], draws=1, seed=job["seed"])[0]
-    assert again.accuracy == record["test"][0]["accuracy"]
-    assert not list(tmp_path.glob("**/.*"))
-
-
-def test_a_stopped_run_goes_on_where_it_was(digits, tmp_path, monkeypatch):
-    trials = plan_trials(small(), digits)
-    real, calls = batch.train, []
-
-    def stop_at_third(*arguments, **how):
-        calls.append(arguments)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return real(*arguments, **how)
-
-    monkeypatch.setattr(batch, "train", stop_at_third)
-    with pytest.raises(KeyboardInterrupt):
-        train_trials(trials, digits, tmp_path)
-    assert len(list((tmp_path / "trials").iterdir())) == 4
-    train_trials(trials, digits, tmp_path)
-    assert len(calls) == 3 + 2
+"""Of the package; `tests/paper` runs those of the paper."""
 
 
 @pytest.fixture
@@ -150,11 +39,59 @@ def trained(monkeypatch):
     return seen
 
 
+def test_levels_are_an_axis_and_a_column(digits, tmp_path):
+    training = {"epochs": 1}
+    trials = planned(digits, designs="deepfsi", masks=3, levels=[0, 2, 769], training=training)
+    levels = [trial.job.camera.levels for trial in trials]
+    assert set(levels) == {0, 2, 769}
+    read = [Trial.model_validate_json(trial.model_dump_json()) for trial in trials]
+    assert [trial.key for trial in read] == [trial.key for trial in trials]
+    table = record_rows(train_trials(trials, digits, tmp_path))
+    assert [row["training_levels"] for row in table] == levels
+    assert {row["levels"] for row in table} == {0}
+
+
+@pytest.mark.usefixtures("uncharacterised")
+@pytest.mark.parametrize("name", RECIPES)
+def test_every_recipe_runs_small(name, digits, tmp_path):
+    training = {**RECIPES[name]["training"], "epochs": 1, "batch": 500}
+    moment = {"data": "digits", "masks": 4, "photons": 1e3, "trials": 1, "validation": 200}
+    recipe = Recipe(**{**RECIPES[name], **moment, "training": training})
+    results, _ = compare(recipe, digits, tmp_path, command="deepfsi")
+    assert {point.design for point in results.points} == set(recipe.designs)
+
+
+def test_a_test_scene_that_was_trained_on_is_in_no_interval(digits, tmp_path):
+    parts = {"x_test": digits.x_train, "y_test": digits.y_train}
+    more = {k: np.concatenate([train[:1], getattr(digits, k)]) for k, train in parts.items()}
+    data = replace(digits, **more)
+    recipe = small(designs="pca", masks=3, photons=1e3, training={"epochs": 1})
+    results, _ = compare(recipe, data, tmp_path, command="deepfsi")
+    (point,) = results.points
+    assert len(unpack_values(point.terms[0])) == len(digits.x_test)
+    np.testing.assert_array_equal(
+        np.sum(point.confusion, axis=1), np.bincount(digits.y_test, minlength=10)
+    )
+
+
+def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, trained):
+    trials = planned(digits)
+    first = train_trials(trials, digits, tmp_path, device="cpu")
+    assert train_trials(trials, digits, tmp_path) == first
+    assert len(trained) == len(trials)
+    record = first[-1]
+    design = Design.load(tmp_path / "designs" / f"{record['design']}.safetensors")
+    job = record["trial"]["job"]
+    again = evaluate(design, digits, job["photons"], draws=1, seed=job["seed"])[0]
+    assert again.accuracy == record["test"][0]["accuracy"]
+    assert not list(tmp_path.glob("**/.*"))
+
+
 def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained, monkeypatch):
     """Also where file locks do nothing, as on network folders that are mounted without them."""
     monkeypatch.setattr(fcntl, "flock", lambda *_: None)
     monkeypatch.setattr(fcntl, "lockf", lambda *_: None)
-    trials = plan_trials(small(trials=2, designs=("pca", "random", "lda")), digits)
+    trials = planned(digits, trials=2, designs=("pca", "random", "lda"))
     with ThreadPoolExecutor() as pool:
         runs = [pool.submit(train_trials, trials, digits, tmp_path) for _ in range(3)]
         found = [run.result() for run in runs]
@@ -165,29 +102,29 @@ def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained, mon
 
 
 def test_other_tests_of_the_same_training_need_no_training(digits, tmp_path, trained):
-    train_trials(plan_trials(small(), digits), digits, tmp_path)
+    train_trials(planned(digits), digits, tmp_path)
     count = len(trained)
-    more = small(test_photons=(1e3, 1e5), test_noise=("poisson", "ml_gauss"), test_levels=(0, 9))
-    records = train_trials(plan_trials(more, digits), digits, tmp_path)
+    tests = {"test_photons": (1e3, 1e5), "test_noise": ("poisson", "ml_gauss")}
+    more = planned(digits, **tests, test_levels=(0, 9))
+    records = train_trials(more, digits, tmp_path)
     assert len(trained) == count
     assert {len(record["test"]) for record in records} == {2 * 2 * 2}
-    fresh = train_trials(plan_trials(more, digits), digits, tmp_path / "fresh")
+    fresh = train_trials(more, digits, tmp_path / "fresh")
     for one, other in zip(records, fresh, strict=True):
         assert [t["accuracy"] for t in one["test"]] == [t["accuracy"] for t in other["test"]]
 
 
 def test_a_changed_recipe_trains_only_what_is_new(digits, tmp_path, trained):
-    train_trials(plan_trials(small(), digits), digits, tmp_path)
+    train_trials(planned(digits), digits, tmp_path)
     trained.clear()
-    grown = small(masks=(3, 6, 9), trials=2)
-    train_trials(plan_trials(grown, digits), digits, tmp_path)
+    train_trials(planned(digits, masks=(3, 6, 9), trials=2), digits, tmp_path)
     assert len(trained) == 2 * 2 * 3 * 2 - 2 * 2 * 2
 
 
 def shared_training(digits):
     """Trials that differ in their tests only."""
-    recipes = [small(designs="pca", masks=3, draws=draws) for draws in (1, 2)]
-    return [trial for recipe in recipes for trial in plan_trials(recipe, digits)]
+    once, twice = (planned(digits, designs="pca", masks=3, draws=draws) for draws in (1, 2))
+    return once + twice
 
 
 def test_trials_of_one_training_train_it_once(digits, tmp_path):
@@ -200,10 +137,10 @@ def test_trials_of_one_training_train_it_once(digits, tmp_path):
 
 @pytest.mark.slow
 def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digits, tmp_path):
-    recipe = small(designs=("deepfsi", "random", "control"), photons=1e3, trials=1)
-    patches = small(designs="pca", masks=3, photons=1e3, trials=1, exposure={"patch": 4})
-    trials = plan_trials(recipe, digits) + plan_trials(patches, digits) + shared_training(digits)
-    wild = plan_trials(small(designs="pca", masks=6, training={"epochs": 2, "lr": 1e30}), digits)
+    trials = planned(digits, designs=("deepfsi", "random", "control"), photons=1e3, trials=1)
+    patches = {"designs": "pca", "masks": 3, "photons": 1e3, "trials": 1, "exposure": {"patch": 4}}
+    trials += planned(digits, **patches) + shared_training(digits)
+    wild = planned(digits, designs="pca", masks=6, training={"epochs": 2, "lr": 1e30})
     mine = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(600,))
     mine.start()
     try:
@@ -224,8 +161,7 @@ def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digit
 
 
 def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path):
-    recipe = small(designs="pca", masks=3, training={"epochs": 2, "lr": [1e-2, 1e30]})
-    trials = plan_trials(recipe, digits)
+    trials = planned(digits, designs="pca", masks=3, training={"epochs": 2, "lr": [1e-2, 1e30]})
     with pytest.raises(InputError, match=r"diverged.*pca, 3 masks"):
         train_trials(trials, digits, tmp_path)
     assert not list(tmp_path.glob("**/locks"))
