@@ -26,7 +26,7 @@ class ProcessId(NamedTuple):
     """A process, and a number that tells apart what it owns; as text it is a file's name."""
 
     host: str
-    """Hash of its host, as of `host_id`."""
+    """Hash of its host, as of `_host_id`."""
     number: int
     """Its number there."""
     start_s: int
@@ -40,7 +40,7 @@ class ProcessId(NamedTuple):
     @property
     def is_here(self) -> bool:
         """True if the process is or was on this host, so that it can be asked for."""
-        return self.host == host_id()
+        return self.host == _host_id()
 
     @property
     def is_gone(self) -> bool:
@@ -59,7 +59,7 @@ class ProcessId(NamedTuple):
 
 def this_process() -> ProcessId:
     """Name of this process for something new that it makes."""
-    return ProcessId(host_id(), os.getpid(), _this_start(os.getpid()), os.urandom(4).hex())
+    return ProcessId(_host_id(), os.getpid(), _this_start(os.getpid()), os.urandom(4).hex())
 
 
 def parse_process(name: str) -> ProcessId | None:
@@ -71,7 +71,7 @@ def parse_process(name: str) -> ProcessId | None:
 
 
 @cache
-def host_id() -> str:
+def _host_id() -> str:
     """Name of this host, since it was started, as this process's namespace sees it."""
     import hashlib
     import platform

@@ -131,7 +131,9 @@ def _lines(what: str) -> Iterator[Progress]:
             before, since = first
             pace = (share - before) / max(now - since, 1e-9)
             left = (1 - share) / pace if share - before >= LEAST_PROGRESS else None
-            print(f"{what}: {progress_text(share, now - began, left)}", file=sys.stderr)
+            rest = "" if left is None else f", about {duration_text(left)} left"
+            done = f"{what}: {share:.0%} after {duration_text(now - began)}{rest}"
+            print(done, file=sys.stderr)
             pause = min(time.monotonic() - began, MOST_LINE_SECONDS)
 
     threading.Thread(target=say, daemon=True).start()
@@ -139,12 +141,6 @@ def _lines(what: str) -> Iterator[Progress]:
         yield Progress(note)
     finally:
         ended.set()
-
-
-def progress_text(share: float, seconds: float, left: float | None = None) -> str:
-    """Say how far a task is after some seconds, and how many are left where that is known."""
-    rest = "" if left is None else f", about {duration_text(left)} left"
-    return f"{share:.0%} after {duration_text(seconds)}{rest}"
 
 
 def duration_text(seconds: float) -> str:

@@ -46,7 +46,7 @@ class DetectorMap(StrictModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.cells and count_detectors(self.cells) != self.count:
+        if self.cells and _count_detectors(self.cells) != self.count:
             raise ValueError("the detectors of the cells are not numbered from 0 without a gap")
         if self.shares is not None and {len(self.spread), *map(len, self.shares)} != {self.count}:
             raise ValueError("the light of the classes is of another number of detectors")
@@ -101,13 +101,13 @@ SeveralDetectors = Annotated[DetectorMap, AfterValidator(_check_several)]
 """Field of a file that has none where one detector sees all."""
 
 
-def count_detectors(labels: Sequence[int]) -> int | None:
+def _count_detectors(labels: Sequence[int]) -> int | None:
     """D of the detector of each cell or part; None where numbers from 0 to D-1 leave a gap."""
     numbers = set(labels)
     return len(numbers) if max(numbers) == len(numbers) - 1 else None
 
 
-def read_detectors(name: str) -> str | tuple[int, ...]:
+def _read_detectors(name: str) -> str | tuple[int, ...]:
     """Detectors of an option or a recipe: a map (N,) of a .npy file, any other name as it is."""
     if not name.lower().endswith(".npy"):
         return name.lower()
@@ -123,7 +123,7 @@ def read_detectors(name: str) -> str | tuple[int, ...]:
 def detector_setting(given: Any) -> str | tuple[int, ...]:
     """Field of a camera: a name or bands as text, or the detector of each pixel."""
     if isinstance(given, str):
-        return read_detectors(given)
+        return _read_detectors(given)
     if isinstance(given, int):
         return str(given)
     detectors = np.asarray(given).ravel()

@@ -149,7 +149,7 @@ def as_test_part(
         words = labels.astype(str)
         labels = words if set(words.tolist()) <= set(classes) else labels
         names, numbers = _class_names(labels, classes, name)
-        targets = Targets(_class_numbers(labels, numbers, f"{name}: y"), None, names)
+        targets = _Targets(_class_numbers(labels, numbers, f"{name}: y"), None, names)
     part = scenes, targets.y
     data = assemble(
         name,
@@ -164,7 +164,7 @@ def as_test_part(
     return replace(data, x_train=data.x_train[:0], y_train=targets.y[:0], white=white)
 
 
-class Targets(NamedTuple):
+class _Targets(NamedTuple):
     """Classes or values of the training part and, if there is one, of the test part.
 
     Attributes
@@ -261,7 +261,7 @@ Parts: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike | None]
 """Labels or values of the training and of the test part."""
 
 
-def _classes(parts: Parts, names: Sequence[str] | None, counts: list[int], name: str) -> Targets:
+def _classes(parts: Parts, names: Sequence[str] | None, counts: list[int], name: str) -> _Targets:
     """Class numbers of labels, which are integers or strings, one for each of so many scenes."""
     y, y_test = parts
     labels = _labels(y, counts[0], f"{name}: y")
@@ -278,12 +278,12 @@ def _classes(parts: Parts, names: Sequence[str] | None, counts: list[int], name:
     if count == 0:
         raise InputError(f"{name}: class '{fewest}' has no training scenes; give some")
     if y_test is None:
-        return Targets(truth, None, classes)
+        return _Targets(truth, None, classes)
     what = f"{name}: y_test"
-    return Targets(truth, _class_numbers(_labels(y_test, counts[1], what), numbers, what), classes)
+    return _Targets(truth, _class_numbers(_labels(y_test, counts[1], what), numbers, what), classes)
 
 
-def _values(parts: Parts, names: Sequence[str] | None, counts: list[int], name: str) -> Targets:
+def _values(parts: Parts, names: Sequence[str] | None, counts: list[int], name: str) -> _Targets:
     """Values of so many scenes, which are floats."""
     truths = []
     for part, count, what in zip(parts, counts, ("y", "y_test"), strict=False):
@@ -313,7 +313,7 @@ def _values(parts: Parts, names: Sequence[str] | None, counts: list[int], name: 
             f"{name}: a value is the same of all training scenes, or they are fewer than "
             f"{SPLIT_MINIMUM}; give values that differ"
         )
-    return Targets(train, truths[1] if len(truths) > 1 else None, values=values)
+    return _Targets(train, truths[1] if len(truths) > 1 else None, values=values)
 
 
 def check_no_classes(

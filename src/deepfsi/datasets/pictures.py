@@ -199,7 +199,7 @@ def read_list(path: Path, is_heading: Callable[[tuple[str, ...]], bool], advice:
     return NameList(rows, heads, text.separator)
 
 
-def list_named(path: Path) -> Listing:
+def _list_named(path: Path) -> Listing:
     """Images that a ``.csv`` file names, with their labels or values, and the values' names.
 
     Names are from the folder beside it that has its name, ``pets/`` of ``pets.csv``, or else from
@@ -233,11 +233,11 @@ def list_named(path: Path) -> Listing:
     missing = [str(file) for file in paths if not file.is_file()]
     if missing:
         raise InputError(
-            f"{path} names {len(missing)} images that are not there, {names_text(missing)}: names "
+            f"{path} names {len(missing)} images that are not there, {_names_text(missing)}: names "
             f"are from the folder {folder} on"
         )
     if twice := [str(file) for file, count in Counter(paths).items() if count > 1]:
-        raise InputError(f"{path} names {names_text(twice)} twice: give each image one line")
+        raise InputError(f"{path} names {_names_text(twice)} twice: give each image one line")
     pictures = list(map(picture_file, paths, labels))
     return Listing([pictures], names.heads if values and len(names.heads) == len(values[0]) else ())
 
@@ -291,7 +291,7 @@ def is_image(name: str) -> bool:
     return name.lower().endswith(IMAGE_SUFFIXES) and not name.startswith(".")
 
 
-def names_text(names: Sequence[str]) -> str:
+def _names_text(names: Sequence[str]) -> str:
     """Names for a message, the first of many."""
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
     return ", ".join(names[:MOST_NAMES]) + more
@@ -306,7 +306,7 @@ def open_listing(path: Path) -> Iterator[Listing]:
     if path.is_dir():
         yield _listing(_walk(path), str(path))
     elif path.suffix.lower() == ".csv":
-        yield list_named(path)
+        yield _list_named(path)
     else:
         with open_zip(path, "pack it again") as archive:
             yield _listing(_zip_entries(archive, path), str(path))
@@ -393,7 +393,7 @@ def _listing(entries: Iterable[_Entry], where: str) -> Listing:
         if other:
             raise InputError(
                 f"{where} holds images outside of {' and '.join(folders.values())} "
-                f"({names_text(other)}): move them into one of the two, or away"
+                f"({_names_text(other)}): move them into one of the two, or away"
             )
         in_order = [folders[part] for part in PART_NAMES[:2]]
         return Listing([_by_class(inside[folder], f"{where}/{folder}") for folder in in_order])
@@ -429,7 +429,7 @@ def _by_class(entries: Iterable[_Entry], where: str) -> list[Picture]:
     if astray:
         raise InputError(
             f"{where} holds images that lie in no folder of a class, or in folders within one "
-            f"({names_text(astray)}): move them into the folder of their class, or away"
+            f"({_names_text(astray)}): move them into the folder of their class, or away"
         )
     for label, images in classes.items():
         if not images:
@@ -535,9 +535,9 @@ def _empty(shape: tuple[int, ...], kind: np.dtype[Any]) -> npt.NDArray[Any]:
 def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:
     """Name damaged images, each with what is wrong, and say what to do."""
     wheres, reasons = zip(*bad, strict=True)
-    named = names_text([f"{where} ({reason})" for where, reason in bad])
+    named = _names_text([f"{where} ({reason})" for where, reason in bad])
     if len(set(reasons)) == 1:
-        named = f"{names_text(wheres)} ({reasons[0]})"
+        named = f"{_names_text(wheres)} ({reasons[0]})"
     what = "the image" if len(bad) == 1 else f"{len(bad)} images:"
     them = "it" if len(bad) == 1 else "them"
     text = f"cannot read {what} {named}; replace or remove {them}"

@@ -79,7 +79,7 @@ def _network_arrays(design: "Design") -> dict[str, np.ndarray]:
         "values": design.values.tensors if design.values else {},
     }
     arrays = {
-        f"{network}.{name}": as_array(tensor)
+        f"{network}.{name}": _as_array(tensor)
         for network, state in networks.items()
         for name, tensor in state.items()
     }
@@ -94,7 +94,7 @@ def _network_arrays(design: "Design") -> dict[str, np.ndarray]:
     return arrays
 
 
-def as_array(tensor: Tensor) -> np.ndarray:
+def _as_array(tensor: Tensor) -> np.ndarray:
     """A tensor as NumPy, or `InputError` where NumPy has no such numbers."""
     try:
         return tensor.detach().cpu().contiguous().numpy()

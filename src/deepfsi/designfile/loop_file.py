@@ -26,7 +26,7 @@ NETWORKS = {"classifier": "classifier.layers", "chooser": "exposure.layers"}
 """Networks of a loop by their names in a design file."""
 
 
-class LoopHeader(StrictModel):
+class _LoopHeader(StrictModel):
     """Header of a loop's file: all but the numbers of its networks."""
 
     schema_version: Literal[2] = 2
@@ -52,7 +52,7 @@ def loop_bytes(design: DesignFile) -> bytes:
     networks = {"classifier": design.classifier, "chooser": design.chooser}
     _ = design.first_dwell  # which is a number
     with as_input_error("the design"):
-        about = LoopHeader(
+        about = _LoopHeader(
             looks=entry.looks,
             masks=design.masks,
             rails=2 if design.rail_count == 2 else 1,
@@ -99,7 +99,7 @@ def read_loop(path: Path, rails: np.ndarray, **facts: Any) -> DesignFile:
     except DamagedError:
         raise InputError(f"{path} is not a whole loop of a design: {again}") from None
     with as_input_error(str(path), again, text, schema=2):
-        loop = LoopHeader.model_validate_json(text)
+        loop = _LoopHeader.model_validate_json(text)
     detectors = facts.pop("detectors", None)
     arrays = {"rails": np.asarray(rails, np.float32)}
     if detectors is not None:

@@ -50,7 +50,7 @@ MOST_FAULTS_NAMED = 3
 
 
 @dataclass(frozen=True)
-class FaultSizes:
+class _FaultSizes:
     """Sizes of faults."""
 
     blurs: tuple[float, ...]  # cells, standard deviation
@@ -60,19 +60,19 @@ class FaultSizes:
     tilts: tuple[float, ...]  # half of the difference of light between two sides, over the mean
 
 
-FAULTY_SIZES = FaultSizes(
+FAULTY_SIZES = _FaultSizes(
     blurs=(1.0, 2.0), stray=(0.5, 1.0, 3.0), corners=(0.4, 0.7), shifts=(1 / 16,), tilts=(0.4,)
 )
 """Sizes that are looked for."""
 
-HARMLESS_SIZES = FaultSizes(
+HARMLESS_SIZES = _FaultSizes(
     blurs=(0.5,), stray=(0.2,), corners=(0.2,), shifts=(1 / 40,), tilts=(0.15,)
 )
 """Sizes that are let pass: a run is refused only if none of these explains its counts."""
 
 
 @dataclass(frozen=True)
-class ViewFault:
+class _ViewFault:
     """Fault in how a camera sees scenes."""
 
     words: str  # "... of the picture on the device"
@@ -82,8 +82,8 @@ class ViewFault:
 
 
 def view_faults(
-    image_shape: tuple[int, ...], sizes: FaultSizes = FAULTY_SIZES
-) -> Iterator[ViewFault]:
+    image_shape: tuple[int, ...], sizes: _FaultSizes = FAULTY_SIZES
+) -> Iterator[_ViewFault]:
     """Faults that are looked for in scenes of a shape; masks of one axis are images of one row."""
     height, width = _rows(image_shape)
     flat = height == 1
@@ -97,37 +97,37 @@ def view_faults(
         sides |= {"bottom": (1, 0), "top": (-1, 0)}
     for cells in sizes.blurs:
         words = f"blurred by about {cells:g} cells (standard deviation)"
-        yield ViewFault(words, _blur(cells, flat))
+        yield _ViewFault(words, _blur(cells, flat))
     for share in sizes.stray:
         words = f"mixed with stray light of about {share:g} of the scenes'"
-        yield ViewFault(words, lambda x: x, share)
+        yield _ViewFault(words, lambda x: x, share)
     for lost in sizes.corners:
         light = 1 - lost * radius
-        yield ViewFault(f"darker at its corners, to about {1 - lost:g}", _times(light))
+        yield _ViewFault(f"darker at its corners, to about {1 - lost:g}", _times(light))
     for tilt in sizes.tilts:
         for side, (dy, dx) in sides.items():
             light = 1 + tilt * (dy * down + dx * across)
-            yield ViewFault(f"lit unevenly, brighter at the {side}", _times(light))
+            yield _ViewFault(f"lit unevenly, brighter at the {side}", _times(light))
     for share in sizes.shifts:
         for side, (dy, dx) in sides.items():
             see = _shift(dy * share * height, dx * share * width)
-            yield ViewFault(f"shifted to the {side}", see)
+            yield _ViewFault(f"shifted to the {side}", see)
 
 
-def orientation_faults(image_shape: tuple[int, ...]) -> Iterator[ViewFault]:
+def orientation_faults(image_shape: tuple[int, ...]) -> Iterator[_ViewFault]:
     """Orientations, other than that of the training, in which scenes may lie."""
     height, width = _rows(image_shape)
-    yield ViewFault("mirrored left to right", lambda x: x[..., ::-1])
+    yield _ViewFault("mirrored left to right", lambda x: x[..., ::-1])
     if height > 1:
-        yield ViewFault("mirrored top to bottom", lambda x: x[..., ::-1, :])
-        yield ViewFault("turned by 180 degrees", lambda x: x[..., ::-1, ::-1])
+        yield _ViewFault("mirrored top to bottom", lambda x: x[..., ::-1, :])
+        yield _ViewFault("turned by 180 degrees", lambda x: x[..., ::-1, ::-1])
     if height == width:
         turned = "turned by {} degrees"
-        yield ViewFault(turned.format(90), lambda x: x[..., ::-1, :].swapaxes(-1, -2))
-        yield ViewFault(turned.format(270), lambda x: x.swapaxes(-1, -2)[..., ::-1, :])
+        yield _ViewFault(turned.format(90), lambda x: x[..., ::-1, :].swapaxes(-1, -2))
+        yield _ViewFault(turned.format(270), lambda x: x.swapaxes(-1, -2)[..., ::-1, :])
         mirrored = "mirrored at its {} diagonal"
-        yield ViewFault(mirrored.format("falling"), lambda x: x.swapaxes(-1, -2))
-        yield ViewFault(mirrored.format("rising"), lambda x: x[..., ::-1, ::-1].swapaxes(-1, -2))
+        yield _ViewFault(mirrored.format("falling"), lambda x: x.swapaxes(-1, -2))
+        yield _ViewFault(mirrored.format("rising"), lambda x: x[..., ::-1, ::-1].swapaxes(-1, -2))
 
 
 def _rows(image_shape: tuple[int, ...]) -> tuple[int, int]:

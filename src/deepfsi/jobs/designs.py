@@ -116,13 +116,13 @@ class Code:
         return most if self.complete else 1, most
 
 
-class DrawnCode(Code):
+class _DrawnCode(Code):
     """Masks that are drawn from the seed."""
 
     seeded = True
 
 
-class SceneCode(Code):
+class _SceneCode(Code):
     """Masks that are made of the training scenes, few of which are the first of many."""
 
     specific = True
@@ -132,32 +132,32 @@ class SceneCode(Code):
         return pixels <= FULL_BASIS_PIXELS
 
 
-class ClassCode(Code):
+class _ClassCode(Code):
     """Masks that are made of the classes of the training scenes."""
 
     specific = of_classes = True
 
 
-class LearnedCode(Code):
+class _LearnedCode(Code):
     """Masks that are learned together with the classifier."""
 
     specific = learned = True
 
 
-class ControlCode(Code):
+class _ControlCode(Code):
     """Masks of the control group: learned under read noise, before a classifier of theirs alone."""
 
     specific = True
     learned_under = "gaussian"
 
 
-class AdaptiveCode(Code):
+class _AdaptiveCode(Code):
     """Masks that are each made from the counts so far."""
 
     specific = of_classes = adaptive = True
 
 
-class CustomCode(Code):
+class _CustomCode(Code):
     """Masks of the user's own."""
 
     is_custom = True
@@ -198,24 +198,24 @@ DESIGNS: dict[str, Code] = {
         lambda data, masks, seed: hadamard_masks(data.image_shape, masks),
         most=_padded_pixels,
     ),
-    "pca": SceneCode(
+    "pca": _SceneCode(
         "FSI",
         "PCA",
         lambda data, masks, seed: principal_components(data.x_train, masks),
     ),
-    "deepfsi": LearnedCode("DFSI", "DeepFSI"),
-    "control": ControlCode("CG", "control group"),
-    "random": DrawnCode("RND", "random ±1", _random),
-    "lda": ClassCode(
+    "deepfsi": _LearnedCode("DFSI", "DeepFSI"),
+    "control": _ControlCode("CG", "control group"),
+    "random": _DrawnCode("RND", "random ±1", _random),
+    "lda": _ClassCode(
         "LDA",
         "linear discriminants",
-        lambda data, masks, seed: discriminants(np.asarray(data.x_train), data.y_train, masks),
+        lambda data, masks, seed: _discriminants(np.asarray(data.x_train), data.y_train, masks),
         most=lambda shape, classes: min(classes - 1, int(np.prod(shape))),
     ),
-    "class-pairs": ClassCode(
+    "class-pairs": _ClassCode(
         "CP",
         "differences of class means",
-        lambda data, masks, seed: class_pairs(data.x_train, data.y_train, masks),
+        lambda data, masks, seed: _class_pairs(data.x_train, data.y_train, masks),
     ),
     "s-matrix": Code(
         "S",
@@ -225,8 +225,8 @@ DESIGNS: dict[str, Code] = {
         complete=True,
         rails="single",
     ),
-    "adaptive": AdaptiveCode("AM", "adaptive masks"),
-    "custom": CustomCode("USER", "own matrix"),
+    "adaptive": _AdaptiveCode("AM", "adaptive masks"),
+    "custom": _CustomCode("USER", "own matrix"),
 }
 """The named designs."""
 
@@ -281,10 +281,10 @@ def sequency_hadamard(order: int) -> np.ndarray:
     """Walsh functions ±1, (order, order): Hadamard rows by their number of sign changes."""
     import scipy.linalg
 
-    return by_sequency(scipy.linalg.hadamard(order).astype(np.float64))
+    return _by_sequency(scipy.linalg.hadamard(order).astype(np.float64))
 
 
-def by_sequency(rows: np.ndarray) -> np.ndarray:
+def _by_sequency(rows: np.ndarray) -> np.ndarray:
     """Rows ±1 by their number of sign changes."""
     return rows[np.argsort((np.diff(rows, axis=1) != 0).sum(axis=1), kind="stable")]
 
@@ -334,7 +334,7 @@ def formula_masks(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
     import scipy.linalg
 
     natural = scipy.linalg.hadamard(pixels, dtype=np.int8)
-    return natural if name == "hadamard-natural" else by_sequency(natural)
+    return natural if name == "hadamard-natural" else _by_sequency(natural)
 
 
 def hadamard_masks(image_shape: tuple[int, ...], masks: int) -> np.ndarray:
@@ -451,9 +451,9 @@ def _leading_of_parts(
     return power.astype(np.float64), directions.astype(np.float64)
 
 
-def discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
+def _discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     """Linear discriminant directions, the supervised linear baseline that PCA is not."""
-    # Parameters as for `class_pairs`; unit rows, at most one fewer than there are classes
+    # Parameters as for `_class_pairs`; unit rows, at most one fewer than there are classes
     from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
     model = LinearDiscriminantAnalysis(solver="eigen", shrinkage="auto").fit(x, y)
@@ -461,7 +461,7 @@ def discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
+def _class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     """Differences of the mean scenes of two classes as unit rows, pairs that differ least first."""
     # As frames of one rail a pair is what one class has more than the other, and the reverse. Where
     # there are fewer pairs of different means than masks, principal components follow. x (n, N); y

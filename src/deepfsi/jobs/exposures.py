@@ -148,7 +148,7 @@ class FixedEntry(_Entry):
     kind: Literal["fixed"] = "fixed"
 
 
-class Conditioned(Exposure):
+class _Conditioned(Exposure):
     """Base of those whose network is told the budget, and how many masks were shown."""
 
     span: float
@@ -170,7 +170,7 @@ class Conditioned(Exposure):
         yield f"a range of budgets and nested masks are trained under ml_gauss: leave out {left}"
 
 
-class Range(Conditioned):
+class Range(_Conditioned):
     """One design for a range of budgets, which are log-uniform in its training.
 
     Examples
@@ -183,7 +183,7 @@ class Range(Conditioned):
     span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
 
 
-class Nested(Conditioned):
+class Nested(_Conditioned):
     """One design whose first masks alone already give an answer.
 
     Examples

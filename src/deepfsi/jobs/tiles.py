@@ -17,23 +17,23 @@ from deepfsi.datasets import Dataset
 from deepfsi.jobs.designs import DESIGNS
 
 
-class Tile(NamedTuple):
+class _Tile(NamedTuple):
     """Pixels of a scene that a detector sees: a rectangle with its shape, any other as a row."""
 
     pixels: np.ndarray  # (n,): places among those of the scene
     shape: tuple[int, ...]
 
 
-def divide_scene(image_shape: tuple[int, ...], detectors: DetectorMap) -> Iterator[Tile]:
+def _divide_scene(image_shape: tuple[int, ...], detectors: DetectorMap) -> Iterator[_Tile]:
     """Tile of each detector, in their order."""
     labels = detectors.labels
     if labels is None:
-        yield Tile(np.arange(math.prod(image_shape)), image_shape)
+        yield _Tile(np.arange(math.prod(image_shape)), image_shape)
         return
     for detector in range(detectors.count):
         pixels = np.flatnonzero(labels == detector)
         box = tuple(int(np.ptp(axis)) + 1 for axis in np.unravel_index(pixels, image_shape))
-        yield Tile(pixels, box if math.prod(box) == len(pixels) else (len(pixels),))
+        yield _Tile(pixels, box if math.prod(box) == len(pixels) else (len(pixels),))
 
 
 def count_allowed(
@@ -50,7 +50,7 @@ def count_allowed(
     detectors : DetectorMap
         Which detector sees each pixel.
     """
-    shapes = {tile.shape for tile in divide_scene(data.image_shape, detectors)}
+    shapes = {tile.shape for tile in _divide_scene(data.image_shape, detectors)}
     ranges = [DESIGNS[name].counts(shape, len(data.classes)) for shape in shapes]
     return max(low for low, _ in ranges), max(high for _, high in ranges)
 
@@ -111,7 +111,7 @@ def sensing_matrix(
     if detectors.count == 1:
         return code.make(data, masks, seed)
     whole = np.zeros((masks, data.pixels))
-    for tile in divide_scene(data.image_shape, detectors):
+    for tile in _divide_scene(data.image_shape, detectors):
         scenes = replace(
             data,
             x_train=data.x_train[:, tile.pixels],

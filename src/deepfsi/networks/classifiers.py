@@ -46,7 +46,7 @@ class Sizes(NamedTuple):
     parts: int
 
 
-class NamedClassifier(Classifier):
+class _NamedClassifier(Classifier):
     """A classifier of the package, which settings name: one of `CLASSIFIER_TYPES`."""
 
     @classmethod
@@ -63,7 +63,7 @@ class NamedClassifier(Classifier):
         """
 
 
-class Mlp(NamedClassifier):
+class Mlp(_NamedClassifier):
     """The paper's classifier: fully connected hidden layers, each with dropout, then ReLU.
 
     Parameters
@@ -110,7 +110,7 @@ class Mlp(NamedClassifier):
 
     @classmethod
     def of_settings(cls, settings: Training, sizes: Sizes, generator: torch.Generator) -> Self:
-        """Untrained classifier of a training, as `NamedClassifier` says."""
+        """Untrained classifier of a training, as `_NamedClassifier` says."""
         return cls(sizes.inputs, sizes.classes, settings.hidden, settings.dropout, generator)
 
     @property
@@ -155,7 +155,7 @@ class Mlp(NamedClassifier):
         return kept * (1 / (1 - self.dropout))
 
 
-class Vit(NamedClassifier):
+class Vit(_NamedClassifier):
     """A vision transformer on the features of image patches: torch's own encoder, before a mean.
 
     Each patch's features are embedded by one linear layer and get a learned position; `depth`
@@ -219,7 +219,7 @@ class Vit(NamedClassifier):
 
     @classmethod
     def of_settings(cls, settings: Training, sizes: Sizes, generator: torch.Generator) -> Self:
-        """Untrained classifier of a training, as `NamedClassifier` says."""
+        """Untrained classifier of a training, as `_NamedClassifier` says."""
         chosen = {"patches": sizes.parts, **settings.classifier_arguments}
         return cls(sizes.inputs, classes=sizes.classes, **chosen, generator=generator)
 
@@ -239,10 +239,10 @@ class Vit(NamedClassifier):
         return self.head(tokens.mean(dim=1))
 
 
-CLASSIFIER_TYPES: dict[str, type[NamedClassifier]] = {"mlp": Mlp, "vit": Vit}
+CLASSIFIER_TYPES: dict[str, type[_NamedClassifier]] = {"mlp": Mlp, "vit": Vit}
 """Classifiers of the package, by the name that settings and design files have for them."""
 
-Network = TypeVar("Network", bound=NamedClassifier)
+Network = TypeVar("Network", bound=_NamedClassifier)
 
 
 def restore_network(kind: type[Network], weights: Mapping[str, Tensor], **sizes: Any) -> Network:

@@ -121,7 +121,7 @@ class LightLaw(ABC):
     def dim(self, weights: Weights, kind: RailsKind, factor: Tensor) -> None:
         """Pass a factor (R,) of the light, up to 1, by a change of the weights in place."""
         weight = weights["weight"]
-        pattern = pattern_of(weight, kind) * factor[:, None, None]
+        pattern = _pattern_of(weight, kind) * factor[:, None, None]
         weight.copy_(torch.atanh(pattern) if kind == "dual" else torch.logit(pattern, eps=1e-6))
 
     def equalise(self, rails: Tensor) -> Tensor:
@@ -204,7 +204,7 @@ class Column(LightLaw):
     def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
         """The fitted start in units of its own rms, and that unit."""
         most = start.abs().sum(dim=-2, keepdim=True).amax(dim=-1, keepdim=True)
-        return units_of(start, most)
+        return _units_of(start, most)
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Each pixel's column, divided by its sum where that exceeds 1."""
@@ -250,7 +250,7 @@ class EqualDwell(LightLaw):
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Patterns in [−1, 1] or [0, 1] for 1/F."""
-        pattern = pattern_of(weights["weight"], kind)
+        pattern = _pattern_of(weights["weight"], kind)
         count = pattern.shape[-2] * (2 if kind == "dual" else 1)
         return pattern * pattern.new_full((), 1 / count)
 
@@ -288,8 +288,8 @@ class FreeDwell(LightLaw):
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Patterns for the dwells of their frames, which are a softmax."""
-        pattern = pattern_of(weights["weight"], kind)
-        dwells = softmax_dwells(weights["dwell"], shortest, pattern)
+        pattern = _pattern_of(weights["weight"], kind)
+        dwells = _softmax_dwells(weights["dwell"], shortest, pattern)
         if kind == "single":
             return pattern * dwells[..., 0, :, None]
         plus, minus = dwells.unbind(dim=-2)
@@ -354,14 +354,14 @@ class TwoArm(LightLaw):
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Patterns for the times of their masks, which are a softmax."""
-        pattern = pattern_of(weights["weight"], kind)
-        return pattern * softmax_dwells(weights["dwell"], shortest)[..., 0, :, None]
+        pattern = _pattern_of(weights["weight"], kind)
+        return pattern * _softmax_dwells(weights["dwell"], shortest)[..., 0, :, None]
 
     def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
         """Their total is the times of the masks."""
         matrix = self.matrix(weights, kind, shortest)
         # Taken again: the gradient of each use goes through the softmax by itself
-        times = softmax_dwells(weights["dwell"], shortest)[..., 0, :, None]
+        times = _softmax_dwells(weights["dwell"], shortest)[..., 0, :, None]
         return Rails(matrix, times.expand_as(matrix))
 
     def equalise(self, rails: Tensor) -> Tensor:
@@ -412,7 +412,7 @@ class Dose(LightLaw):
     def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
         """The fitted start in units of its own rms, and that unit."""
         mean = start.abs().sum(dim=-2, keepdim=True).mean(dim=-1, keepdim=True)
-        return units_of(start, mean)
+        return _units_of(start, mean)
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """All masks, divided by the mean of their columns' sums where that exceeds 1."""
@@ -445,7 +445,7 @@ def light_law(name: str) -> LightLaw:
     return LAW_CLASSES[name]()
 
 
-def units_of(start: Tensor, light: Tensor) -> dict[str, Tensor]:
+def _units_of(start: Tensor, light: Tensor) -> dict[str, Tensor]:
     """Weights of a start (..., m, N) over its light (..., 1, 1), and their unit, its rms then."""
     if not bool(light.all()):
         raise InputError("a start is 0 everywhere: give masks that pass light")
@@ -477,12 +477,12 @@ def check_levels(levels: int) -> None:
         raise InputError(f"{levels} grey levels are not allowed: give at least 2, dark included")
 
 
-def pattern_of(weight: Tensor, kind: RailsKind) -> Tensor:
+def _pattern_of(weight: Tensor, kind: RailsKind) -> Tensor:
     """Patterns (..., m, N) of free numbers, in [−1, 1] of two rails, in [0, 1] of one."""
     return torch.tanh(weight) if kind == "dual" else torch.sigmoid(weight)
 
 
-def softmax_dwells(dwell: Tensor, shortest: float, pattern: Tensor | None = None) -> Tensor:
+def _softmax_dwells(dwell: Tensor, shortest: float, pattern: Tensor | None = None) -> Tensor:
     """Shares (..., 1 or 2, m) of the exposure of frames, of free numbers.
 
     A frame is read for its peak's share of its dwell: that is 0, or `shortest` at least. Dwells so

@@ -55,12 +55,12 @@ def write_report(folder: str | os.PathLike[str]) -> Path:
     if not (home / "results.json").is_file():
         raise InputError(f"no results in {home}: make them with `deepfsi compare -o {home}`")
     figures = Figures()
-    text = page_text(read_results(home / "results.json"), home / "designs", figures)
+    text = _page_text(read_results(home / "results.json"), home / "designs", figures)
     figures.write(home)
     return write_atomically(home / "report.html", text.encode())
 
 
-def page_text(results: Results, designs: Path, figures: Figures) -> str:
+def _page_text(results: Results, designs: Path, figures: Figures) -> str:
     """Text of the page.
 
     Parameters
@@ -91,7 +91,7 @@ def page_text(results: Results, designs: Path, figures: Figures) -> str:
         variants=len(Series.of(results).groups) > len({p.design for p in points}),
         accuracy=list(_accuracy_panels(results, figures)),
         counts=list(_count_panels(results, figures)),
-        tables=[best_table(results, noise) for noise in noises(results)],
+        tables=[_best_table(results, noise) for noise in noises(results)],
         designs=dict.fromkeys((p.title, p.label, DESIGN_TERMS.get(p.design)) for p in points),
         lights=sorted({p.light for p in points}),
         confusions=list(_confusions(results, verdict)),
@@ -352,7 +352,7 @@ def _count_panels(results: Results, figures: Figures) -> Iterator[tuple[str, lis
         yield noise_text(noise).capitalize(), panels
 
 
-def best_table(results: Results, noise: str) -> PagePart:
+def _best_table(results: Results, noise: str) -> PagePart:
     """Chosen mask counts under a noise: a row for each series, a column for each budget.
 
     Parameters
@@ -473,7 +473,7 @@ def comparison_lines(results: Results) -> Iterator[str | Table]:
     ----------
     results : Results
     """
-    tables = {noise: best_table(results, noise) for noise in noises(results)}
+    tables = {noise: _best_table(results, noise) for noise in noises(results)}
     budgets = sorted({photons for table in tables.values() for photons in table["budgets"]})
     several = len(tables) > 1
     rows = []

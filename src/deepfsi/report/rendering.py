@@ -50,7 +50,7 @@ def render(template: str, folder: Path = _TEMPLATES, /, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    terms = Terms()
+    terms = _Terms()
     environment.filters.update(
         photons=photons_text,
         counts=lambda counts: "–" if counts is None else photons_text(float(f"{counts:.3g}")),
@@ -70,7 +70,7 @@ def render(template: str, folder: Path = _TEMPLATES, /, **values: Any) -> str:
     )
 
 
-class Terms:
+class _Terms:
     """Abbreviations of one page, explained where they stand and listed at its end."""
 
     def __init__(self) -> None:

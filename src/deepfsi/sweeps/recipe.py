@@ -393,7 +393,7 @@ class Recipe(UserModel):
         return len(data.x_train) // 6 if self.validation is None else self.validation
 
 
-class RecipeDraft(NamedTuple):
+class _RecipeDraft(NamedTuple):
     """Recipe of what is sound of settings.
 
     Attributes
@@ -410,10 +410,10 @@ class RecipeDraft(NamedTuple):
     lost: set[str]
 
 
-def draft_recipe(settings: Mapping[str, Any]) -> RecipeDraft:
+def draft_recipe(settings: Mapping[str, Any]) -> _RecipeDraft:
     """Recipe of what is sound of settings, so that the rest of its mistakes can be named, too."""
     try:
-        return RecipeDraft(Recipe.model_validate(settings), [], set())
+        return _RecipeDraft(Recipe.model_validate(settings), [], set())
     except ValidationError as error:
         faults = field_errors(error)
         sound = _sound(settings, error)
@@ -426,7 +426,7 @@ def draft_recipe(settings: Mapping[str, Any]) -> RecipeDraft:
         wrong = {fault["loc"][0] for fault in error.errors()}
         sound = {name: sound[name] for name in set(sound) - wrong}
         recipe = Recipe.model_validate(sound)
-    return RecipeDraft(recipe, faults, set(settings) - set(sound))
+    return _RecipeDraft(recipe, faults, set(settings) - set(sound))
 
 
 def _sound(settings: Mapping[str, Any], error: ValidationError) -> Settings:

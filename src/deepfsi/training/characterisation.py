@@ -138,9 +138,9 @@ def find_temperatures(
             Exposed(made, made.front_end(job.camera), fold.x_test, fold.y_test)
             for fold, made in left_out
         ]
-        draws = draws_of([fold for fold, _ in left_out])
+        draws = max(1, EXPOSURES // sum(len(fold.x_test) for fold, _ in left_out))
         scenes = CalibrationScenes(parts, stops, draws, doubt=DOUBT)
-        return calibrated(scenes, budgets, data, job)
+        return _calibrated(scenes, budgets, data, job)
     held = data.held_out > 0
     x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
     readouts = prod(design.counts_shape) * prod(design.mask_exposure.patch_axis)
@@ -148,7 +148,7 @@ def find_temperatures(
     part = Exposed(design, design.front_end(job.camera), x[rows], labels[rows])
     scenes = CalibrationScenes([part], stops, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
     if held:
-        return calibrated(scenes, budgets, data, job)
+        return _calibrated(scenes, budgets, data, job)
     return fit_temperatures(scenes, budgets, trained_on=True, seed=job.seed), None
 
 
@@ -222,7 +222,7 @@ def calibrated_prior(
         parts.append(Exposed(design, job.optics, fold.x_test[rows], fold.y_test[rows]))
     classes = exposure.prior.class_shares.double().numpy()
     scenes = CalibrationScenes(parts, settings.looks, shares=classes, doubt=DOUBT)
-    temperatures, test = calibrated(
+    temperatures, test = _calibrated(
         scenes, np.array(MISFIT_BUDGETS) * job.photons, exposure.data, job
     )
     # beyond the light that is measured as at its ends
@@ -263,7 +263,7 @@ def _without(data: Dataset, rows: np.ndarray) -> Dataset:
     )
 
 
-def calibrated(
+def _calibrated(
     scenes: CalibrationScenes, budgets: np.ndarray, data: Dataset, job: Job
 ) -> tuple[Temperatures, LeftOutTest]:
     """Temperatures by scenes that were left out of the training, and the test of their answers."""
@@ -271,11 +271,6 @@ def calibrated(
     guess = np.bincount(data.y_train, minlength=len(data.classes)) / len(data.y_train)
     test = measure_left_out(scenes, temperatures, job.photons, guess, seed=job.seed)
     return temperatures, test
-
-
-def draws_of(folds: Sequence[Dataset]) -> int:
-    """Exposures of each left-out scene by which a network is calibrated."""
-    return max(1, EXPOSURES // sum(len(fold.x_test) for fold in folds))
 
 
 def provenance(

@@ -78,14 +78,14 @@ def optimise(
     exposure.prepare()
     scene_loss = find_loss(settings, exposure.training_set, settings.classifier_facts.reads_patches)
     cost = None if settings.counts is None else CountsCost(settings.counts, total)
-    groups = [parameter_group(classify, settings.lr, settings.decay)]
+    groups = [_parameter_group(classify, settings.lr, settings.decay)]
     if choose.networks:
-        groups.append(parameter_group(choose, CHOOSER_LR * settings.lr, settings.decay))
+        groups.append(_parameter_group(choose, CHOOSER_LR * settings.lr, settings.decay))
     if exposure.learns:
-        groups.append(parameter_group(exposure.masks, settings.mask_lr))
-    made = (hooks.optimiser or adamw)(groups)
+        groups.append(_parameter_group(exposure.masks, settings.mask_lr))
+    made = (hooks.optimiser or _adamw)(groups)
     optimiser = check_made("optimiser", made, torch.optim.Optimizer)
-    schedule = check_made("schedule", (hooks.schedule or one_cycle)(optimiser, total), LRScheduler)
+    schedule = check_made("schedule", (hooks.schedule or _one_cycle)(optimiser, total), LRScheduler)
     modules = [classify, choose, *([exposure.masks] if exposure.learns else [])]
     generators = exposure.noise.generators + _generators(settings, networks, device)
     state = LoopState(
@@ -147,18 +147,18 @@ def batch_of(settings: Training, count: int) -> int:
     return min(settings.batch or min(max(count // 100, 32), 500), count)
 
 
-def adamw(groups: list[dict[str, Any]]) -> torch.optim.Optimizer:
+def _adamw(groups: list[dict[str, Any]]) -> torch.optim.Optimizer:
     """Optimiser of groups of parameters with their rates."""
     return torch.optim.AdamW(groups, fused=True)
 
 
-def one_cycle(optimiser: torch.optim.Optimizer, steps: int) -> LRScheduler:
+def _one_cycle(optimiser: torch.optim.Optimizer, steps: int) -> LRScheduler:
     """One cycle of so many steps up to the rates of the groups."""
     rates = [group["lr"] for group in optimiser.param_groups]
     return OneCycleLR(optimiser, rates, total_steps=steps)
 
 
-def parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[str, Any]:
+def _parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[str, Any]:
     """Parameters of a module with their peak learning rate and weight decay."""
     learning = [weight for weight in module.parameters() if weight.requires_grad]
     return {"params": learning, "lr": lr, "weight_decay": decay}

@@ -43,17 +43,17 @@ MOST_EXCESS = 0.3
 
 
 def find_loss(settings: Training, training_set: TrainingSet, rows: bool) -> SceneLoss:
-    """Loss of a training; `rows` as of `cross_entropy`."""
+    """Loss of a training; `rows` as of `_cross_entropy`."""
     custom = settings.loss
     if custom is not None:
         return _checked(load_plugin(custom) if isinstance(custom, str) else custom)
     if training_set.values is not None:
         return squared_error
     weights = training_set.class_weights if settings.balance else None
-    return lambda logits, labels: cross_entropy(logits, labels, weights, rows)
+    return lambda logits, labels: _cross_entropy(logits, labels, weights, rows)
 
 
-def cross_entropy(
+def _cross_entropy(
     logits: Tensor, labels: Tensor, weights: Tensor | None = None, rows: bool = True
 ) -> Tensor:
     """Cross entropy (n,) of logits (n, C) and classes (n,), with weights (C,) if there are any."""

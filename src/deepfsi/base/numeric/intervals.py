@@ -61,7 +61,7 @@ def accuracy_interval(right: np.ndarray) -> Interval:
     """
     values = np.atleast_2d(right)
     mean, low, high = _score(values.mean(axis=0))
-    return widen_by_seeds(Interval(mean, low, high), values, (0.0, 1.0))
+    return _widen_by_seeds(Interval(mean, low, high), values, (0.0, 1.0))
 
 
 def balanced_interval(right: np.ndarray, labels: np.ndarray) -> Interval:
@@ -90,11 +90,11 @@ def balanced_interval(right: np.ndarray, labels: np.ndarray) -> Interval:
     mean = sum(rate for rate, _, _ in ends) / len(ends)
     below = math.hypot(*(rate - low for rate, low, _ in ends)) / len(ends)
     above = math.hypot(*(high - rate for rate, _, high in ends)) / len(ends)
-    terms = np.stack([balanced_terms(row, labels) for row in values])
-    return widen_by_seeds(Interval(mean, mean - below, mean + above), terms, (0.0, 1.0))
+    terms = np.stack([_balanced_terms(row, labels) for row in values])
+    return _widen_by_seeds(Interval(mean, mean - below, mean + above), terms, (0.0, 1.0))
 
 
-def balanced_terms(right: np.ndarray, labels: np.ndarray) -> np.ndarray:
+def _balanced_terms(right: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """Terms (n,) of images whose mean is the balanced accuracy, and varies as it does."""
     # right (n,) and labels (n,) of one training
     _, groups, sizes = np.unique(labels, return_inverse=True, return_counts=True)
@@ -114,10 +114,10 @@ def image_interval(values: np.ndarray) -> Interval:
     if count < 2:
         return Interval(mean, mean, mean)
     half = float(stats.t.ppf(0.975, count - 1)) * float(stats.sem(each))
-    return widen_by_seeds(Interval(mean, mean - half, mean + half), rows)
+    return _widen_by_seeds(Interval(mean, mean - half, mean + half), rows)
 
 
-def widen_by_seeds(
+def _widen_by_seeds(
     found: Interval, terms: np.ndarray, bounds: tuple[float, float] = (-math.inf, math.inf)
 ) -> Interval:
     """An interval over images, which covers training seeds, too, where there are several."""
@@ -545,7 +545,7 @@ def auc(terms: np.ndarray, positive: np.ndarray) -> Interval:
         half = Z_95 * error / (area * (1 - area))
         low, high = (1 / (1 + math.exp(-(middle + off))) for off in (-half, half))
         interval = Interval(area, low, high)
-    return widen_by_seeds(interval, rows, (0.0, 1.0))
+    return _widen_by_seeds(interval, rows, (0.0, 1.0))
 
 
 LARGEST_TERMS = 2**27

@@ -241,7 +241,7 @@ def _finite(values: np.ndarray, path: Path) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class TextColumns:
+class _TextColumns:
     """Cells of a text file, row by row: a series for each of many columns would take far more."""
 
     names: tuple[str, ...]
@@ -273,7 +273,7 @@ class TextColumns:
 
 
 @dataclass(frozen=True)
-class ParquetColumns:
+class _ParquetColumns:
     """Columns of a Parquet file."""
 
     names: tuple[str, ...]
@@ -309,7 +309,7 @@ class ParquetColumns:
         return numbers.clear(len(numbers)) if cells.dtype.is_float() else numbers
 
 
-Columns = TextColumns | ParquetColumns
+Columns = _TextColumns | _ParquetColumns
 
 
 def read_columns(path: Path) -> Columns:
@@ -355,7 +355,7 @@ def _without_reports() -> Iterator[None]:
         os.close(nowhere)
 
 
-def _read_parquet_columns(path: Path) -> ParquetColumns:
+def _read_parquet_columns(path: Path) -> _ParquetColumns:
     import polars as pl
 
     with open_regular(path, LARGEST_TABLE_FILE, "give a .parquet file"):
@@ -368,7 +368,7 @@ def _read_parquet_columns(path: Path) -> ParquetColumns:
         for name, kind in schema.items():
             if kind.is_temporal() or kind.is_nested():
                 raise InputError(f"{path}: column {name} holds {kind}: give numbers")
-        return ParquetColumns(tuple(schema.names()), pl.read_parquet(path))
+        return _ParquetColumns(tuple(schema.names()), pl.read_parquet(path))
 
 
 def _check_size(rows: int, columns: int, most: int = MOST_COLUMNS) -> None:
@@ -380,7 +380,7 @@ def _check_size(rows: int, columns: int, most: int = MOST_COLUMNS) -> None:
         )
 
 
-def _read_text_columns(path: Path) -> TextColumns:
+def _read_text_columns(path: Path) -> _TextColumns:
     """Cells of a text file, and the names of its columns if its first line has some."""
     import polars as pl
 
@@ -405,7 +405,7 @@ def _read_text_columns(path: Path) -> TextColumns:
     rows = lines.str.split(separator)
     widths = rows.list.len()
     if not len(rows):
-        return TextColumns((), 0, pl.Series([], dtype=pl.String))
+        return _TextColumns((), 0, pl.Series([], dtype=pl.String))
     width = int(widths[0])
     _check_size(len(rows), max(width, int(widths.max())))  # type: ignore[arg-type]
     if other := (widths != width).arg_max() if (widths != width).any() else None:
@@ -422,12 +422,12 @@ def _read_text_columns(path: Path) -> TextColumns:
     numbers = [parse_number(head) for head in heads]
     if any(number is not None for number in numbers) or not set(heads).isdisjoint(WITHOUT_VALUE):
         _check_heading(numbers, len(rows), path)
-        return TextColumns((), width, flat)
+        return _TextColumns((), width, flat)
     if len(set(heads)) < len(heads) or "" in heads:
         raise InputError(
             f"{path}: its first line must give each column a name of its own, or hold numbers"
         )
-    return TextColumns(tuple(heads), width, flat[width:])
+    return _TextColumns(tuple(heads), width, flat[width:])
 
 
 def _check_heading(numbers: list[float | None], rows: int, path: Path) -> None:

@@ -159,12 +159,12 @@ def fit_calibration(
     _check_shapes(scenes, pictures, {"white": white, "black": black}, cells)
     floor = 0.0 if black is None else np.asarray(black, dtype=float)
     pictures = pictures - floor
-    first, agreed = find_homography(_centroids(scenes), find_spots(pictures), cells)
-    view = fit_view(scenes, pictures, grid, matrix=first, agreed=agreed)
+    first, agreed = find_homography(_centroids(scenes), _find_spots(pictures), cells)
+    view = _fit_view(scenes, pictures, grid, matrix=first, agreed=agreed)
     flat = (
         None
         if white is None
-        else find_flat(white - floor, scenes.shape[1:], view.matrix, view.blur)
+        else _find_flat(white - floor, scenes.shape[1:], view.matrix, view.blur)
     )
     return Calibration(
         homography=view.matrix.tolist(),
@@ -261,7 +261,7 @@ def calibrate_run(
     return fitted.model_copy(update={"dead_time": dead_time})
 
 
-def find_spots(pictures: np.ndarray) -> np.ndarray:
+def _find_spots(pictures: np.ndarray) -> np.ndarray:
     """Places (n, 2) of the spots in pictures (n, down, across), NaN where none is seen."""
     # (across, down) in the unit square. A spot is seen where it stands out of the noise
     from scipy import ndimage
@@ -329,7 +329,7 @@ def find_homography(
     return matrix / matrix[2, 2], agreed
 
 
-def find_flat(
+def _find_flat(
     white: np.ndarray,
     image_shape: tuple[int, ...],
     homography: Any,
@@ -382,7 +382,7 @@ def _centroids(scenes: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class FittedView:
+class _FittedView:
     """Homography and blur fitted to pictures of spots."""
 
     matrix: np.ndarray  # (3, 3): Display → device in unit squares
@@ -432,9 +432,9 @@ class DisplayedScenes:
         return out
 
 
-def fit_view(
+def _fit_view(
     scenes: np.ndarray, pictures: np.ndarray, grid: DmdGrid, matrix: np.ndarray, agreed: np.ndarray
-) -> FittedView:
+) -> _FittedView:
     """Fit homography and blur to pictures of spots, from a first homography."""
     # scenes (spots, h, w); pictures (spots, down, across); matrix (3, 3); agreed (spots,)
     spots = DisplayedScenes(scenes, grid)
@@ -448,7 +448,7 @@ def fit_view(
             break
         used = near
     across = view[8] * spots.side / spots.cells
-    return FittedView(
+    return _FittedView(
         matrix=np.append(view[:8], 1).reshape(3, 3),
         blur=(float(across[0]), float(across[1])),
         used=used,

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -69,7 +69,7 @@ MOST_STEPS = 50
 """Steps of a fit at most: a right one takes some twenty, and only wrong ones creep on."""
 
 
-class WellPlaced:
+class _WellPlaced:
     """Departures that are well.
 
     On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each costs 1 to 4 points
@@ -82,14 +82,14 @@ class WellPlaced:
     BLUR = 0.5  # cells
 
 
-def reference_picture(image_shape: tuple[int, ...]) -> np.ndarray:
+def _reference_picture(image_shape: tuple[int, ...]) -> np.ndarray:
     """The target as a picture in the proportions of scenes (h, w)."""
     down, across = (max(1, round(BLOCK_PIXELS * n / max(image_shape))) for n in image_shape)
     return np.kron(TARGET, np.ones((down, across)))
 
 
 @np.errstate(under="ignore")
-def expected_shares(patterns: Patterns) -> np.ndarray:
+def _expected_shares(patterns: Patterns) -> np.ndarray:
     """Light of the target in each frame that shows masks, of that of all mirrors ON, (f,)."""
     model = _Model(patterns.manifest)
     image = model.image(model.exported, np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
@@ -113,12 +113,12 @@ def write_reference(patterns: Patterns, folder: Path) -> list[Path]:
     """
     from PIL import Image
 
-    if not has_reference(patterns.manifest):
+    if not _has_reference(patterns.manifest):
         return []
     picture = io.BytesIO()
-    grey = np.rint(255 * reference_picture(patterns.manifest.image_shape)).astype(np.uint8)
+    grey = np.rint(255 * _reference_picture(patterns.manifest.image_shape)).astype(np.uint8)
     Image.fromarray(grey).save(picture, format="PNG")
-    shares = dict(zip(patterns.manifest.shown.tolist(), expected_shares(patterns), strict=True))
+    shares = dict(zip(patterns.manifest.shown.tolist(), _expected_shares(patterns), strict=True))
     rows = ["frame,shows,counts of those of all ON in the same time"]
     for place, frame in enumerate(patterns.manifest.frames):
         share = shares.get(place, float(frame.role == "on"))
@@ -127,7 +127,7 @@ def write_reference(patterns: Patterns, folder: Path) -> list[Path]:
     return [write_atomically(folder / name, content) for name, content in files.items()]
 
 
-def has_reference(manifest: Manifest) -> bool:
+def _has_reference(manifest: Manifest) -> bool:
     """True if the masks have two axes: others have no orientation in a plane."""
     return len(manifest.image_shape) == 2
 
@@ -176,7 +176,7 @@ class ReferenceFit:
                 "no place of the reference explains these counts: show it alone, on black, and "
                 "give the patterns that were shown"
             )
-        well = WellPlaced
+        well = _WellPlaced
         limits = well.SCALE, well.SHIFT, well.SHIFT, well.ROTATION
         more = max(error / most for error, most in zip(self.errors, limits, strict=True)) ** 2
         more = max(more, CLEAR / max(self.clear, 1e-3))
@@ -240,22 +240,22 @@ class ReferenceFit:
         off = max(abs(each) for each in self.shift)
         return [
             ("orientation", words, turned),
-            ("scale", f"{self.scale:.3f} ± {scale:.3f}", abs(self.scale - 1) > WellPlaced.SCALE),
+            ("scale", f"{self.scale:.3f} ± {scale:.3f}", abs(self.scale - 1) > _WellPlaced.SCALE),
             (
                 "shift",
                 f"{self.shift[0]:+.1%} ± {down:.1%} down, {self.shift[1]:+.1%} ± {across:.1%} "
                 "across, of the region",
-                off > WellPlaced.SHIFT,
+                off > _WellPlaced.SHIFT,
             ),
             (
                 "rotation",
                 f"{self.rotation:+.1f} ± {turn:.1f} degrees clockwise",
-                abs(self.rotation) > WellPlaced.ROTATION,
+                abs(self.rotation) > _WellPlaced.ROTATION,
             ),
             (
                 "blur",
                 f"{self.blur:.2f} ± {self.blur_error:.2f} cells (standard deviation)",
-                self.blur - CERTAIN_ERRORS * self.blur_error > WellPlaced.BLUR,
+                self.blur - CERTAIN_ERRORS * self.blur_error > _WellPlaced.BLUR,
             ),
         ]
 
@@ -287,7 +287,7 @@ class _Model:
 
 
 @dataclass(frozen=True)
-class ReferenceReadouts:
+class _ReferenceReadouts:
     """Counts of the target behind masks."""
 
     masks: np.ndarray  # (k, N)
@@ -295,7 +295,7 @@ class ReferenceReadouts:
     noise: np.ndarray  # (k,): standard deviation
 
     @classmethod
-    def of(cls, masks: np.ndarray, counts: np.ndarray, variance: np.ndarray) -> "ReferenceReadouts":
+    def of(cls, masks: np.ndarray, counts: np.ndarray, variance: np.ndarray) -> Self:
         """Readouts with the error of the model beside their noise."""
         least = np.maximum(variance, 1) + (MODEL_ERROR * counts.max()) ** 2
         return cls(masks, counts, np.sqrt(least))
@@ -360,13 +360,13 @@ def find_reference_of_masks(
     """
     lit = masks.any(axis=1)
     _check_readouts(manifest, len(np.unique(masks[lit] > 0, axis=0)))
-    readouts = ReferenceReadouts.of(masks[lit], counts[lit], variance[lit])
+    readouts = _ReferenceReadouts.of(masks[lit], counts[lit], variance[lit])
     return _fit_place(readouts, manifest, report)
 
 
 def _check_readouts(manifest: Manifest, count: int) -> None:
     """Raise `InputError` if so many readouts, or masks of one axis, do not tell where it lies."""
-    if not has_reference(manifest):
+    if not _has_reference(manifest):
         raise InputError("masks of one axis have no orientation: there is no reference for them")
     if count < LEAST_READOUTS:
         raise InputError(
@@ -376,7 +376,7 @@ def _check_readouts(manifest: Manifest, count: int) -> None:
 
 
 def _fit_place(
-    readouts: ReferenceReadouts, manifest: Manifest, report: Progress = SILENT
+    readouts: _ReferenceReadouts, manifest: Manifest, report: Progress = SILENT
 ) -> ReferenceFit:
     """Place of the target that explains its counts behind masks best."""
     from scipy import optimize
@@ -427,7 +427,7 @@ def _fit_place(
     )
 
 
-def _sound_readouts(counts: Counts, patterns: Patterns) -> ReferenceReadouts:
+def _sound_readouts(counts: Counts, patterns: Patterns) -> _ReferenceReadouts:
     """Readouts of sound exposures together, or `InputError` if they are too few."""
     manifest = patterns.manifest
     read = counts.lengths_s > 0
@@ -440,4 +440,4 @@ def _sound_readouts(counts: Counts, patterns: Patterns) -> ReferenceReadouts:
     if manifest.several:
         signal = signal.sum(axis=-1)
         noise = noise.sum(axis=-1)
-    return ReferenceReadouts.of(patterns.rails[read], signal[read], noise[read])
+    return _ReferenceReadouts.of(patterns.rails[read], signal[read], noise[read])

@@ -166,7 +166,7 @@ class Acquisition(StrictModel):
         gates = GatePlan.of(manifest, exposure, settle, repeats)
         readouts = len(scenes) * manifest.readouts
         countable = max(MOST_READOUTS // max(readouts, 1), 1)
-        check_inputs(manifest, MOST_INPUTS, "a counter")
+        _check_inputs(manifest, MOST_INPUTS, "a counter")
         with as_input_error():
             return cls(
                 scenes=scenes,
@@ -331,7 +331,7 @@ class Run:
     def open_photons(self) -> PtuFile:
         """Photons of a counter with enough inputs for the detectors, or `InputError`."""
         source = PtuFile(self.photons)
-        check_inputs(self.manifest, source.inputs, f"{source.path} ({source.record_type})")
+        _check_inputs(self.manifest, source.inputs, f"{source.path} ({source.record_type})")
         return source
 
 
@@ -393,7 +393,7 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
         raise InputError(f"{name}: {error}") from None
 
 
-def check_inputs(manifest: Manifest, most: int, name: str) -> None:
+def _check_inputs(manifest: Manifest, most: int, name: str) -> None:
     """Raise `InputError` if a counter, or its files, have fewer inputs than there are detectors."""
     if manifest.inputs > most:
         raise InputError(

@@ -55,7 +55,7 @@ class Correction(ABC):
 
 
 @dataclass(frozen=True)
-class DeadTimeCorrection(Correction):
+class _DeadTimeCorrection(Correction):
     """Photons that arrived while the counter was blind."""
 
     dead_time: DeadTime
@@ -106,7 +106,7 @@ class GainCorrection(Correction):
         return CorrectionFactors(factors.arrivals / self.gains, factors.variance / self.gains**2)
 
 
-CORRECTIONS: tuple[type[Correction], ...] = (DeadTimeCorrection, GainCorrection)
+CORRECTIONS: tuple[type[Correction], ...] = (_DeadTimeCorrection, GainCorrection)
 """Effects of a counter, in the order in which they are undone."""
 
 

@@ -221,10 +221,10 @@ def align(
         If markers do not follow the frames of so many passes.
     """
     times = np.sort(np.asarray(times_s, dtype=np.float64))
-    schedule = Schedule.of(manifest, tolerance_s)
+    schedule = _Schedule.of(manifest, tolerance_s)
     if not len(times):
         raise InputError("no frame markers: choose the marker's bit, or wire the device's trigger")
-    markers = Markers(times, schedule, scenes, cut)
+    markers = _Markers(times, schedule, scenes, cut)
     faults: tuple[Fault, ...] = ()
     starts = markers.whole_passes
     if starts is None:
@@ -237,7 +237,7 @@ def align(
 
 
 @dataclass(frozen=True)
-class Schedule:
+class _Schedule:
     """Schedule of a pass on the counter's clock, in seconds."""
 
     pictures: np.ndarray  # (F,): Picture times
@@ -245,7 +245,7 @@ class Schedule:
     tolerance: float  # by how much a marker may be off
 
     @classmethod
-    def of(cls, manifest: Manifest, tolerance_s: float | None) -> "Schedule":
+    def of(cls, manifest: Manifest, tolerance_s: float | None) -> "_Schedule":
         """Schedule of a manifest; a marker may be off as usual unless a tolerance is given."""
         tolerance = manifest.usual_tolerance_s if tolerance_s is None else tolerance_s
         most = 0.2 * float(manifest.picture_s.min())
@@ -256,9 +256,9 @@ class Schedule:
             )
         return cls(manifest.picture_s, manifest.device.settle_us * 1e-6, tolerance)
 
-    def as_measured(self, times: np.ndarray) -> "Schedule":
+    def as_measured(self, times: np.ndarray) -> "_Schedule":
         """Schedule as the clock of markers (n,) shows it, where that differs from the planned."""
-        pictures = measure_pictures(times, self.pictures, self.tolerance)
+        pictures = _measure_pictures(times, self.pictures, self.tolerance)
         if pictures is None or abs(pictures.sum() / self.pictures.sum() - 1) <= MOST_DRIFT:
             return self
         return replace(self, pictures=pictures)
@@ -289,7 +289,7 @@ class Schedule:
         return True
 
 
-def measure_pictures(
+def _measure_pictures(
     times: np.ndarray, pictures: np.ndarray, tolerance: float
 ) -> np.ndarray | None:
     """Picture times (F,) on the clock on which most markers in a row follow the schedule.
@@ -342,7 +342,7 @@ def measure_pictures(
 
 
 @dataclass(frozen=True)
-class Pass:
+class _Pass:
     """One pass over the frames."""
 
     expected: np.ndarray  # (F,): When each frame is expected, seconds
@@ -360,11 +360,11 @@ class Pass:
 
 
 @dataclass(frozen=True)
-class Markers:
+class _Markers:
     """Markers of a recording, and what they should follow."""
 
     times: np.ndarray  # (n,): When they came, seconds, rising
-    schedule: Schedule
+    schedule: _Schedule
     scenes: int  # S, passes that there should be
     cut: bool  # whether passes that lack are the last
 
@@ -398,12 +398,12 @@ class Markers:
         self._check_certain(passes)
         return self._name_faults(passes, (doubtful - set(shifts)) | self._overlapping(passes))
 
-    def _find_passes(self) -> list[Pass]:
+    def _find_passes(self) -> list[_Pass]:
         """Passes one after another, each from the first marker that those before leave."""
         # Usual time between markers, and the planned one
         came = float(np.median(np.diff(self.times))) if len(self.times) > 1 else math.nan
         pace = f"one each {1e3 * came:.4g} ms, planned {1e3 * self.schedule.step:.4g} ms"
-        passes: list[Pass] = []
+        passes: list[_Pass] = []
         first = extra = 0
         while first < len(self.times) and len(passes) < self.scenes:
             following = self._next_pass(first)
@@ -433,7 +433,7 @@ class Markers:
             )
         return passes
 
-    def _next_pass(self, first: int) -> Pass | None:
+    def _next_pass(self, first: int) -> _Pass | None:
         """Pass that begins at a marker or soon after, whose own first markers may be missing."""
         best = None
         most = 0
@@ -454,7 +454,7 @@ class Markers:
         inside = np.searchsorted(self.times, until, side="right") - first
         return best if best.matched >= max(2, inside / 2) else None
 
-    def _walk(self, start: float, first: int = 0) -> Pass:
+    def _walk(self, start: float, first: int = 0) -> _Pass:
         """Follow the schedule from a time of frame 0, with the clock's drift as markers show it."""
         schedule = self.schedule
         starts = schedule.starts
@@ -491,9 +491,9 @@ class Markers:
             near, distance = _nearest(self.times, expected[new], first)
             places[new] = np.where(distance <= tolerance, near, -1)
             done = stop
-        return Pass(expected, places)
+        return _Pass(expected, places)
 
-    def _find_doubts(self, passes: list[Pass]) -> set[int]:
+    def _find_doubts(self, passes: list[_Pass]) -> set[int]:
         """Passes that may be shifted by whole frames, as far as times tell."""
         # These are passes that lack half of their markers, or the first or last, or have a marker
         # beside them that could be of one of their frames, and all passes that follow or precede
@@ -525,7 +525,7 @@ class Markers:
         return doubts
 
     def _find_shifts(
-        self, passes: list[Pass], doubtful: set[int], counter: Counter | None
+        self, passes: list[_Pass], doubtful: set[int], counter: Counter | None
     ) -> dict[int, int]:
         """Shift of each doubtful pass in frames, of those of which photons tell."""
         # Those that lack half of their markers are left
@@ -560,7 +560,7 @@ class Markers:
                     shifts[number] = possible[0] - MOST_SHIFT
         return shifts
 
-    def _overlapping(self, passes: list[Pass]) -> set[int]:
+    def _overlapping(self, passes: list[_Pass]) -> set[int]:
         """Passes that begin before the one before has ended, and those before them."""
         length = self.schedule.pictures[-1] * (1 - MOST_DRIFT) - 2 * self.schedule.tolerance
         out = set()
@@ -569,14 +569,14 @@ class Markers:
                 out |= {number, number + 1}
         return out
 
-    def _spare_times(self, passes: list[Pass]) -> np.ndarray:
+    def _spare_times(self, passes: list[_Pass]) -> np.ndarray:
         """Times of the markers that start no frame of any pass."""
         spare = np.ones(len(self.times), bool)
         for one in passes:
             spare[one.places[one.places >= 0]] = False
         return self.times[spare]
 
-    def _check_certain(self, passes: list[Pass]) -> None:
+    def _check_certain(self, passes: list[_Pass]) -> None:
         """Raise `InputError` unless it is certain which pass is of which scene."""
         times = self.times
         schedule = self.schedule
@@ -607,7 +607,7 @@ class Markers:
             )
 
     def _name_faults(
-        self, passes: list[Pass], unknown: set[int]
+        self, passes: list[_Pass], unknown: set[int]
     ) -> tuple[np.ndarray, tuple[Fault, ...]]:
         """Starts of frames (S, F), NaN where they are not known, and every fault, extra last."""
         times = self.times
@@ -644,7 +644,7 @@ class Markers:
         return starts, tuple(faults)
 
     def _find_late(
-        self, passes: list[Pass], spare: np.ndarray
+        self, passes: list[_Pass], spare: np.ndarray
     ) -> dict[tuple[int, int], tuple[int, float]]:
         """Spare markers that came within half a frame of a frame that has none, and by how much."""
         # From (scene, frame) to (place among the spare ones, seconds)
@@ -690,7 +690,7 @@ class Markers:
             faults.append(Fault(kind="late", scene=scene, frame=frame, detail=detail))
         return faults
 
-    def _name_extra(self, time: float, passes: list[Pass], unknown: set[int]) -> Fault:
+    def _name_extra(self, time: float, passes: list[_Pass], unknown: set[int]) -> Fault:
         """An extra marker, with the frame in which it came."""
         scene = frame = None
         for number, one in enumerate(passes):

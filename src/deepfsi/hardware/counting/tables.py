@@ -615,7 +615,7 @@ def _find_passes(
     starts = len(total) - length
     if starts < 1:
         return
-    gain = pass_gains(total, bins, manifest.arm)
+    gain = _pass_gains(total, bins, manifest.arm)
     while passes is None or passes > 0:
         best = int(np.argmax(gain))
         if gain[best] == -np.inf:
@@ -633,7 +633,7 @@ def _find_passes(
         yield best
 
 
-def pass_gains(total: np.ndarray, bins: np.ndarray, arm: slice) -> np.ndarray:
+def _pass_gains(total: np.ndarray, bins: np.ndarray, arm: slice) -> np.ndarray:
     """G (starts,) of a pass that begins at each bin; -inf where it cannot."""
     from scipy.special import xlogy
 

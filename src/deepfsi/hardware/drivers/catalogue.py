@@ -43,7 +43,7 @@ class DeviceSettings:
 
 
 @dataclass(frozen=True)
-class ProjectorDriver:
+class _ProjectorDriver:
     """A kind of projector: how it is opened, for passes and for lists of frames.
 
     `settings` are the fields of `DeviceSettings` that it alone takes; `no_lists` says why it shows
@@ -57,7 +57,7 @@ class ProjectorDriver:
 
 
 @dataclass(frozen=True)
-class CounterDriver:
+class _CounterDriver:
     """A kind of counter: how it is opened, and the fields of `DeviceSettings` that it takes."""
 
     open: Callable[[DeviceSettings], StreamingCounter]
@@ -65,12 +65,12 @@ class CounterDriver:
 
 
 PROJECTORS = {
-    "vialux": ProjectorDriver(
+    "vialux": _ProjectorDriver(
         passes=lambda settings: VialuxProjector(settings.alp_version),
         lists=lambda settings: VialuxLooks(settings.alp_version),
         settings=("alp_version",),
     ),
-    "dlpc900": ProjectorDriver(
+    "dlpc900": _ProjectorDriver(
         passes=lambda settings: Dlpc900Projector(),
         no_lists="a DLPC900 shows a table that is loaded before: use projector vialux, or `deepfsi "
         "camera record` of a fixed design",
@@ -79,13 +79,13 @@ PROJECTORS = {
 """Projectors by name."""
 
 COUNTERS = {
-    "picoquant": CounterDriver(
+    "picoquant": _CounterDriver(
         lambda settings: SnapiCounter(
             settings.inputs, settings.marker_bit, config=settings.counter_config
         ),
         settings=("counter_config",),
     ),
-    "swabian": CounterDriver(
+    "swabian": _CounterDriver(
         lambda settings: open_tagger(
             settings.inputs,
             settings.marker_bit,
@@ -94,7 +94,7 @@ COUNTERS = {
         ),
         settings=("counter_config", "marker_channel"),
     ),
-    "followed": CounterDriver(
+    "followed": _CounterDriver(
         lambda settings: FollowedCounter(
             settings.inputs, settings.marker_bit, waits=settings.ask_to_record
         )

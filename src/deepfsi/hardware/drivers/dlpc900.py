@@ -42,7 +42,7 @@ DMDS = {1: "dlp6500", 2: "dlp9000", 3: "dlp670s", 4: "dlp500yx"}
 """Devices by the hardware type that a board reports."""
 
 
-class Usb:
+class _Usb:
     """Numbers of the board, of its reports, and bits of the byte of flags."""
 
     VENDOR = 0x0451
@@ -54,7 +54,7 @@ class Usb:
     FAILED = 1 << 5
 
 
-class CommandCode:
+class _CommandCode:
     """Commands, and what they are sent with."""
 
     ERROR_CODE = 0x0100
@@ -68,7 +68,7 @@ class CommandCode:
     LOADS = (0x1A2A, 0x1A2B), (0x1A2C, 0x1A2D)
 
 
-class Status:
+class _Status:
     """Bits of the hardware status, and of the main status."""
 
     READY = 1 << 0
@@ -117,13 +117,13 @@ class _Link:
 
     def write(self, command: int, data: bytes, reply: bool = True) -> None:
         """Send a command; with a reply, wait for it and raise what it refuses."""
-        self._send(Usb.REPLY if reply else 0, command, data)
+        self._send(_Usb.REPLY if reply else 0, command, data)
         if reply:
             self._answer(command)
 
     def read(self, command: int) -> int:
         """First byte of what a command reads."""
-        self._send(Usb.READ | Usb.REPLY, command)
+        self._send(_Usb.READ | _Usb.REPLY, command)
         answer = self._answer(command)
         if not answer:
             raise InputError(f"the DLPC900's answer to command 0x{command:04X} is empty")
@@ -131,7 +131,7 @@ class _Link:
 
     def check(self, command: int) -> None:
         """Raise what the last command refused, if it did."""
-        if code := self.read(CommandCode.ERROR_CODE):
+        if code := self.read(_CommandCode.ERROR_CODE):
             reason = ERRORS.get(code, f"error {code}")
             raise InputError(f"the DLPC900 refused command 0x{command:04X}: {reason}")
 
@@ -139,7 +139,7 @@ class _Link:
         self._sequence = (self._sequence + 1) % 256
         message = bytes([flags, self._sequence]) + (2 + len(data)).to_bytes(2, "little")
         message += command.to_bytes(2, "little") + data
-        places = iter(range(0, len(message), Usb.REPORT_BYTES))
+        places = iter(range(0, len(message), _Usb.REPORT_BYTES))
         try:
             self._reports(message, places)
         except KeyboardInterrupt:
@@ -148,7 +148,7 @@ class _Link:
 
     def _reports(self, message: bytes, places: Iterator[int]) -> None:
         for place in places:
-            report = message[place : place + Usb.REPORT_BYTES].ljust(Usb.REPORT_BYTES, b"\0")
+            report = message[place : place + _Usb.REPORT_BYTES].ljust(_Usb.REPORT_BYTES, b"\0")
             if self._device.write(b"\0" + report) < 0:  # the report's number comes first
                 raise OSError("a report was not sent")
 
@@ -156,15 +156,15 @@ class _Link:
         """Data of the reply to the last command; replies to earlier ones are passed over."""
         until = time.monotonic() + REPLY_S
         while (left := until - time.monotonic()) > 0:
-            reply = bytes(self._device.read(Usb.REPORT_BYTES, max(1, round(left * 1e3))))
+            reply = bytes(self._device.read(_Usb.REPORT_BYTES, max(1, round(left * 1e3))))
             if reply[1:2] == bytes([self._sequence]):
                 break
         else:
             raise InputError(
                 f"the DLPC900 does not answer command 0x{command:04X}: switch the board off and on"
             )
-        if reply[0] & Usb.FAILED:
-            if command != CommandCode.ERROR_CODE:
+        if reply[0] & _Usb.FAILED:
+            if command != _CommandCode.ERROR_CODE:
                 self.check(command)
             raise InputError(f"the DLPC900 refused command 0x{command:04X} and gives no reason")
         return reply[4 : 4 + int.from_bytes(reply[2:4], "little")]
@@ -187,16 +187,16 @@ class Dlpc900Projector:
                 "DLPC900 boards need hidapi, which is not installed: pip install hidapi"
             ) from None
         with _refusals("be opened"):
-            device.open(Usb.VENDOR, Usb.PRODUCT)
+            device.open(_Usb.VENDOR, _Usb.PRODUCT)
             try:
                 link = _Link(device)
-                kind = link.read(CommandCode.HARDWARE)
+                kind = link.read(_CommandCode.HARDWARE)
                 if kind not in DMDS:
                     raise InputError(
                         f"the DLPC900 has a device of hardware type {kind}, which is none of "
                         f"{', '.join(DMDS.values())}"
                     )
-                controllers = 2 if _healthy(link) & Status.SECOND else 1
+                controllers = 2 if _healthy(link) & _Status.SECOND else 1
             except BaseException:
                 device.close()
                 raise
@@ -229,11 +229,11 @@ class Dlpc900Projector:
         if not self._pass_s:
             raise InputError("no patterns on the DLPC900: load a pattern folder first")
         with _refusals("show patterns"):
-            if link.read(CommandCode.MAIN_STATUS) & Status.RUNS:
+            if link.read(_CommandCode.MAIN_STATUS) & _Status.RUNS:
                 raise InputError("the DLPC900 still shows a pass: wait for it or halt it")
             # Stopped first, so that a start begins with the first pattern
-            link.write(CommandCode.START_STOP, CommandCode.STOP)
-            link.write(CommandCode.START_STOP, CommandCode.START)
+            link.write(_CommandCode.START_STOP, _CommandCode.STOP)
+            link.write(_CommandCode.START_STOP, _CommandCode.START)
         self._due = time.monotonic() + self._pass_s
 
     def wait(self) -> None:
@@ -241,7 +241,9 @@ class Dlpc900Projector:
         link, _, _ = self._open()
         with _refusals("show patterns"):
             # It may say that it stands before the first pattern is shown
-            while time.monotonic() < self._due or link.read(CommandCode.MAIN_STATUS) & Status.RUNS:
+            while (
+                time.monotonic() < self._due or link.read(_CommandCode.MAIN_STATUS) & _Status.RUNS
+            ):
                 if time.monotonic() > self._due + LATEST_S:
                     raise InputError(
                         f"the frames should have ended {LATEST_S:g} s ago and have not: check that "
@@ -254,7 +256,7 @@ class Dlpc900Projector:
         """Stop at once."""
         link, _, _ = self._open()
         with _refusals("be halted"):
-            link.write(CommandCode.START_STOP, CommandCode.STOP)
+            link.write(_CommandCode.START_STOP, _CommandCode.STOP)
 
     def _open(self) -> tuple[_Link, Device, int]:
         if self._board is None:
@@ -270,8 +272,8 @@ class Dlpc900Projector:
 
 def _healthy(link: _Link) -> int:
     """Hardware status, if it has no fault."""
-    status = link.read(CommandCode.HARDWARE_STATUS)
-    if status & Status.FAULTS or not status & Status.READY:
+    status = link.read(_CommandCode.HARDWARE_STATUS)
+    if status & _Status.FAULTS or not status & _Status.READY:
         raise InputError(
             f"the DLPC900 reports a fault, hardware status 0x{status:02X}: check the board and its "
             "firmware, then switch it off and on"
@@ -311,10 +313,10 @@ def _load(link: _Link, pictures: list[tuple[bytes, ...]], report: Progress) -> N
     total = sum(len(half) for halves in pictures for half in halves)
     sent = 0
     for index, halves in reversed(list(enumerate(pictures))):
-        for content, (begin, fill) in zip(halves, CommandCode.LOADS, strict=False):
+        for content, (begin, fill) in zip(halves, _CommandCode.LOADS, strict=False):
             link.write(begin, index.to_bytes(2, "little") + len(content).to_bytes(4, "little"))
-            for place in range(0, len(content), Usb.PACKET_BYTES):
-                packet = content[place : place + Usb.PACKET_BYTES]
+            for place in range(0, len(content), _Usb.PACKET_BYTES):
+                packet = content[place : place + _Usb.PACKET_BYTES]
                 link.write(fill, len(packet).to_bytes(2, "little") + packet, reply=False)
                 sent += len(packet)
                 report(sent / total)

@@ -153,7 +153,7 @@ def _find_lit(curve: LightCurve, background: Background, chance: float) -> np.nd
     return lit
 
 
-class LightCheck(ABC):
+class _LightCheck(ABC):
     """One law of the light.
 
     Attributes
@@ -179,7 +179,7 @@ class LightCheck(ABC):
         """Faults that sound light shows with this chance at most, in all passes together."""
 
 
-class Rhythm(LightCheck):
+class _Rhythm(_LightCheck):
     """Light has no rhythm that a mask's frame does not average."""
 
     kind = "flicker"
@@ -201,7 +201,7 @@ class Rhythm(LightCheck):
             yield Fault(kind=self.kind, detail=detail)
 
 
-class FastChange(LightCheck):
+class _FastChange(_LightCheck):
     """The all-ON frames of a pass do not scatter more than photons do, over all passes."""
 
     kind = "flicker"
@@ -236,7 +236,7 @@ class FastChange(LightCheck):
         yield Fault(kind=self.kind, detail=detail)
 
 
-class NoLight(LightCheck):
+class _NoLight(_LightCheck):
     """ON is brighter than OFF. A detector that sees a part need not be lit."""
 
     kind = "dark"
@@ -258,7 +258,7 @@ class NoLight(LightCheck):
             yield Fault(kind=self.kind, scene=int(curve.scenes[index]), detail=detail)
 
 
-class BrighterMask(LightCheck):
+class _BrighterMask(_LightCheck):
     """No mask's frame is brighter than those of its pass with all light."""
 
     kind = "brighter"
@@ -286,7 +286,7 @@ class BrighterMask(LightCheck):
             yield Fault(kind=self.kind, scene=scene, frame=frame, detail=detail)
 
 
-class UnsteadyFrame(LightCheck):
+class _UnsteadyFrame(_LightCheck):
     """Within a frame the light is steady: no part of it stands out from the others."""
 
     kind = "unsteady"
@@ -346,7 +346,7 @@ class UnsteadyFrame(LightCheck):
         return restless
 
 
-class Drift(LightCheck):
+class _Drift(_LightCheck):
     """Both ON frames of a pass are equally bright, and both OFF frames."""
 
     kind = "unsteady"
@@ -382,7 +382,7 @@ class Drift(LightCheck):
         return np.asarray(chances * len(photons) <= chance)
 
 
-class BackgroundChange(LightCheck):
+class _BackgroundChange(_LightCheck):
     """The background of an input stays. Counts are rid of each scene's own."""
 
     kind = "background"
@@ -403,7 +403,7 @@ class BackgroundChange(LightCheck):
             yield Fault(kind=self.kind, scene=scene, detail=detail)
 
 
-class LevelChange(LightCheck):
+class _LevelChange(_LightCheck):
     """The light is as bright for all scenes, as far as scenes are alike."""
 
     kind = "level"
@@ -431,15 +431,15 @@ class LevelChange(LightCheck):
             yield Fault(kind=self.kind, scene=int(after.first), detail=detail)
 
 
-CHECKS: tuple[LightCheck, ...] = (
-    Rhythm(),
-    FastChange(),
-    NoLight(),
-    BrighterMask(),
-    UnsteadyFrame(),
-    Drift(),
-    BackgroundChange(),
-    LevelChange(),
+CHECKS: tuple[_LightCheck, ...] = (
+    _Rhythm(),
+    _FastChange(),
+    _NoLight(),
+    _BrighterMask(),
+    _UnsteadyFrame(),
+    _Drift(),
+    _BackgroundChange(),
+    _LevelChange(),
 )
 """All checks of the light, in the order in which they are tested; `FALSE_ALARMS` is theirs."""
 
@@ -565,7 +565,7 @@ def check_light(
     flux = first.measure_flux(manifest.brightness, chance)
     faults += run_checks(first, "arm", chance)
     if curves.detectors:
-        faults += find_blind_detectors(of_inputs)
+        faults += _find_blind_detectors(of_inputs)
         for column in range(0, len(of_inputs), count):
             faults += find_unequal_gains(of_inputs[column : column + count], manifest.detectors)
     faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
@@ -608,7 +608,7 @@ def find_lateness(photons: np.ndarray, seconds: np.ndarray, room_s: float) -> tu
     return (Fault(kind="late", detail=detail),)
 
 
-def find_blind_detectors(detectors: Sequence[PassLight]) -> list[Fault]:
+def _find_blind_detectors(detectors: Sequence[PassLight]) -> list[Fault]:
     """Detectors that certainly see less than `HARMLESS` of the light that they see in the mean."""
     bright = [light.curve.together(light.curve.bright) for light in detectors]
     photons = np.array([float(counts.sum()) for counts, _ in bright])

@@ -39,7 +39,7 @@ AllowedRatio = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class PassRates:
+class _PassRates:
     """Rates of passes in their order; those of several sum."""
 
     counts: np.ndarray  # (P,): photons, less the background where it is known
@@ -51,12 +51,12 @@ class PassRates:
         return float(self.counts[segment].sum() / self.seconds[segment].sum())
 
 
-def find_segments(rates: PassRates, allowed: AllowedRatio, chance: float) -> list[slice]:
+def _find_segments(rates: _PassRates, allowed: AllowedRatio, chance: float) -> list[slice]:
     """Segments between the change points of a row of passes, in their order.
 
     Parameters
     ----------
-    rates : PassRates
+    rates : _PassRates
     allowed : callable
         By how much the rates of two segments may differ.
     chance : float
@@ -155,8 +155,8 @@ class Background:
         photons, seconds = curve.together(curve.dark)
         usual = (photons.sum() + 1) / max(seconds.sum(), 1e-300)
         ratio = 1 + HARMLESS_DARK * _usual_light(curve) / usual
-        rates = PassRates(photons, photons, seconds)
-        segments = find_segments(rates, lambda *_: np.array(ratio), chance)
+        rates = _PassRates(photons, photons, seconds)
+        segments = _find_segments(rates, lambda *_: np.array(ratio), chance)
         pooled = photons.astype(np.float64)
         pooled_s = seconds.copy()
         for segment in segments:
@@ -223,11 +223,11 @@ class Flux:
         error = rate**2 / np.maximum(background.photons, 1)
         counts = (on - rate * on_s)[used]
         noise = on[used] + error[used] * on_s[used] ** 2
-        rates = PassRates(counts, noise, on_s[used])
+        rates = _PassRates(counts, noise, on_s[used])
         segments = [slice(0, int(used.sum()))]
         passes = np.flatnonzero(used)
         if brightness is not None:
-            segments = find_segments(rates, allowed_ratio(brightness), chance)
+            segments = _find_segments(rates, allowed_ratio(brightness), chance)
             line = _fit_decay(rates, segments, brightness)
             if line is not None:
                 every = np.interp(np.arange(len(used)), passes, line)
@@ -243,7 +243,7 @@ class Flux:
 
 
 def _fit_decay(
-    rates: PassRates, segments: list[slice], brightness: Brightness
+    rates: _PassRates, segments: list[slice], brightness: Brightness
 ) -> np.ndarray | None:
     """Rates (P,) of a light that rises or falls steadily, if it does, and not in steps."""
     passes = len(rates.counts)

@@ -121,7 +121,7 @@ class SceneObserver:
         self._exposure_ns = round(acquisition.exposure_s * 1e9)
         self._settle_s = acquisition.settle_s
         self._light = LightMonitor(manifest, acquisition.inputs, len(acquisition.scenes))
-        self._checks = SceneChecks(looks.photons, acquisition)
+        self._checks = _SceneChecks(looks.photons, acquisition)
         loaded = 0 if manifest.looks.adaptive else len(manifest.shown)
         self._view = (
             ViewTest(looks.scene_model, manifest.image_shape, loaded) if looks.scene_model else None
@@ -280,7 +280,7 @@ def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:
     return FrameList(SCENE_ENDS, np.array([ON, OFF]), gates)
 
 
-class SceneChecks:
+class _SceneChecks:
     """Checks of scene after scene: its budget, and its counts against those of the training.
 
     Parameters

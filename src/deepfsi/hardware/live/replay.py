@@ -208,7 +208,7 @@ def _hashes(folder: Path) -> dict[str, str]:
     return {name: hash_file(folder / name) for name in HASHED_FILES}
 
 
-class LoggedFrames:
+class _LoggedFrames:
     """Frames of one scene, whose counts are looked up in place of being counted by devices.
 
     Parameters
@@ -295,7 +295,7 @@ def replay_run(counts: LiveCounts, looks: LookChooser) -> ReplayedRun:
     observer = SceneObserver(looks, counts.manifest, counts.acquisition)
     replayed = []
     for scene, lists in counts.by_scene:
-        source = LoggedFrames(scene, lists)
+        source = _LoggedFrames(scene, lists)
         if scene.scene == DARK_SCENE:
             observer.measure_background(source)
             continue

@@ -8,7 +8,7 @@ k, drawn anew for each cell of each frame.
 Bits are packed along rows, the leftmost mirror in the highest bit of a byte, ON as 1 unless the
 layout inverts them; each row begins a new byte.
 
-`FRAME_FORMATS` is the table of files. Another one is a class, as `FrameFormat` describes, and its
+`FRAME_FORMATS` is the table of files. Another one is a class, as `_FrameFormat` describes, and its
 line in the table:
 
 npy    frames.npy, uint8 (frames, rows, bytes of a row)
@@ -253,7 +253,7 @@ LARGEST_PICTURE = 2**31
 """Bytes of a picture of frames at most."""
 
 
-class FrameFormat(Protocol):
+class _FrameFormat(Protocol):
     """Files of packed frames, written and read one frame at a time."""
 
     def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
@@ -270,14 +270,14 @@ class FrameFormat(Protocol):
 
 
 @dataclass(frozen=True)
-class OneFile:
+class _OneFile:
     """All frames in one file, with the header of a numpy file or without."""
 
     name: str
     header: bool
 
     def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
-        """As of `FrameFormat`."""
+        """As of `_FrameFormat`."""
         with (folder / self.name).open("wb") as stream:
             if self.header:
                 stream.write(npy_header("|u1", (total, *device.frame_shape)))
@@ -285,7 +285,7 @@ class OneFile:
                 stream.write(frame.data)
 
     def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """As of `FrameFormat`."""
+        """As of `_FrameFormat`."""
         kind = "|u1" if self.header else None
         shape = device.frame_shape
         with open_array(folder / self.name, kind, (total, *shape)) as file:
@@ -294,22 +294,22 @@ class OneFile:
                 yield np.frombuffer(content, dtype=np.uint8).reshape(shape)
 
     def size(self, total: int, device: Device) -> int:
-        """As of `FrameFormat`, without the header."""
+        """As of `_FrameFormat`, without the header."""
         return total * device.frame_bytes
 
     def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
-        """As of `FrameFormat`."""
+        """As of `_FrameFormat`."""
         return self.name, None
 
 
 @dataclass(frozen=True)
-class Pictures:
+class _Pictures:
     """A picture of one bit a pixel for each frame."""
 
     ending: Literal["png", "bmp"]
 
     def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
-        """As of `FrameFormat`."""
+        """As of `_FrameFormat`."""
         from PIL import Image
 
         options = {"compress_level": 1} if self.ending == "png" else {}  # no larger
@@ -320,7 +320,7 @@ class Pictures:
             _save_picture(picture, folder / name, **options)
 
     def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """As of `FrameFormat`."""
+        """As of `_FrameFormat`."""
         for index in range(total):
             name, _ = self.location(index, total, device)
             with _open_picture(folder / name, device, "1") as picture:
@@ -328,18 +328,18 @@ class Pictures:
             yield np.frombuffer(content, dtype=np.uint8).reshape(device.frame_shape)
 
     def size(self, total: int, device: Device) -> int:
-        """As of `FrameFormat`."""
+        """As of `_FrameFormat`."""
         if self.ending == "png":
             return 0
         return total * (BMP_HEADER + device.rows * 4 * math.ceil(device.columns / 32))
 
     def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
-        """As of `FrameFormat`: names have as many digits as the last one needs."""
+        """As of `_FrameFormat`: names have as many digits as the last one needs."""
         digits = max(4, len(str(total - 1)))
         return f"frames/{index:0{digits}d}.{self.ending}", 0
 
 
-class Planes:
+class _Planes:
     """Frames as the bit-planes of 24-bit pictures, for controllers that take them so.
 
     Frames fill the pictures in the order in which they are shown. `Device.planes` says which
@@ -347,7 +347,7 @@ class Planes:
     """
 
     def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
-        """As of `FrameFormat`."""
+        """As of `_FrameFormat`."""
         from PIL import Image
 
         (folder / "images").mkdir()
@@ -369,7 +369,7 @@ class Planes:
                 picture = np.zeros_like(picture)
 
     def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """As of `FrameFormat`."""
+        """As of `_FrameFormat`."""
         for index in range(total):
             image, bit = self.position(index, total, device)
             if bit == 0:
@@ -379,11 +379,11 @@ class Planes:
             yield np.packbits(picture[..., self._channel(device, bit)] >> bit % 8 & 1, axis=1)
 
     def size(self, total: int, device: Device) -> int:
-        """As of `FrameFormat`, without headers."""
+        """As of `_FrameFormat`, without headers."""
         return math.ceil(total / device.packed_frames(total)) * 3 * device.rows * device.columns
 
     def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
-        """As of `FrameFormat`."""
+        """As of `_FrameFormat`."""
         image, bit = self.position(index, total, device)
         return self._file(image), bit
 
@@ -404,13 +404,13 @@ class Planes:
 Format = Literal["npy", "raw", "png", "bmp", "planes"]
 """Files of the frames."""
 
-PLANES_FORMAT = Planes()
+PLANES_FORMAT = _Planes()
 
-FRAME_FORMATS: dict[Format, FrameFormat] = {
-    "npy": OneFile("frames.npy", header=True),
-    "raw": OneFile("frames.bin", header=False),
-    "png": Pictures("png"),
-    "bmp": Pictures("bmp"),
+FRAME_FORMATS: dict[Format, _FrameFormat] = {
+    "npy": _OneFile("frames.npy", header=True),
+    "raw": _OneFile("frames.bin", header=False),
+    "png": _Pictures("png"),
+    "bmp": _Pictures("bmp"),
     "planes": PLANES_FORMAT,
 }
 """Files of frames by name."""

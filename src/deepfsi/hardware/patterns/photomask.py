@@ -21,7 +21,7 @@ LARGEST_UM = 1e5
 """Largest pixel of a photomask, micrometres: a hand's width."""
 
 
-class OpenRectangle(NamedTuple):
+class _OpenRectangle(NamedTuple):
     """Open pixels, from the first row and column to before the last."""
 
     top: int
@@ -30,18 +30,18 @@ class OpenRectangle(NamedTuple):
     right: int
 
 
-def rectangles(pattern: np.ndarray) -> list[OpenRectangle]:
+def _rectangles(pattern: np.ndarray) -> list[_OpenRectangle]:
     """Rectangles of the open pixels of a pattern (H, P) of 0 and 1, each pixel in one of them."""
     # runs of a row that the row above has, too, lengthen its rectangle
-    done: list[OpenRectangle] = []
+    done: list[_OpenRectangle] = []
     going: dict[tuple[int, int], int] = {}
     for row, line in enumerate(pattern):
         ends = np.flatnonzero(np.diff(line, prepend=0, append=0)).reshape(-1, 2).tolist()
         runs = {(left, right) for left, right in ends}
         closed = [run for run in going if run not in runs]
-        done += [OpenRectangle(going.pop(run), run[0], row, run[1]) for run in closed]
+        done += [_OpenRectangle(going.pop(run), run[0], row, run[1]) for run in closed]
         going |= {run: row for run in sorted(runs) if run not in going}
-    done += [OpenRectangle(top, left, len(pattern), right) for (left, right), top in going.items()]
+    done += [_OpenRectangle(top, left, len(pattern), right) for (left, right), top in going.items()]
     return sorted(done)
 
 
@@ -59,7 +59,7 @@ def as_svg(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
         f'height="{height / 1e3:.10g}mm" viewBox="0 0 {width:.10g} {height:.10g}">',
         f"<desc>{about}</desc>",
     ]
-    for rectangle in rectangles(pattern):
+    for rectangle in _rectangles(pattern):
         top, left, bottom, right = (f"{side * pixel_um:.10g}" for side in rectangle)
         corners = f"{left},{top} {right},{top} {right},{bottom} {left},{bottom}"
         lines.append(f'<polygon points="{corners}"/>')

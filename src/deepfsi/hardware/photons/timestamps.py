@@ -3,7 +3,7 @@
 A time tagger records the trigger of the device as one channel among the others. Here it becomes a
 marker, and the channels of the detectors become inputs, so that all that reads PTU files works.
 
-`EVENT_FORMATS` is the table of what is read. Another make's file is a class, as `EventFormat`
+`EVENT_FORMATS` is the table of what is read. Another make's file is a class, as `_EventFormat`
 describes, and its line in the table.
 """
 
@@ -166,7 +166,7 @@ class Timestamps:
             )
 
 
-class EventFormat(Protocol):
+class _EventFormat(Protocol):
     """A sort of file that holds events: it says which files are its, and reads them."""
 
     def matches(self, path: Path) -> bool:
@@ -184,7 +184,7 @@ class EventFormat(Protocol):
         """
 
 
-class PhotonHdf5:
+class _PhotonHdf5:
     """Photon-HDF5 file of one spot; phconvert makes it of files of Becker & Hickl and others."""
 
     times = "photon_data/timestamps"
@@ -196,7 +196,7 @@ class PhotonHdf5:
         return path.suffix.lower() in HDF5_ENDINGS
 
     def read(self, path: Path, unit_s: float | None) -> Timestamps:
-        """As of `EventFormat`."""
+        """As of `_EventFormat`."""
         if not path.is_file():
             raise InputError(f"there is no file {path}: give a Photon-HDF5 file")
         shapes = list_variables(path, (0, 1))
@@ -214,7 +214,7 @@ class PhotonHdf5:
         return Timestamps(times, channels, _check_unit(unit_s, path))
 
 
-class EventTable:
+class _EventTable:
     """Table with a column of times and one of channels, by their names, or the time first."""
 
     def matches(self, path: Path) -> bool:
@@ -222,7 +222,7 @@ class EventTable:
         return True
 
     def read(self, path: Path, unit_s: float | None) -> Timestamps:
-        """As of `EventFormat`."""
+        """As of `_EventFormat`."""
         refuse_foreign(path)
         columns = _EventColumns(path)
         times, channels = read_whole_numbers(path, columns.choose).T
@@ -250,7 +250,7 @@ class EventTable:
         return Timestamps(times, channels, _check_unit(unit_s or named_s, path))
 
 
-EVENT_FORMATS: tuple[EventFormat, ...] = (PhotonHdf5(), EventTable())
+EVENT_FORMATS: tuple[_EventFormat, ...] = (_PhotonHdf5(), _EventTable())
 """Files of events that are read; the first that matches reads a file."""
 
 

@@ -266,11 +266,11 @@ def check_rail_sums(
         tests.append(several["chance_counts"])
     poisson = min(tests) * len(tests) > FALSE_ALARMS
     place = np.arange(pairs) if order is None else order
-    causes = {} if poisson else find_causes(relative.mean(axis=0), fine, place, block)
+    causes = {} if poisson else _find_causes(relative.mean(axis=0), fine, place, block)
     return RailSums(pairs, poisson, scatter, causes, **several)
 
 
-def homogeneity(counts: np.ndarray) -> tuple[float, float]:
+def _homogeneity(counts: np.ndarray) -> tuple[float, float]:
     """χ² per degree of freedom between rows of counts (runs, n) of one shape, and its chance."""
     from scipy.special import chdtrc
 
@@ -325,11 +325,11 @@ def _compare(runs: np.ndarray, sums: np.ndarray, relative: np.ndarray) -> dict[s
     pictures = _intervals(lambda kept: _of_pictures(runs[:, :, kept]), pairs)
     lagged = [_autocorrelation(relative[i] - relative[j], noise[i] + noise[j]) for i, j in pairwise]
     correlation = np.corrcoef(relative)
-    chi2, chance = homogeneity(runs.reshape(number, -1))
+    chi2, chance = _homogeneity(runs.reshape(number, -1))
     return {
         "chi2_counts": chi2,
         "chance_counts": chance,
-        "chi2_sums": homogeneity(sums)[0],
+        "chi2_sums": _homogeneity(sums)[0],
         "correlations": tuple(float(correlation[i, j]) for i, j in pairwise),
         "common": excess[0],
         "own": tuple(excess[1:]),
@@ -360,7 +360,7 @@ def _own(different: np.ndarray) -> np.ndarray:
     return np.asarray((each - total) / (number - 2) if number > 2 else each / 2)
 
 
-def find_causes(
+def _find_causes(
     sums: np.ndarray, fine: np.ndarray, place: np.ndarray, block: int | None
 ) -> dict[str, Cause]:
     """Shares of the scatter of rail sums (m,) that each place of a pair predicts."""

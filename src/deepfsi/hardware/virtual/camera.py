@@ -237,7 +237,7 @@ def _find_pixels(
     return np.where(inside, row * shape[1] + column, 0).astype(np.intp), inside
 
 
-def mirrors_of_arm(manifest: Manifest, rows: DetectorRows | None) -> list[np.ndarray | slice]:
+def _mirrors_of_arm(manifest: Manifest, rows: DetectorRows | None) -> list[np.ndarray | slice]:
     """Mirrors of a device, in a row, that each detector of an arm sees."""
     # By the camera's rows of parts, or by the cells that the manifest names where it has none
     if manifest.detectors is None and rows is None:
@@ -289,7 +289,7 @@ class MirrorLight:
         self._camera = camera
         self._arms = manifest.arms
         self._device = device = manifest.device
-        self._mirrors = mirrors_of_arm(manifest, camera.detectors)
+        self._mirrors = _mirrors_of_arm(manifest, camera.detectors)
         image = irradiance(scenes, camera, device, manifest.grid).reshape(len(scenes), -1)
         self._light = [image[:, places] for places in self._mirrors]
         cells = np.zeros((device.rows, device.columns), np.float32)

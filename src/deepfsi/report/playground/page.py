@@ -48,7 +48,7 @@ def write_page(path: str | os.PathLike[str], payload: Mapping[str, Any]) -> Path
         The same.
     """
     bands = [nm for nm in payload["scenes"]["wavelengths"] or [] if nm > 0]
-    masks = masks_text(payload)
+    masks = _masks_text(payload)
     how = "counts photons through masks, and a small network reads the counts"
     if _is_adaptive(payload):
         how = "counts photons through masks, each made from all counts so far"
@@ -56,7 +56,7 @@ def write_page(path: str | os.PathLike[str], payload: Mapping[str, Any]) -> Path
         "playground/page.html.jinja",
         payload=payload,
         law=LIGHT_LAWS[payload["light"]],
-        script=Markup(bundle()),
+        script=Markup(_bundle()),
         title=f"A class from few photons: {payload['data']['name']} through {masks}",
         lead=f"This camera takes no picture: it {how}. Set a scene and its light, and press "
         "Expose.",
@@ -68,7 +68,7 @@ def write_page(path: str | os.PathLike[str], payload: Mapping[str, Any]) -> Path
     return write_atomically(path, page.encode())
 
 
-def bundle() -> str:
+def _bundle() -> str:
     """The page's modules as one: without their imports of each other, and their exports."""
     folder = Path(__file__).parent
     every = "\n".join((folder / name).read_text(encoding="utf-8") for name in _SCRIPTS)
@@ -85,7 +85,7 @@ def _masks(payload: _Payload) -> int:
     return len(payload["shares"]) if _is_adaptive(payload) else payload["matrix"]["shape"][0]
 
 
-def masks_text(payload: _Payload) -> str:
+def _masks_text(payload: _Payload) -> str:
     """Number of masks."""
     return plural(_masks(payload), "adaptive mask" if _is_adaptive(payload) else "mask")
 
@@ -117,7 +117,7 @@ def way_text(payload: _Payload) -> str:
         return f"{law.words.capitalize()}."
     if not law.in_turn:
         return (
-            f"Its optics split the light of each pixel among {masks_text(payload)} at once, with "
+            f"Its optics split the light of each pixel among {_masks_text(payload)} at once, with "
             f"a detector for {_readout(payload)}; no single mirror device does this."
         )
     many = payload["detectors"]
@@ -165,7 +165,7 @@ def _networks(payload: _Payload) -> dict[str, str]:
     ends = dict.fromkeys(photons_text(budget[end]) for end in ("low", "high")) if budget else ()
     hidden = [str(layer["weight"]["shape"][0]) for layer in payload["network"][:-1]]
     return {
-        "Masks": f"{masks_text(payload)}. {_RAILS_WORDS[payload['rails']]}",
+        "Masks": f"{_masks_text(payload)}. {_RAILS_WORDS[payload['rails']]}",
         "Learned for": f"{' to '.join(ends)} photons." if ends else "",
         "Noise": _noise(payload["dark"]),
         "Network": f"Fully connected, hidden layers of {' and '.join(hidden) or 'no'} units.",
@@ -182,8 +182,8 @@ def _posterior(payload: _Payload) -> dict[str, str]:
     kind = f"{'centres of clusters of ' * prior['centres']}training scenes of the design"
     even = len(set(payload["shares"])) == 1
     return {
-        "Masks": f"{masks_text(payload)}, each shown for {'the same' if even else 'its own'} share "
-        "of the exposure. Mirrors are ON or OFF.",
+        "Masks": f"{_masks_text(payload)}, each shown for {'the same' if even else 'its own'} "
+        "share of the exposure. Mirrors are ON or OFF.",
         "Noise": _noise(payload["dark"]),
         "Prior": f"This page knows {prior['scenes']} of the {prior['of']} {kind}, of each "
         "class the same share, and the accuracy above is of these. All of them may tell more."

@@ -30,17 +30,17 @@ _FILE_KINDS: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": No
 """Formats of the files, and what they leave out so that the same figure gives the same file."""
 
 
-def drawing(**changes: Any) -> AbstractContextManager[None]:
+def _drawing(**changes: Any) -> AbstractContextManager[None]:
     """Context of matplotlib's defaults and `STYLE`, whatever the caller's program or files set."""
     return matplotlib.style.context(["default", STYLE | changes])
 
 
 def styled(draw: Callable[_Args, Figure]) -> Callable[_Args, Figure]:
-    """Draw in the context of `drawing`, and leave matplotlib's settings as they were."""
+    """Draw in the context of `_drawing`, and leave matplotlib's settings as they were."""
 
     @wraps(draw)
     def wrapper(*args: _Args.args, **kwargs: _Args.kwargs) -> Figure:
-        with drawing():
+        with _drawing():
             return draw(*args, **kwargs)
 
     return wrapper
@@ -56,7 +56,7 @@ def write_figure(figure: Figure, path: Path) -> None:
         Ends in .png, .svg or .pdf.
     """
     picture = io.BytesIO()
-    with drawing():
+    with _drawing():
         figure.savefig(picture, dpi=160, format=path.suffix.lower()[1:])
     write_atomically(path, picture.getvalue())
 
@@ -76,7 +76,7 @@ def svg(figure: Figure, name: str, words: str) -> str:
         What it shows, for those who do not see it.
     """
     text = io.StringIO()
-    with drawing():
+    with _drawing():
         figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     body = text.getvalue()
     body = body[body.index("<svg") :]
@@ -155,7 +155,7 @@ class Figures:
     def write(self, home: Path) -> None:
         """Write the files of all figures into the folder `figures` of a page's folder."""
         (home / "figures").mkdir(parents=True, exist_ok=True)
-        with drawing(**{"svg.fonttype": "path"}):
+        with _drawing(**{"svg.fonttype": "path"}):
             for name, figure in self.drawn.items():
                 for kind, left_out in _FILE_KINDS.items():
                     file = io.BytesIO()
