@@ -3,8 +3,6 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field
-
 from deepfsi.base import (
     write_atomically,
 )
@@ -14,7 +12,6 @@ from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.data import pictures_written
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.hardware.calibration import write_spots
 
 
 class DescribeCamera(Command):
@@ -27,19 +24,15 @@ class DescribeCamera(Command):
         dict[str, Any],
         fields.OptionsOf({name: ("Camera", each) for name, each in Camera.model_fields.items()}),
     ]
-    source: Annotated[
-        Path | None,
-        fields.argument(
-            "camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper), a TOML file, a design file, "
-            "or a folder of patterns or of a run; dmd unless given",
-            "[source]",
-        ),
-    ] = None
-    template: Annotated[
-        Path | None,
-        fields.Output((".toml",)),
-        Field(description="write a camera file, .toml, with a comment on each field"),
-    ] = None
+    source: Path | None = fields.argument(
+        "camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper), a TOML file, a design file, or "
+        "a folder of patterns or of a run; dmd unless given",
+        "[source]",
+        default=None,
+    )
+    template: Annotated[Path | None, fields.Output((".toml",))] = fields.option(
+        "write a camera file, .toml, with a comment on each field"
+    )
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
@@ -77,17 +70,20 @@ class WriteSpots(Command):
     Example: deepfsi camera spots --size 32x32 -o spots
     """
 
-    out: Annotated[Path, fields.Output(new=True), Field(description="folder for the pictures, new")]
-    size: Annotated[
-        fields.HeightWidth, Field(description="pixels of the display, HEIGHTxWIDTH")
-    ] = (
-        32,
-        32,
+    out: Annotated[Path, fields.Output(new=True)] = fields.required("folder for the pictures, new")
+    size: fields.HeightWidth = fields.option(
+        "pixels of the display, HEIGHTxWIDTH",
+        (
+            32,
+            32,
+        ),
     )
-    side: Annotated[Count, Field(description="pixels of a spot; larger is brighter")] = 2
+    side: Count = fields.option("pixels of a spot; larger is brighter", 2)
 
     def run(self, terminal: Terminal) -> Outcome:
         """Pictures that were written."""
+        from deepfsi.hardware.calibration import write_spots
+
         return pictures_written(write_spots(self.out, self.size, self.side), self.out)
 
 
@@ -101,8 +97,8 @@ class CalibrateCamera(Command):
     """
 
     folder: fields.RunFolder
-    spots: Annotated[Path, Field(description="the pictures that were shown")]
-    out: Annotated[Path, fields.Output(), Field(description="folder for calibration.json")]
+    spots: Path = fields.required("the pictures that were shown")
+    out: Annotated[Path, fields.Output()] = fields.required("folder for calibration.json")
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
@@ -138,13 +134,10 @@ class CheckView(Command):
     """
 
     folder: fields.RunFolder
-    keep: Annotated[
-        Path | None,
-        Field(
-            description="acquisition folder of scenes with the same patterns, with which what is "
-            "found is kept: `camera classify` then refuses the run if the reference did not fit"
-        ),
-    ] = None
+    keep: Path | None = fields.option(
+        "acquisition folder of scenes with the same patterns, with which what is found is kept: "
+        "`camera classify` then refuses the run if the reference did not fit"
+    )
 
     def run(self, terminal: Terminal) -> Outcome:
         """Place of the scenes on the device."""

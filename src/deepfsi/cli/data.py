@@ -3,17 +3,17 @@
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
-
-from pydantic import Field
+from typing import TYPE_CHECKING, Annotated, Any
 
 from deepfsi.base import Table, budget_text, rate_text
 from deepfsi.base.models import Count, WholeNumber
 from deepfsi.cli.command import Command
-from deepfsi.cli.fields import Names, Output, Size, argument, check_design_file
+from deepfsi.cli.fields import Names, Output, Size, argument, check_design_file, option, required
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets import check, download, list_datasets, load_dataset, write_display
-from deepfsi.designfile import SHIPPED_DESIGNS, PublishedDesign, read_indexes
+
+if TYPE_CHECKING:
+    from deepfsi.designfile import PublishedDesign
 
 
 class DataList(Command):
@@ -47,7 +47,7 @@ class DataDownload(Command):
     Example: deepfsi data download mnist
     """
 
-    name: Annotated[str, argument("name of a data set")]
+    name: str = argument("name of a data set")
 
     def run(self, terminal: Terminal) -> Outcome:
         """Files that are there now."""
@@ -61,7 +61,7 @@ class DataCheck(Command):
     Example: deepfsi data check mnist
     """
 
-    name: Annotated[str, argument("name of a data set")]
+    name: str = argument("name of a data set")
 
     def run(self, terminal: Terminal) -> Outcome:
         """State of every file."""
@@ -80,16 +80,13 @@ class DataExport(Command):
     Example: deepfsi data export mnist --per-class 2 -o images
     """
 
-    name: Annotated[
-        str,
-        argument(
-            "name, folder of images or .npz file; or a design file, for the test scenes of what it "
-            "was trained on, at its size"
-        ),
-    ]
-    out: Annotated[Path, Output(new=True), Field(description="folder for the pictures, new")]
-    per_class: Annotated[Count, Field(description="test scenes of each class")] = 1
-    seed: Annotated[WholeNumber, Field(description="seed of their choice")] = 0
+    name: str = argument(
+        "name, folder of images or .npz file; or a design file, for the test scenes of what it was "
+        "trained on, at its size"
+    )
+    out: Annotated[Path, Output(new=True)] = required("folder for the pictures, new")
+    per_class: Count = option("test scenes of each class", 1)
+    seed: WholeNumber = option("seed of their choice", 0)
     size: Size = None
 
     def run(self, terminal: Terminal) -> Outcome:
@@ -127,13 +124,11 @@ class DesignsMake(Command):
     Example: deepfsi designs make -o published
     """
 
-    out: Annotated[Path, Output(), Field(description="output folder")]
-    source: Annotated[
-        Path | None, argument("your own list, TOML; the package's unless given", "[LIST]")
-    ] = None
-    only: Annotated[
-        Names | None, Field(description="names, separated by commas; all unless given")
-    ] = None
+    out: Annotated[Path, Output()] = required("output folder")
+    source: Path | None = argument(
+        "your own list, TOML; the package's unless given", "[LIST]", default=None
+    )
+    only: Names | None = option("names, separated by commas; all unless given")
 
     def run(self, terminal: Terminal) -> Outcome:
         """Designs of the list, each with its test."""
@@ -173,6 +168,8 @@ class DesignsList(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Designs of every collection at hand."""
+        from deepfsi.designfile import SHIPPED_DESIGNS, read_indexes
+
         collections = {
             "shipped with the package" if where == str(SHIPPED_DESIGNS) else where: designs
             for where, designs in read_indexes().items()
@@ -201,5 +198,5 @@ class DesignsList(Command):
         )
 
 
-def _dumped(designs: Mapping[str, PublishedDesign]) -> dict[str, dict[str, Any]]:
+def _dumped(designs: "Mapping[str, PublishedDesign]") -> dict[str, dict[str, Any]]:
     return {name: entry.model_dump() for name, entry in designs.items()}

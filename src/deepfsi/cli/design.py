@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
 from deepfsi.base import (
     DESIGN_ENDINGS,
@@ -27,9 +26,6 @@ from deepfsi.cli.evaluate import (
 )
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.designfile import check_masks, trained_on
-from deepfsi.hardware.calibration import view_dataset
-from deepfsi.hardware.patterns import write_photomask
 from deepfsi.jobs import Job, find_job, read_matrix, sorted_settings, usual_mask_count
 from deepfsi.measures import Result, details_text, lit_text, score_text
 
@@ -49,26 +45,22 @@ class LearnDesign(Command):
     size: fields.Size = None
     skip_bad: fields.SkipBad = False
     normal: fields.NormalClass = None
-    hold_out: Annotated[
-        WholeNumber,
-        Field(
-            description="number of last training scenes to leave out, which `deepfsi stop` needs"
-        ),
-    ] = 0
+    hold_out: WholeNumber = fields.option(
+        "number of last training scenes to leave out, which `deepfsi stop` needs", 0
+    )
     matrix: fields.Matrix = None
     view: fields.View = None
     device: fields.TorchDevice = "auto"
-    resume: Annotated[
-        bool,
-        Field(
-            description="go on with a training of these settings that was stopped, if there is "
-            "one: its state is in a file beside --out, whose name ends in .checkpoint"
-        ),
-    ] = False
+    resume: bool = fields.flag(
+        "go on with a training of these settings that was stopped, if there is one: its state is "
+        "in a file beside --out, whose name ends in .checkpoint"
+    )
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Train, save and test."""
+        from deepfsi.hardware.calibration import view_dataset
+
         # one of the same settings may be replaced
         fields.check_file(self.out, DESIGN_ENDINGS, force=True)
         from deepfsi.evaluation import evaluate
@@ -173,6 +165,7 @@ def _check_test(job: Job) -> None:
 def _check_same(file: Path, job: Job, data: Dataset, matrix: np.ndarray | None) -> None:
     """Raise `InputError` unless a design file is what training this job would write again."""
     from deepfsi.design import load_design
+    from deepfsi.designfile import trained_on
 
     with suppress(InputError):
         design = load_design(file)
@@ -235,16 +228,17 @@ class ShowDesign(Command):
     Example: deepfsi show digits.safetensors -o masks.png
     """
 
-    file: Annotated[Path, fields.argument("design file")]
-    out: Annotated[
-        Path | None,
-        Field(description="picture: .png, .svg or .pdf; .png beside the design unless given"),
-    ] = None
-    count: Annotated[Count, Field(description="at most this many masks")] = 24
+    file: Path = fields.argument("design file")
+    out: Path | None = fields.option(
+        "picture: .png, .svg or .pdf; .png beside the design unless given"
+    )
+    count: Count = fields.option("at most this many masks", 24)
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of the masks."""
+        from deepfsi.designfile import check_masks, trained_on
+
         out = self.out
         if out is None:  # beside a file; of a published design's name here
             name = Path(f"{self.file.name}.png")
@@ -282,7 +276,7 @@ class WritePage(Command):
     """
 
     file: fields.DesignOrPatterns
-    out: Annotated[Path, fields.Output((".html",)), Field(description="the page, .html")]
+    out: Annotated[Path, fields.Output((".html",))] = fields.required("the page, .html")
     data: fields.TestData = None
     size: fields.Size = None
     seed: fields.NoiseSeed = 0
@@ -316,12 +310,8 @@ class ExportClassifier(Command):
     Example: deepfsi export digits.safetensors -o digits.onnx
     """
 
-    file: Annotated[
-        Path, fields.argument("design file, or a folder of patterns that `dmd export` wrote")
-    ]
-    out: Annotated[Path | None, Field(description="the design's name with .onnx unless given")] = (
-        None
-    )
+    file: Path = fields.argument("design file, or a folder of patterns that `dmd export` wrote")
+    out: Path | None = fields.option("the design's name with .onnx unless given")
     trust: fields.Trust = False
     force: fields.Force = False
 
@@ -364,19 +354,18 @@ class WriteMask(Command):
     """
 
     file: fields.PassingDesign
-    out: Annotated[
-        Path,
-        fields.Output((".svg", ".png")),
-        Field(description="photomask: .svg (polygons, binary patterns) or .png"),
-    ]
-    pixel: Annotated[
-        Positive,
-        Field(description="side of a pixel on the mask, micrometres: that of a scene there"),
-    ]
+    out: Annotated[Path, fields.Output((".svg", ".png"))] = fields.required(
+        "photomask: .svg (polygons, binary patterns) or .png"
+    )
+    pixel: Positive = fields.required(
+        "side of a pixel on the mask, micrometres: that of a scene there"
+    )
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """The pattern, with its size."""
+        from deepfsi.hardware.patterns import write_photomask
+
         pattern = write_photomask(self.file, self.out, self.pixel)
         rows, columns = pattern.shape
         height = rows * self.pixel

@@ -1,7 +1,7 @@
 """Commands of the micromirror device: patterns written and checked, and the devices by name."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
@@ -11,13 +11,9 @@ from deepfsi.camera import DEVICE_SOURCES, DEVICES, DmdLayout, find_device
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.hardware.calibration import SCAN_NAMES, scan_rails, write_reference
-from deepfsi.hardware.patterns import (
-    FrameSettings,
-    Patterns,
-    check_patterns,
-    export_patterns,
-)
+
+if TYPE_CHECKING:
+    from deepfsi.hardware.patterns import Patterns
 
 
 class ExportPatterns(Command):
@@ -32,63 +28,49 @@ class ExportPatterns(Command):
     Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --exposure 10ms -o patterns
     """
 
-    file: Annotated[Path, fields.argument("design file; or raster or hadamard, to calibrate with")]
+    file: Path = fields.argument("design file; or raster or hadamard, to calibrate with")
     settings: Annotated[
         dict[str, Any], fields.run_options("device", "exposure", "region", "stretch")
     ]
-    out: Annotated[Path, fields.Output(new=True), Field(description="folder for the patterns, new")]
-    size: Annotated[
-        fields.HeightWidth | None,
-        Field(description="cells of raster or hadamard, HEIGHTxWIDTH; 32x32 unless given"),
-    ] = None
-    detectors: Annotated[
-        Annotated[int, Field(ge=1, le=64)] | None,
-        Field(
-            description="number of detectors during raster or hadamard, so that `camera calibrate` "
-            "finds the cells of each; 1 unless given"
-        ),
-    ] = None
-    shortest: Annotated[
-        fields.Time | None,
-        Field(description="shortest picture time of the device; its own unless given"),
-    ] = None
-    settle: Annotated[
-        fields.Time | None,
-        Field(description="time for its mirrors to settle; its own unless given"),
-    ] = None
-    dwell: Annotated[
-        fields.Time | None,
-        fields.hidden(
-            "mean picture time of a frame, settling included, such as 1ms or 44us; what the "
-            "camera's exposure takes unless given, or 1ms"
-        ),
-    ] = None
-    selection: Annotated[
-        str, Field(description="mirrors of a grey cell: ordered (low discrepancy) or random")
-    ] = "ordered"
-    seed: Annotated[WholeNumber, Field(description="seed of a random selection")] = 0
-    flip: Annotated[
-        bool, Field(description="exchange left and right of the masks, before --rotate")
-    ] = False
-    rotate: Annotated[
-        int,
-        Field(description="turn the masks on the device, degrees clockwise: 0, 90, 180, 270"),
-    ] = 0
-    invert: Annotated[
-        bool,
-        Field(description="write 0 for a mirror that sends light to the detector, and 1 for OFF"),
-    ] = False
-    kind: Annotated[
-        str | None,
-        Field(
-            alias="format",
-            description="npy or raw (packed bits), png or bmp (one a frame), or planes (24 frames "
-            "a picture); what the device takes unless given",
-        ),
-    ] = None
+    out: Annotated[Path, fields.Output(new=True)] = fields.required("folder for the patterns, new")
+    size: fields.HeightWidth | None = fields.option(
+        "cells of raster or hadamard, HEIGHTxWIDTH; 32x32 unless given"
+    )
+    detectors: Annotated[int, Field(ge=1, le=64)] | None = fields.option(
+        "number of detectors during raster or hadamard, so that `camera calibrate` finds the cells "
+        "of each; 1 unless given"
+    )
+    shortest: fields.Time | None = fields.option(
+        "shortest picture time of the device; its own unless given"
+    )
+    settle: fields.Time | None = fields.option(
+        "time for its mirrors to settle; its own unless given"
+    )
+    dwell: fields.Time | None = fields.hidden(
+        "mean picture time of a frame, settling included, such as 1ms or 44us; what the camera's "
+        "exposure takes unless given, or 1ms"
+    )
+    selection: str = fields.option(
+        "mirrors of a grey cell: ordered (low discrepancy) or random", "ordered"
+    )
+    seed: WholeNumber = fields.option("seed of a random selection", 0)
+    flip: bool = fields.flag("exchange left and right of the masks, before --rotate")
+    rotate: int = fields.option(
+        "turn the masks on the device, degrees clockwise: 0, 90, 180, 270", 0
+    )
+    invert: bool = fields.flag(
+        "write 0 for a mirror that sends light to the detector, and 1 for OFF"
+    )
+    kind: str | None = fields.option(
+        "npy or raw (packed bits), png or bmp (one a frame), or planes (24 frames a picture); what "
+        "the device takes unless given",
+        alias="format",
+    )
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns that were written, on which device and for how long."""
+        from deepfsi.hardware.calibration import SCAN_NAMES, scan_rails, write_reference
+        from deepfsi.hardware.patterns import FrameSettings, export_patterns
         from deepfsi.lab import camera_of, design_rails
 
         if str(self.file) in SCAN_NAMES:
@@ -126,6 +108,8 @@ class ExportPatterns(Command):
 
     def _check_of_design(self) -> None:
         """Raise `InputError` for options of a scan, which a design decides."""
+        from deepfsi.hardware.calibration import SCAN_NAMES
+
         for option, words in (("size", "cells"), ("detectors", "detectors")):
             if getattr(self, option) is not None:
                 raise InputError(
@@ -144,12 +128,14 @@ class CheckPatterns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns of the folder, all of whose frames are as they were exported."""
+        from deepfsi.hardware.patterns import check_patterns
+
         with terminal.progress("frames") as report:
             patterns = check_patterns(self.folder, report)
         return _patterns_in(self.folder, patterns)
 
 
-def _patterns_in(folder: Path, patterns: Patterns, remarks: list[str] | None = None) -> Outcome:
+def _patterns_in(folder: Path, patterns: "Patterns", remarks: list[str] | None = None) -> Outcome:
     """Patterns of a folder, after remarks on their export."""
     return Outcome(
         {"patterns": str(folder), **patterns.as_dict()},

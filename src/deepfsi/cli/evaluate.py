@@ -4,8 +4,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field
-
 from deepfsi.base import (
     DESIGN_ENDINGS,
     InputError,
@@ -16,10 +14,10 @@ from deepfsi.base.models import Count, Share
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
+from deepfsi.datasets import Dataset
 from deepfsi.measures import Estimates, Result, results_lines
 
 if TYPE_CHECKING:
-    from deepfsi.datasets import Dataset
     from deepfsi.design import Design
     from deepfsi.sweeps import Data
 
@@ -33,20 +31,16 @@ class EvaluateDesign(Command):
     """
 
     file: fields.DesignOrPatterns
-    photons: Annotated[fields.NumberList, Field(description="budgets, such as 1e2,1e3,1e4")]
+    photons: fields.NumberList = fields.required("budgets, such as 1e2,1e3,1e4")
     data: fields.TestData = None
     size: fields.Size = None
     noise: fields.NoiseOption = None
     sigma: fields.Sigma = None
     dark: fields.Dark = None
     fluctuation: fields.LightFluctuation = None
-    first: Annotated[
-        Count | None, Field(description="use only this many first masks of a nested design")
-    ] = None
+    first: Count | None = fields.option("use only this many first masks of a nested design")
     draws: fields.DrawCount = 3
-    ideal: Annotated[
-        bool, Field(description="also give the accuracy of the ideal observer of the counts")
-    ] = False
+    ideal: bool = fields.flag("also give the accuracy of the ideal observer of the counts")
     seed: fields.NoiseSeed = 0
     view: fields.View = None
     trust: fields.Trust = False
@@ -109,35 +103,25 @@ class StopEarly(Command):
     Example: deepfsi stop nested.safetensors --photons 1e5
     """
 
-    file: Annotated[
-        fields.DesignPath, fields.argument("design file for one device, nested or of several looks")
-    ]
-    photons: Annotated[fields.Number, Field(description="budget of a whole exposure")]
+    file: fields.DesignPath = fields.argument(
+        "design file for one device, nested or of several looks"
+    )
+    photons: fields.Number = fields.required("budget of a whole exposure")
     data: fields.TestData = None
     size: fields.Size = None
-    hold_out: Annotated[
-        Count | None,
-        Field(
-            description="number of last training scenes that the training left out; that of the "
-            "design unless given"
-        ),
-    ] = None
-    threshold: Annotated[
-        Share | None,
-        Field(description="confidence above which to stop; chosen on left-out scenes unless given"),
-    ] = None
-    mean_light: Annotated[
-        fields.Number | None,
-        Field(
-            description="photons that exposures take in the mean over scenes: the confidence is "
-            "found at which left-out scenes do"
-        ),
-    ] = None
-    out: Annotated[
-        Path | None,
-        fields.Output(DESIGN_ENDINGS),
-        Field(description="write the design with this rule, for `camera live`"),
-    ] = None
+    hold_out: Count | None = fields.option(
+        "number of last training scenes that the training left out; that of the design unless given"
+    )
+    threshold: Share | None = fields.option(
+        "confidence above which to stop; chosen on left-out scenes unless given"
+    )
+    mean_light: fields.Number | None = fields.option(
+        "photons that exposures take in the mean over scenes: the confidence is found at which "
+        "left-out scenes do"
+    )
+    out: Annotated[Path | None, fields.Output(DESIGN_ENDINGS)] = fields.option(
+        "write the design with this rule, for `camera live`"
+    )
     draws: fields.DrawCount = 3
     seed: fields.NoiseSeed = 0
     trust: fields.Trust = False
@@ -185,26 +169,19 @@ class PredictClasses(Command):
     """
 
     file: fields.DesignOrPatterns
-    pictures: Annotated[
-        Path,
-        fields.existing("a picture, or a folder of pictures"),
+    pictures: Annotated[Path, fields.existing("a picture, or a folder of pictures")] = (
         fields.argument(
             "picture, or folder of pictures, with or without a folder for each class, or .csv of "
             "file names and labels"
-        ),
-    ]
-    photons: Annotated[
-        fields.Number | None,
-        Field(
-            description="budget of an exposure, such as 1e4; the light of the design's camera, "
-            "which it was trained for, unless given"
-        ),
-    ] = None
-    out: Annotated[
-        Path | None,
-        fields.Output((".csv",)),
-        Field(description="table with a line for each picture, .csv"),
-    ] = None
+        )
+    )
+    photons: fields.Number | None = fields.option(
+        "budget of an exposure, such as 1e4; the light of the design's camera, which it was "
+        "trained for, unless given"
+    )
+    out: Annotated[Path | None, fields.Output((".csv",))] = fields.option(
+        "table with a line for each picture, .csv"
+    )
     noise: fields.NoiseOption = None
     sigma: fields.Sigma = None
     dark: fields.Dark = None

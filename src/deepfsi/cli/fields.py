@@ -19,7 +19,6 @@ from deepfsi.base import InputError, check_ending, check_report, seconds
 from deepfsi.base.models import Amount, Count, WholeNumber
 from deepfsi.camera import MOST_INPUTS, Camera, find_noise
 from deepfsi.datasets import check_source
-from deepfsi.designfile import find_design
 from deepfsi.jobs import EXPOSURE_FIELDS, EXPOSURE_KINDS, SETTING_ALIASES, Job, Training
 from deepfsi.measures import MOST_DRAWS
 
@@ -48,7 +47,32 @@ TABLE_FILES = (".csv", ".parquet")
 """Ends of the names of files."""
 
 
-def argument(words: str, metavar: str = "") -> Any:
+def option(words: str, default: Any = None, **more: Any) -> Any:
+    """Field of an option of one command: ``until: float | None = option("confidence …")``.
+
+    Parameters
+    ----------
+    words : str
+        Help.
+    default
+        Value that holds where none is given.
+    **more
+        Other parameters of pydantic's `Field`, such as bounds, or the `alias` that is its name.
+    """
+    return Field(default, description=words, **more)
+
+
+def required(words: str, **more: Any) -> Any:
+    """Field of an option that must be given; parameters as of `option`."""
+    return option(words, ..., **more)
+
+
+def flag(words: str) -> Any:
+    """Field of an option without a value; parameters as of `option`."""
+    return option(words, False)
+
+
+def argument(words: str, metavar: str = "", default: Any = ...) -> Any:
     """Field of a value that stands without a name on the command line.
 
     Parameters
@@ -57,8 +81,10 @@ def argument(words: str, metavar: str = "") -> Any:
         Help.
     metavar : str
         Name in the usage, where it is not that of the field.
+    default
+        Value that holds where none is given.
     """
-    return Field(description=words, json_schema_extra={"argument": metavar})
+    return Field(default, description=words, json_schema_extra={"argument": metavar})
 
 
 def hidden(words: str) -> Any:
@@ -69,7 +95,7 @@ def hidden(words: str) -> Any:
     words : str
         What it is.
     """
-    return Field(description=words, json_schema_extra={"hidden": True})
+    return Field(None, description=words, json_schema_extra={"hidden": True})
 
 
 @dataclass(frozen=True)
@@ -238,6 +264,8 @@ def _check_writable(path: Path, folder: Path) -> None:
 
 def check_design_file(path: Path) -> Path:
     """Path of a design file, of a folder of patterns, or of a published design by its name."""
+    from deepfsi.designfile import find_design
+
     file = find_design(path)
     if not file.exists():
         raise InputError(f"no design file at {path}: make one with `deepfsi design`")

@@ -5,7 +5,7 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import Field
 
@@ -24,36 +24,12 @@ from deepfsi.camera import Camera, find_device
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.hardware.counting import (
-    Acquisition,
-    CountSettings,
-    count_run,
-    prepare_run,
-    read_run,
-    table_of_series,
-)
-from deepfsi.hardware.drivers import (
-    COUNTERS,
-    PROJECTORS,
-    DeviceSettings,
-    PassProjector,
-    Setup,
-    StreamingProjector,
-    open_counter,
-    open_list_projector,
-    open_projector,
-)
-from deepfsi.hardware.light import name_inputs
-from deepfsi.hardware.live import LiveAnswers, plan_live, record_run, run_live
-from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.photons import read_timestamps, summarise
-from deepfsi.hardware.virtual import (
-    Latencies,
-    RecordingSettings,
-    expected_events,
-    record_scenes,
-    virtual_setup,
-)
+
+if TYPE_CHECKING:
+    from deepfsi.hardware.counting import Acquisition
+    from deepfsi.hardware.drivers import DeviceSettings, Setup
+    from deepfsi.hardware.virtual import Latencies
+
 
 MOST_EVENTS = 1e8
 """Photons of a simulated recording that are written without asking."""
@@ -93,13 +69,10 @@ class PrepareRun(Command):
     """
 
     patterns: fields.PatternFolder
-    scenes: Annotated[
-        Path,
-        Field(
-            description="text file with NAME or NAME,LABEL on each line; or a folder of the "
-            "pictures, with or without a folder for each class"
-        ),
-    ]
+    scenes: Path = fields.required(
+        "text file with NAME or NAME,LABEL on each line; or a folder of the pictures, with or "
+        "without a folder for each class"
+    )
     settings: Annotated[dict[str, Any], fields.run_options("exposure", "flux")]
     out: NewRun
     inputs: fields.Inputs = ()
@@ -109,6 +82,9 @@ class PrepareRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Plan of the run, in its folder."""
+        from deepfsi.hardware.counting import Acquisition, prepare_run
+        from deepfsi.hardware.light import name_inputs
+        from deepfsi.hardware.patterns import read_patterns
         from deepfsi.lab import camera_of, listed_scenes
 
         manifest = read_patterns(self.patterns).manifest
@@ -157,6 +133,8 @@ class SimulateRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Run as it was recorded."""
+        from deepfsi.hardware.patterns import read_patterns
+        from deepfsi.hardware.virtual import RecordingSettings, expected_events, record_scenes
         from deepfsi.lab import camera_of, displayed, picture_hashes, virtual_camera
 
         camera = camera_of(self.patterns, self.settings)
@@ -241,38 +219,26 @@ class _DeviceRun(Command):
     settings: dict[str, Any]
     scene: Path
     out: NewRun
-    projector: Annotated[
-        str, Field(description="virtual, vialux; for recorded runs also dlpc900")
-    ] = "virtual"
-    counter: Annotated[
-        str,
-        Field(
-            description="virtual, picoquant, swabian, or followed: its software writes "
-            "OUT/photons.ptu"
-        ),
-    ] = "virtual"
-    counter_config: Annotated[
-        Path | None,
-        Field(
-            description="file with the trigger levels of the inputs. picoquant: snAPI's .ini file; "
-            "swabian: TOML, a table [trigger_levels] of channels and volts"
-        ),
-    ] = None
-    marker_channel: Annotated[
-        int | None,
-        Field(description="swabian: channel of the trigger, negative for falling edges"),
-    ] = None
-    alp_version: Annotated[
-        str | None, Field(description="vialux: version of the ALP interface, 4.3 unless given")
-    ] = None
+    projector: str = fields.option("virtual, vialux; for recorded runs also dlpc900", "virtual")
+    counter: str = fields.option(
+        "virtual, picoquant, swabian, or followed: its software writes OUT/photons.ptu", "virtual"
+    )
+    counter_config: Path | None = fields.option(
+        "file with the trigger levels of the inputs. picoquant: snAPI's .ini file; swabian: TOML, "
+        "a table [trigger_levels] of channels and volts"
+    )
+    marker_channel: int | None = fields.option(
+        "swabian: channel of the trigger, negative for falling edges"
+    )
+    alp_version: str | None = fields.option(
+        "vialux: version of the ALP interface, 4.3 unless given"
+    )
     virtual: VirtualName = None
-    latency: Annotated[
-        tuple[str, ...],
-        Field(
-            description="NAME=TIME of a virtual device: load, display, command, trigger, block, "
-            "transfer or decision, such as command=1ms"
-        ),
-    ] = ()
+    latency: tuple[str, ...] = fields.option(
+        "NAME=TIME of a virtual device: load, display, command, trigger, block, transfer or "
+        "decision, such as command=1ms",
+        (),
+    )
 
     @property
     def is_virtual(self) -> bool:
@@ -281,6 +247,8 @@ class _DeviceRun(Command):
 
     def check_devices(self) -> None:
         """Raise `InputError` for devices or options that do not go together."""
+        from deepfsi.hardware.drivers import COUNTERS, PROJECTORS
+
         check_choice("projector", self.projector, ("virtual", *PROJECTORS))
         check_choice("counter", self.counter, ("virtual", *COUNTERS))
         if self.is_virtual != (self.counter == "virtual"):
@@ -302,8 +270,9 @@ class _DeviceRun(Command):
         if self.counter_config is not None:
             fields.check_there(self.counter_config, "counter configuration")
 
-    def devices(self, terminal: Terminal) -> DeviceSettings:
+    def devices(self, terminal: Terminal) -> "DeviceSettings":
         """Settings of real devices, before they are wired."""
+        from deepfsi.hardware.drivers import DeviceSettings
 
         def ask_to_record(path: Path, seconds: float) -> None:
             terminal.warn(f"record {path} with the counter's software: begin within {seconds:g} s")
@@ -316,8 +285,10 @@ class _DeviceRun(Command):
         )
 
     @property
-    def latencies(self) -> Latencies:
+    def latencies(self) -> "Latencies":
         """Latencies of virtual devices."""
+        from deepfsi.hardware.virtual import Latencies
+
         times = {}
         for text in self.latency:
             name, _, time = text.partition("=")
@@ -326,8 +297,10 @@ class _DeviceRun(Command):
         with as_input_error():
             return Latencies(**times)
 
-    def wire(self, projector: Any, acquisition: Acquisition, terminal: Terminal) -> Setup[Any]:
+    def wire(self, projector: Any, acquisition: "Acquisition", terminal: Terminal) -> "Setup[Any]":
         """Real devices of a run: someone shows the scenes, whose names are asked for."""
+        from deepfsi.hardware.drivers import Setup, open_counter
+
         devices = replace(
             self.devices(terminal), inputs=acquisition.inputs, marker_bit=acquisition.marker_bit
         )
@@ -352,13 +325,10 @@ class RecordRun(_DeviceRun):
         dict[str, Any],
         fields.run_options("exposure", "flux", "dark", *fields.COUNTER_EFFECTS),
     ]
-    scene: Annotated[
-        Path,
-        Field(
-            description="picture, folder or .zip of the scenes; with real devices also a text file "
-            "with NAME or NAME,LABEL on each line"
-        ),
-    ]
+    scene: Path = fields.required(
+        "picture, folder or .zip of the scenes; with real devices also a text file with NAME or "
+        "NAME,LABEL on each line"
+    )
     settle_s: fields.SettleTime = None
     repeats: fields.Repeats = None
     inputs: fields.Inputs = ()
@@ -368,6 +338,11 @@ class RecordRun(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the run."""
+        from deepfsi.hardware.counting import Acquisition, CountSettings, count_run, read_run
+        from deepfsi.hardware.drivers import PassProjector, Setup, open_projector
+        from deepfsi.hardware.live import record_run
+        from deepfsi.hardware.patterns import read_patterns
+        from deepfsi.hardware.virtual import expected_events, virtual_setup
         from deepfsi.lab import camera_of, displayed, listed_scenes, scenes_of, virtual_camera
 
         self.check_devices()
@@ -429,25 +404,17 @@ class RunLive(_DeviceRun):
         dict[str, Any],
         fields.run_options("exposure", "flux", "dark", *fields.COUNTER_EFFECTS, "shortest_dwell"),
     ]
-    source: Annotated[
-        fields.DesignPath,
-        fields.argument("folder of patterns; or a design file, shown on a DLP7000"),
-    ]
+    source: fields.DesignPath = fields.argument(
+        "folder of patterns; or a design file, shown on a DLP7000"
+    )
     scene: ShownScenes
-    until: Annotated[
-        float | None,
-        Field(
-            description="confidence above which an exposure stops; that of the design's rule "
-            "unless given"
-        ),
-    ] = None
+    until: float | None = fields.option(
+        "confidence above which an exposure stops; that of the design's rule unless given"
+    )
     photons: fields.ExposureBudget = None
-    background: Annotated[
-        bool,
-        Field(
-            description="first show all masks with the scenes dark, and subtract what they count"
-        ),
-    ] = False
+    background: bool = fields.flag(
+        "first show all masks with the scenes dark, and subtract what they count"
+    )
     inputs: fields.Inputs = ()
     marker_bit: fields.MarkerBit = None
     seed: RunSeed = 0
@@ -455,6 +422,10 @@ class RunLive(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the scenes, each said as it is decided."""
+        from deepfsi.hardware.drivers import Setup, StreamingProjector, open_list_projector
+        from deepfsi.hardware.live import LiveAnswers, plan_live, run_live
+        from deepfsi.hardware.patterns import read_patterns
+        from deepfsi.hardware.virtual import expected_events, virtual_setup
         from deepfsi.lab import camera_of, displayed, open_looks, scenes_of, virtual_camera
 
         self.check_devices()
@@ -533,6 +504,7 @@ class RunLive(_DeviceRun):
     @contextmanager
     def _patterns(self, terminal: Terminal) -> Iterator[Path]:
         """Folder of patterns, or those of a design file for the moment."""
+        from deepfsi.hardware.patterns import FrameSettings, export_patterns
         from deepfsi.lab import design_rails
 
         if self.source.is_dir():
@@ -556,49 +528,32 @@ class ImportRecording(Command):
     Example: deepfsi camera import tags.txt --unit 81ps --marker-channel 8 -o run_lab/photons.ptu
     """
 
-    events: Annotated[
-        Path,
-        fields.argument(
-            "time stamps: two columns, time and channel (.txt .csv .npy .parquet), or a "
-            "Photon-HDF5 file; with --cumulative or --bins a table with a column for each input"
-        ),
-    ]
-    out: Annotated[
-        Path,
-        Field(description="photon file, .ptu, new; with --cumulative or --bins a table, .csv"),
-    ]
-    marker_channel: Annotated[
-        int | None,
-        Field(description="time stamps: channel of the device's trigger; none unless given"),
-    ] = None
-    channels: Annotated[
-        tuple[int, ...],
-        Field(
-            alias="channel",
-            description="channel of each detector, in order; all others unless given",
-        ),
-    ] = ()
-    unit: Annotated[
-        fields.Time | None,
-        Field(description="unit of the times, such as 1ps; the file's own unless given"),
-    ] = None
-    cumulative: Annotated[
-        bool, Field(description="cumulative counts, latched by the trigger of each frame (NI)")
-    ] = False
-    bins: Annotated[
-        fields.Time | None,
-        Field(description="counts in even bins of this time, such as 100us (Hamamatsu units)"),
-    ] = None
-    patterns: Annotated[
-        Path | None, Field(description="--cumulative and --bins: folder of the patterns shown")
-    ] = None
-    passes: Annotated[
-        Count | None, Field(description="--cumulative and --bins: passes; as many as there are")
-    ] = None
+    events: Path = fields.argument(
+        "time stamps: two columns, time and channel (.txt .csv .npy .parquet), or a Photon-HDF5 "
+        "file; with --cumulative or --bins a table with a column for each input"
+    )
+    out: Path = fields.required("photon file, .ptu, new; with --cumulative or --bins a table, .csv")
+    marker_channel: int | None = fields.option(
+        "time stamps: channel of the device's trigger; none unless given"
+    )
+    channels: tuple[int, ...] = fields.option(
+        "channel of each detector, in order; all others unless given", (), alias="channel"
+    )
+    unit: fields.Time | None = fields.option(
+        "unit of the times, such as 1ps; the file's own unless given"
+    )
+    cumulative: bool = fields.flag("cumulative counts, latched by the trigger of each frame (NI)")
+    bins: fields.Time | None = fields.option(
+        "counts in even bins of this time, such as 100us (Hamamatsu units)"
+    )
+    patterns: Path | None = fields.option("--cumulative and --bins: folder of the patterns shown")
+    passes: Count | None = fields.option("--cumulative and --bins: passes; as many as there are")
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Photon file or table that was written."""
+        from deepfsi.hardware.photons import read_timestamps, summarise
+
         if self.cumulative or self.bins is not None:
             return self._import_series()
         if self.patterns is not None or self.passes is not None:
@@ -638,6 +593,9 @@ class ImportRecording(Command):
 
     def _import_series(self) -> Outcome:
         """Table of cumulative counts, or of counts in bins."""
+        from deepfsi.hardware.counting import table_of_series
+        from deepfsi.hardware.patterns import read_patterns
+
         events = self.explicit(("marker_channel", "channels", "unit"))
         for name in events:
             raise InputError(f"{self.option(name)} is for time stamps: leave it out, or {SERIES}")

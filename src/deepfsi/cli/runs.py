@@ -3,7 +3,7 @@
 from copy import copy
 from json import dumps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -22,11 +22,11 @@ from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets import Variables, read_readouts
-from deepfsi.hardware.counting import CountSettings, TableSettings, count_run, read_run
-from deepfsi.hardware.live import LiveCounts, is_live
-from deepfsi.hardware.photons import ScanMarkers, count_scan, summarise
-from deepfsi.hardware.pictures import TableMasks, compare_picture, read_pictures, reconstruct
 from deepfsi.jobs import READOUTS_TRAINING
+
+if TYPE_CHECKING:
+    from deepfsi.hardware.counting import TableSettings
+
 
 OF_HEADER = "marker input, 0 to 3; that of the header unless given"
 
@@ -42,10 +42,12 @@ class InspectPhotons(Command):
     Example: deepfsi camera inspect photons.ptu
     """
 
-    file: Annotated[Path, fields.argument("PicoQuant .ptu file")]
+    file: Path = fields.argument("PicoQuant .ptu file")
 
     def run(self, terminal: Terminal) -> Outcome:
         """Contents of the file."""
+        from deepfsi.hardware.photons import summarise
+
         with terminal.progress("records") as report:
             contents = summarise(self.file, report)
         problems = "; ".join(contents.problems)
@@ -73,41 +75,29 @@ class CountRun(Command):
 
     folder: fields.RunFolder
     settings: Annotated[dict[str, Any], fields.run_options(*fields.COUNTER_EFFECTS)]
-    exposure_s: Annotated[
-        fields.Time | None,
-        Field(
-            alias="exposure",
-            description="total exposure, such as 0.01 or 10ms; the recorded one unless given",
-        ),
-    ] = None
+    exposure_s: fields.Time | None = fields.option(
+        "total exposure, such as 0.01 or 10ms; the recorded one unless given", alias="exposure"
+    )
     settle_s: fields.SettleTime = None
     repeats: fields.Repeats = None
-    tolerance_s: Annotated[
-        fields.Time | None,
-        Field(
-            alias="tolerance",
-            description="how far a marker may be off; 10us or a tenth of a frame unless given",
-        ),
-    ] = None
-    background: Annotated[
-        str | None,
-        Field(
-            description="scene of this run that was dark, or folder of a run with the scene dark: "
-            "its counts are subtracted"
-        ),
-    ] = None
+    tolerance_s: fields.Time | None = fields.option(
+        "how far a marker may be off; 10us or a tenth of a frame unless given", alias="tolerance"
+    )
+    background: str | None = fields.option(
+        "scene of this run that was dark, or folder of a run with the scene dark: its counts are "
+        "subtracted"
+    )
     inputs: fields.Inputs = ()
     marker_bit: fields.MarkerBit = None
-    flat: Annotated[
-        Path | None,
-        Field(
-            description="several detectors: counted run of a uniform white scene with the same "
-            "patterns, by which their efficiencies are corrected"
-        ),
-    ] = None
+    flat: Path | None = fields.option(
+        "several detectors: counted run of a uniform white scene with the same patterns, by which "
+        "their efficiencies are corrected"
+    )
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the run."""
+        from deepfsi.hardware.counting import CountSettings, count_run, read_run
+        from deepfsi.hardware.live import LiveCounts, is_live
         from deepfsi.lab import camera_of, gains_of
 
         if self.folder.suffix.lower() == ".ptu":
@@ -144,56 +134,38 @@ class ClassifyRun(Command):
     """
 
     settings: Annotated[dict[str, Any], fields.run_options(*fields.COUNTER_EFFECTS)]
-    file: Annotated[
-        fields.DesignPath,
-        fields.argument("design file whose patterns were shown, or the folder of its patterns"),
-    ]
-    counted: Annotated[
-        Path,
-        fields.argument(
-            "acquisition folder that was counted; or counts of any counter, .csv .parquet .npy "
-            ".mat .h5 (FILE:VARIABLE), a row for each exposure",
-            "RUN|TABLE",
-        ),
-    ]
+    file: fields.DesignPath = fields.argument(
+        "design file whose patterns were shown, or the folder of its patterns"
+    )
+    counted: Path = fields.argument(
+        "acquisition folder that was counted; or counts of any counter, .csv .parquet .npy .mat "
+        ".h5 (FILE:VARIABLE), a row for each exposure",
+        "RUN|TABLE",
+    )
     photons: fields.ExposureBudget = None
-    background: Annotated[
-        str | None,
-        Field(
-            description="table: dark counts of an input in one exposure, those of the all-OFF "
-            "frames unless given; or a table of exposures with the scene dark, to be subtracted"
-        ),
-    ] = None
-    settle_s: Annotated[
-        fields.Time | None,
-        Field(
-            alias="settle",
-            description="table: time after each marker without counting; 0 unless given",
-        ),
-    ] = None
-    exposures: Annotated[
-        str | None,
-        Field(description="table: exposures are rows or columns; by its shape unless given"),
-    ] = None
-    repeats: Annotated[
-        Count, Field(description="table: number of consecutive exposures of each scene")
-    ] = 1
-    gain: Annotated[
-        float | None,
-        Field(description="table of an analogue detector: counts that one unit stands for"),
-    ] = None
-    read_noise: Annotated[
-        float | None,
-        Field(description="table of an analogue detector: read noise of a value, counts rms"),
-    ] = None
+    background: str | None = fields.option(
+        "table: dark counts of an input in one exposure, those of the all-OFF frames unless given; "
+        "or a table of exposures with the scene dark, to be subtracted"
+    )
+    settle_s: fields.Time | None = fields.option(
+        "table: time after each marker without counting; 0 unless given", alias="settle"
+    )
+    exposures: str | None = fields.option(
+        "table: exposures are rows or columns; by its shape unless given"
+    )
+    repeats: Count = fields.option("table: number of consecutive exposures of each scene", 1)
+    gain: float | None = fields.option(
+        "table of an analogue detector: counts that one unit stands for"
+    )
+    read_noise: float | None = fields.option(
+        "table of an analogue detector: read noise of a value, counts rms"
+    )
     trust: fields.Trust = False
-    force: Annotated[
-        bool,
-        Field(description="classify even if the counts do not look like those of the training"),
-    ] = False
+    force: bool = fields.flag("classify even if the counts do not look like those of the training")
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the exposures."""
+        from deepfsi.hardware.live import LiveCounts, is_live
         from deepfsi.lab import classify_run, classify_table
 
         if self.counted.is_dir():
@@ -225,7 +197,9 @@ class ClassifyRun(Command):
         )
         return Outcome(table.as_dict(), table.lines())
 
-    def _table_settings(self) -> TableSettings:
+    def _table_settings(self) -> "TableSettings":
+        from deepfsi.hardware.counting import TableSettings
+
         names = ("photons", "settle_s", "exposures", "repeats", "gain", "read_noise")
         settings = self.explicit(names)
         if self.background is not None and is_table(self.background):
@@ -244,15 +218,15 @@ class ReconstructScenes(Command):
     """
 
     folder: fields.RunFolder
-    out: Annotated[
-        Path | None,
-        fields.Output(fields.PICTURES),
-        Field(description="picture; picture.png in the folder unless given"),
-    ] = None
+    out: Annotated[Path | None, fields.Output(fields.PICTURES)] = fields.option(
+        "picture; picture.png in the folder unless given"
+    )
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of each scene."""
+        from deepfsi.hardware.counting import read_run
+        from deepfsi.hardware.pictures import reconstruct
         from deepfsi.report import pictures_figure
         from deepfsi.report.style import write_figure
 
@@ -272,49 +246,37 @@ class DrawTables(Command):
     Example: deepfsi camera picture counts.npy --masks hadamard-natural -o picture
     """
 
-    tables: Annotated[
-        tuple[str, ...],
-        fields.argument(
-            "table of counts behind each mask, .npy .csv .mat .parquet .h5 (FILE:VARIABLE); "
-            "several of the same masks are compared",
-            "COUNTS...",
-        ),
-    ]
-    masks: Annotated[
-        str,
-        Field(
-            description="hadamard-natural (of scipy.linalg.hadamard), hadamard-sequency or "
-            "hadamard-walsh, hadamard (of the design), raster; wavelet-haar-4 and the like, of "
-            "coefficients; or a file of masks (m, N) or (m, H, W)"
-        ),
-    ]
-    out: Annotated[Path, fields.Output(new=True), Field(description="folder of the pictures, new")]
-    size: Annotated[
-        fields.HeightWidth | None,
-        Field(description="HEIGHTxWIDTH of the picture; a square unless given"),
-    ] = None
-    rails: Annotated[
-        str | None,
-        Field(
-            description="mask and inverse as two columns, in one column in turns or as two halves, "
-            "or single masks: columns, turns, halves, single; by the shape unless given"
-        ),
-    ] = None
-    exposures: Annotated[
-        fields.Names | None,
-        Field(description="time of a picture in each table, such as 20ms,40ms"),
-    ] = None
-    block: Annotated[
-        Annotated[int, Field(ge=2)] | None,
-        Field(description="pictures that were uploaded and shown at a time, such as 64"),
-    ] = None
-    compare: Annotated[
-        str | None,
-        Field(description="picture of another camera, FILE or FILE:VARIABLE, to compare with"),
-    ] = None
+    tables: tuple[str, ...] = fields.argument(
+        "table of counts behind each mask, .npy .csv .mat .parquet .h5 (FILE:VARIABLE); several of "
+        "the same masks are compared",
+        "COUNTS...",
+    )
+    masks: str = fields.required(
+        "hadamard-natural (of scipy.linalg.hadamard), hadamard-sequency or hadamard-walsh, "
+        "hadamard (of the design), raster; wavelet-haar-4 and the like, of coefficients; or a file "
+        "of masks (m, N) or (m, H, W)"
+    )
+    out: Annotated[Path, fields.Output(new=True)] = fields.required("folder of the pictures, new")
+    size: fields.HeightWidth | None = fields.option(
+        "HEIGHTxWIDTH of the picture; a square unless given"
+    )
+    rails: str | None = fields.option(
+        "mask and inverse as two columns, in one column in turns or as two halves, or single "
+        "masks: columns, turns, halves, single; by the shape unless given"
+    )
+    exposures: fields.Names | None = fields.option(
+        "time of a picture in each table, such as 20ms,40ms"
+    )
+    block: Annotated[int, Field(ge=2)] | None = fields.option(
+        "pictures that were uploaded and shown at a time, such as 64"
+    )
+    compare: str | None = fields.option(
+        "picture of another camera, FILE or FILE:VARIABLE, to compare with"
+    )
 
     def run(self, terminal: Terminal) -> Outcome:
         """Pictures, and the verdict on their light."""
+        from deepfsi.hardware.pictures import TableMasks, compare_picture, read_pictures
         from deepfsi.report import pictures_figure, rail_light_figure
         from deepfsi.report.style import write_figure
 
@@ -359,28 +321,22 @@ class CountScan(Command):
     Example: deepfsi camera scan leaf.ptu --pixels 256 -o leaf.npz --figure leaf.png
     """
 
-    file: Annotated[Path, fields.argument("PicoQuant .ptu file of an image scan")]
-    out: Annotated[Path, fields.Output((".npz",)), Field(description="counts of the lines, .npz")]
-    pixels: Annotated[Count, Field(description="equal pixels of a line")] = 1
+    file: Path = fields.argument("PicoQuant .ptu file of an image scan")
+    out: Annotated[Path, fields.Output((".npz",))] = fields.required("counts of the lines, .npz")
+    pixels: Count = fields.option("equal pixels of a line", 1)
     inputs: fields.Inputs = ()
-    line_start: Annotated[
-        fields.MarkerNumber | None, Field(description=f"start of a line: {OF_HEADER}")
-    ] = None
-    line_end: Annotated[
-        fields.MarkerNumber | None, Field(description=f"end of a line: {OF_HEADER}")
-    ] = None
-    frame: Annotated[
-        fields.MarkerNumber | None, Field(description=f"start or end of a frame: {OF_HEADER}")
-    ] = None
-    figure: Annotated[
-        Path | None,
-        fields.Output(fields.PICTURES),
-        Field(description="picture of the frames, .png"),
-    ] = None
+    line_start: fields.MarkerNumber | None = fields.option(f"start of a line: {OF_HEADER}")
+    line_end: fields.MarkerNumber | None = fields.option(f"end of a line: {OF_HEADER}")
+    frame: fields.MarkerNumber | None = fields.option(f"start or end of a frame: {OF_HEADER}")
+    figure: Annotated[Path | None, fields.Output(fields.PICTURES)] = fields.option(
+        "picture of the frames, .png"
+    )
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the scan."""
+        from deepfsi.hardware.photons import ScanMarkers, count_scan
+
         if self.figure is not None and self.pixels == 1:
             raise InputError(
                 "a picture needs pixels: give --pixels, 2 or more, or leave --figure out"
@@ -413,33 +369,19 @@ class FindTransits(Command):
     """
 
     design: fields.PassingDesign
-    file: Annotated[
-        Path,
-        fields.existing("a .ptu file"),
-        fields.argument("photon file, without markers", "PTU"),
-    ]
-    bin_s: Annotated[
-        fields.Time, Field(alias="bin", description="length of a time bin, such as 100us")
-    ]
-    photons: Annotated[
-        float | None,
-        Field(description="budget of a transit; that of the training unless given"),
-    ] = None
-    background: Annotated[
-        float | None,
-        Field(description="counts/s without a scene; from the record unless given"),
-    ] = None
-    false_alarms: Annotated[
-        float, Field(description="expected false alarms in the whole record, at most")
-    ] = 0.01
-    counter_input: Annotated[
-        Count, Field(alias="input", description="input of the counter, 1 for the first")
-    ] = 1
-    out: Annotated[
-        Path | None,
-        fields.Output((".csv",)),
-        Field(description="table of starts, classes and counts of bins, .csv"),
-    ] = None
+    file: Annotated[Path, fields.existing("a .ptu file")] = fields.argument(
+        "photon file, without markers", "PTU"
+    )
+    bin_s: fields.Time = fields.required("length of a time bin, such as 100us", alias="bin")
+    photons: float | None = fields.option("budget of a transit; that of the training unless given")
+    background: float | None = fields.option(
+        "counts/s without a scene; from the record unless given"
+    )
+    false_alarms: float = fields.option("expected false alarms in the whole record, at most", 0.01)
+    counter_input: Count = fields.option("input of the counter, 1 for the first", 1, alias="input")
+    out: Annotated[Path | None, fields.Output((".csv",))] = fields.option(
+        "table of starts, classes and counts of bins, .csv"
+    )
     trust: fields.Trust = False
     force: fields.Force = False
 
@@ -488,52 +430,32 @@ class LearnReadouts(Command):
     Example: deepfsi readouts run7/ --values volts --label digit --monitor laser -o run7.safetensors
     """
 
-    source: Annotated[
-        Path,
-        fields.argument(
-            "table of readouts, .mat .npz .h5 .csv .parquet; or a folder of such files"
-        ),
-    ]
+    source: Path = fields.argument(
+        "table of readouts, .mat .npz .h5 .csv .parquet; or a folder of such files"
+    )
     out: Annotated[fields.DesignOut, fields.Output(DESIGN_ENDINGS)]
     settings: Annotated[dict[str, Any], _readouts_options()]
-    values: Annotated[
-        str | None,
-        Field(
-            description="variable of the readouts, or pattern of columns such as mode*; the only "
-            "array, or all other columns, unless given"
-        ),
-    ] = None
-    label: Annotated[
-        str | None,
-        Field(description="variable or column of the class; each file is one unless given"),
-    ] = None
-    picture: Annotated[
-        str | None, Field(description="variable or column of the picture that was shown")
-    ] = None
-    order: Annotated[
-        str | None,
-        Field(description="variable or column that rises with the time of recording, over all"),
-    ] = None
-    monitors: Annotated[
-        tuple[str, ...],
-        Field(
-            alias="monitor",
-            description="variable or columns of a monitor of the light; may be given again",
-        ),
-    ] = ()
-    split: Annotated[
-        str,
-        Field(
-            description="split whose training part trains the saved design: random, later or "
-            "pictures"
-        ),
-    ] = "random"
-    figure: Annotated[
-        Path | None,
-        fields.Output(fields.PICTURES),
-        Field(description="picture of the accuracies: .png, .svg or .pdf"),
-    ] = None
-    seed: Annotated[int, Field(ge=0, le=2**32 - 1, description="seed of splits and training")] = 0
+    values: str | None = fields.option(
+        "variable of the readouts, or pattern of columns such as mode*; the only array, or all "
+        "other columns, unless given"
+    )
+    label: str | None = fields.option(
+        "variable or column of the class; each file is one unless given"
+    )
+    picture: str | None = fields.option("variable or column of the picture that was shown")
+    order: str | None = fields.option(
+        "variable or column that rises with the time of recording, over all"
+    )
+    monitors: tuple[str, ...] = fields.option(
+        "variable or columns of a monitor of the light; may be given again", (), alias="monitor"
+    )
+    split: str = fields.option(
+        "split whose training part trains the saved design: random, later or pictures", "random"
+    )
+    figure: Annotated[Path | None, fields.Output(fields.PICTURES)] = fields.option(
+        "picture of the accuracies: .png, .svg or .pdf"
+    )
+    seed: int = fields.option("seed of splits and training", 0, ge=0, le=2**32 - 1)
     device: fields.TorchDevice = "auto"
     force: fields.Force = False
 

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field
+import numpy as np
 
 from deepfsi.base import (
     InputError,
@@ -26,16 +26,13 @@ from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.evaluate import data_lines
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.datasets import load_dataset
+from deepfsi.datasets import Dataset, load_dataset
 from deepfsi.jobs import find_table, read_matrix
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
     from types import ModuleType
 
-    import numpy as np
-
-    from deepfsi.datasets import Dataset
     from deepfsi.sweeps import Recipe, Results
 
 PAPER_PACKAGE = "deepfsi_paper"
@@ -83,10 +80,9 @@ class CompareDesigns(Command):
     trials: fields.Trials = None
     folds: fields.Folds = None
     matrix: fields.Matrix = None
-    recipe: Annotated[
-        str | None,
-        Field(description="name of a recipe, or TOML file; options given here override it"),
-    ] = None
+    recipe: str | None = fields.option(
+        "name of a recipe, or TOML file; options given here override it"
+    )
     device: fields.TorchDevice = "auto"
     workers: fields.WorkerCount = None
     force: fields.Force = False
@@ -141,7 +137,7 @@ class PlanPhotons(Command):
     """
 
     settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=("design", "seed"))]
-    target: Annotated[fields.Number, Field(description="target accuracy, such as 0.95")]
+    target: fields.Number = fields.required("target accuracy, such as 0.95")
     out: fields.StudyFolder = Path("runs/plan")
     data: fields.TrainingData = "digits"
     size: fields.Size = None
@@ -199,30 +195,19 @@ class SweepRecipe(Command):
     Example: deepfsi sweep baseline -o runs/baseline --table runs/baseline.csv
     """
 
-    recipe: Annotated[
-        str, fields.argument("name of a recipe, such as mnist, or TOML file; lists are axes")
-    ]
-    part_name: Annotated[
-        str | None, Field(alias="part", description="part of a recipe that has several")
-    ] = None
-    camera: Annotated[
-        str | None,
-        Field(description="a camera in place of the recipe's: a preset, or a TOML file"),
-    ] = None
-    quick: Annotated[bool, Field(description="the recipe's coarse version, where it has one")] = (
-        False
+    recipe: str = fields.argument("name of a recipe, such as mnist, or TOML file; lists are axes")
+    part_name: str | None = fields.option("part of a recipe that has several", alias="part")
+    camera: str | None = fields.option(
+        "a camera in place of the recipe's: a preset, or a TOML file"
     )
-    out: Annotated[Path, Field(description="output folder")] = Path("runs/sweep")
+    quick: bool = fields.flag("the recipe's coarse version, where it has one")
+    out: Path = fields.option("output folder", Path("runs/sweep"))
     folds: fields.Folds = None
     workers: fields.WorkerCount = None
     ray: fields.Ray = None
     device: fields.TorchDevice = "auto"
-    dry_run: Annotated[bool, Field(description="estimate the time on this machine, and stop")] = (
-        False
-    )
-    table: Annotated[
-        Path | None, Field(description="write all records as one table, .csv or .parquet")
-    ] = None
+    dry_run: bool = fields.flag("estimate the time on this machine, and stop")
+    table: Path | None = fields.option("write all records as one table, .csv or .parquet")
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
@@ -259,7 +244,7 @@ class SweepRecipe(Command):
         write_table(records, self.table)
         return replace(outcome, lines=[*outcome.lines, f"table: {self.table}"])
 
-    def _forecast(self, recipe: "Recipe", scenes: "Dataset", terminal: Terminal) -> Outcome:
+    def _forecast(self, recipe: "Recipe", scenes: Dataset, terminal: Terminal) -> Outcome:
         """Time that the trials would take here."""
         from deepfsi.sweeps import forecast_cost
 
@@ -279,25 +264,17 @@ class ReproducePaper(Command):
     Example: deepfsi reproduce mnist --quick -o runs/paper
     """
 
-    name: Annotated[
-        str,
-        fields.argument(
-            "mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, flexible, "
-            "detectors, adaptive, or list"
-        ),
-    ]
-    out: Annotated[Path, Field(description="output folder")] = Path("runs/paper")
-    quick: Annotated[bool, Field(description="a coarse grid, in a fraction of the time")] = False
-    trials: Annotated[
-        Count | None, Field(description="training seeds for each point, if not the recipe's")
-    ] = None
-    ratios: Annotated[
-        fields.Ratios, Field(description="compression ratios, if not the recipe's: 0.01,0.16,1")
-    ] = None
-    part_name: Annotated[
-        str | None,
-        Field(alias="part", description="the only part to run, of a recipe with several parts"),
-    ] = None
+    name: str = fields.argument(
+        "mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, flexible, "
+        "detectors, adaptive, or list"
+    )
+    out: Path = fields.option("output folder", Path("runs/paper"))
+    quick: bool = fields.flag("a coarse grid, in a fraction of the time")
+    trials: Count | None = fields.option("training seeds for each point, if not the recipe's")
+    ratios: fields.Ratios = fields.option("compression ratios, if not the recipe's: 0.01,0.16,1")
+    part_name: str | None = fields.option(
+        "the only part to run, of a recipe with several parts", alias="part"
+    )
     workers: fields.WorkerCount = None
     ray: fields.Ray = None
     device: fields.TorchDevice = "auto"
@@ -379,11 +356,9 @@ class WriteReport(Command):
     Example: deepfsi report runs/paper
     """
 
-    folder: Annotated[
-        Path,
-        fields.existing("the output of compare, sweep or reproduce"),
-        fields.argument("output of compare, sweep or reproduce"),
-    ]
+    folder: Annotated[Path, fields.existing("the output of compare, sweep or reproduce")] = (
+        fields.argument("output of compare, sweep or reproduce")
+    )
 
     def run(self, terminal: Terminal) -> Outcome:
         """The page, written again."""
@@ -486,12 +461,12 @@ def _read(option: str, text: str) -> float:
 
 
 def _checked(
-    settings: Mapping[str, Any], matrix: "np.ndarray | None" = None
+    settings: Mapping[str, Any], matrix: np.ndarray | None = None
 ) -> "tuple[Recipe, Dataset]":
     """Recipe of settings and its data, or `InputError` that names every mistake."""
     from deepfsi.sweeps import check_settings
 
-    def load(recipe: "Recipe") -> "Dataset":
+    def load(recipe: "Recipe") -> Dataset:
         names = ("size", "split", "images", "skip_bad", "normal")
         return load_dataset(recipe.data, **{name: getattr(recipe, name) for name in names})
 

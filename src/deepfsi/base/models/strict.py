@@ -22,7 +22,7 @@ else:
 class StrictModel(BaseModel):
     """Model that is never changed once it is made, and knows no other fields than its own."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 @dataclass_transform(kw_only_default=True, field_specifiers=(Field,))
