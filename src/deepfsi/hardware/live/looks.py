@@ -242,9 +242,9 @@ class FixedMaskLooks:
         )
         return cls(design, patterns)
 
-    def expose(self, scene: int, state: ExposureState) -> "_FixedMaskExposure":
+    def expose(self, scene: int, state: ExposureState) -> "FixedMaskExposure":
         """Begin an exposure of a scene."""
-        return _FixedMaskExposure(self, state)
+        return FixedMaskExposure(self, state)
 
     def lit(self, asked: FrameList) -> np.ndarray:
         """Share of each pixel's mirrors that are ON in frames of a look, (F, N)."""
@@ -256,7 +256,7 @@ def rows_of(manifest: Manifest, asked: FrameList) -> np.ndarray:
     return np.searchsorted(manifest.shown, asked.frames)
 
 
-class _FixedMaskExposure:
+class FixedMaskExposure:
     """One exposure of a scene with masks that do not change."""
 
     def __init__(self, looks: FixedMaskLooks, state: ExposureState) -> None:
