@@ -10,8 +10,8 @@ import pytest
 from deepfsi.datasets import catalog, load_indian_pines
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.indian_pines import claims as indian_pines
-from deepfsi_paper.indian_pines import measures as measures_module
-from shared.results import a_point, some_results
+from deepfsi_paper.indian_pines import measures
+from shared.results import of_three, some_results
 
 NM = np.linspace(400, 2500, 220)
 NM[31:34] = NM[33:30:-1]  # where two spectrometers overlap the table does not rise
@@ -25,7 +25,7 @@ def label_map():
     return labels
 
 
-def make_home(root, patch, table=True):
+def make_home(root, patch):
     """$DEEPFSI_DATA with a small number of made-up spectra in the place of Indian Pines."""
     folder = root / "data" / "indian_pines"
     folder.mkdir(parents=True)
@@ -37,37 +37,26 @@ def make_home(root, patch, table=True):
         np.save(folder / f"{stem}.npy", values)
         patch.setitem(scene.hashes, stem, catalog.values_hash(values))
     rows = [f"{nm:.6f}\t9.78\t0.92\t0.5\t{i + 2}" for i, nm in enumerate(NM)]
-    if table:
-        (folder / "92AV3C.spc").write_text("\n".join(["FILE x", "------", *rows]) + "\n")
-    return folder
-
-
-def run(folder, patch, **grid):
-    """Run the study with one trial on a grid of a moment."""
-    whole = experiment.Experiment.recipes
-    grid = {"photons": (1e2, 1e4), **grid}
-
-    def recipes(self, quick, trials=None):
-        how = {"epochs": (1,), "batch": (100,), "hidden": ((8,),)}
-        changes = {"ratios": (0.02,), "training": how, "draws": 1, **grid}
-        coarse = whole(self, True, trials)
-        return {part: recipe.model_copy(update=changes) for part, recipe in coarse.items()}
-
-    patch.setattr(experiment.Experiment, "recipes", recipes)
-    results = indian_pines.EXPERIMENT.run(
-        folder, command="deepfsi reproduce indian-pines", trials=1
-    )
-    patch.setattr(experiment.Experiment, "recipes", whole)
-    return results, indian_pines.EXPERIMENT.section(folder)
+    (folder / "92AV3C.spc").write_text("\n".join(["FILE x", "------", *rows]) + "\n")
 
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory, all_drawn_once):
-    """Run the study on made-up spectra: (folder, results, section)."""
-    root = tmp_path_factory.mktemp("pines")
+    """Run the study with one trial of a moment on made-up spectra: (folder, results, section)."""
+    root, whole = tmp_path_factory.mktemp("pines"), experiment.Experiment.recipes
+    training = {"epochs": (1,), "batch": (100,), "hidden": ((8,),)}
+    changes = {"ratios": (0.02,), "training": training, "draws": 1, "photons": (1e2, 1e4)}
+
+    def recipes(self, quick, trials=None):
+        coarse = whole(self, True, trials)
+        return {part: recipe.model_copy(update=changes) for part, recipe in coarse.items()}
+
     with pytest.MonkeyPatch.context() as patch:
         make_home(root, patch)
-        yield root / "out", *run(root / "out", patch)
+        patch.setattr(experiment.Experiment, "recipes", recipes)
+        results = indian_pines.EXPERIMENT.run(root / "out", command="deepfsi reproduce", trials=1)
+        patch.setattr(experiment.Experiment, "recipes", whole)
+        yield root / "out", results, indian_pines.EXPERIMENT.section(root / "out")
 
 
 def test_the_page_names_the_scene_its_bands_and_splits(study):
@@ -95,7 +84,7 @@ def test_both_splits_are_trained_and_tested_apart(study):
     scene = load_indian_pines()
     for split, part in results.extra["parts"].items():
         train, test = scene.parts(split)
-        uses = measures_module.Packed(**part["uses"]).values
+        uses = measures.Packed(**part["uses"]).values
         assert np.array_equal(uses == 1, train)
         assert np.array_equal(uses == 2, test)
         assert np.array_equal(uses > 0, scene.labels > 0)
@@ -107,8 +96,8 @@ def test_maps_show_what_the_design_says_of_each_pixel(study):
     extra = results.extra
     scene = load_indian_pines()
     for row in extra["maps"]:
-        seen = measures_module.Packed(**row["map"]).values
-        uses = measures_module.Packed(**extra["parts"][row["split"]]["uses"]).values
+        seen = measures.Packed(**row["map"]).values
+        uses = measures.Packed(**extra["parts"][row["split"]]["uses"]).values
         assert np.array_equal(seen > 0, scene.labels > 0)
         right = seen == scene.labels
         assert row["test"] == right[uses == 2].mean()
@@ -120,72 +109,34 @@ LEVEL = {"deepfsi": 0.8, "pca": 0.7, "truncated-hadamard": 0.3, "control": 0.65,
 BUDGETS = (1e2, 1e4, 1e6)
 
 
-def overview(labels, classes, wavelengths=None, spectra=None):
-    labels = np.array(labels)
-    spectra = spectra or {classes[0]: [[0.1, 0.2, 0.3]] * 3}
-    bands = np.shape(next(iter(spectra.values())))[1]
-    return measures_module.Overview(
-        classes,
-        measures_module.pack(labels),
-        measures_module.pack(labels),
-        None,
-        bands,
-        wavelengths,
-        spectra,
-    )
-
-
 def measured(labels, *recalls):
-    scene, parts = (
-        overview(labels, ["a", "b"]),
-        measures_module.Parts(measures_module.pack(np.array(labels)), 3, 2, 0, 2),
-    )
-    return measures_module.Measures(scene, {"random": parts, "blocks": parts}, [], [], recalls)
+    packed = measures.pack(np.array(labels))
+    spectra = {"a": [[0.1, 0.2, 0.3]] * 3}
+    scene = measures.Overview(["a", "b"], packed, packed, None, 3, None, spectra)
+    parts = measures.Parts(packed, 3, 2, 0, 2)
+    return measures.Measures(scene, {"random": parts, "blocks": parts}, [], [], recalls)
 
 
-def answers(recall=(0.9, 0.8), **changed):
+def answers(changed):
     """Answers to all claims: an advantage under PN, none under AGN, or with changes."""
-    points = []
-    for split, noise, photons in itertools.product(
-        ("random", "blocks"), ("poisson", "gaussian"), BUDGETS
+    points, seen = [], ("pca", "deepfsi", "control")
+    for split, noise, photons, design in itertools.product(
+        ("random", "blocks"), ("poisson", "gaussian"), BUDGETS, LEVEL
     ):
-        for design, level in LEVEL.items():
-            level = 0.7 if (design, noise) == ("deepfsi", "gaussian") else level
-            level = changed.get(f"{split}|{noise}|{design}|{photons:g}", level)
-            step = -0.001 if (split, design) == ("random", "deepfsi") else 0.001
-            points.append(
-                a_point(
-                    level,
-                    0.002,
-                    split=split,
-                    noise=noise,
-                    photons=photons,
-                    design=design,
-                    masks=3,
-                    specific=design in ("pca", "deepfsi", "control"),
-                    accuracies=(level - step, level, level + step),
-                )
-            )
-    results = some_results(
-        points,
-        recipe={"data": "indian-pines"},
-        data={"classes": ("a", "b"), "image_shape": (4,)},
-        extra=asdict(
-            measured(
-                [[0, 1, 1], [2, 2, 2]],
-                *(
-                    measures_module.Recall(split, photons, [[rate - 0.001, None], [rate, 0.0]])
-                    for split, rate in zip(("random", "blocks"), recall, strict=True)
-                    for photons in BUDGETS
-                ),
-            )
-        ),
-    )
+        level = 0.7 if (design, noise) == ("deepfsi", "gaussian") else LEVEL[design]
+        level = changed.get(f"{split}|{noise}|{design}|{photons:g}", level)
+        point = of_three(level, split=split, noise=noise, photons=photons, design=design, masks=3)
+        turned = point.accuracies[:: -1 if (split, design) == ("random", "deepfsi") else 1]
+        points.append(point.model_copy(update={"accuracies": turned, "specific": design in seen}))
+    recalls = [
+        measures.Recall(split, photons, [[rate - 0.001, None], [rate, 0.0]])
+        for split, rate in zip(("random", "blocks"), changed.get("recall", (0.9, 0.8)), strict=True)
+        for photons in BUDGETS
+    ]
+    data = {"classes": ("a", "b"), "image_shape": (4,)}
+    extra = asdict(measured([[0, 1, 1], [2, 2, 2]], *recalls))
+    results = some_results(points, recipe={"data": "indian-pines"}, data=data, extra=extra)
     return [claim.holds for claim in indian_pines.claims_of(indian_pines.Numbers(results))]
-
-
-def test_claims_hold_where_the_numbers_are_the_papers():
-    assert answers() == [True] * 10
 
 
 @pytest.mark.parametrize(
@@ -216,17 +167,18 @@ def test_claims_hold_where_the_numbers_are_the_papers():
     ],
 )
 def test_claims_answer_to_the_numbers(place, change, answer):
-    assert answers(**change)[place] is answer
+    assert answers({}) == [True] * 10
+    assert answers(change)[place] is answer
 
 
 def test_leakage_weighs_classes_by_their_share_of_the_scene():
     """A class that one split does not test counts in neither."""
-    measures = measured(
+    scene = measured(
         [1] * 6 + [2] * 2 + [3] * 9,
-        measures_module.Recall("random", 1e4, [[1.0, 0.6, 0.0]]),
-        measures_module.Recall("blocks", 1e4, [[0.5, 0.2, None]]),
+        measures.Recall("random", 1e4, [[1.0, 0.6, 0.0]]),
+        measures.Recall("blocks", 1e4, [[0.5, 0.2, None]]),
     )
-    found = indian_pines.leakage(measures)[1e4]
+    found = indian_pines.leakage(scene)[1e4]
     assert found.random == pytest.approx((6 * 1 + 2 * 0.6) / 8)
     assert found.blocks == pytest.approx((6 * 0.5 + 2 * 0.2) / 8)
     assert found.difference.mean == pytest.approx(found.random - found.blocks)

@@ -7,7 +7,6 @@ from deepfsi.report import rendering
 from deepfsi_paper.report import section as section_module
 from deepfsi_paper.report.study_page import write_study
 from shared.pages import (
-    SCRIPT,
     assert_explained,
     assert_headed,
     assert_whole,
@@ -46,15 +45,6 @@ def test_headings_are_in_order_and_abbreviations_explained(tmp_path):
     assert '<abbr title="' + rendering.ABBREVIATIONS["PN"] in page
     assert "CGs and USERS" in page
     assert page.index("This page tests how well") < page.index("<h2") < page.index('class="sketch"')
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_markup_is_text(tmp_path):
-    page = page_of(tmp_path, [*example(tmp_path), section(title=SCRIPT, command=SCRIPT)])
-    assert SCRIPT not in page
-    assert page.count("<script>") == 1
-    bad = write_study(tmp_path, SCRIPT, [section()]).read_text("utf-8")
-    assert SCRIPT not in bad
 
 
 @pytest.mark.parametrize(
