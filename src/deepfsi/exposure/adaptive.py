@@ -422,7 +422,7 @@ class AdaptiveExposure(ExposureKind):
             last = index == settings.looks - 1
             if settings.until < 1 or last:
                 chances[running] = state.chances
-                going = chances[running].amax(dim=1) <= settings.until
+                going = state.confidence <= settings.until
                 if not last and not bool(going.all()):
                     state = state.rows_of(going)
                     running = running[going]
@@ -517,8 +517,8 @@ class AdaptiveTraining:
         generator = torch.Generator().manual_seed(job.seed ^ 2**31)
         places, scenes = self._some(SHARING_SCENES, generator)
         optics = made.optics_at(job.photons, job.optics)
-        confidence = torch.empty(len(scenes), self.settings.looks)
-        light = torch.empty_like(confidence)
+        confidence = torch.empty(len(scenes), self.settings.looks, dtype=torch.double)
+        light = torch.empty(len(scenes), self.settings.looks)
         parts = torch.arange(len(scenes)).split(made.exposed_at_once)
         for done, rows in enumerate(parts, start=1):
             state = AdaptivePosterior(made.prior, len(rows), optics)
@@ -527,10 +527,10 @@ class AdaptiveTraining:
             for look, share in enumerate(self.settings.shares):
                 seen = look_at(state, scenes[rows], share, generator)
                 state.update(seen.masks, seen.counts, share)
-                confidence[rows, look] = state.chances.amax(dim=1)
+                confidence[rows, look] = state.confidence
                 light[rows, look] = seen.light.sum(dim=1)
             report(done / len(parts))
-        sure = confidence.double().numpy()
+        sure = confidence.numpy()
         threshold = made.stops.threshold(sure, 1.0)
         going = torch.from_numpy(made.stops.going(sure, threshold))
         counted = (light * going).mean(dim=0) / job.photons

@@ -499,6 +499,16 @@ class AdaptivePosterior:
         return (odds / temperature + shares).softmax(dim=1)
 
     @property
+    def confidence(self) -> Tensor:
+        """Probability (b,) of the likeliest class, in double precision.
+
+        Written as 1 less those of the others, which keep their digits where it rounds to 1.
+        """
+        chances = self.chances
+        others = chances.scatter(1, chances.argmax(dim=1, keepdim=True), 0.0)
+        return 1 - others.double().sum(dim=1)
+
+    @property
     def scene(self) -> Tensor:
         """Mean scene (b, N) of the posterior."""
         here = self._shift + self.unknown(self.class_sums.sum(dim=1))
