@@ -108,6 +108,12 @@ def test_no_mirror_gives_a_file(server, tmp_path):
     assert kept == sorted(FILES[:2]), "nothing half-written"
 
 
+def test_without_a_network_the_folder_is_named(server):
+    server.shutdown()
+    server.server_close()
+    not_loaded("mnist", "127.0.0.1", "(ConnectionError)", "set DEEPFSI_DATA")
+
+
 def test_a_damaged_file_in_the_cache_is_downloaded_again(server, tmp_path):
     fill(tmp_path / "first")
     fill(tmp_path / "cache" / "mnist", **{FILES[3]: b"damaged"})

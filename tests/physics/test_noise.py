@@ -151,7 +151,7 @@ def test_trainings_side_by_side_have_the_numbers_of_each(noise):
         assert kept == number if isinstance(number, int) else kept.tolist() == [number]
 
 
-@pytest.mark.parametrize("own", [saturating, "shared.noises:saturating"], ids=str)
+@pytest.mark.parametrize("own", [saturating, "shared.noises:saturating"], ids=["function", "path"])
 def test_a_noise_of_ones_own_is_drawn_for_each_rail(own):
     scene = torch.tensor([600.0, 900.0], dtype=torch.float64)
     scanner = Scanner.from_rails(RAILS, own)
