@@ -279,14 +279,17 @@ def test_unbalanced_data_shows_its_worst_class(done, file, tmp_path, monkeypatch
     printed = done("compare", *light, *words, "--classifier", "mlp,mynets:Small")
     assert "classifier mynets:Small" in printed
     results = json.loads((out / "results.json").read_text(encoding="utf-8"))
-    best = next(point for point in results["points"] if point["best"])
-    name = results["data"]["classes"][best["worst_class"]]
-    told = f"accuracy of {best['balanced']:.3f}, worst class {best['worst']:.3f} ({name})"
-    assert told in printed or abs(best["balanced"] - best["accuracy"]) < 0.02
-    assert results["chosen_by"] == "balanced"
     page = (out / "report.html").read_text(encoding="utf-8")
-    for said in (f"balanced {best['balanced']:.3f} (", f"worst {best['worst']:.3f} ({name})"):
-        assert said in page
+    told = []
+    for best in (point for point in results["points"] if point["best"]):  # one of each network
+        name = results["data"]["classes"][best["worst_class"]]
+        worst = f"worst class {best['worst']:.3f} ({name})"
+        told.append(f"accuracy of {best['balanced']:.3f}, {worst}" in printed)
+        told.append(abs(best["balanced"] - best["accuracy"]) < 0.02)  # then nothing is to be told
+        for said in (f"balanced {best['balanced']:.3f} (", f"worst {best['worst']:.3f} ({name})"):
+            assert said in page
+    assert any(told)
+    assert results["chosen_by"] == "balanced"
     assert "mynets:Small" in page
     assert "by balanced accuracy" in page
 

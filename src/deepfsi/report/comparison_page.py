@@ -105,7 +105,13 @@ def _page_text(results: Results, designs: Path, figures: Figures) -> str:
         else f"{len(data.classes)} classes",
         names=data.classes or data.values,
         measure=main_measure(data.measure),
-        further=[measure for measure in MEASURES.values() if measure.averaged and measure.column],
+        further=[
+            measure
+            for measure in MEASURES.values()
+            if measure.averaged
+            and measure.column
+            and any(point.score(measure.key) is not None for point in points)
+        ],
         errors=list(_value_errors(results)),
         optics=_optics_text,
         facts=[
