@@ -11,6 +11,7 @@ from deepfsi.evaluation import evaluate
 from deepfsi.exposure import AdaptiveExposure
 from deepfsi.exposure.kind import Stops
 from deepfsi.jobs import AdaptiveMasks
+from deepfsi.sweeps import Recipe
 
 PHOTONS, DRAWS = 1e3, 3
 
@@ -115,3 +116,9 @@ def test_few_scenes_say_too_little_of_the_mean(digits):
     few = replace(digits, x_train=digits.x_train[:40], y_train=digits.y_train[:40])
     with pytest.raises(InputError, match="40 training scenes say too little"):
         deepfsi.learn(few, design="adaptive", masks=8, photons=PHOTONS, exposure={"cap": 2})
+
+
+def test_a_comparison_says_that_a_budget_is_a_mean():
+    recipe = Recipe.model_validate({"exposure": {"cap": [1, 2]}})
+    assert [name for name, _ in recipe.exposures("adaptive")] == ["", "(mean light, at most 2 Φ)"]
+    assert recipe.exposures("deepfsi") == [("", deepfsi.Fixed())]

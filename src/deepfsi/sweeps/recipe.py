@@ -316,8 +316,8 @@ class Recipe(UserModel):
             exposure = find_exposure(point)
             names = [_variant({name: point[name] for name in others}, others)]
             if isinstance(exposure, SharedLight):
-                names.append(f"mean light, at most {exposure.cap:g} Φ")
-            found.append((", ".join(filter(None, names)), exposure))
+                names.append(f"(mean light, at most {exposure.cap:g} Φ)")
+            found.append((" ".join(filter(None, names)), exposure))
         return found
 
     @property
