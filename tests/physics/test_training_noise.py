@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from conftest import assert_moments
-from deepfsi.physics import Rails, TrainingNoise, detection, noise
+from deepfsi.physics import Rails, TrainingNoise, detection, noise, training_noise
 from shared.noises import RAILS
 
 DRAWS = 50_000
@@ -87,3 +87,14 @@ def test_training_follows_mean_light_and_time(kind):
         error = 5 * by_light.std(dim=0) / math.sqrt(DRAWS)
         by_time = read.time.grad[0, 0] / DRAWS  # through d = D t
         assert ((by_time - dark / gain**2).abs() <= error * dark / gain).all()
+
+
+def test_each_seed_has_an_order_of_its_own():
+    def order(seed):
+        one = TrainingNoise.of([noise.Poisson()], GAINS[:1], [seed], torch.device("cpu"))
+        stream = training_noise.SeedStream(seed, slice(0, 1), one, torch.arange(64), 16)
+        stream.shuffle()
+        return stream.order
+
+    assert torch.equal(order(3), order(3))
+    assert not torch.equal(order(3), order(4))
