@@ -39,6 +39,13 @@ def test_counts_in_the_mean_are_the_budget_times_the_shares(made, digits, light,
     assert abs(float(counts.sum()) / n - result.counts) < 5 * math.sqrt(result.counts / n)
 
 
+def test_a_budget_reaches_the_noise(good, digits):
+    """With a photon a scene hardly more than guessing is left: 4 standard errors from it."""
+    dim, bright = evaluate(good, digits, [1.0, 1e6], draws=1)
+    assert dim.accuracy < 0.25
+    assert bright.accuracy > dim.accuracy + 4 * (2 * 0.25 / dim.images) ** 0.5
+
+
 def test_counts_are_of_the_test_scenes_and_of_light_alone(good, digits):
     """Brighter scenes give more; dark counts and read noise give none."""
     bright = replace(digits, x_test=np.minimum(2 * digits.x_test, 1))
