@@ -42,6 +42,8 @@ class _InOneLine(ModelMetaclass):
 class UserModel(StrictModel, metaclass=_InOneLine):
     """Model of what a user writes in Python."""
 
+    model_config = ConfigDict(defer_build=False)  # its signature is shown before its first use
+
 
 Seconds = Annotated[float, BeforeValidator(seconds)]
 """Seconds, 0 or more, of a number or of a text with a unit."""
