@@ -27,6 +27,7 @@ from deepfsi.design import Design
 from deepfsi.designfile import new_scenes, trained_on
 from deepfsi.evaluation.accuracy import check_data, check_draws, coverage_text
 from deepfsi.evaluation.confidence import logits_at_stops
+from deepfsi.exposure import Stops
 from deepfsi.measures import calibration_error, confidence_error, confidence_groups
 from deepfsi.networks import check_classes, stop_temperatures
 from deepfsi.physics import library_defaults
@@ -249,9 +250,7 @@ class _Answers:
 
     def ends(self, threshold: float) -> np.ndarray:
         """Stop (E,), from 0, at which each exposure ends."""
-        enough = self.calibrated.values > threshold
-        enough[:, -1] = True
-        return enough.argmax(axis=1)
+        return Stops.ends(self.calibrated.values, threshold)
 
     def curve(self, used: np.ndarray) -> list[dict[str, float]]:
         """Share of the light and accuracy at each threshold; stops take shares (K,)."""

@@ -19,6 +19,7 @@ from deepfsi.exposure.kind import (
     ExposureKind,
     MaskExposure,
     Observation,
+    Stops,
     TrainedMasks,
 )
 from deepfsi.exposure.kinds import MASK_KINDS, build_training
@@ -51,6 +52,7 @@ __all__ = [
     "Observation",
     "PassingExposure",
     "ScenePrior",
+    "Stops",
     "TrainedMasks",
     "TrainingSet",
     "build_training",

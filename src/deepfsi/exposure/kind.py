@@ -95,7 +95,15 @@ class Answer(NamedTuple):
 
 
 class Stops(NamedTuple):
-    """Where an exposure may stop: after which masks or looks, and the share (K,) taken then."""
+    """Where an exposure may stop.
+
+    Attributes
+    ----------
+    after : tuple of int, length K
+        Numbers of masks, or of looks.
+    used : array, shape (K,)
+        Share of the budget that is taken then.
+    """
 
     after: tuple[int, ...]
     used: np.ndarray
@@ -117,10 +125,9 @@ class Stops(NamedTuple):
         InputError
             If they take more even where all stop at once.
         """
-        steps = np.diff(self.used, prepend=0.0)
 
         def taken(threshold: float) -> float:
-            return float(self.going(confidence, threshold).mean(axis=0) @ steps)
+            return float(self.used[self.ends(confidence, threshold)].mean())
 
         tried: list[float] = np.unique(np.append(confidence[:, :-1], [0.0, 1.0])).tolist()
         if taken(tried[0]) > light:
@@ -132,8 +139,8 @@ class Stops(NamedTuple):
         return tried[first - 1]
 
     @staticmethod
-    def going(confidence: np.ndarray, threshold: float) -> np.ndarray:
-        """True where an exposure (E, K) takes a part, as none before it was sure enough.
+    def ends(confidence: np.ndarray, threshold: float) -> np.ndarray:
+        """Stop (E,), from 0, at which exposures end: the first where they are sure, or the last.
 
         Parameters
         ----------
@@ -142,8 +149,14 @@ class Stops(NamedTuple):
         threshold : float
             Confidence above which they stop.
         """
-        sure = np.logical_or.accumulate(confidence[:, :-1] > threshold, axis=1)
-        return np.pad(~sure, ((0, 0), (1, 0)), constant_values=True)
+        enough = confidence > threshold
+        enough[:, -1] = True
+        return enough.argmax(axis=1)
+
+    @classmethod
+    def going(cls, confidence: np.ndarray, threshold: float) -> np.ndarray:
+        """True where an exposure (E, K) takes a part; parameters of `ends`."""
+        return np.arange(confidence.shape[1]) <= cls.ends(confidence, threshold)[:, None]
 
 
 @dataclass(frozen=True)
