@@ -25,7 +25,7 @@ from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import Camera
 from deepfsi.datasets import Dataset
 from deepfsi.designfile import AdaptiveHeader
-from deepfsi.exposure.choice import look_at
+from deepfsi.exposure.choice import Look, look_at
 from deepfsi.exposure.kind import (
     Answer,
     CountedLight,
@@ -211,6 +211,16 @@ def measure(
     return torch.stack([logs.mean(dim=-1), logs.std(dim=-1)]).numpy(), counted
 
 
+def _looks(
+    state: AdaptivePosterior, x: Tensor, shares: Sequence[float], generator: torch.Generator
+) -> Iterator[Look]:
+    """Looks at scenes (b, N) one after another; the state knows a look when it is given."""
+    for share in shares:
+        look = look_at(state, x, share, generator)
+        state.update(look.masks, look.counts, share)
+        yield look
+
+
 @dataclass(frozen=True)
 class _PosteriorObservation(Observation):
     """Knowledge of the class after a look with adaptive masks.
@@ -378,9 +388,7 @@ class AdaptiveExposure(ExposureKind):
         """Exposures after each of all looks, of at most `exposed_at_once` scenes."""
         state = AdaptivePosterior(self.prior, len(rates), self.optics_at(photons, front))
         counts = 0.0
-        for share in self.settings.shares:
-            look = look_at(state, rates, share, generator)
-            state.update(look.masks, look.counts, share)
+        for look in _looks(state, rates, self.settings.shares, generator):
             counts += float(look.light.double().sum())
             yield _PosteriorObservation(look.counts / photons, chances=state.chances, counts=counts)
 
@@ -474,9 +482,7 @@ class AdaptiveExposure(ExposureKind):
         masks = []
         scenes = []
         chances = []
-        for share in self.settings.shares:
-            look = look_at(state, scene[None], share, generator)
-            state.update(look.masks, look.counts, share)
+        for look in _looks(state, scene[None], self.settings.shares, generator):
             masks.append(look.masks[0])
             scenes.append(state.scene[0])
             chances.append(state.chances[0])
@@ -524,11 +530,10 @@ class AdaptiveTraining:
             state = AdaptivePosterior(made.prior, len(rows), optics)
             if self.settings.clusters is None:
                 state.leave_out(places[rows])
-            for look, share in enumerate(self.settings.shares):
-                seen = look_at(state, scenes[rows], share, generator)
-                state.update(seen.masks, seen.counts, share)
-                confidence[rows, look] = state.confidence
-                light[rows, look] = seen.light.sum(dim=1)
+            looks = _looks(state, scenes[rows], self.settings.shares, generator)
+            for index, look in enumerate(looks):
+                confidence[rows, index] = state.confidence
+                light[rows, index] = look.light.sum(dim=1)
             report(done / len(parts))
         sure = confidence.numpy()
         threshold = made.stops.threshold(sure, 1.0)
