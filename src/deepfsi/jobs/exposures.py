@@ -94,6 +94,11 @@ class Exposure(UserModel):
         return masks
 
     @property
+    def most_light(self) -> float:
+        """Most light of one exposure over the budget; above 1 the budget is the mean of all."""
+        return 1.0
+
+    @property
     def fixed_mask_count(self) -> int | None:
         """Number of masks, where the exposure has it and a design no choice."""
         return None
@@ -625,6 +630,11 @@ class SharedLight(Exposure):
         description="most light of one exposure with adaptive masks, over the mean of all, which "
         "the budget then is: each ends as soon as a class is sure; all take the same unless given",
     )
+
+    @property
+    def most_light(self) -> float:
+        """The cap."""
+        return self.cap
 
     def faults(self, job: "Job") -> Iterator[str]:
         """Masks that are not adaptive."""

@@ -173,11 +173,6 @@ class Job(UserModel):
         return self.camera.model_copy(update=changes)
 
     @property
-    def cap(self) -> float:
-        """Most light of one exposure over the budget; above 1 the budget is the mean of all."""
-        return self.exposure.cap if isinstance(self.exposure, SharedLight) else 1.0
-
-    @property
     def resolved(self) -> "Job":
         """The job with the camera as the design has it: what its record is a hash of."""
         return self.model_copy(update={"camera": self.optics})
@@ -371,7 +366,8 @@ class Job(UserModel):
         if not isinstance(self.exposure, Fixed | SharedLight):
             yield "adaptive masks have a look each: give no looks, nested, span or patch"
         scenes = len(data.x_train)
-        if isinstance(self.exposure, SharedLight) and scenes < FEWEST_SHARING_SCENES:
+        most = self.exposure.most_light
+        if most > 1 and scenes < FEWEST_SHARING_SCENES:
             yield Message(
                 "{scenes} training scenes say too little of the mean light of exposures that stop: "
                 "give {fewest} or more, or leave {cap} out",
@@ -385,10 +381,10 @@ class Job(UserModel):
                 setting="classifier",
             )
         shortest = self.camera.shortest_share
-        if shortest * self.masks > self.cap:
+        if shortest * self.masks > most:
             yield (
                 f"{self.masks} looks are shorter than {shortest:.3g} of the exposure, the shortest "
-                f"picture of the camera: give at most {int(self.cap / shortest)} masks"
+                f"picture of the camera: give at most {int(most / shortest)} masks"
             )
 
 

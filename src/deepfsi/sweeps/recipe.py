@@ -40,7 +40,6 @@ from deepfsi.jobs import (
     DESIGNS,
     MLP,
     Exposure,
-    SharedLight,
     Training,
     check_design,
     count_allowed,
@@ -307,18 +306,15 @@ class Recipe(UserModel):
         design : str
             Its name. Adaptive masks alone share light among exposures here.
         """
-        axes = self.exposure
-        if not DESIGNS[design].adaptive:
-            axes = {name: values for name, values in axes.items() if name != "cap"}
-        others = {name: values for name, values in axes.items() if name != "cap"}
-        found = []
-        for point in _points(axes):
+        others = {name: values for name, values in self.exposure.items() if name != "cap"}
+        exposures = []
+        for point in _points(self.exposure if DESIGNS[design].adaptive else others):
             exposure = find_exposure(point)
             names = [_variant({name: point[name] for name in others}, others)]
-            if isinstance(exposure, SharedLight):
-                names.append(f"(mean light, at most {exposure.cap:g} Φ)")
-            found.append((" ".join(filter(None, names)), exposure))
-        return found
+            if exposure.most_light > 1:
+                names.append(f"(mean light, at most {exposure.most_light:g} Φ)")
+            exposures.append((" ".join(filter(None, names)), exposure))
+        return exposures
 
     @property
     def noises(self) -> tuple[str, ...]:

@@ -432,8 +432,9 @@ def _adaptive_designs(
     """Designs of jobs whose masks learn by no steps, of one prior of scenes."""
     began = time.perf_counter()
     data = training_set.data
+    first = jobs[0]
     settings = AdaptiveMasks(
-        looks=jobs[0].masks, clusters=jobs[0].training.clusters, cap=jobs[0].cap
+        looks=first.masks, clusters=first.training.clusters, cap=first.exposure.most_light
     )
     exposure = AdaptiveTraining(data, settings)
     designs: list[Design] = []
