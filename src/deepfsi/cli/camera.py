@@ -3,9 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from deepfsi.base import (
-    write_atomically,
-)
+from deepfsi.base import write_atomically
 from deepfsi.base.models import Count
 from deepfsi.camera import PRESETS, Camera
 from deepfsi.cli import fields
@@ -71,13 +69,7 @@ class WriteSpots(Command):
     """
 
     out: Annotated[Path, fields.Output(new=True)] = fields.required("folder for the pictures, new")
-    size: fields.HeightWidth = fields.option(
-        "pixels of the display, HEIGHTxWIDTH",
-        (
-            32,
-            32,
-        ),
-    )
+    size: fields.HeightWidth = fields.option("pixels of the display, HEIGHTxWIDTH", (32, 32))
     side: Count = fields.option("pixels of a spot; larger is brighter", 2)
 
     def run(self, terminal: Terminal) -> Outcome:
