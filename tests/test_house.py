@@ -30,6 +30,7 @@ LONELY = {
     "evaluation.page_data": "a design as a page needs it, which one command writes",
     "hardware.drivers.catalogue": "the devices by name, apart from what each of them does",
     "hardware.live.run": "devices show and count; what decides and what replays has none",
+    "hardware.live.losses": "an exposure before any is shown, which one command plans",
     "hardware.pictures.rail_sums": "a test of the light, which needs no pictures",
     "hardware.virtual.setup": "virtual devices, apart from the camera that records at once",
     "lab.scenes": "what a camera is shown, by pictures or by a list, before it runs",

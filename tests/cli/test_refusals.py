@@ -97,6 +97,9 @@ REFUSED = {
     "plan": """
         --target 2 | target 2 is not allowed
         --target 0.5 --designs pca --masks 3 --detectors gap.npy | from 0 without a gap
+        | give --target, such as 0.95, or --losses
+        a.safetensors --target 0.5 | a design file is for --losses
+        --target 0.5 --efficiency 0.5 | --efficiency is for --losses
     """,
     "design --photons 1e4 --masks 3 --light free-dwell --rails single --detectors": """
         9x9 | do not divide scenes of 8x8: give ROWSxCOLUMNS from 1x1 to 8x8

@@ -8,9 +8,10 @@ from importlib import import_module
 from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
+from pydantic import Field
 
 from deepfsi.base import (
     InputError,
@@ -48,6 +49,9 @@ PLANNED: dict[str, Any] = {
     "trials": 2,
 }
 """Recipe of a plan where nothing else is given; budgets are added where the target is met."""
+
+MOST_PLANNED = 10_000
+"""Masks of a table of losses at most."""
 
 RECIPE_FIELDS = ("size", "skip_bad", "normal", "designs", "ratios", "trials", "folds")
 """Fields of a recipe, besides the data, that are options by themselves."""
@@ -133,11 +137,31 @@ class PlanPhotons(Command):
     A stopped plan goes on when it is run again with the same output folder, also with another
     target.
 
+    With --losses nothing is trained: of the light that arrives it says what OFF mirrors, moving
+    mirrors, loading, detector and dead time lose, and what another camera would count.
+
     Example: deepfsi plan --data mnist --target 0.9 --designs pca,deepfsi -o runs/plan
     """
 
+    OF_LOSSES: ClassVar = ("file", "efficiency", "decision")
+    """Settings that need --losses."""
+
+    file: Path | None = fields.argument(
+        "with --losses: design file, whose masks' throughput is taken; masks with half of their "
+        "mirrors ON unless given",
+        "[file]",
+        default=None,
+    )
+
     settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=("design", "seed"))]
-    target: fields.Number = fields.required("target accuracy, such as 0.95")
+    target: fields.Number | None = fields.option("target accuracy, such as 0.95")
+    losses: bool = fields.flag("say where the camera loses light, and train nothing")
+    efficiency: Annotated[float, Field(gt=0, le=1)] = fields.option(
+        "with --losses: share of photons that a detector sees", 1.0
+    )
+    decision: fields.Time = fields.option(
+        "with --losses: time to choose the next mask of adaptive masks, such as 10ms", 0.0
+    )
     out: fields.StudyFolder = Path("runs/plan")
     data: fields.TrainingData = "digits"
     size: fields.Size = None
@@ -150,7 +174,22 @@ class PlanPhotons(Command):
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Photons, masks and detectors that each design needs."""
+        """Photons, masks and detectors that each design needs; or where light is lost."""
+        if self.losses:
+            return self._losses()
+        for name in self.OF_LOSSES:
+            if name in self.model_fields_set:
+                raise InputError(
+                    "{given} is for {losses}: leave it out, or add that",
+                    setting="losses",
+                    given="a design file" if name == "file" else self.option(name),
+                )
+        if self.target is None:
+            raise InputError(
+                "a plan needs an accuracy: give {target}, such as 0.95, or {losses}, which trains "
+                "nothing",
+                setting=("target", "losses"),
+            )
         from deepfsi.sweeps import (
             Workers,
             check_kept,
@@ -182,6 +221,47 @@ class PlanPhotons(Command):
         write_results(self.out / "results.json", results)
         return Outcome(
             plan, [*data_lines(scenes), *plan_lines(plan), f"plan: {self.out / 'plan.json'}"]
+        )
+
+    def _losses(self) -> Outcome:
+        """Where the light of the camera is lost."""
+        from deepfsi.lab import plan_losses
+
+        others = self.model_fields_set - {"settings", "losses", *self.OF_LOSSES}
+        tables = {name: find_table(name) for name in self.settings}
+        trained = [
+            name
+            for name, (table, _) in tables.items()
+            if table != "camera" and name not in ("camera", "masks")
+        ]
+        for name in (*sorted(others), *trained):
+            raise InputError(
+                "{given} is of trainings, and {losses} trains nothing: leave it out",
+                setting="losses",
+                given=self.option(name),
+            )
+        masks = None
+        if "masks" in self.settings:
+            masks = fields.parse_option("masks", fields.whole_number, self.settings["masks"])
+            if not 1 <= masks <= MOST_PLANNED:
+                raise InputError(f"--masks {masks} is not allowed: give 1 to {MOST_PLANNED} masks")
+        settings = {tables[name][1]: value for name, value in self.settings.items()}
+        settings.pop("masks", None)
+        planned = plan_losses(
+            None if self.file is None else fields.check_design_file(self.file),
+            settings,
+            masks=masks,
+            efficiency=self.efficiency,
+            decision_s=self.decision,
+        )
+        return Outcome(
+            {
+                "camera": planned.camera.model_dump(mode="json"),
+                **planned.losses.as_dict(),
+                "assumed": list(planned.assumed),
+            },
+            [*planned.losses.lines(), *(f"assumed: {each}" for each in planned.assumed)],
+            schema="plan.losses",
         )
 
 

@@ -8,6 +8,7 @@ from deepfsi.hardware.live.looks import (
     LookChooser,
     SceneComparison,
 )
+from deepfsi.hardware.live.losses import LightLosses
 from deepfsi.hardware.live.observer import SceneObserver
 from deepfsi.hardware.live.replay import LiveCounts, is_live, replay_run
 from deepfsi.hardware.live.results import LiveAnswers, LiveScene
@@ -18,6 +19,7 @@ __all__ = [
     "ExposureState",
     "FixedMaskLooks",
     "FrameList",
+    "LightLosses",
     "LiveAnswers",
     "LiveCounts",
     "LiveScene",

@@ -327,6 +327,46 @@ class FrameSettings:
             )
         return [one] * len(pictures), one
 
+    def plan(self, design: DesignRails) -> Patterns:
+        """Patterns of a design as an export would write them, whose frames have no hashes yet.
+
+        Parameters
+        ----------
+        design
+            Rails to be shown.
+
+        Raises
+        ------
+        InputError
+            If the design is dark, or the device cannot show its frames.
+        """
+        device = self.device
+        grid = find_grid(device, design.image_shape, self.layout)
+        counted = MaskFrames.of(design, grid.mirrors)
+        if not counted.mask_rails:
+            raise InputError("every mask is dark, so there is nothing to show: give a lit design")
+        total = len(counted.mask_rails) + SENTINELS
+        if total > MOST_FRAMES:
+            raise InputError(f"{total} frames are too many: give at most {MOST_FRAMES}")
+        check_stored(device, total)
+        pictures_us, sentinel_us = self.times_us(
+            design.first_dwells(counted), "free-dwell" if design.looks else design.light
+        )
+        manifest = Manifest.of(
+            design,
+            counted,
+            pictures_us=pictures_us,
+            sentinel_us=sentinel_us,
+            hashes=["0" * 64] * total,
+            device=device,
+            selection=self.selection,
+            seed=self.seed,
+            format=self.format,
+            layout=self.layout,
+        )
+        manifest.check_limits()
+        return Patterns(manifest, counted.on)
+
 
 def _round_up(us: float) -> int:
     """Number rounded up, but for what floating point adds."""
@@ -365,23 +405,16 @@ def export_patterns(
     InputError
         If the design is dark, or the device cannot show its frames; nothing is then written.
     """
+    planned = settings.plan(design)
     device = settings.device
-    grid = find_grid(device, design.image_shape, settings.layout)
-    counted = MaskFrames.of(design, grid.mirrors)
-    if not counted.mask_rails:
-        raise InputError("every mask is dark, so there is nothing to show: give a lit design")
-    total = len(counted.mask_rails) + SENTINELS
-    if total > MOST_FRAMES:
-        raise InputError(f"{total} frames are too many: give at most {MOST_FRAMES}")
-    check_stored(device, total)
-    pictures_us, sentinel_us = settings.times_us(
-        design.first_dwells(counted), "free-dwell" if design.looks else design.light
-    )
+    grid = planned.manifest.grid
+    on = planned.on
+    total = len(planned.manifest.frames)
     files = FRAME_FORMATS[settings.format]
     check_disk_space(folder, files.size(total, device), 'write `format="png"`, which is small')
-    ends = np.full_like(counted.on[0], grid.mirrors), np.zeros_like(counted.on[0])
+    ends = np.full_like(on[0], grid.mirrors), np.zeros_like(on[0])
     frames = make_frames(
-        chain(ends, counted.on, ends),
+        chain(ends, on, ends),
         device,
         grid,
         selection=settings.selection,
@@ -397,22 +430,12 @@ def export_patterns(
 
     with new_folder(folder) as draft:
         files.write(draft, hashed(), total, device)
-        manifest = Manifest.of(
-            design,
-            counted,
-            pictures_us=pictures_us,
-            sentinel_us=sentinel_us,
-            hashes=hashes,
-            device=device,
-            selection=settings.selection,
-            seed=settings.seed,
-            format=settings.format,
-            layout=settings.layout,
-        )
-        manifest.check_limits()
+        written = zip(planned.manifest.frames, hashes, strict=True)
+        shown = tuple(frame.model_copy(update={"sha256": digest}) for frame, digest in written)
+        manifest = planned.manifest.model_copy(update={"frames": shown})
         digest = _digest(manifest.model_dump_json())
         manifest = manifest.model_copy(update={"sha256": digest})
-        mirrors = np.ascontiguousarray(counted.on, "<u4")
+        mirrors = np.ascontiguousarray(on, "<u4")
         with (draft / "mirrors.npy").open("wb") as file:  # numpy.save loses what a disk cannot take
             file.write(npy_header("<u4", mirrors.shape))
             file.write(mirrors.data)
@@ -426,7 +449,7 @@ def export_patterns(
         for name, content in contents.items():
             if content is not None:
                 (draft / name).write_bytes(content)
-    return Patterns(manifest, counted.on)
+    return Patterns(manifest, on)
 
 
 def read_patterns(folder: str | os.PathLike[str]) -> Patterns:

@@ -1,0 +1,383 @@
+"""Where the light of an exposure is lost, from the cells of the device to the counts.
+
+While a scene is in view the light falls on the cells by the clock T, and is counted in gates. Of
+the light that arrives is counted
+
+    (1 − Σ waits / T) · throughput · efficiency · registered
+
+with the waits in which no gate is open, the throughput of the masks, the share of photons that a
+detector sees, and the share of those that its counter registers. Waits add, as they are parts of
+one clock; what follows multiplies. So each cause has a share of what reaches it, which no other
+cause changes: of a wait that is its share of the clock.
+
+It stands in this room since it takes both ways in which frames are shown: a pass of all frames, and
+a live run, look after look.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from deepfsi.base import InputError, Table, count_text, time_text
+from deepfsi.camera import LIGHT_LAWS, Camera
+from deepfsi.hardware.live.observer import margin_ns
+from deepfsi.hardware.patterns import DesignRails, FrameSettings, GatePlan, Manifest
+
+LOSS_CAUSES = {
+    "alignment": "all-ON and all-OFF frames",
+    "settling": "mirrors that still move",
+    "idle": "pictures longer than their gates",
+    "loading": "masks that are loaded",
+    "decision": "masks that are chosen",
+    "off": "mirrors that are OFF",
+    "efficiency": "photons that no detector sees",
+    "dead_time": "dead time, or gates that fired",
+}
+"""Causes of a loss in the order in which light meets them, in words."""
+
+HALF = 0.5
+"""Time of the faster device to settle and to load, over that of the present one."""
+
+
+@dataclass(frozen=True)
+class LightLoss:
+    """One cause.
+
+    Attributes
+    ----------
+    cause : str
+        One of `LOSS_CAUSES`.
+    share : float
+        Lost of the light that reaches it, 0 to 1; of a wait of all light.
+    total : float
+        Lost of all light that arrives, 0 to 1.
+    factor : float
+        Counts without this loss, over those with it.
+    """
+
+    cause: str
+    share: float
+    total: float
+    factor: float
+
+
+@dataclass(frozen=True)
+class CameraChange:
+    """A change of the camera, and the counts that it buys.
+
+    Attributes
+    ----------
+    change : str
+    factor : float
+        Counts over the present ones, in the same time by the clock.
+    words : str
+        What these counts are worth.
+    """
+
+    change: str
+    factor: float
+    words: str
+
+
+@dataclass(frozen=True)
+class LightLosses:
+    """Losses of an exposure of one scene.
+
+    Attributes
+    ----------
+    gates_s : float
+        Time in which photons are counted, seconds.
+    waits_s : mapping of str to float
+        Seconds in which none are, by cause.
+    lit : array, shape (arms, f)
+        Share of the light that detectors of each arm see during each frame.
+    dwell : array, shape (f,)
+        Share of the gates' time that each frame has; their sum is 1.
+    efficiency : float
+        Share of photons that a detector sees.
+    camera : Camera
+        Dead time or gates of its counter, and its flux: counts/s with all mirrors ON.
+    detectors : int
+        Of each arm; each sees as much light as another.
+    device : str
+    adaptive : bool
+        True where masks are made while the exposure runs.
+    """
+
+    gates_s: float
+    waits_s: Mapping[str, float]
+    lit: np.ndarray
+    dwell: np.ndarray
+    efficiency: float
+    camera: Camera
+    detectors: int
+    device: str
+    adaptive: bool
+
+    @classmethod
+    def of(
+        cls,
+        design: DesignRails,
+        camera: Camera,
+        *,
+        counted: float | None = None,
+        efficiency: float = 1.0,
+        decision_s: float = 0.0,
+    ) -> "LightLosses":
+        """Losses of a design on a camera with a device and an exposure.
+
+        Parameters
+        ----------
+        design : DesignRails
+        camera : Camera
+        counted : float, optional
+            Share of the budget that the mean scene gives; that of a scene of even brightness
+            unless given.
+        efficiency : float
+            Share of photons that a detector sees, above 0, at most 1.
+        decision_s : float
+            Time to choose what is shown next, seconds, once a look.
+
+        Raises
+        ------
+        InputError
+            If no device shows the masks, or a number is out of bounds.
+        """
+        device = camera.device
+        if not LIGHT_LAWS[camera.light].one_device:
+            raise InputError(
+                "{given} is no mirror device, whose losses these are: give {light} free-dwell, "
+                "equal-dwell or two-arm, or another {camera}",
+                setting=("light", "camera"),
+                given=camera.light,
+            )
+        if device is None or camera.exposure is None:
+            raise InputError(
+                "losses need {device} and {exposure}: give both, or a camera that has them",
+                setting=("device", "exposure"),
+            )
+        if not 0 < efficiency <= 1:
+            raise InputError(
+                "{efficiency} {given:g} is not allowed: give a share above 0, at most 1",
+                setting="efficiency",
+                given=efficiency,
+            )
+        # `picture_s` takes each rail for a frame, and on two arms one frame serves both
+        served = 2 if design.two_arm and design.looks is None else 1
+        picture_s = design.picture_s(device, served * camera.exposure)
+        settings = FrameSettings(device, picture_s, layout=camera.layout)
+        patterns = settings.plan(design)
+        manifest = patterns.manifest
+        gates_s, waits_s = _times(manifest, camera.exposure, decision_s)
+        dwell = manifest.shares / manifest.shares.sum()
+        open_share = patterns.fractions.mean(axis=1)
+        lit = np.stack([open_share, 1 - open_share] if manifest.two_arm else [open_share])
+        if counted is not None and not manifest.two_arm:
+            even = float(lit[0] @ dwell)
+            in_gates = counted * manifest.dimmed * camera.exposure / gates_s
+            lit = np.minimum(lit * in_gates / even, 1.0)
+        return cls(
+            gates_s=gates_s,
+            waits_s=waits_s,
+            lit=lit,
+            dwell=dwell,
+            efficiency=efficiency,
+            camera=camera,
+            detectors=manifest.detector_count,
+            device=device.name,
+            adaptive=bool(manifest.looks and manifest.looks.adaptive),
+        )
+
+    @property
+    def clock_s(self) -> float:
+        """Time for which the scene is in view, seconds."""
+        return self.gates_s + sum(self.waits_s.values())
+
+    @property
+    def throughput(self) -> float:
+        """Share of the light during gates that detectors see."""
+        return float(self.lit.sum(axis=0) @ self.dwell)
+
+    @property
+    def registered(self) -> float:
+        """Share of the photons that detectors see which their counters register."""
+        if self.camera.flux is None:
+            return 1.0
+        rate = self.camera.flux * self.lit / self.detectors  # of each detector, (arms, f)
+        seconds = self.gates_s * self.dwell
+        if self.camera.clicks is not None:
+            open_gates = self.camera.clicks
+            expected = rate * seconds
+            counts = -open_gates * np.expm1(-expected / open_gates)
+        else:
+            expected = rate * seconds
+            counts = self.camera.counter_dead_time.registered(rate) * seconds
+        return float(counts.sum() / expected.sum()) if expected.sum() else 1.0
+
+    @property
+    def counted(self) -> float:
+        """Share of the light that arrives by the clock which is counted."""
+        return self.gates_s / self.clock_s * self.throughput * self.efficiency * self.registered
+
+    @property
+    def arriving(self) -> float | None:
+        """Photons that arrive by the clock; None where no flux is known."""
+        if self.camera.flux is None:
+            return None
+        return self.camera.flux / self.efficiency * self.clock_s
+
+    @property
+    def losses(self) -> list[LightLoss]:
+        """Each cause, in the order in which light meets them."""
+        out = []
+        clock_s = self.clock_s
+        for cause, wait_s in self.waits_s.items():
+            share = wait_s / clock_s
+            out.append(LightLoss(cause, share, share, (self.gates_s + wait_s) / self.gates_s))
+        left = self.gates_s / clock_s
+        kept = {
+            "off": self.throughput,
+            "efficiency": self.efficiency,
+            "dead_time": self.registered,
+        }
+        for cause, share in kept.items():
+            out.append(LightLoss(cause, 1 - share, left * (1 - share), 1 / share))
+            left *= share
+        return out
+
+    @property
+    def changes(self) -> list[CameraChange]:
+        """Changes of the camera, compared in the same time by the clock."""
+        out = []
+        out.append(
+            CameraChange(
+                "a device twice as fast",
+                self._with_waits({"settling": HALF, "loading": HALF}),
+                "its mirrors settle, and it takes new masks, in half the time",
+            )
+        )
+        if self.adaptive:
+            out.append(
+                CameraChange(
+                    "masks that are on the device before",
+                    self._with_waits({"loading": 0.0}),
+                    "nothing is loaded while the scene is in view",
+                )
+            )
+        if len(self.lit) == 1:
+            both = replace(self, lit=np.stack([self.lit[0], 1 - self.lit[0]]))
+            out.append(
+                CameraChange(
+                    "a second arm",
+                    both._seen / self._seen,
+                    "a detector for mirrors that are OFF, light law two-arm: of classes that are "
+                    f"equally bright the same masks tell {1 / (1 - self.throughput):.3g} times as "
+                    "much",
+                )
+            )
+        twice = replace(self, detectors=2 * self.detectors)
+        out.append(
+            CameraChange(
+                f"{twice.detectors} detectors{'' if len(self.lit) == 1 else ' on each arm'}",
+                twice._seen / self._seen,
+                "each on its part of the device: the same light, but twice the readouts of a "
+                "frame, and less dead time; `deepfsi plan` says how much less light a target then "
+                "takes",
+            )
+        )
+        return out
+
+    @property
+    def _seen(self) -> float:
+        """Share of the light during gates that is counted."""
+        return self.throughput * self.efficiency * self.registered
+
+    def _with_waits(self, factors: Mapping[str, float]) -> float:
+        """Counts with some waits times factors, over the present ones, in the same time."""
+        saved = sum(wait_s * (1 - factors.get(cause, 1)) for cause, wait_s in self.waits_s.items())
+        return (self.gates_s + saved) / self.gates_s
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {
+            "device": self.device,
+            "clock_s": self.clock_s,
+            "exposure_s": self.gates_s,
+            "waits_s": dict(self.waits_s),
+            "throughput": self.throughput,
+            "efficiency": self.efficiency,
+            "registered": self.registered,
+            "counted": self.counted,
+            "arriving": self.arriving,
+            "losses": [asdict(loss) for loss in self.losses],
+            "changes": [asdict(change) for change in self.changes],
+        }
+
+    def lines(self) -> Iterator[str | Table]:
+        """Losses and changes as tables."""
+        yield (
+            f"{self.device}: {time_text(self.gates_s)} are counted of {time_text(self.clock_s)} by "
+            "the clock for each scene"
+        )
+        rows = [
+            (
+                LOSS_CAUSES[loss.cause],
+                f"{loss.share:.1%}",
+                f"{loss.total:.1%}",
+                f"{loss.factor:.3g}",
+            )
+            for loss in self.losses
+        ]
+        rows.append(("counted", "", f"{self.counted:.1%}", ""))
+        heads = ("lost to", "of what reaches it", "of all light", "counts without it, times")
+        yield Table("Light that arrives at the cells", heads, rows)
+        if self.arriving is not None:
+            counts = count_text(self.arriving * self.counted)
+            yield (
+                f"{counts} of {count_text(self.arriving)} photons are counted, of a scene of mean "
+                "brightness"
+            )
+        yield Table(
+            "What another camera would count in the same time",
+            ("change", "counts, times", "what they are worth"),
+            [(each.change, f"{each.factor:.3g}", each.words) for each in self.changes],
+            sentences=True,
+        )
+
+
+def _times(
+    manifest: Manifest, exposure_s: float, decision_s: float
+) -> tuple[float, dict[str, float]]:
+    """Time of the gates, seconds, and seconds of each wait of one scene."""
+    device = manifest.device
+    settle_s = device.settle_us * 1e-6
+    ends = len(manifest.frames) - len(manifest.shown)
+    if manifest.looks is None:
+        gates = GatePlan.of(manifest, exposure_s, repeats=1)
+        cost = gates.cost(manifest)
+        moving_s = settle_s * ends
+        return float(gates.length_s.sum()), {
+            "alignment": cost.sentinels * manifest.pass_s - moving_s,
+            "settling": cost.settling * manifest.pass_s + moving_s,
+            "idle": cost.idle * manifest.pass_s,
+        }
+    looks = manifest.looks.count
+    frames = looks * len(manifest.shown)
+    gate_ns = np.array(exposure_s / frames * 1e9)
+    picture_s = max(
+        np.ceil(float(gate_ns + margin_ns(gate_ns)) * 1e-3 + device.settle_us),
+        device.shortest_us,
+    )
+    sentinels_s = float(manifest.picture_s.sum() - manifest.picture_s[manifest.shown].sum())
+    load_s = (device.load_us or 0) * 1e-6 * manifest.looks.adaptive
+    # the all-OFF frame after each look stays while the next is chosen, and is a picture, too
+    rest_s = max(device.shortest_us * 1e-6 - load_s - decision_s, 0.0)
+    return exposure_s, {
+        "alignment": sentinels_s,  # these last as long, however mirrors settle
+        "settling": settle_s * frames,
+        "idle": float(frames * (picture_s * 1e-6 - settle_s) - exposure_s) + looks * rest_s,
+        "loading": looks * load_s,
+        "decision": looks * decision_s,
+    }
