@@ -37,6 +37,8 @@ DESIGNS = {
     "deepfsi": "deepfsi|dfsi|ovit|learned|fixed dwells",
 }
 SECOND = ("custom", "class-pairs")
+FEW_ROWS = 3
+"""Rows of a legend for which a chart has room."""
 OTHERS = ("pca", "deepfsi", "truncated-hadamard", "hadamard", "control", "lda", "random", "custom")
 
 
@@ -106,7 +108,9 @@ def looks(names):
 def drawn(places, lines, x, y, scale="linear"):
     """Figure of lines with their intervals, or of bars."""
     bars = isinstance(places[0], str)
-    tall = 0.8 + 0.24 * len(places) * max(len(lines), 1.3) if bars else 3.1
+    columns = style.columns(lines, 4.4, style.STYLE["font.size"])
+    under = 0.18 * max(0, -(-len(lines) // columns) - FEW_ROWS)
+    tall = 0.8 + 0.24 * len(places) * max(len(lines), 1.3) if bars else 3.1 + under
     figure = Figure((4.5, tall), layout="constrained")
     ax = figure.subplots()
     for place, (name, key) in enumerate(zip(lines, looks(lines), strict=True)):
@@ -135,7 +139,6 @@ def drawn(places, lines, x, y, scale="linear"):
         ax.minorticks_off()
     ax.grid(axis="x" if bars else "both")
     if len(lines) > 1:
-        columns = style.columns(lines, 4.4, style.STYLE["font.size"])
         figure.legend(loc="outside lower center", ncols=columns, frameon=False)
     return figure
 

@@ -1,7 +1,7 @@
 """How well a design works, and why: tests, ideal observer, bounds, confidence, early stopping."""
 
 from deepfsi.evaluation.accuracy import camera_for, check_draws, evaluate
-from deepfsi.evaluation.bounds import cramer_rao
+from deepfsi.evaluation.bounds import cramer_rao, information_rate
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
     Exposed,
@@ -30,6 +30,7 @@ __all__ = [
     "find_distribution",
     "fit_temperatures",
     "ideal_observer",
+    "information_rate",
     "logits_at_stops",
     "measure_left_out",
     "of_page",

@@ -1,0 +1,126 @@
+"""What one detector can at best tell of the class: laws of the short look."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deepfsi.evaluation import information_rate
+from shared.benchmarks import benchmark
+
+SEEDS = st.integers(0, 2**32 - 1)
+laws = settings(max_examples=50, deadline=None)
+
+
+def scenes_of(seed: int, pixels: int = 9, dark: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
+    """Mean scenes (C, N) of two to five classes, some pixels of some dark, and their chances."""
+    rng = np.random.default_rng(seed)
+    scenes = rng.random((rng.integers(2, 6), pixels))
+    scenes[rng.random(scenes.shape) < dark] = 0
+    chances = rng.dirichlet(np.ones(len(scenes)))
+    return scenes, chances
+
+
+def rate_of(masks: np.ndarray, scenes: np.ndarray, chances: np.ndarray) -> np.ndarray:
+    """Rates (...) of masks (..., N) behind which one detector counts."""
+    return information_rate((masks @ scenes.T)[..., None, :], chances)
+
+
+def impulse(scenes: np.ndarray, chances: np.ndarray) -> float:
+    """Rate of a detector for each pixel."""
+    return float(information_rate(scenes.T, chances))
+
+
+@laws
+@given(seed=SEEDS)
+def test_it_is_the_mutual_information_of_a_short_look(seed):
+    """Of Poisson counts, whose distribution is written out, over the time of the look."""
+    scenes, chances = scenes_of(seed)
+    light = scenes @ (np.random.default_rng(seed).random(9) < 0.5)
+    short = 1e-6
+    counts = np.arange(3)[:, None]
+    factorial = np.array([1, 1, 2])[:, None]
+    likelihood = np.exp(-light * short) * (light * short) ** counts / factorial  # (3, C)
+    joint = likelihood * chances
+    apart = joint.sum(axis=1, keepdims=True) * chances
+    nats = (joint[joint > 0] * np.log(joint[joint > 0] / apart[joint > 0])).sum()
+    rate = float(information_rate(light[None], chances))
+    assert nats / short == pytest.approx(rate, rel=1e-4, abs=1e-5)
+
+
+@laws
+@given(seed=SEEDS, weight=st.floats(0, 1))
+def test_it_is_convex_in_the_mask_and_in_proportion_to_it(seed, weight):
+    scenes, chances = scenes_of(seed)
+    first, second = np.random.default_rng(seed).random((2, 9))
+    between = rate_of(weight * first + (1 - weight) * second, scenes, chances)
+    ends = weight * rate_of(first, scenes, chances) + (1 - weight) * rate_of(
+        second, scenes, chances
+    )
+    assert between <= ends + 1e-12
+    assert rate_of(weight * first, scenes, chances) == pytest.approx(
+        weight * rate_of(first, scenes, chances)
+    )
+
+
+@laws
+@given(seed=SEEDS)
+def test_no_grey_mask_is_above_the_best_binary_one(seed):
+    """All 512 binary masks of nine pixels; the binary masks of a grey one's levels do as well."""
+    scenes, chances = scenes_of(seed)
+    binary = (np.arange(512)[:, None] >> np.arange(9)) & 1
+    best = rate_of(binary, scenes, chances).max()
+    grey = np.random.default_rng(seed).random((200, 9))
+    assert rate_of(grey, scenes, chances).max() <= best * (1 + 1e-12)
+    levels = np.sort(grey[0])
+    steps = np.diff(levels, prepend=0)
+    shown = grey[0] >= levels[:, None]  # each for the step between two levels
+    assert steps @ shown == pytest.approx(grey[0])
+    in_turn = steps @ rate_of(shown, scenes, chances)
+    assert rate_of(grey[0], scenes, chances) <= in_turn + 1e-12
+
+
+@laws
+@given(seed=SEEDS)
+def test_one_detector_tells_at_most_what_its_pixels_tell_and_these_at_most_impulse_imaging(seed):
+    scenes, chances = scenes_of(seed)
+    mask = np.random.default_rng(seed).random(9)
+    pixels = sum(
+        share * float(information_rate(scenes[None, :, place], chances))
+        for place, share in enumerate(mask)
+    )
+    assert rate_of(mask, scenes, chances) <= pixels + 1e-12
+    assert pixels <= impulse(scenes, chances) + 1e-12
+    arms = np.stack([mask, 1 - mask]) @ scenes.T
+    assert information_rate(arms, chances) <= impulse(scenes, chances) + 1e-12
+    assert information_rate(arms, chances) >= rate_of(mask, scenes, chances) - 1e-12
+
+
+def test_disjoint_classes_lose_nothing_to_one_mask_but_what_it_does_not_see():
+    """Two classes of one pixel each: a mask of one of them has half of the rate."""
+    scenes, chances = np.eye(2), np.array([0.5, 0.5])
+    assert impulse(scenes, chances) == pytest.approx(np.log(2))
+    assert rate_of(np.array([1, 0]), scenes, chances) == pytest.approx(np.log(2) / 2)
+    assert rate_of(np.array([1, 1]), scenes, chances) == pytest.approx(0)
+
+
+@laws
+@given(seed=SEEDS)
+def test_the_search_of_the_benchmark_finds_the_best_mask(seed):
+    scenes, chances = scenes_of(seed, dark=0)
+    binary = (np.arange(512)[:, None] >> np.arange(9)) & 1
+    best = rate_of(binary, scenes, chances).max()
+    found = benchmark("one_bucket").best_rate(scenes, chances, np.random.default_rng(seed))
+    assert found == pytest.approx(best, rel=1e-6)
+
+
+def test_the_benchmark_prints_ratios_of_rates_that_are_shares(capsys):
+    benchmark("one_bucket").main(
+        ["--data", "digits", "--photons", "1e3", "--looks", "3", "--exposures", "6"]
+    )
+    rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines()[-3:]]
+    assert [int(row[0]) for row in rows] == [0, 1, 2]
+    for _, best, shown, light in rows:
+        assert 0 < float(best.split("±")[0]) < 1
+        assert 0 < float(shown.split("±")[0]) < 1.01  # of the best that was found
+        assert 0 < float(light) < 1
