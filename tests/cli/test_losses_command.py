@@ -37,13 +37,13 @@ def test_a_named_camera_needs_nothing_else_and_what_is_assumed_is_said(losses):
     found = losses("--camera", "dmd")
     assert found["schema"] == "deepfsi.plan.losses/1"
     assert found["throughput"] == pytest.approx(0.5)
-    assert found["exposure_s"] == pytest.approx(0.024)
+    assert found["gates_s"] == pytest.approx(0.024)
     assert [text.split(",")[0] for text in found["assumed"]] == [
         "device dlp7000", "24 masks with half of the mirrors ON", "exposure 24 ms"
     ]  # fmt: skip
     assert losses("--camera", "two-arm")["throughput"] == pytest.approx(1)
     quarter = losses("--camera", "dmd-2x2", "--masks", 6, "--exposure", "6ms")
-    assert quarter["exposure_s"] == pytest.approx(6e-3)
+    assert quarter["gates_s"] == pytest.approx(6e-3)
     assert "8 detectors" in [each["change"] for each in quarter["changes"]]
 
 
@@ -61,12 +61,12 @@ def test_a_design_gives_its_own_throughput(losses, digits, folder):
     found = losses("a.safetensors")
     [result] = evaluate(load_design(folder / "a.safetensors"), digits, 1e4)
     # the shares of its frames may leave a part of the exposure
-    assert 0.8 < found["exposure_s"] / 0.01 <= 1 + 1e-6
-    share = found["throughput"] * found["exposure_s"] / 0.01
+    assert 0.8 < found["gates_s"] / 0.01 <= 1 + 1e-6
+    share = found["throughput"] * found["gates_s"] / 0.01
     assert share == pytest.approx(result.throughput, rel=1e-4)
     assert found["assumed"] == []
     longer = losses("a.safetensors", "--exposure", "20ms")
-    assert longer["exposure_s"] == pytest.approx(2 * found["exposure_s"])
+    assert longer["gates_s"] == pytest.approx(2 * found["gates_s"])
     assert longer["throughput"] == found["throughput"]
 
 
@@ -77,7 +77,7 @@ def test_adaptive_masks_wait_for_loads_and_decisions(losses):
     assert 0.1 < found["throughput"] < 0.15
     ready = next(each for each in found["changes"] if "before" in each["change"])
     left = found["clock_s"] - sum(found["waits_s"].values()) + found["waits_s"]["loading"]
-    assert ready["factor"] == pytest.approx(left / found["exposure_s"])
+    assert ready["factor"] == pytest.approx(left / found["gates_s"])
 
 
 def test_the_table_has_each_cause_and_what_stays(done, folder, monkeypatch):
@@ -112,6 +112,8 @@ def test_the_table_has_each_cause_and_what_stays(done, folder, monkeypatch):
         ("--exposure 0", "exposure = '0': give more than 0"),
         ("--dmd dlp4500 --masks 100", "104 frames do not fit dlp4500"),
         ("adaptive-mnist --dmd dlp6500", "dlp6500 takes no frame then"),
+        ("a.safetensors --light two-arm --rails dual", "for 1 arm with 1 detector, and this"),
+        ("a.safetensors --camera dmd-2x2", "this camera has 1 arm with 4 detectors"),
         ("--camera lab.toml --device cuda", "--device is of trainings"),
     ],
 )

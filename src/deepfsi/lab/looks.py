@@ -182,6 +182,7 @@ def plan_losses(
         assumed.append(f"{plural(number, 'mask')} with half of the mirrors ON, as no design says")
     else:
         rails = _timed_rails(file, design, camera)
+        _check_optics(file, rails, camera)
         counted = float(design.arrays["shares"].sum())
     if camera.exposure is None:
         steps = rails.rails.shape[1] if rails.looks is None else rails.looks.count
@@ -198,6 +199,27 @@ def plan_losses(
     if losses.adaptive and not decision_s:
         assumed.append("masks that are chosen in no time")
     return PlannedLosses(losses, camera, tuple(assumed))
+
+
+def _check_optics(file: Path, rails: DesignRails, camera: Camera) -> None:
+    """Raise `InputError` where a camera has other arms or detectors than masks were made for."""
+    wanted = (2 if rails.two_arm else 1, rails.detectors.count if rails.detectors else 1)
+    arms = LIGHT_LAWS[camera.light].arms
+    count = camera.detector_map(rails.image_shape).count
+    if LIGHT_LAWS[camera.light].one_device and wanted != (arms, count):
+        raise InputError(
+            "the masks of {file} are for {own}, and this camera has {other}: leave {camera}, "
+            "{light} and {detectors} out, or give another design",
+            setting=("camera", "light", "detectors"),
+            file=file,
+            own=_optics_text(*wanted),
+            other=_optics_text(arms, count),
+        )
+
+
+def _optics_text(arms: int, detectors: int) -> str:
+    """Arms and detectors in words: 1 arm with 4 detectors."""
+    return f"{plural(arms, 'arm')} with {plural(detectors, 'detector')}"
 
 
 def _even_rails(camera: Camera, masks: int) -> DesignRails:

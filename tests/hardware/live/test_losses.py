@@ -61,7 +61,7 @@ def test_losses_multiply_to_what_the_virtual_laboratory_counts(
     assert shown.pass_s == pytest.approx(found.clock_s)
     scenes = 12
     camera = VirtualCamera(efficiency=efficiency, dead_time_s=dead_s)
-    settings = RecordingSettings(camera, flux, EXPOSURE_S, repeats=1, seed=1)
+    settings = RecordingSettings(camera, flux, EXPOSURE_S, seed=1)
     names = [str(place) for place in range(scenes)]
     record_scenes(tmp_path / "p", np.ones((scenes, *SHAPE)), names, None, tmp_path / "r", settings)
     counted = count_run(tmp_path / "r").counts.sum()
@@ -70,6 +70,21 @@ def test_losses_multiply_to_what_the_virtual_laboratory_counts(
     # grey cells are whole mirrors; counts under a dead time vary less than Poisson's
     assert abs(counted - expected) <= 5 * np.sqrt(expected)
     assert np.sqrt(expected) < 0.01 * expected
+
+
+def test_a_pass_holds_as_many_exposures_of_few_photons_as_fit(tmp_path):
+    """Masks that take a tenth of the exposure: pictures last as long, and gates follow others."""
+    design = replace(design_of("free-dwell", "single"), summed_reflectance=12.0)
+    short = replace(design, rails=design.rails / 10)
+    camera = Camera(device=DEVICE, exposure=EXPOSURE_S, flux=1e6)
+    whole, parts = LightLosses.of(design, camera), LightLosses.of(short, camera, counted=0.04)
+    assert (whole.exposures, parts.exposures) == (1, 10)
+    assert parts.counted == pytest.approx(whole.counted * 0.4 / whole.throughput, rel=0.02)
+    clicks = Camera(device=DEVICE, exposure=EXPOSURE_S, flux=1e6, noise="click", gates=50)
+    few = LightLosses.of(short, clicks)
+    arrivals = clicks.flux * few.lit[0] * few.gates_s * few.dwell / 10
+    fired = 50 * (1 - np.exp(-arrivals / 50))
+    assert few.registered == pytest.approx(fired.sum() / arrivals.sum())
 
 
 def test_a_live_run_takes_the_time_that_is_planned(digits, tmp_path):

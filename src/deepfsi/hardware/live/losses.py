@@ -89,6 +89,8 @@ class LightLosses:
     ----------
     gates_s : float
         Time in which photons are counted, seconds.
+    exposures : int
+        Exposures that this time holds: as many as fit the pictures of a pass.
     waits_s : mapping of str to float
         Seconds in which none are, by cause.
     lit : array, shape (arms, f)
@@ -107,6 +109,7 @@ class LightLosses:
     """
 
     gates_s: float
+    exposures: int
     waits_s: Mapping[str, float]
     lit: np.ndarray
     dwell: np.ndarray
@@ -171,15 +174,20 @@ class LightLosses:
         patterns = settings.plan(design)
         manifest = patterns.manifest
         gates_s, waits_s = _times(manifest, camera.exposure, decision_s)
+        # shares of an exposure may sum to less than 1, and a pass then holds several
+        exposures = round(gates_s / (camera.exposure * min(float(manifest.shares.sum()), 1.0)))
+        if manifest.looks is not None:
+            exposures = 1
         dwell = manifest.shares / manifest.shares.sum()
         open_share = patterns.fractions.mean(axis=1)
         lit = np.stack([open_share, 1 - open_share] if manifest.two_arm else [open_share])
         if counted is not None and not manifest.two_arm:
             even = float(lit[0] @ dwell)
-            in_gates = counted * manifest.dimmed * camera.exposure / gates_s
+            in_gates = counted * manifest.dimmed * camera.exposure * exposures / gates_s
             lit = np.minimum(lit * in_gates / even, 1.0)
         return cls(
             gates_s=gates_s,
+            exposures=exposures,
             waits_s=waits_s,
             lit=lit,
             dwell=dwell,
@@ -208,7 +216,7 @@ class LightLosses:
         rate = self.camera.flux * self.lit / self.detectors  # of each detector, (arms, f)
         seconds = self.gates_s * self.dwell
         if self.camera.clicks is not None:
-            open_gates = self.camera.clicks
+            open_gates = self.exposures * self.camera.clicks
             expected = rate * seconds
             counts = -open_gates * np.expm1(-expected / open_gates)
         else:
@@ -304,7 +312,8 @@ class LightLosses:
         return {
             "device": self.device,
             "clock_s": self.clock_s,
-            "exposure_s": self.gates_s,
+            "gates_s": self.gates_s,
+            "exposures": self.exposures,
             "waits_s": dict(self.waits_s),
             "throughput": self.throughput,
             "efficiency": self.efficiency,
@@ -317,9 +326,10 @@ class LightLosses:
 
     def lines(self) -> Iterator[str | Table]:
         """Losses and changes as tables."""
+        several = "" if self.exposures == 1 else f", {self.exposures} exposures,"
         yield (
-            f"{self.device}: {time_text(self.gates_s)} are counted of {time_text(self.clock_s)} by "
-            "the clock for each scene"
+            f"{self.device}: {time_text(self.gates_s)}{several} are counted of "
+            f"{time_text(self.clock_s)} by the clock for each scene"
         )
         rows = [
             (
@@ -355,10 +365,10 @@ def _times(
     settle_s = device.settle_us * 1e-6
     ends = len(manifest.frames) - len(manifest.shown)
     if manifest.looks is None:
-        gates = GatePlan.of(manifest, exposure_s, repeats=1)
+        gates = GatePlan.of(manifest, exposure_s)
         cost = gates.cost(manifest)
         moving_s = settle_s * ends
-        return float(gates.length_s.sum()), {
+        return gates.repeats * float(gates.length_s.sum()), {
             "alignment": cost.sentinels * manifest.pass_s - moving_s,
             "settling": cost.settling * manifest.pass_s + moving_s,
             "idle": cost.idle * manifest.pass_s,
