@@ -6,11 +6,12 @@
     python benchmarks/adaptive.py --data mnist --latency                    # ms of one decision
 
 Noise draws of each test image; ± is half of the 95 % interval over images. With `--cap` the budget
-is the mean of exposures that end when a class is sure: `light` is what test images take of it. The
-prior is all training images. With `--validation` training images that are drawn by `--seed` are
-left out and read in place of the tests: settings are to be chosen there. `--scenes` keeps the first
-images of the prior alone, `--page` those that the page of the design knows; with `--clusters` the
-centres of as many clusters of each class stand for them.
+is the mean of exposures that end when a class is sure: `light` is what test images take of it. With
+`--until` they end above that probability, whatever light they take. The prior is all training
+images. With `--validation` training images that are drawn by `--seed` are left out and read in
+place of the tests: settings are to be chosen there. `--scenes` keeps the first images of the prior
+alone, `--page` those that the page of the design knows; with `--clusters` the centres of as many
+clusters of each class stand for them.
 """
 
 import argparse
@@ -33,6 +34,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--photons", type=float, nargs="+", default=[1e4])
     parser.add_argument("--looks", type=int, nargs="+", default=[16])
     parser.add_argument("--cap", type=float, default=1, help="most light, over the mean of all")
+    parser.add_argument("--until", type=float, help="threshold, in place of that of the mean light")
     parser.add_argument("--draws", type=int, default=1, help="noise draws of each image")
     parser.add_argument("--validation", type=int, default=0, help="images, in place of the tests")
     parser.add_argument("--seed", type=int, default=0, help="of the validation images")
@@ -61,9 +63,13 @@ def main(words: Sequence[str] | None = None) -> None:
                 masks=looks,
                 photons=photons,
                 camera=given.camera,
-                exposure={"cap": given.cap},
+                exposure={"cap": 1 if given.until else given.cap},
                 training={"clusters": given.clusters},
             )
+            if given.until:
+                changes = {"cap": given.cap, "until": given.until}
+                settings = design.prior_exposure.settings.model_copy(update=changes)
+                design.exposure = replace(design.prior_exposure, settings=settings)
             if given.page:
                 design = of_page(design)
             if given.latency:

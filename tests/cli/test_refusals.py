@@ -36,6 +36,12 @@ REFUSED = {
         --camera unit.toml | unit.toml cannot be used at exposure
         --looks 99 | looks = '99': give 64 or less
         --looks 3 --nested 2 | nested and looks are of different
+        --cap 2 | --cap is of exposures that may end early
+        --looks 4 --cap 2 | the threshold of --cap is found on scenes that the training leaves out
+        --looks 4 --cap 2 --hold-out 40 | 40 training scenes say too little of the mean light
+        --looks 2 --cap 3 --hold-out 400 | the first of 2 looks takes 1.5 of the budget
+        --nested 3 --cap 2 --hold-out 400 | all 3 masks are needed
+        --nested 1 --cap 2 --hold-out 400 --light column | all masks see light at once
         --light two-arm --rails single | use dual rails
         --dmd dlp7000 --light column | device
         --light column --detectors 2x2 | column is other optics
@@ -84,8 +90,21 @@ REFUSED = {
         --designs pca --photons 1e4 --masks 3 --detectors 9x9 | do not divide
         --colour red | colour
         --epochs 10000000000000000000000 | 10000000000000000000000
+        --designs pca,deepfsi --masks 3 --cap 2 | --cap is of exposures that may end early
+        --designs pca --masks 3 --start random | no masks of pca learn: leave --start out
+        --designs pca --masks 3 --mask-lr 0.1 | no masks of pca learn: leave --mask-lr out
+        --designs adaptive --masks 3 --epochs 3 | learn by no steps: leave --epochs out
+        --designs adaptive --masks 3 --train-noise poisson | leave --train-noise out
+        --designs adaptive --masks 3 --levels 16 | of 2 levels: leave --levels out
+        --designs impulse --light two-arm | shows no masks: leave --light out
+        --designs impulse --detectors 2x2 | shows no masks: leave --detectors out
+        --designs impulse --dmd dlp7000 | shows no masks: leave --dmd out
+    """,
+    "compare --designs deepfsi --masks 4 --photons 1e3": """
+        --looks 4 --cap 2 --data few.npz | training scenes say too little of the mean light
     """,
     "sweep": """
+        capped.toml | --cap is of exposures that may end early
         nosuch | no recipe at nosuch
         vast-pca.toml | 1000000000 trials
         vast-deepfsi.toml | 1000000000 trials
@@ -236,6 +255,7 @@ def folder(tmp_path_factory):
         for design, name in (("looks", "looks"), ("click", "clicks")):
             Path(patterns_of(design)).rename(name)
     np.savez(folder / "small.npz", x=np.eye(60, 9), y=np.arange(60) % 2)
+    np.savez(folder / "few.npz", x=np.eye(90, 64), y=np.arange(90) % 2)
     arrays = {
         "bright": np.ones((4, 64)),
         "short": np.ones((4, 63)),
@@ -254,6 +274,7 @@ def folder(tmp_path_factory):
         "gated": "gates = 2\n",
         "split": 'data = "digits"\nsplit = "blocks"\n',
         "halves": 'data = "digits"\nsplit = "halves"\n',
+        "capped": 'designs = "deepfsi"\nmasks = 3\nphotons = 1e3\n[exposure]\ncap = 2\n',
         **{
             f"vast-{design}": f'designs = "{design}"\n{vast}[training]\nlr = {rates}\n'
             for design in ("pca", "deepfsi")

@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 import deepfsi
 from deepfsi.base import InputError
-from deepfsi.evaluation import evaluate
+from deepfsi.evaluation import evaluate, stop
 from deepfsi.exposure import AdaptiveExposure
 from deepfsi.exposure.kind import Stops
-from deepfsi.jobs import AdaptiveMasks
+from deepfsi.jobs import AdaptiveMasks, LooksEntry
+from deepfsi.lab import design_rails
 from deepfsi.sweeps import Recipe
 
 PHOTONS, DRAWS = 1e3, 3
@@ -100,16 +102,40 @@ def test_a_file_and_a_camera_know_the_rule(shared, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"design": "deepfsi"}, "is of adaptive masks"),
-        ({"exposure": {"cap": 2, "looks": 4}}, "different exposures"),
+        ({"design": "deepfsi"}, "is of exposures that may end early"),
+        ({"exposure": {"cap": 2, "looks": 4}}, "a look each"),
         ({"exposure": {"cap": 0.5}}, "cap"),
+        ({"exposure": {"cap": 9}}, "the first of 8 looks takes 1.12 of the budget"),
+        ({"design": "deepfsi", "exposure": {"looks": 4, "cap": 2}}, "`hold_out`"),
+        ({"design": "deepfsi", "exposure": {"looks": 2, "cap": 3}}, "first of 2 looks takes 1.5"),
+        ({"design": "deepfsi", "exposure": {"patch": 4, "cap": 2}}, "different exposures"),
+        (
+            {"design": "deepfsi", "exposure": {"nested": 1, "span": 10, "cap": 2}},
+            "one mean budget, not a range",
+        ),
+        (
+            {"design": "deepfsi", "exposure": {"nested": 8, "cap": 2}},
+            "all 8 masks are needed",
+        ),
+        (
+            {"design": "deepfsi", "exposure": {"nested": 1, "cap": 2}, "camera": "paper"},
+            "all masks see light at once",
+        ),
+        (
+            {
+                "design": "deepfsi",
+                "exposure": {"looks": 4, "cap": 2},
+                "camera": {"noise": "click"},
+            },
+            "clicks of gates are read for one length",
+        ),
     ],
-    ids=["other masks", "looks of dwells", "less than the mean"],
 )
 def test_what_cannot_share_is_one_line(digits, settings, words):
     asked = {"design": "adaptive", "masks": 8, "photons": PHOTONS, "exposure": {"cap": 2}}
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=words) as refused:
         deepfsi.learn(digits, **asked | settings)
+    assert "\n" not in str(refused.value)
 
 
 def test_few_scenes_say_too_little_of_the_mean(digits):
@@ -122,3 +148,160 @@ def test_a_comparison_says_that_a_budget_is_a_mean():
     recipe = Recipe.model_validate({"exposure": {"cap": [1, 2]}})
     assert [name for name, _ in recipe.exposures("adaptive")] == ["", "(mean light, at most 2 Φ)"]
     assert recipe.exposures("deepfsi") == [("", deepfsi.Fixed())]
+
+
+def test_a_comparison_caps_the_exposures_that_may_end_early():
+    recipe = Recipe.model_validate({"exposure": {"cap": 2, "looks": [1, 4]}})
+    assert recipe.exposures("deepfsi") == [
+        ("looks 1", deepfsi.Fixed()),
+        ("looks 4 (mean light, at most 2 Φ)", deepfsi.Looks(looks=4, cap=2)),
+    ]
+    assert recipe.exposures("adaptive") == [
+        ("(mean light, at most 2 Φ)", deepfsi.SharedLight(cap=2))
+    ]
+
+
+# Nested masks and looks, on scenes that their training left out
+
+
+EXPOSURES = {"looks": {"looks": 4}, "nested": {"nested": 1}}
+HELD_OUT = 400
+FEW = {"training": {"epochs": 10}, "masks": 16}
+
+
+@pytest.fixture(scope="module", params=EXPOSURES)
+def asked(request):
+    return EXPOSURES[request.param]
+
+
+@pytest.fixture(scope="module")
+def capped(digits, asked):
+    exposure = asked | {"cap": 2}
+    return deepfsi.learn(digits.hold_out(HELD_OUT), photons=PHOTONS, exposure=exposure, **FEW)
+
+
+@pytest.fixture(scope="module")
+def whole(digits, asked):
+    return deepfsi.learn(digits.hold_out(HELD_OUT), photons=2 * PHOTONS, exposure=asked, **FEW)
+
+
+@pytest.fixture(scope="module")
+def result(digits, capped):
+    [result] = evaluate(capped, digits, PHOTONS, draws=DRAWS)
+    return result
+
+
+def test_a_cap_of_1_is_the_design_of_before():
+    for settings in EXPOSURES.values():
+        jobs = [
+            deepfsi.Job(masks=8, photons=1e3, exposure=exposure)
+            for exposure in (settings, settings | {"cap": 1})
+        ]
+        assert jobs[0] == jobs[1]
+        assert "cap" not in jobs[1].model_dump_json()
+    entry = LooksEntry(looks=4, hidden=(3,), shortest=0.0)
+    assert not {"cap", "until"} & entry.model_dump().keys()
+
+
+def test_a_cap_of_2_is_the_design_of_twice_the_budget_bit_for_bit(digits, capped, whole):
+    """Its features are over the mean budget, and all else is the same."""
+    assert torch.equal(capped.rails.stacked, whole.rails.stacked)
+    assert torch.equal(capped.std, 2 * whole.std)
+    for name, weight in whole.classifier.state_dict().items():
+        assert torch.equal(capped.classifier.state_dict()[name], weight)
+    logits = []
+    for design, photons in ((capped, PHOTONS), (whole, 2 * PHOTONS)):
+        front = design.front_end()
+        rates = design.rates(front, torch.from_numpy(digits.x_test[:50]))
+        seen = design.observe(front, rates, torch.Generator().manual_seed(1), photons)
+        with torch.no_grad():
+            logits.append(torch.stack([design.answer(each, photons).chances for each in seen]))
+    assert torch.equal(*logits)
+    assert np.array_equal(capped.exposure.stops.used, 2 * whole.exposure.stops.used)
+
+
+def test_left_out_scenes_set_the_light_of_tests(digits, result):
+    """Light lies within (1/4, 2), so that its deviation is 0.875 at most: two independent means."""
+    error = 0.875 * (1 / len(digits.x_test) + 1 / HELD_OUT) ** 0.5
+    assert result.score("mean_light") == pytest.approx(1, abs=3 * error)
+
+
+def test_the_rule_is_that_of_stop(digits, capped, whole, result):
+    """The same threshold ends the same exposures: accuracies differ by the draws alone."""
+    threshold = capped.info["stopping"]["threshold"]
+    assert capped.exposure.until == threshold
+    stopped = stop(whole, digits, 2 * PHOTONS, threshold=threshold, draws=DRAWS)
+    error = (2 * 0.25 / (DRAWS * len(digits.x_test))) ** 0.5
+    assert result.accuracy == pytest.approx(stopped.stopped.mean, abs=3 * error)
+    assert result.score("mean_light") == pytest.approx(2 * stopped.used.mean, abs=3 * 0.875 * error)
+
+
+def test_their_counts_are_of_exposures_that_stop(result):
+    assert result.counts == pytest.approx(result.throughput * PHOTONS, rel=0.1)
+
+
+def test_predictions_stop_where_tests_do(digits, capped, result):
+    right = capped.predict(digits.x_test, PHOTONS) == np.array(capped.classes)[digits.y_test]
+    assert right.mean() == pytest.approx(result.accuracy, abs=3 * (0.5 / len(right)) ** 0.5)
+
+
+def test_their_files_know_the_rule(digits, capped, result, tmp_path):
+    capped.save(tmp_path / "capped.safetensors")
+    again = deepfsi.load_design(tmp_path / "capped.safetensors")
+    [repeated] = evaluate(again, digits, PHOTONS, draws=DRAWS)
+    assert repeated.accuracy == result.accuracy
+    assert again.info["stopping"] == capped.info["stopping"]
+
+
+def test_frames_are_of_looks_alone(capped, tmp_path):
+    path = capped.save(tmp_path / "capped.safetensors")
+    if capped.exposure.chooses:
+        assert design_rails(path).looks.count == 4
+        return
+    with pytest.raises(InputError, match="frames of a run are all shown"):
+        design_rails(path)
+
+
+def test_dark_counts_are_of_the_longer_exposure(capped, whole):
+    camera = deepfsi.Camera(noise="camera", dark=50)
+    dark = [design.front_end(camera).dark_counts(1).sum() for design in (capped, whole)]
+    assert dark[0] == pytest.approx(2 * dark[1])
+
+
+@pytest.mark.parametrize(
+    ("use", "words"),
+    [("page", "one length"), ("graph", "one length"), ("ideal observer", "whole exposures")],
+)
+def test_what_is_of_one_length_refuses_them(capped, whole, use, words):
+    if use == "ideal observer" and whole.exposure.chooses:
+        words = "follow the counts"
+    else:
+        whole.exposure.check(use)
+    with pytest.raises(InputError, match=words):
+        capped.exposure.check(use)
+
+
+def test_first_masks_alone_take_the_budget(digits, capped, whole):
+    if whole.exposure.chooses:
+        with pytest.raises(InputError, match="cannot be classified alone"):
+            capped.first(8)
+        return
+    first = [design.first(8) for design in (capped, whole)]
+    results = [evaluate(design, digits, PHOTONS, draws=1)[0] for design in first]
+    assert np.array_equal(results[0].right, results[1].right)
+    assert results[0].score("mean_light") is None
+
+
+def test_few_scenes_are_left_out_in_folds(digits):
+    """150 of them set the threshold, each in six draws: the mean is known to 0.875 / √150."""
+    few = replace(digits, x_train=digits.x_train[:500], y_train=digits.y_train[:500])
+    made = deepfsi.learn(
+        few,
+        photons=PHOTONS,
+        masks=8,
+        exposure={"looks": 4, "cap": 2},
+        training={"epochs": 2},
+    )
+    [result] = evaluate(made, digits, PHOTONS, draws=DRAWS)
+    error = 0.875 * (1 / len(digits.x_test) + 1 / 150) ** 0.5
+    assert result.score("mean_light") == pytest.approx(1, abs=3 * error)

@@ -113,6 +113,28 @@ def test_detectors_and_what_is_read_stand_in_tables_and_names(tmp_path):
 
 
 @words_alone
+def test_budgets_that_are_a_mean_are_said_to_be_one(tmp_path):
+    results = make_results(tmp_path)
+    shared = results.with_points(
+        [
+            p.model_copy(update={"further": {"mean_light": light}, "variant": "(mean light)"})
+            if p.design == "pca"
+            else p
+            for p, light in zip(
+                results.points, np.linspace(0.97, 1.02, len(results.points)), strict=True
+            )
+        ]
+    )
+    taken = [p.further["mean_light"] for p in shared.points if p.further and p.best]
+    words = f"Test scenes took {min(taken):.3f} to {max(taken):.3f} of it."
+    assert "at equal mean light (light law" in comparison_page.compared_text(shared)
+    assert words in comparison_page.covers_text(shared)
+    assert words in " ".join(map(str, comparison_page.comparison_lines(shared)))
+    plain = [*comparison_page.comparison_lines(results), comparison_page.covers_text(results)]
+    assert "mean light" not in " ".join(map(str, plain)).lower()
+
+
+@words_alone
 def test_a_page_opens_with_what_is_compared(tmp_path):
     results = make_results(tmp_path)
     text, said = comparison_page.compared_text(results), comparison_page.covers_text(results)

@@ -96,7 +96,7 @@ class CompareDesigns(Command):
         check_report()
         base: dict[str, Any] = {"data": self.data}
         file = read_recipe(self.recipe) if self.recipe else {}
-        from deepfsi.sweeps import Workers, check_kept, compare, only, with_adaptive
+        from deepfsi.sweeps import Workers, check_kept, check_used, compare, only, with_adaptive
 
         matrix = None if self.matrix is None else read_matrix(self.matrix)
         if self.recipe:
@@ -110,6 +110,7 @@ class CompareDesigns(Command):
         recipe, scenes = _checked(recipe_settings(self.settings, chosen, base), matrix)
         if unnamed:
             recipe = with_adaptive(recipe, scenes)
+        check_used(recipe, self.settings)
         fields.check_sigma(self.settings, (*recipe.noises, *recipe.test_noise))
         if not self.force:
             check_kept(self.out, recipe, scenes, matrix)
@@ -194,6 +195,7 @@ class PlanPhotons(Command):
             Workers,
             check_kept,
             check_plan,
+            check_used,
             photons_needed,
             plan_lines,
             write_results,
@@ -202,6 +204,7 @@ class PlanPhotons(Command):
         chosen = self.explicit(RECIPE_FIELDS)
         chosen["data"] = self.data
         recipe, scenes = _checked(recipe_settings(self.settings, chosen, PLANNED))
+        check_used(recipe, self.settings)
         fields.check_sigma(self.settings, recipe.noises)
         check_plan(recipe, scenes, self.target)
         if not self.force:

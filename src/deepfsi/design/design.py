@@ -393,8 +393,8 @@ class Design:
         budget = check_budget(photons)
         front = self.front_end(self._named_camera)
         generator = torch.Generator(self.exposure.device).manual_seed(seed)
-        exposures = self.exposure.expose_in_parts(front, scenes, budget, generator)
-        classes = torch.cat([self.answer(seen, budget).classes for _, seen in exposures])
+        tests = self.exposure.test_in_parts(front, scenes, budget, generator, network=self)
+        classes = torch.cat([answer.classes for answer, _ in tests])
         return np.array(self.classes)[classes.cpu().numpy()].reshape(lead)
 
     @property
@@ -481,8 +481,9 @@ class Design:
         ----------
         read : callable
             Called once for each look: shows each mask, ``rails.plus * masks`` in 0 .. 1, for the
-            given shares (m,) of the exposure time, floats that sum to 1 / K, and returns the counts
-            of this look, shaped as for `classify`. The shares are (2, m) where each rail is a frame
+            given shares (m,) of the exposure time, floats that sum to 1 / K, or cap / K where light
+            is shared among exposures, and returns the counts of this look, shaped as for
+            `classify`. The shares are (2, m) where each rail is a frame
             of its own. Where a device cannot show these, as frames have a shortest time, a pair:
             counts, and the shares shown.
         photons : float
@@ -504,11 +505,12 @@ class Design:
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             nonlocal counted
             assert dwells is not None
-            asked = dwells.by_rail(dwell.cpu().numpy())
+            asked = dwells.by_rail(dwell.cpu().numpy()) * exposure.cap
             counts, shown = check_counts.check_look(read, asked, self.counts_shape)
             features = self.features_of(torch.from_numpy(counts).to(dwell))
             counted = counted + features
-            return features / budget, torch.from_numpy(dwells.by_mask(shown)).to(dwell)
+            whole = torch.from_numpy(dwells.by_mask(shown / exposure.cap))
+            return features / budget, whole.to(dwell)
 
         for look, seen in enumerate(exposure.expose_live(show, self.mean, self.std), 1):
             if until is None and look < exposure.looks:
@@ -586,7 +588,8 @@ class Design:
         features = self.features_of(read.to(device)) / exposure.scale(budget)
         if shares is None or exposure.dwells is None:
             return Observation(features), budget
-        return Observation(features, exposure.dwells.by_mask(shares).to(device)), budget
+        whole = exposure.dwells.by_mask(shares / exposure.cap)
+        return Observation(features, whole.to(device)), budget
 
     def features_of(self, counts: Tensor) -> Tensor:
         """Features (..., k) of counts in the shape that `classify` takes."""

@@ -13,7 +13,7 @@ from deepfsi.evaluation.confidence import (
 from deepfsi.evaluation.distribution_fit import find_distribution, sample_scenes
 from deepfsi.evaluation.ideal import IdealObserver, ideal_observer
 from deepfsi.evaluation.page_data import check_playable, of_page, playable
-from deepfsi.evaluation.stopping import MeanEstimate, Stopped, stop, with_rule
+from deepfsi.evaluation.stopping import MeanEstimate, Stopped, share_light, stop, with_rule
 
 __all__ = [
     "CalibrationScenes",
@@ -36,6 +36,7 @@ __all__ = [
     "of_page",
     "playable",
     "sample_scenes",
+    "share_light",
     "stop",
     "with_rule",
 ]

@@ -144,11 +144,9 @@ def _answering(design: Design, front: Any, x: Tensor) -> Guess:
     rates = design.rates(front, x)
 
     def guess(generator: torch.Generator, budget: float) -> Guessed:
-        seen = design.exposure.expose(front, rates, budget, generator)
-        light = design.exposure.light(front, rates, seen, budget)
+        answer, light = design.exposure.test(front, rates, budget, generator, network=design)
         if design.values is not None:
-            return (design.values.estimated(design.logits_of(seen, budget)),), light
-        answer = design.answer(seen, budget)
+            return (design.values.estimated(answer.logits),), light
         return (answer.classes, answer.chances), light
 
     return guess

@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike
 from pydantic import model_serializer
 from scipy.special import log_softmax
@@ -26,7 +27,7 @@ from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design import Design
 from deepfsi.designfile import new_scenes, trained_on
 from deepfsi.evaluation.accuracy import check_data, check_draws, coverage_text
-from deepfsi.evaluation.confidence import logits_at_stops
+from deepfsi.evaluation.confidence import CalibrationScenes, logits_at_stops
 from deepfsi.exposure import Stops
 from deepfsi.measures import calibration_error, confidence_error, confidence_groups
 from deepfsi.networks import check_classes, stop_temperatures
@@ -118,6 +119,53 @@ def with_rule(design: Design, rule: StoppingRule) -> Design:
     numbers = {"threshold": rule.threshold, "photons": rule.photons}
     exposure = design.exposure.stopping_at(rule.threshold)
     return replace(design, exposure=exposure, info={**design.info, "stopping": numbers})
+
+
+def share_light(design: Design, scenes: CalibrationScenes, photons: float, *, seed: int) -> Design:
+    """The design whose exposures end so that scenes take the budget in the mean.
+
+    Parameters
+    ----------
+    design : Design
+        Nested or of several looks, whose whole exposures take more.
+    scenes : CalibrationScenes
+        That its training left out.
+    photons : float
+        Budget Φ, the mean of all exposures.
+    seed : int
+        Of the noise.
+
+    Raises
+    ------
+    InputError
+        If its first stop alone takes more than the budget.
+    """
+    exposures = []
+    with torch.no_grad():
+        for part in scenes.parts:
+            reader = replace(part.design, temperatures=design.temperatures)
+            kind = reader.mask_exposure
+            generator = torch.Generator(kind.device).manual_seed(seed)
+            for x in torch.from_numpy(part.x).split(kind.exposed_at_once):
+                rates = reader.rates(part.front, x)
+                exposures += [
+                    kind.at_stops(part.front, rates, photons, generator, network=reader)
+                    for _ in range(scenes.draws)
+                ]
+        stops = design.exposure.stops
+        confidence = np.concatenate([each.confidence for each in exposures])
+        threshold = stops.threshold(confidence, 1.0)
+        counted = torch.zeros_like(design.shares)
+        whole = torch.zeros_like(design.shares)
+        for each in exposures:
+            ends = stops.ends(each.confidence, threshold)
+            counted += each.counted(ends)
+            whole += each.counted(np.full_like(ends, len(stops.after) - 1))
+    share = torch.where(whole > 0, counted / whole, 0.0)
+    rule = StoppingRule(after=stops.after, threshold=threshold, photons=photons)
+    shared = with_rule(design, rule)
+    exposure = shared.mask_exposure
+    return replace(shared, exposure=exposure.with_optics(shares=exposure.shares * share))
 
 
 def rule_of(design: Design) -> StoppingRule | None:

@@ -20,7 +20,14 @@ from torch.nn import functional
 
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS
-from deepfsi.exposure.kind import UNTRAINED, MaskExposure, Observation, Stops, TrainedMasks
+from deepfsi.exposure.kind import (
+    UNTRAINED,
+    ExposureKind,
+    MaskExposure,
+    Observation,
+    Stops,
+    TrainedMasks,
+)
 from deepfsi.exposure.training import ExposureTraining, JobGroup, standardise
 from deepfsi.jobs import ConditionedEntry
 from deepfsi.physics import (
@@ -50,6 +57,8 @@ class ConditionedExposure(MaskExposure):
     nested: int = 0
     width: int = 1
     used: float = 1.0
+    cap: float = 1.0
+    until: float = 1.0
     _: KW_ONLY
     optics: TrainedMasks = UNTRAINED
     kind = "conditioned"
@@ -110,9 +119,17 @@ class ConditionedExposure(MaskExposure):
         return replace(super().as_shown(rails, dimmed), used=self.used / dimmed)
 
     def first(self, masks: int) -> tuple[Self, float]:
-        """The kind of the first masks alone; parameters as of the base class."""
+        """The kind of the first masks alone, all of which take the budget; parameters as before."""
         part, share = super().first(masks)
+        if self.cap > 1:
+            part = replace(part.dimmed(1 / self.cap), cap=1.0, until=1.0)
+            share *= self.cap
         return replace(part, used=self.used * share), share
+
+    def expected(self, rates: Tensor, seen: Observation) -> Tensor:
+        """Photons (..., rails, m · D) of the masks shown; parameters as of the base class."""
+        shown = seen.features.shape[-1] // self.width
+        return rates[..., : shown * self.detection.count]
 
     @property
     def stops(self) -> Stops:
@@ -130,7 +147,12 @@ class ConditionedExposure(MaskExposure):
                 given=law.name,
             )
         used = law.used(self.optics.rails.stacked)[fewest - 1 :]
-        return Stops(tuple(range(fewest, masks + 1)), (used / used[-1]).double().cpu().numpy())
+        share = (used / used[-1]).double().cpu().numpy()
+        return Stops(tuple(range(fewest, masks + 1)), self.cap * share)
+
+    def stopping_at(self, threshold: float) -> ExposureKind:
+        """The kind whose exposures end at a probability, or `InputError` of equal light."""
+        return replace(self, until=threshold) if self.cap > 1 else super().stopping_at(threshold)
 
     def inputs(self, scaled: Tensor, ratio: Tensor, shown: Tensor) -> Tensor:
         """Inputs of the classifier, features and two more; 0 are features beyond those shown."""
@@ -173,8 +195,9 @@ class ConditionedTraining(ExposureTraining):
         span = self.job.exposure.highest(1.0)
         nested = getattr(self.job.exposure, "nested", 0)
         width = self.input_count // self.job.masks
+        cap = self.job.exposure.most_light
         self.exposures = [
-            ConditionedExposure(job.photons, span, job.masks, nested=nested, width=width)
+            ConditionedExposure(job.photons, span, job.masks, nested=nested, width=width, cap=cap)
             for job in self.jobs
         ]
         self.lowest = self.exposures[0]  # of the lowest budget

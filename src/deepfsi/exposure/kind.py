@@ -57,11 +57,15 @@ class Observation:
         What is read of the first masks over the budget (`Detection`), of all looks together.
     dwell : tensor, shape (..., q), or None
         Share of the whole exposure that each frame had, where dwells are chosen; they sum to 1
-        after the last look.
+        after the last look, also where a whole exposure takes several budgets.
     """
 
     features: Tensor
     dwell: Tensor | None = None
+
+    def rows(self, rows: Tensor) -> "Observation":
+        """Some of n exposures, by their places."""
+        return Observation(self.features[rows], None if self.dwell is None else self.dwell[rows])
 
     def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
         """Standardised features (..., k), and the dwells (..., k + q) where they are chosen."""
@@ -133,7 +137,8 @@ class Stops(NamedTuple):
         if taken(tried[0]) > light:
             raise InputError(
                 f"the first stop alone takes {self.used[0]:.3g} of the budget, and {light:.3g} is "
-                "asked for in the mean: give more looks or masks, or more mean light"
+                "asked for in the mean: give more looks, fewer nested masks, a lower cap, or more "
+                "mean light"
             )
         first = bisect_right(range(len(tried)), light, key=lambda place: taken(tried[place]))
         return tried[first - 1]
@@ -215,6 +220,62 @@ class CountedLight(NamedTuple):
     counts: float
     photons: float
     used: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class StoppableExposures:
+    """Exposures of n scenes as they are at each stop, so that each may end at one of its own.
+
+    Attributes
+    ----------
+    kind : MaskExposure
+    front : Scanner
+    rates : tensor, shape (n, rails, m · D)
+    photons : float
+        Budget Φ.
+    observations : list of Observation, length K
+    answers : list of Answer, length K
+    confidence : array, shape (n, K)
+        Of the answers, float64: rounded to 32 bits it is 1 long before the end in bright light.
+    """
+
+    kind: "MaskExposure"
+    front: Scanner
+    rates: Tensor
+    photons: float
+    observations: list[Observation]
+    answers: list[Answer]
+    confidence: np.ndarray
+
+    def answer(self, ends: np.ndarray) -> Answer:
+        """Answers to exposures that end at stops (n,), from 0."""
+        rows = torch.arange(len(ends)), torch.from_numpy(ends)
+        every = (torch.stack(parts, dim=1) for parts in zip(*self.answers, strict=True))
+        return Answer(*(values[rows] for values in every))
+
+    def light(self, ends: np.ndarray) -> CountedLight:
+        """Light of exposures together that end at stops (n,), from 0."""
+        parts = [
+            self.kind.light(self.front, rates, seen, self.photons)
+            for rates, seen in self._ended(ends)
+        ]
+        used = float(self.kind.stops.used[ends].sum()) * self.photons
+        return CountedLight(sum(each.counts for each in parts), sum(p.photons for p in parts), used)
+
+    def counted(self, ends: np.ndarray) -> Tensor:
+        """Sum (k,) over scenes of what features count for a budget of one; `ends` as of `light`."""
+        kind = self.kind
+        total = torch.zeros_like(kind.shares)
+        for rates, seen in self._ended(ends):
+            counted = kind.detection.totals(kind.expected(rates, seen)).sum(dim=0)
+            total[: len(counted)] += counted
+        return total
+
+    def _ended(self, ends: np.ndarray) -> Iterator[tuple[Tensor, Observation]]:
+        """Rates and exposures that end at each stop, where any do."""
+        for stop in np.unique(ends).tolist():
+            rows = torch.from_numpy(np.flatnonzero(ends == stop))
+            yield self.rates[rows], self.observations[stop].rows(rows)
 
 
 class ExposureKind(ABC):
@@ -335,15 +396,6 @@ class ExposureKind(ABC):
         *_, seen = self.observe(front, rates, photons, generator)
         return seen
 
-    def expose_in_parts(
-        self, front: Any, scenes: Tensor, photons: float, generator: torch.Generator
-    ) -> Iterator[tuple[Tensor, Observation]]:
-        """Exposures at their end of scenes (n, N), some at a time, each with its `rates`."""
-        # other parameters as of `observe`
-        for some in scenes.split(EXPOSED_AT_ONCE):
-            rates = self.rates(front, some)
-            yield rates, self.expose(front, rates, photons, generator)
-
     @abstractmethod
     def light(self, front: Any, rates: Tensor, seen: Observation, photons: float) -> CountedLight:
         """Light of exposures together; parameters of `observe`."""
@@ -351,6 +403,38 @@ class ExposureKind(ABC):
     @abstractmethod
     def answer(self, seen: Observation, photons: Tensor | float, network: "ReadsCounts") -> Answer:
         """Answer to exposures so far, of a budget in all, by what reads their counts."""
+
+    def test(
+        self,
+        front: Any,
+        rates: Tensor,
+        photons: float,
+        generator: torch.Generator,
+        network: "ReadsCounts",
+    ) -> tuple[Answer, CountedLight]:
+        """Answers to exposures at their end, and their light together.
+
+        Parameters
+        ----------
+        front, rates, photons, generator
+            Of `observe`.
+        network : ReadsCounts
+            What reads their counts.
+        """
+        seen = self.expose(front, rates, photons, generator)
+        return self.answer(seen, photons, network), self.light(front, rates, seen, photons)
+
+    def test_in_parts(
+        self,
+        front: Any,
+        scenes: Tensor,
+        photons: float,
+        generator: torch.Generator,
+        network: "ReadsCounts",
+    ) -> Iterator[tuple[Answer, CountedLight]]:
+        """Answers and light of scenes (n, N), some at a time; other parameters as of `test`."""
+        for some in scenes.split(EXPOSED_AT_ONCE):
+            yield self.test(front, self.rates(front, some), photons, generator, network=network)
 
     @property
     @abstractmethod
@@ -470,11 +554,29 @@ UNTRAINED: Any = None
 """Masks before the end of a training."""
 
 
+ONE_LENGTH: dict[Use, str] = {
+    "graph": "an ONNX graph is of exposures of one length: give a design that was learned with cap "
+    "1, or use Design.classify_live",
+    "page": "a page shows exposures of this kind for one length: give a design that was learned "
+    "with cap 1",
+    "ideal observer": "the ideal observer is of counts of whole exposures, and these end when a "
+    "class is sure: give a design that was learned with cap 1",
+}
+"""Why exposures that share light cannot be used for something."""
+
+
+def whole_exposure(camera: Camera, cap: float) -> Camera:
+    """Camera with the dark counts of an exposure that is so many times as long."""
+    return camera if cap == 1 else camera.model_copy(update={"dark": camera.dark * cap})
+
+
 class MaskExposure(ExposureKind):
     """Base of the kinds whose masks are known before: each is shown once, for its own dwell."""
 
     optics: TrainedMasks
     kind: ClassVar[str]  # name in the design file
+    cap: float = 1.0  # light of a whole exposure over the budget, which above 1 is a mean
+    until: float = 1.0  # probability of a class above which an exposure ends; 1 for never
     used: float = 1.0  # share of the light law that the masks take within the whole sequence
     network: Mlp | None = None  # a network besides the classifier
     dwells: Dwells | None = None  # of the frames of a look, where they are chosen
@@ -517,9 +619,11 @@ class MaskExposure(ExposureKind):
 
     @property
     def title(self) -> str:
-        """Number and shape of the masks, and their light law."""
+        """Number and shape of the masks, their light law, and the most light."""
         shape = "x".join(map(str, self.mask_shape))
-        return f"{self.count} masks of {shape}, {self.optics.light}, {self.optics.rails.kind} rails"
+        most = f", at most {self.cap:g} budgets" if self.cap > 1 else ""
+        optics = self.optics
+        return f"{self.count} masks of {shape}, {optics.light}, {optics.rails.kind} rails{most}"
 
     # Files
 
@@ -562,6 +666,12 @@ class MaskExposure(ExposureKind):
 
     # What is shown
 
+    def check(self, use: Use, name: str | None = None) -> None:
+        """Raise `InputError` where a design, of such a name, cannot be used for something."""
+        super().check(use, name)
+        if self.cap > 1 and use in ONE_LENGTH:
+            raise InputError(ONE_LENGTH[use])
+
     def with_optics(self, **fields: Any) -> Self:
         """The kind with other fields of its `optics`."""
         return replace(self, optics=replace(self.optics, **fields))  # type: ignore[type-var]
@@ -586,13 +696,16 @@ class MaskExposure(ExposureKind):
 
         Features are as much smaller, and so are the statistics that scale them.
         """
+        light = self.optics.light
+        return self.dimmed(dimmed).with_optics(
+            rails=rails, light=light if LIGHT_LAWS[light].one_device else "free-dwell"
+        )
+
+    def dimmed(self, share: float) -> Self:
+        """The kind with features of a share of the light."""
         optics = self.optics
         return self.with_optics(
-            rails=rails,
-            light=optics.light if LIGHT_LAWS[optics.light].one_device else "free-dwell",
-            mean=optics.mean * dimmed,
-            std=optics.std * dimmed,
-            shares=optics.shares * dimmed,
+            mean=optics.mean * share, std=optics.std * share, shares=optics.shares * share
         )
 
     def first(self, masks: int) -> tuple[Self, float]:
@@ -655,11 +768,13 @@ class MaskExposure(ExposureKind):
 
     def front_end(self, camera: Camera | None) -> Scanner:
         """The scanner with the noise of a camera; that of photons unless given."""
-        return self.scanner() if camera is None else self.scanner(noise_of(camera))
+        if camera is None:
+            return self.scanner()
+        return self.scanner(noise_of(whole_exposure(camera, self.cap)))
 
     def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
-        return front.rates(scenes.to(self.device) / self.summed_reflectance)
+        return front.rates(scenes.to(self.device) / (self.summed_reflectance / self.cap))
 
     def scale(self, photons: Tensor | float) -> Tensor | float:
         """Divisor of features in counts: the budget; of clicks that of the training, always."""
@@ -760,6 +875,48 @@ class MaskExposure(ExposureKind):
     def budget(self, photons: Tensor) -> Tensor:
         """Budget (..., 1) of an exposure, of that of each of its parts."""
         return photons
+
+    def at_stops(
+        self,
+        front: Scanner,
+        rates: Tensor,
+        photons: float,
+        generator: torch.Generator,
+        network: ReadsCounts,
+    ) -> StoppableExposures:
+        """Exposures and answers at each stop; parameters of `test`."""
+        seen = list(self.observe(front, rates, photons, generator))
+        answers = []
+        sure = []
+        for each in seen:
+            answers.append(self.answer(each, photons, network))
+            logits = answers[-1].logits.double() / network.temperature(each, photons)
+            sure.append(logits.softmax(dim=-1).amax(dim=-1))
+        confidence = torch.stack(sure, dim=1).cpu().numpy()
+        return StoppableExposures(
+            self,
+            front,
+            rates,
+            photons,
+            observations=seen,
+            answers=answers,
+            confidence=confidence,
+        )
+
+    def test(
+        self,
+        front: Scanner,
+        rates: Tensor,
+        photons: float,
+        generator: torch.Generator,
+        network: ReadsCounts,
+    ) -> tuple[Answer, CountedLight]:
+        """Answers and light of exposures at their end, which is where a class is sure."""
+        if self.until == 1:
+            return super().test(front, rates, photons, generator, network=network)
+        exposures = self.at_stops(front, rates, photons, generator, network=network)
+        ends = Stops.ends(exposures.confidence, self.until)
+        return exposures.answer(ends), exposures.light(ends)
 
     def answer(self, seen: Observation, photons: Tensor | float, network: ReadsCounts) -> Answer:
         """Answer to exposures so far, of a budget in all, by what reads their counts."""

@@ -69,8 +69,12 @@ class LooksExposure(MaskExposure):
     looks : int
         K.
     shortest : float
-        Shortest dwell of a frame that is shown, a share of the exposure.
+        Shortest dwell of a frame that is shown, a share of the whole exposure.
     optics : TrainedMasks
+    cap : float
+        Light of a whole exposure over the budget, which above 1 is the mean of all exposures.
+    until : float
+        Probability of a class above which an exposure ends; 1 for never.
     """
 
     dwells: Dwells
@@ -79,6 +83,8 @@ class LooksExposure(MaskExposure):
     shortest: float = 0.0
     _: KW_ONLY
     optics: TrainedMasks = UNTRAINED
+    cap: float = 1.0
+    until: float = 1.0
     kind = "adaptive"
     chooses: ClassVar[bool] = True
     refusals: ClassVar[dict[Use, str]] = {
@@ -91,7 +97,13 @@ class LooksExposure(MaskExposure):
 
     def entry(self) -> LooksEntry:
         """Entry of the design file's header."""
-        return LooksEntry(looks=self.looks, hidden=self.network.hidden, shortest=self.shortest)
+        return LooksEntry(
+            looks=self.looks,
+            hidden=self.network.hidden,
+            shortest=self.shortest,
+            cap=self.cap,
+            until=self.until,
+        )
 
     @classmethod
     def restored(
@@ -103,7 +115,15 @@ class LooksExposure(MaskExposure):
         inputs = len(optics.mean) + dwells.count + 1
         sizes = {"inputs": inputs, "classes": dwells.count, "hidden": entry.hidden}
         network = restore_network(Mlp, weights, **sizes)
-        made = cls(dwells, network, entry.looks, entry.shortest, optics=optics)
+        made = cls(
+            dwells,
+            network,
+            entry.looks,
+            entry.shortest,
+            optics=optics,
+            cap=entry.cap,
+            until=entry.until,
+        )
         made.check_masks()
         return made
 
@@ -222,7 +242,7 @@ class LooksExposure(MaskExposure):
     def stops(self) -> Stops:
         """Numbers of looks after which an exposure may stop, and the share taken then."""
         after = range(1, self.looks + 1)
-        return Stops(tuple(after), np.array(after) / self.looks)
+        return Stops(tuple(after), self.cap * (np.array(after) / self.looks))
 
     @property
     def count_stops(self) -> int:
@@ -235,8 +255,8 @@ class LooksExposure(MaskExposure):
         return seen.dwell.sum(dim=-1, keepdim=True) * self.looks - 1
 
     def stopping_at(self, threshold: float) -> "LooksExposure":
-        """The kind as it is: a device decides when an exposure stops."""
-        return self
+        """The kind as it is: a device decides when an exposure stops, unless light is shared."""
+        return replace(self, until=threshold) if self.cap > 1 else self
 
     def check_dwell(self, given: bool) -> None:
         """Raise `InputError` if dwells are not given."""
@@ -264,7 +284,13 @@ class LooksTraining(ExposureTraining):
         seeds = [torch.Generator(device).manual_seed(job.seed) for job in self.jobs]
         networks = [Mlp(inputs, dwells.count, hidden, generator=seed) for seed in seeds]
         self.exposures = [
-            LooksExposure(dwells, network, asked.looks, shortest=camera.shortest_share)
+            LooksExposure(
+                dwells,
+                network,
+                asked.looks,
+                shortest=camera.shortest_share / asked.cap,
+                cap=asked.cap,
+            )
             for network in networks
         ]
         self.dwells = dwells

@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from deepfsi.base import InputError
 from deepfsi.camera import LIGHT_LAWS
-from deepfsi.exposure.kind import MaskExposure, TrainedMasks
+from deepfsi.exposure.kind import MaskExposure, TrainedMasks, whole_exposure
 from deepfsi.exposure.training_set import TrainingSet, product_dtype
 from deepfsi.jobs import DESIGNS, Job, Scale, count_allowed
 from deepfsi.networks import Replicas
@@ -82,11 +82,13 @@ class JobGroup:
         """Group with the noise that its jobs ask for; parameters as of the class."""
         job = jobs[0]
         own = job.camera.noise if job.training.noise is None else job.training.noise
+        cap = job.exposure.most_light  # a whole exposure is so many times as long
         noises = [
-            noise_of(each.camera, job.noise if isinstance(own, str) else own) for each in jobs
+            noise_of(whole_exposure(each.camera, cap), job.noise if isinstance(own, str) else own)
+            for each in jobs
         ]
         noises[0].check(learning=job.code.learned)
-        gains = [each.photons / training_set.summed_reflectance for each in jobs]
+        gains = [cap * each.photons / training_set.summed_reflectance for each in jobs]
         seeds = [each.seed for each in jobs]
         noise = TrainingNoise.of(noises, gains, seeds, training_set.device)
         return cls(training_set, jobs, noise, matrix=matrix, start=start)
@@ -174,7 +176,7 @@ class ExposureTraining(ABC):
             camera.light,
             camera.rails,
             levels=self.levels,
-            shortest=camera.shortest_share,
+            shortest=camera.shortest_share / self.job.exposure.most_light,
         ).to(self.scenes.device)
 
     def fixed_masks(self, rails: Tensor) -> FixedMasks:
@@ -268,6 +270,7 @@ class ExposureTraining(ABC):
     def trained(self, statistics: FeatureStatistics) -> list[MaskExposure]:
         """Exposure of each job with its masks, with statistics of all."""
         s = self.training_set.summed_reflectance
+        budget = s / self.job.exposure.most_light  # of features over it
         rails = self.masks().stacked
         made = []
         for job, exposure in enumerate(self.exposures):
@@ -277,9 +280,9 @@ class ExposureTraining(ABC):
                 image_shape=self.training_set.data.image_shape,
                 detection=self.detection,
                 summed_reflectance=s,
-                mean=statistics.mean[job] / s,
-                std=statistics.std[job] / s,
-                shares=statistics.light[job] / s * self.tokens,
+                mean=statistics.mean[job] / budget,
+                std=statistics.std[job] / budget,
+                shares=statistics.light[job] / budget * self.tokens,
             )
             made.append(replace(exposure, optics=optics))  # type: ignore[type-var]
         return made

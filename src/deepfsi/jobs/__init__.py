@@ -35,6 +35,7 @@ from deepfsi.jobs.exposures import (
     find_exposure,
 )
 from deepfsi.jobs.job import (
+    FEW_SCENES,
     REVISION,
     SETTING_ALIASES,
     Job,
@@ -68,6 +69,7 @@ __all__ = [
     "EVERY_PIXEL",
     "EXPOSURE_FIELDS",
     "EXPOSURE_KINDS",
+    "FEW_SCENES",
     "FORMULAS",
     "LARGEST_SCORE",
     "MLP",

@@ -8,6 +8,8 @@
     Passing   a scene that passes a static pattern, of which each time bin is a readout
     SharedLight  adaptive masks whose exposures end when a class is sure, at a mean budget
 
+Nested masks and looks may share light among exposures, too: their `cap` is then above 1.
+
 A kind is here what is asked for, its settings, and what a design file's header says of it, its
 entry. An entry and the tensors beside it rebuild the exposure of a trained design: nothing of a
 field's name, order or default may change, as files are read again by them. What a trained design
@@ -128,6 +130,40 @@ class Exposure(UserModel):
         return []
 
 
+CAP_TEXT = (
+    "most light of one exposure with adaptive masks, nested masks or looks, over the mean of all, "
+    "which the budget then is: each ends as soon as a class is sure; all take the same unless given"
+)
+"""Help on `cap`, which several kinds have."""
+
+
+class _Sharing(Exposure):
+    """Base of those that may end when a class is sure: the budget then is the mean of all."""
+
+    cap: float = Field(default=1.0, ge=1, le=100, description=CAP_TEXT)
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """All fields; `cap` only where exposures share their light, as keys of records have it."""
+        content: dict[str, Any] = handler(self)
+        if self.cap == 1:
+            del content["cap"]
+        return content
+
+    @property
+    def most_light(self) -> float:
+        """The cap."""
+        return self.cap
+
+    def _sharing_faults(self, job: "Job") -> Iterator[str]:
+        """Faults of exposures that are to end when a class is sure."""
+        if self.cap > 1 and find_noise(job.camera.noise_name).gates:
+            yield Message(
+                "clicks of gates are read for one length of exposures: leave {cap} out",
+                setting="cap",
+            )
+
+
 class _Entry(StrictModel, strict=True):
     """Entry of a design file's header: no further fields, and no conversions."""
 
@@ -151,6 +187,29 @@ class FixedEntry(_Entry):
     """Exposure of which all masks are needed, each with its own dwell."""
 
     kind: Literal["fixed"] = "fixed"
+
+
+class _SharingEntry(_Entry):
+    """Entry of an exposure that may end when a class is sure.
+
+    Attributes
+    ----------
+    cap : float
+        Light of a whole exposure over the budget, which above 1 is the mean of all exposures.
+    until : float
+        Probability of a class above which an exposure ends; 1 for never.
+    """
+
+    cap: Annotated[float, Field(ge=1, le=100)] = 1.0
+    until: Annotated[float, Field(ge=0, le=1)] = 1.0
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """All fields; the two only where exposures share their light, as files have them."""
+        content: dict[str, Any] = handler(self)
+        if self.cap == 1:
+            del content["cap"], content["until"]
+        return content
 
 
 class _Conditioned(Exposure):
@@ -188,8 +247,11 @@ class Range(_Conditioned):
     span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
 
 
-class Nested(_Conditioned):
+class Nested(_Conditioned, _Sharing):
     """One design whose first masks alone already give an answer.
+
+    With a `cap` above 1 exposures end as soon as a class is sure: the budget is their mean, and
+    none takes more than `cap` times that.
 
     Examples
     --------
@@ -210,8 +272,29 @@ class Nested(_Conditioned):
         return self.nested
 
     def faults(self, job: "Job") -> Iterator[str]:
-        """Those of all conditioned ones, or more nested masks than there are."""
+        """Those of all conditioned ones, more nested masks than there are, or light not shared."""
         yield from super().faults(job)
+        yield from self._sharing_faults(job)
+        if self.cap > 1 and self.span > 1:
+            yield Message(
+                "a threshold is for one mean budget, not a range: give one number of {photons}, or "
+                "leave {cap} out",
+                setting=("photons", "cap"),
+            )
+        if self.cap > 1 and not LIGHT_LAWS[job.optics.light].in_turn:
+            yield Message(
+                "under the {given} constraint all masks see light at once, and no exposure ends "
+                "early: leave {cap} out, or give {light:free-dwell}",
+                setting=("cap", "light"),
+                given=job.optics.light,
+            )
+        if self.cap > 1 and self.nested == job.masks:
+            yield Message(
+                "all {count} masks are needed, and no exposure ends early: give fewer {nested} "
+                "masks, or leave {cap} out",
+                setting=("nested", "cap"),
+                count=job.masks,
+            )
         if self.nested > job.masks:
             yield (
                 f"the first {self.nested} of {job.masks} masks cannot be nested: give at most "
@@ -219,7 +302,7 @@ class Nested(_Conditioned):
             )
 
 
-class ConditionedEntry(_Entry):
+class ConditionedEntry(_SharingEntry):
     """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
 
     Attributes
@@ -251,8 +334,11 @@ class ConditionedEntry(_Entry):
         return masks - (self.nested or masks) + 1
 
 
-class Looks(Exposure):
+class Looks(_Sharing):
     """Several looks of equal length: the counts so far choose the dwells of the next look.
+
+    With a `cap` above 1 exposures end as soon as a class is sure: the budget is their mean, and
+    none takes more than `cap` times that.
 
     Examples
     --------
@@ -268,7 +354,7 @@ class Looks(Exposure):
 
     allow_bf16: ClassVar[bool] = False
 
-    # K, each 1 / K of the exposure
+    # K, each 1 / K of the whole exposure
     looks: int = Field(
         ge=2,
         le=64,
@@ -312,10 +398,11 @@ class Looks(Exposure):
                 setting=("readout", "rails"),
             )
         yield from self.test_faults([job.noise])
-        if camera.shortest_share * self.looks > 1:
+        yield from self._sharing_faults(job)
+        if camera.shortest_share * self.looks > self.cap:
             yield (
                 f"a frame lasts {camera.shortest_share:g} of the exposure at least, and a look "
-                f"{1 / self.looks:g}: give fewer looks, or a longer exposure"
+                f"{self.cap / self.looks:g}: give fewer looks, or a longer exposure"
             )
 
     def test_faults(self, noises: Sequence[str]) -> list[str]:
@@ -324,13 +411,13 @@ class Looks(Exposure):
         return [f"several looks are for photon noise: leave {noise} noise out" for noise in strange]
 
 
-class LooksEntry(_Entry):
+class LooksEntry(_SharingEntry):
     """Exposure of several looks, whose dwells a network chooses from the counts so far.
 
     Attributes
     ----------
     looks : int
-        K, each 1 / K of the exposure.
+        K, each 1 / K of the whole exposure.
     hidden : tuple of int
         Widths of the hidden layers of the network that chooses dwells.
     shortest : float
@@ -624,12 +711,7 @@ class SharedLight(Exposure):
 
     of_classes: ClassVar[bool] = True
 
-    cap: float = Field(
-        gt=1,
-        le=100,
-        description="most light of one exposure with adaptive masks, over the mean of all, which "
-        "the budget then is: each ends as soon as a class is sure; all take the same unless given",
-    )
+    cap: float = Field(gt=1, le=100, description=CAP_TEXT)
 
     @property
     def most_light(self) -> float:
@@ -640,9 +722,9 @@ class SharedLight(Exposure):
         """Masks that are not adaptive."""
         if not job.code.adaptive:
             yield Message(
-                "{cap} is of adaptive masks: leave it out, or give {design:adaptive}; for nested "
-                "masks and several looks `deepfsi stop` finds a rule for a mean light",
-                setting=("cap", "design"),
+                "{cap} is of exposures that may end early: leave it out, or give {nested}, {looks} "
+                "or {design:adaptive}",
+                setting=("cap", "nested", "looks", "design"),
             )
 
 

@@ -35,6 +35,7 @@ from deepfsi.jobs.exposures import (
     Exposure,
     ExposureSource,
     Fixed,
+    Nested,
     SharedLight,
     find_exposure,
 )
@@ -53,6 +54,12 @@ from deepfsi.jobs.training import (
 FEWEST_SHARING_SCENES = 50
 """Training scenes below which no threshold is found that spends a mean light."""
 
+FEW_SCENES = 1000
+"""Training scenes below which a design is surer of them than it is right on others.
+
+Some of so few are left out in folds, of more only those that the user holds out.
+"""
+
 REVISION = 5
 """Raised whenever a change makes the same job end in another design: old records then expire."""
 
@@ -68,7 +75,7 @@ class Job(UserModel):
     >>> import deepfsi
     >>> job = deepfsi.Job(masks=10, photons=1e4, camera="two-arm", exposure={"looks": 4})
     >>> job.camera.rails, job.exposure, job.training.start
-    ('dual', Looks(looks=4), 'class-pairs')
+    ('dual', Looks(cap=1.0, looks=4), 'class-pairs')
     """
 
     design: Annotated[str, AfterValidator(check_design)] = Field(
@@ -233,6 +240,8 @@ class Job(UserModel):
             faults.append(
                 Message("gaussian noise is read noise: give {sigma} above 0", setting="sigma")
             )
+        if self.exposure.most_light > 1:
+            faults += self._sharing_faults(data)
         if self.code.adaptive:
             faults += self._adaptive_faults(data)
         if (matrix is not None) != self.code.is_custom:
@@ -351,6 +360,43 @@ class Job(UserModel):
                 setting="balance",
             )
 
+    def _sharing_faults(self, data: Dataset) -> Iterator[str]:
+        """Why no threshold can be found at which exposures take the budget in the mean."""
+        if data.values:
+            yield Message(
+                "exposures end where a class is sure, and these scenes have values: leave {cap} "
+                "out",
+                setting="cap",
+            )
+            return
+        scenes = len(data.x_train)
+        if not self.code.adaptive:  # a prior leaves each scene out by itself
+            if scenes >= FEW_SCENES and not data.held_out:
+                yield Message(
+                    "the threshold of {cap} is found on scenes that the training leaves out: give "
+                    "{hold_out}, such as {hold_out:1000}, or leave {cap} out",
+                    setting=("cap", "hold_out"),
+                )
+            scenes = data.held_out or scenes
+        cap = self.exposure.most_light
+        looks = self.masks if self.code.adaptive else self.exposure.parts
+        if looks < cap and not isinstance(self.exposure, Nested):
+            yield Message(
+                "the first of {looks} looks takes {share:.3g} of the budget, which is the mean of "
+                "all: give more looks, or a lower {cap}",
+                setting="cap",
+                looks=looks,
+                share=cap / looks,
+            )
+        if scenes < FEWEST_SHARING_SCENES:
+            yield Message(
+                "{scenes} training scenes say too little of the mean light of exposures that stop: "
+                "give {fewest} or more, or leave {cap} out",
+                setting="cap",
+                scenes=scenes,
+                fewest=FEWEST_SHARING_SCENES,
+            )
+
     def _adaptive_faults(self, data: Dataset) -> Iterator[str]:
         """Everything in a job of adaptive masks that cannot be had."""
         fewest = int(np.bincount(data.y_train, minlength=len(data.classes)).min())
@@ -365,16 +411,7 @@ class Job(UserModel):
             )
         if not isinstance(self.exposure, Fixed | SharedLight):
             yield "adaptive masks have a look each: give no looks, nested, span or patch"
-        scenes = len(data.x_train)
         most = self.exposure.most_light
-        if most > 1 and scenes < FEWEST_SHARING_SCENES:
-            yield Message(
-                "{scenes} training scenes say too little of the mean light of exposures that stop: "
-                "give {fewest} or more, or leave {cap} out",
-                setting="cap",
-                scenes=scenes,
-                fewest=FEWEST_SHARING_SCENES,
-            )
         if self.training.classifier != MLP:
             yield Message(
                 "adaptive masks are read by their posterior: leave {classifier} out",

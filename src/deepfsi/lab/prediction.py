@@ -201,10 +201,10 @@ def _predict(
     scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
     chances = []
     clicks = 0.0
-    for rates, seen in design.exposure.expose_in_parts(scanner, scenes, budget, generator):
-        chances.append(design.chances(seen, budget).cpu())
-        if design.gates is not None:
-            clicks += float(scanner.noise.mean(budget * rates).sum())
+    exposure = design.exposure
+    for answer, light in exposure.test_in_parts(scanner, scenes, budget, generator, network=design):
+        chances.append(answer.chances.cpu())
+        clicks += light.counts
     confidence, best = torch.cat(chances).max(dim=-1)
     remarks = [fault.detail for fault in dim_scenes(design, np.array([budget]))]
     if design.gates is not None:

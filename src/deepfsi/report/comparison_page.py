@@ -34,7 +34,7 @@ from deepfsi.measures import (
 from deepfsi.report.accuracy import accuracy_figure, count_figure
 from deepfsi.report.masks import masks_figure, peak_value, signed, values_figure
 from deepfsi.report.rendering import DESIGN_TERMS, capital, english_list, flat, render, share_text
-from deepfsi.report.series import DESIGN_AND_OPTICS, Series, noises
+from deepfsi.report.series import DESIGN_AND_OPTICS, Series, noises, shares_light
 from deepfsi.report.style import Figures, photons_text
 from deepfsi.report.verdict import ComparisonVerdict, better, ranking, uneven_point, verdict_of
 from deepfsi.sweeps import Data, Point, Results, read_results
@@ -131,7 +131,20 @@ def compared_text(results: Results) -> str:
     scenes = f"{results.data.test} test scenes of {results.data.name}"
     task = main_measure(results.data.measure).task.format(scenes=scenes)
     parts = scenes_text(results.data)
-    return f"{many}, at equal light (light law {laws}): {task}. {capital(parts)}."
+    light = "equal mean light" if any(map(shares_light, points)) else "equal light"
+    return f"{many}, at {light} (light law {laws}): {task}. {capital(parts)}."
+
+
+def mean_light_text(points: Iterable[Point]) -> str | None:
+    """Light that exposures which may end early took in the tests, in words; None without such."""
+    taken = [point.further["mean_light"] for point in points if shares_light(point)]
+    if not taken:
+        return None
+    ends = " to ".join(f"{share:.3f}" for share in sorted({min(taken), max(taken)}))
+    return (
+        "Mean light: exposures end when a class is sure, so that training scenes take the budget "
+        f"in the mean. Test scenes took {ends} of it."
+    )
 
 
 def scenes_text(data: Data) -> str:
@@ -168,6 +181,8 @@ def covers_text(results: Results) -> str:
             )
     covers = "; ".join(dict.fromkeys(p.covers for p in results.points))
     guessing = main_measure(results.data.measure).guessing
+    if (light := mean_light_text(p for p in results.points if p.best)) is not None:
+        text += f"{light} "
     return (
         f"{text}Chance is {share_text(results.data.chance)}, {guessing}. "
         f"The intervals are of 95 % and cover {covers}."
@@ -509,6 +524,8 @@ def comparison_lines(results: Results) -> Iterator[str | Table]:
     )
     covers = "; ".join(dict.fromkeys(point.covers for point in best))
     yield f"± half of the 95 % interval: {covers}"
+    if (light := mean_light_text(best)) is not None:
+        yield light
     if (uneven := uneven_point(best)) is not None:
         worst = worst_text(uneven.worst, results.data.classes[uneven.worst_class])
         yield (

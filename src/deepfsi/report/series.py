@@ -53,7 +53,7 @@ class Series:
         """Name of a point's series: the design's, and other axes where these tell two apart."""
         key = self.key(point)
         kin = [other for other in self.groups if other[0] == key[0]]
-        shares = _shares_light(self.groups[key][0])  # their variant says so
+        shares = shares_light(self.groups[key][0])  # their variant says so
         apart = [
             _axis_text(axis, getattr(self.groups[key][0], axis))
             for index, axis in enumerate(self.axes)
@@ -75,7 +75,7 @@ def series_axes(results: Results) -> tuple[str, ...]:
     """Fields that tell series apart, of those in which points differ beside noise and budget."""
     points = results.points
     apart = [axis for axis in ("variant", "levels") if len({getattr(p, axis) for p in points}) > 1]
-    if "variant" not in apart and any(map(_shares_light, points)):
+    if "variant" not in apart and any(map(shares_light, points)):
         apart.append("variant")
     if any(p.trained_at != p.photons for p in points):
         apart.append("trained_at")
@@ -90,7 +90,7 @@ def series_axes(results: Results) -> tuple[str, ...]:
     return (*DESIGN_AND_OPTICS, *apart)
 
 
-def _shares_light(point: Measured) -> bool:
+def shares_light(point: Measured) -> bool:
     """True of exposures that stop when a class is sure, so that their budget is a mean."""
     return "mean_light" in getattr(point, "further", {})
 

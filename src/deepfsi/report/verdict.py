@@ -9,7 +9,7 @@ from deepfsi.camera import noise_text
 from deepfsi.jobs import DESIGNS
 from deepfsi.measures import main_measure
 from deepfsi.report.rendering import capital, share_text
-from deepfsi.report.series import DESIGN_AND_OPTICS, Series, noises
+from deepfsi.report.series import DESIGN_AND_OPTICS, Series, noises, shares_light
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps import Point, Results
 
@@ -100,7 +100,8 @@ def verdict_of(results: Results) -> ComparisonVerdict:
     if not ratios[index]:
         title = f"{one} {_verb(first, 'are', 'is')} better than {two} at {_photons(first)}{under}"
         return ComparisonVerdict(title, f"{title}: {at}.", first.photons, first)
-    title = f"{one} {_verb(first, 'need')} {ratios[index]} times less light than {two}{under}"
+    light = "mean light" if shares_light(first) or shares_light(other) else "light"
+    title = f"{one} {_verb(first, 'need')} {ratios[index]} times less {light} than {two}{under}"
     return ComparisonVerdict(title, f"{title} for the same {measure}: {at}.", first.photons, first)
 
 

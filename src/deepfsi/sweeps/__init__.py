@@ -2,7 +2,7 @@
 
 from deepfsi.sweeps.forecast import check_plan, forecast_cost, photons_needed, plan_lines
 from deepfsi.sweeps.model_cards import Collection, DataTerms, DesignRecipe, make_collection
-from deepfsi.sweeps.plan import Trial, check_settings, plan_trials, with_adaptive
+from deepfsi.sweeps.plan import Trial, check_settings, check_used, plan_trials, with_adaptive
 from deepfsi.sweeps.ray_cluster import run_on_ray
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe, only, parts
 from deepfsi.sweeps.records import FinishedTrial, Records, write_table
@@ -30,6 +30,7 @@ __all__ = [
     "check_kept",
     "check_plan",
     "check_settings",
+    "check_used",
     "compare",
     "cores",
     "default_count",

@@ -8,7 +8,7 @@ import functools
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -16,12 +16,18 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import InputError, join_messages, source_hash
+from deepfsi.base import InputError, Message, join_messages, source_hash
 from deepfsi.base.models import StrictModel
 from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR
 from deepfsi.datasets import Dataset
-from deepfsi.jobs import DESIGNS, REVISION, Exposure, Job, custom_parts
-from deepfsi.sweeps.recipe import CameraVariant, Recipe, TestNoise, draft_recipe
+from deepfsi.jobs import DESIGNS, REVISION, Exposure, Job, Training, custom_parts, find_table
+from deepfsi.sweeps.recipe import (
+    MASK_SETTINGS,
+    CameraVariant,
+    Recipe,
+    TestNoise,
+    draft_recipe,
+)
 
 MOST_TRIALS = 100_000
 """Trials of one recipe: months of training, and records that still fit the memory."""
@@ -43,6 +49,10 @@ _NAMING_FIELDS = {"data", "trained_under", "variant", "detectors"}
 
 _TEST_FIELDS = {"draws", "test_photons", "test_noise", "test_levels"}
 """Fields of a trial that its training does not depend on."""
+
+
+ONE_DEVICE_OPTIONS = {"light", "detectors", "device", "shortest_dwell"}
+"""Settings of the camera that a detector for each pixel has no use for."""
 
 
 class Trial(StrictModel):
@@ -100,7 +110,7 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
         If anything that is asked cannot be had; all of it is named.
     """
     plan = _Plan(recipe, data, matrix)
-    if faults := [*_scene_faults(recipe, data), *plan.faults()]:
+    if faults := [*_scene_faults(recipe, data), *plan.faults(), *_cap_faults(recipe)]:
         raise InputError(join_messages(faults))
     trials: dict[str, Trial] = {}
     hash_of_file = functools.cache(source_hash)
@@ -283,9 +293,10 @@ class _Plan:
             ]
         faults: dict[str, None] = {}
         custom: dict[str, None] = {}
+        training = self._training_data
         for _, _, job in self.jobs():
             masks = self.matrix if job.code.is_custom else None
-            job_faults = job.faults(self.data, masks)
+            job_faults = job.faults(training, masks)
             if masks is not None and not job_faults:
                 job_faults = _light_faults(job, masks)
             faults |= dict.fromkeys(job_faults)
@@ -297,6 +308,14 @@ class _Plan:
             except InputError as error:
                 faults[error.message] = None
         return list(faults)
+
+    @property
+    def _training_data(self) -> Dataset:
+        """The data as trainings see them: without those to choose on, if there are so many."""
+        with contextlib.suppress(InputError):
+            count = self.recipe.held_out(self.data)
+            return self.data.hold_out(count) if count else self.data
+        return self.data
 
     def _pairs(self) -> Iterator[tuple[CameraVariant, str]]:
         """Yield every camera with every design that it can have."""
@@ -325,6 +344,66 @@ class _Plan:
         one = code.every_pixel
         detectors = ONE_DETECTOR if one else named.camera.detector_map(scene.image_shape)
         return self.recipe.mask_counts(design, scene, detectors)
+
+
+def check_used(recipe: Recipe, options: Iterable[str]) -> None:
+    """Raise `InputError` where an option says nothing of any design of a recipe.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    options : iterable of str
+        Names of single settings that were given, as of `jobs.find_table`. What a recipe's file has
+        for other designs than are compared is no fault.
+    """
+    codes = [DESIGNS[design] for design in recipe.designs]
+    adaptive = all(code.adaptive for code in codes)
+    grey = any(str(levels) != "2" for levels in recipe.camera.get("levels", ()))
+    reasons = [
+        (adaptive, Training.model_fields.keys() - {"clusters"}, "adaptive masks learn by no steps"),
+        (adaptive and grey, {"levels"}, "adaptive masks are ON and OFF, of 2 levels"),
+        (
+            not any(code.learns_masks for code in codes),
+            {*MASK_SETTINGS},
+            f"no masks of {', '.join(recipe.designs)} learn",
+        ),
+        (
+            all(code.every_pixel for code in codes),
+            ONE_DEVICE_OPTIONS,
+            "impulse imaging has a detector for each pixel and shows no masks",
+        ),
+    ]
+    faults = _cap_faults(recipe)
+    for option in options:
+        _, name = find_table(option)
+        reason = next((text for holds, names, text in reasons if holds and name in names), None)
+        if reason is not None:
+            faults.append(
+                Message(
+                    "{reason}: leave {setting} out, or add other designs",
+                    setting=option,
+                    reason=reason,
+                )
+            )
+    if faults:
+        raise InputError(join_messages(faults))
+
+
+def _cap_faults(recipe: Recipe) -> list[str]:
+    """A cap where no design has exposures that may end early."""
+    if not recipe.shares_light or any(
+        exposure.most_light > 1
+        for design in recipe.designs
+        for _, exposure in recipe.exposures(design)
+    ):
+        return []
+    return [
+        Message(
+            "{cap} is of exposures that may end early, and none of these designs has such: leave "
+            "it out, give {looks} or {nested}, or add adaptive to the {designs}",
+            setting=("cap", "looks", "nested", "designs"),
+        )
+    ]
 
 
 def _light_faults(job: Job, matrix: np.ndarray) -> list[str]:

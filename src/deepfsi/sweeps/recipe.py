@@ -64,7 +64,7 @@ _RATIOS_OR_MASKS = "give ratios or masks, not both"
 _TABLES = ("camera", "exposure", "training")
 """Fields that are tables of axes."""
 
-_MASK_SETTINGS = ("start", "mask_lr")
+MASK_SETTINGS = ("start", "mask_lr")
 """Settings of the training that only learned masks have."""
 
 _MLP_SETTINGS = find_classifier(MLP).settings
@@ -299,22 +299,37 @@ class Recipe(UserModel):
     def exposures(self, design: str) -> list[tuple[str, Exposure]]:
         """Exposures of a design, of the product of its axes, with a name where there are several.
 
-        Those that share light among scenes have one always, as their budget is a mean.
+        Those that share light among scenes have one always, as their budget is a mean. A cap is of
+        the exposures that may end early: adaptive masks, nested ones and looks. Beside these two
+        adaptive masks, which have a look each, take the cap alone.
 
         Parameters
         ----------
         design : str
-            Its name. Adaptive masks alone share light among exposures here.
+            Its name.
         """
-        others = {name: values for name, values in self.exposure.items() if name != "cap"}
-        exposures = []
-        for point in _points(self.exposure if DESIGNS[design].adaptive else others):
-            exposure = find_exposure(point)
-            names = [_variant({name: point[name] for name in others}, others)]
+        axes = self.exposure
+        if DESIGNS[design].adaptive and self.shares_light:
+            axes = {name: axes[name] for name in axes if name not in ("nested", "looks")}
+        others = {name: values for name, values in axes.items() if name != "cap"}
+        exposures: dict[str, Exposure] = {}
+        for point in _points(axes):
+            plain = {name: point[name] for name in others}
+            exposure = find_exposure(plain)
+            if DESIGNS[design].adaptive or "cap" in type(exposure).model_fields:
+                exposure = find_exposure(point)
+            names = [_variant(plain, others)]
             if exposure.most_light > 1:
                 names.append(f"(mean light, at most {exposure.most_light:g} Φ)")
-            exposures.append((" ".join(filter(None, names)), exposure))
-        return exposures
+            exposures[" ".join(filter(None, names))] = exposure
+        return [*exposures.items()]
+
+    @property
+    def shares_light(self) -> bool:
+        """True if any cap is above 1."""
+        return any(
+            find_exposure({"cap": cap}).most_light > 1 for cap in self.exposure.get("cap", ())
+        )
 
     @property
     def noises(self) -> tuple[str, ...]:
@@ -325,7 +340,7 @@ class Recipe(UserModel):
         """Values of each setting of the training of a design."""
         axes = {**self.training, **self.tuned.get(design, {})}
         if not DESIGNS[design].learns_masks:
-            axes = {name: axes[name] for name in axes if name not in _MASK_SETTINGS}
+            axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
         return axes
 
     @property

@@ -33,6 +33,7 @@ from deepfsi.evaluation import (
     fit_temperatures,
     measure_left_out,
     sample_scenes,
+    share_light,
 )
 from deepfsi.exposure import (
     CHUNK,
@@ -44,10 +45,7 @@ from deepfsi.exposure import (
     TrainingSet,
     prior_of,
 )
-from deepfsi.jobs import AdaptiveMasks, Job
-
-FEW_SCENES = 1000
-"""Training scenes below which a design is surer of them than it is right on others."""
+from deepfsi.jobs import FEW_SCENES, AdaptiveMasks, Job
 
 FOLDS = 10
 """Parts of the training scenes, each to be left out of a training of its own."""
@@ -104,6 +102,11 @@ def characterise(
             design.temperatures, test = find_temperatures(design, job, training_set.data, folds)
             if test is not None:
                 design.info["left_out"] = test.as_dict()
+            if job.exposure.most_light > 1:
+                scenes_left_out = _calibration_scenes(design, job, training_set.data, folds)
+                shared = share_light(design, scenes_left_out, job.photons, seed=job.seed ^ 2**31)
+                design.exposure = shared.exposure
+                design.info["stopping"] = shared.info["stopping"]
 
 
 def _scene_model(design: Design, scenes: Tensor, labels: np.ndarray) -> SceneModel | None:
@@ -132,6 +135,16 @@ def find_temperatures(
         Folds of the training scenes, and designs that were trained on each.
     """
     budgets = calibration_budgets(job.photons, job.exposure.highest(job.photons))
+    scenes = _calibration_scenes(design, job, data, left_out)
+    if left_out or data.held_out:
+        return _calibrated(scenes, budgets, data, job)
+    return fit_temperatures(scenes, budgets, trained_on=True, seed=job.seed), None
+
+
+def _calibration_scenes(
+    design: Design, job: Job, data: Dataset, left_out: Sequence[tuple[Dataset, Design]]
+) -> CalibrationScenes:
+    """Scenes that calibrate a design; parameters as of `find_temperatures`."""
     stops = design.mask_exposure.count_stops
     if left_out and not data.held_out:
         parts = [
@@ -139,17 +152,13 @@ def find_temperatures(
             for fold, made in left_out
         ]
         draws = max(1, EXPOSURES // sum(len(fold.x_test) for fold, _ in left_out))
-        scenes = CalibrationScenes(parts, stops, draws, doubt=DOUBT)
-        return _calibrated(scenes, budgets, data, job)
+        return CalibrationScenes(parts, stops, draws, doubt=DOUBT)
     held = data.held_out > 0
     x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
     readouts = prod(design.counts_shape) * prod(design.mask_exposure.patch_axis)
     rows = sample_scenes(len(x), readouts, job.seed)
     part = Exposed(design, design.front_end(job.camera), x[rows], labels[rows])
-    scenes = CalibrationScenes([part], stops, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
-    if held:
-        return _calibrated(scenes, budgets, data, job)
-    return fit_temperatures(scenes, budgets, trained_on=True, seed=job.seed), None
+    return CalibrationScenes([part], stops, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
 
 
 def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor:

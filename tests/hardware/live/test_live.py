@@ -14,6 +14,7 @@ from deepfsi.hardware.live import LiveCounts, frame_log
 from deepfsi.hardware.live import run as runs
 from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, arrival_rates
+from deepfsi.lab import open_looks
 from shared.live_samples import LOOKS, bench, check_replay, live, make_patterns, replay, scenes_of
 
 EXPOSURE_S = 10e-3
@@ -88,6 +89,20 @@ def test_a_background_is_measured_first_and_the_run_is_replayed_with_it(digits, 
     np.testing.assert_allclose(*budgets, rtol=5 * np.sqrt(3 / on + 2 / measured))
     assert len(decided) == 8 * LOOKS
     check_replay(folder, decided)
+
+
+def test_exposures_that_share_light_end_when_sure_and_take_the_cap_at_most(digits, tmp_path):
+    """Of 3 looks each takes 2/3 of the exposure, which is the mean, less what the clock rounds."""
+    patterns = make_patterns(tmp_path, digits.hold_out(400), cap=2)
+    decided = live(tmp_path / "run", patterns, digits, count=20)
+    threshold = open_looks(patterns).rule.threshold
+    for each in decided:
+        decision = each.decision
+        assert decision.light_s == pytest.approx(2 / LOOKS * (decision.look + 1) * EXPOSURE_S, 1e-3)
+        ends = decision.look == LOOKS - 1 or decision.chances.max() > threshold
+        assert decision.final == ends
+    assert len({each.decision.look for each in decided if each.decision.final}) > 1
+    check_replay(tmp_path / "run", decided)
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, InputError("the device refuses")])

@@ -182,11 +182,11 @@ class FixedMaskLooks:
         assert manifest.looks is not None
         self.design = design
         self.manifest = manifest
-        self.shares = (1 / looks,) * looks
+        self.shares = (design.looks.cap / looks,) * looks
         self.classes = design.header.classes
         self.photons = design.photons
         self.rule = design.stop_rule
-        self.shortest = design.looks.shortest
+        self.shortest = design.looks.cap * design.looks.shortest
         self.decision_s = DECISION_S
         self.training_scenes = design.training_scenes
         self.scene_model = design.scene_model
@@ -264,6 +264,7 @@ class FixedMaskExposure:
         self._looks = looks
         self._design = design
         self._state = state
+        self._whole_ns = design.looks.cap * state.exposure_ns  # dwells are shares of it
         self._features = np.zeros(design.feature_count)
         self._dwell = np.zeros(design.frames)
         self._gates = np.zeros(design.frames, np.int64)  # of the present look
@@ -273,10 +274,9 @@ class FixedMaskExposure:
 
     def ask(self, look: int) -> FrameList:
         """Frames of the next look, for the dwells that the networks choose."""
-        exposure_ns = self._state.exposure_ns
         inputs = self._design.inputs(self._features, self._dwell)
-        dwell = self._design.next_dwell(inputs, look, self._state.shortest_ns / exposure_ns)
-        self._gates = np.rint(dwell * exposure_ns).astype(np.int64)
+        dwell = self._design.next_dwell(inputs, look, self._state.shortest_ns / self._whole_ns)
+        self._gates = np.rint(dwell * self._whole_ns).astype(np.int64)
         self._look = look
         gates = self._gates[self._looks.dwell_of_frame]
         lit = gates > 0
@@ -290,7 +290,7 @@ class FixedMaskExposure:
         photons = self._state.photons
         self._features += self._design.features(counts) / photons
         # The network is told the gates that were shown, not the dwells that it asked for
-        self._dwell += self._gates / self._state.exposure_ns
+        self._dwell += self._gates / self._whole_ns
         return self._design.chances(self._design.inputs(self._features, self._dwell), photons)
 
     def compare(self, on: AllOnCounts) -> SceneComparison | None:

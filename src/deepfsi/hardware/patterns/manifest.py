@@ -263,6 +263,11 @@ class DesignRails:
             )
         if header.exposure.kind == "passing":
             raise InputError(STATIC)
+        if header.exposure.kind == "conditioned" and header.exposure.cap > 1:
+            raise InputError(
+                "nested masks that share light end when a class is sure, and frames of a run are "
+                "all shown: learn looks with this cap, or nested masks with cap 1"
+            )
         detectors = None
         with as_input_error(str(design.path)):
             brightness = Brightness.of(header.info)
