@@ -59,7 +59,7 @@ def test_a_lab_s_computer_shows_counts_and_decides_without_torch(designs, tmp_pa
     exits = [line for line in done.stdout.splitlines() if line.startswith("exit ")]
     assert exits == [*(f"exit 0: {line}" for line in COMMANDS), f"exit 2: {DECIDED}"], done.stderr
     assert f"deepfsi: {plugins.TORCH_MISSING}" in done.stderr.splitlines()
-    assert "as decided in the run, bit for bit: 10 of 10 scenes" in done.stdout
+    assert "as decided in the run: 10 of 10 scenes, bit for bit: 10" in done.stdout
 
 
 def test_python_says_what_to_install_where_torch_is_missing(monkeypatch):

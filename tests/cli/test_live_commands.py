@@ -46,7 +46,7 @@ def test_each_decision_is_printed_and_a_replay_agrees(done, refuse, lab, made, t
         assert "3 looks, light 10 ms (100%)" in line
     assert "right: " in out
     out = done("camera", "classify", lab / "looks.safetensors", run)
-    assert "as decided in the run, bit for bit: 3 of 3 scenes" in out
+    assert "as decided in the run: 3 of 3 scenes, bit for bit: 3\n" in out
     assert "a live run: 3 scenes, 9 looks" in done("camera", "count", run)
     assert done("camera", "classify", lab / "looks.safetensors", run) == out
     fixed = made("deepfsi", "free-dwell", "single").save(tmp_path / "fixed.safetensors")
@@ -74,7 +74,7 @@ def test_the_rule_of_the_design_stops_its_exposures(done, lab, tmp_path):
     assert read_run(run).acquisition.live.rule == rule
     done("camera", "count", run)
     told = json.loads(done("camera", "classify", sure, run, "--json"))["scenes"]
-    assert all(each["agrees"] for each in told)
+    assert all(each["agrees"] and each["bit_for_bit"] for each in told)
     assert {each["looks"] for each in told} > {3}
 
 
@@ -107,7 +107,7 @@ def test_ctrl_c_keeps_the_scenes_that_are_finished(done, lab, tmp_path):
     told = done("camera", "classify", lab / "looks.safetensors", tmp_path / "run", "--json")
     scenes = json.loads(told)["scenes"]
     assert 1 <= len(scenes) < 150
-    assert all(each["agrees"] for each in scenes)
+    assert all(each["agrees"] and each["bit_for_bit"] for each in scenes)
 
 
 def test_a_run_in_which_no_scene_has_light_ends_with_an_error(call, lab, tmp_path):

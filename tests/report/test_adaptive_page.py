@@ -110,7 +110,7 @@ def exposures(designs, digits, double):
                 masks = choice.next_masks(state, share, generator(int(noise.initial_seed())))
                 mean = state.expected(masks, torch.from_numpy(x)[None].double(), share)
                 counts = torch.poisson(mean, generator=noise)
-                before, sure = choice.candidates(state)[0].tolist(), float(state.chances.max())
+                before, sure = choice.candidate_masks(state)[0].tolist(), float(state.chances.max())
                 state.update(masks, counts, share)
                 looks.append(
                     {

@@ -69,7 +69,7 @@ def check_replay(folder: Path, decided: list[run.LiveStep]) -> None:
     """Count a run; its replay comes to the same decisions, bit for bit."""
     LiveCounts.count(folder)
     replayed = replay(folder)
-    assert all(each.answer.agrees for each in replayed)
+    assert all(each.answer.agrees and each.answer.bit_for_bit for each in replayed)
     again = [one.chances for each in replayed for one in each.decisions]
     assert np.array_equal([each.decision.chances for each in decided], again)
 

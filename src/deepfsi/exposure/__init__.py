@@ -9,7 +9,7 @@ from deepfsi.exposure.adaptive import (
     prior_of,
     squared_distance,
 )
-from deepfsi.exposure.choice import look_at, next_masks
+from deepfsi.exposure.choice import candidate_masks, look_at, next_masks
 from deepfsi.exposure.fixed import FixedExposure
 from deepfsi.exposure.kind import (
     EXPOSED_AT_ONCE,
@@ -56,6 +56,7 @@ __all__ = [
     "TrainedMasks",
     "TrainingSet",
     "build_training",
+    "candidate_masks",
     "class_chances",
     "dtypes",
     "look_at",

@@ -41,7 +41,7 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
     generator : torch.Generator
         Of the scenes by which masks are compared.
     """
-    masks = candidates(state)
+    masks = candidate_masks(state)
     prior = state.prior
     places, drawn = _sample(state.weights, generator)
     mean, parts = prior.light(state.optics.readouts(masks))  # (b, P, Q), (b, P, Q, d)
@@ -66,7 +66,7 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
     return masks[torch.arange(len(masks)), best]
 
 
-def candidates(state: AdaptivePosterior) -> Tensor:
+def candidate_masks(state: AdaptivePosterior) -> Tensor:
     """Masks (b, P, N) that separate the likeliest classes in two groups."""
     chances = state.class_weights
     sums = state.class_sums

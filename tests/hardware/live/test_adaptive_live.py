@@ -11,10 +11,11 @@ from conftest import exposing
 from deepfsi import learn
 from deepfsi.base import InputError
 from deepfsi.camera import find_device
+from deepfsi.exposure import candidate_masks, next_masks
 from deepfsi.hardware.live import LiveCounts, frame_log, plan_live, run_live
 from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, virtual_setup
-from deepfsi.lab import design_rails, open_looks
+from deepfsi.lab import adaptive_looks, design_rails, open_looks
 from shared.live_samples import replay, scenes_of
 
 LOOKS, FLUX, EXPOSURE_S, LOAD_S = 5, 1e7, 10e-3, 2e-3
@@ -150,3 +151,32 @@ def test_a_changed_mask_is_found_in_the_replay(digits, patterns, tmp_path):
     LiveCounts.count(folder)
     with pytest.raises(InputError, match="not the one that follows from its counts"):
         replay(folder)
+
+
+@pytest.mark.parametrize("mirrors", [0, 2, 12])
+def test_masks_that_rounding_explains_are_taken_as_they_were_shown(
+    digits, patterns, tmp_path, monkeypatch, mirrors
+):
+    """Another candidate that tells as much, and mirrors at their threshold: 2 of 64 at most."""
+    folder = tmp_path / "run"
+    run(folder, patterns, digits, count=2)
+    LiveCounts.count(folder)
+
+    def other_masks(state, share, generator):
+        masks = candidate_masks(state)[0]
+        differ = (masks != next_masks(state, share, generator)).sum(dim=1)
+        return masks[differ.argmax()][None]
+
+    def other_candidates(state):
+        masks = candidate_masks(state).clone()
+        masks[..., :mirrors] = 1 - masks[..., :mirrors]
+        return masks
+
+    monkeypatch.setattr(adaptive_looks, "next_masks", other_masks)
+    monkeypatch.setattr(adaptive_looks, "candidate_masks", other_candidates)
+    if mirrors == 12:
+        with pytest.raises(InputError, match="not by rounding"):
+            replay(folder)
+        return
+    again = [each.answer for each in replay(folder)]
+    assert [(each.agrees, each.bit_for_bit) for each in again] == 2 * [(True, False)]

@@ -1,8 +1,11 @@
 """Laws of a live run on virtual devices, and of its replay."""
 
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +13,7 @@ import pytest
 
 from deepfsi.base import InputError
 from deepfsi.camera import find_device
-from deepfsi.hardware.live import LiveCounts, frame_log
+from deepfsi.hardware.live import LiveCounts, frame_log, looks, observer, replay_run
 from deepfsi.hardware.live import run as runs
 from deepfsi.hardware.patterns import read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, arrival_rates
@@ -153,6 +156,122 @@ def test_files_that_were_changed_are_refused(copied, file, change, words):
     with pytest.raises(InputError, match=words):  # noqa: PT012
         LiveCounts.count(copied)
         replay(copied)
+
+
+def relog(folder, change):
+    """Change the record of a run, a scene's dict after another's, and count it again."""
+    path = folder / SHOWN
+    scenes = [json.loads(line) for line in path.read_text().splitlines()]
+    for scene in scenes:
+        change(scene)
+    path.write_text("".join(json.dumps(scene) + "\n" for scene in scenes))
+    LiveCounts.count(folder)
+
+
+def verdicts(folder):
+    """Whether each scene is decided as in the run, and bit for bit."""
+    return [(each.answer.agrees, each.answer.bit_for_bit) for each in replay(folder)]
+
+
+def test_gates_that_rounding_explains_are_taken_as_they_were_shown(copied):
+    """One step of the grid: another processor rounds a dwell up that is rounded down here."""
+
+    def step(scene):
+        gates = scene["lists"][2]["gate_ns"]
+        gates[0], gates[1] = gates[0] + 1, gates[1] - 1
+
+    relog(copied, step)
+    assert verdicts(copied) == 12 * [(True, False)]
+
+
+def test_a_gate_that_rounding_does_not_explain_is_refused(copied):
+    def lengthen(scene):
+        scene["lists"][1]["gate_ns"][0] += 20  # of some 500 µs: 4e-5, four times what is allowed
+
+    relog(copied, lengthen)
+    with pytest.raises(InputError, match="not by rounding"):
+        replay(copied)
+
+
+@pytest.mark.parametrize(
+    ("step", "agrees"), [(1e-16, True), (observer.CHANCE_ROUNDING / 2, True), (0.01, False)]
+)
+def test_probabilities_agree_within_rounding(copied, step, agrees):
+    def shift(scene):
+        best, *_, least = np.argsort(scene["chances"])[::-1]
+        scene["chances"][best] -= max(step, np.spacing(scene["chances"][best]))
+        scene["chances"][least] += step
+
+    relog(copied, shift)
+    assert verdicts(copied) == 12 * [(agrees, False)]
+
+
+@pytest.mark.parametrize("change", ["class", "faults", "counts"])
+def test_a_decision_that_is_another_one_is_found(copied, change):
+    def other(scene):
+        if change == "class":
+            scene["chances"] = scene["chances"][::-1]
+        elif change == "faults":
+            scene["faults"] = [{"kind": "unsure", "scene": scene["scene"], "detail": "x"}]
+
+    relog(copied, other)
+    counts = LiveCounts.read(copied)
+    if change == "counts":  # of the last look, on which no other look depends
+        _, lists = list(counts.by_scene)[-1]
+        lists[-2].parts[:] = lists[-2].parts[::-1] * 3
+    scenes = replay_run(counts, open_looks(copied / "patterns")).scenes
+    agree = [each.answer.agrees for each in scenes]
+    assert agree == ([True] * 11 if change == "counts" else [False] * 11) + [False]
+
+
+def test_where_rounding_stops_an_exposure_the_run_is_followed(digits, patterns, tmp_path):
+    """A confidence is at the threshold but for rounding: above it in the run, below it here."""
+    first = live(tmp_path / "whole", patterns, digits, count=1)[0].decision
+    sure = float(first.chances.max())
+    live(tmp_path / "run", patterns, digits, count=1, until=sure - 1e-9)
+    path = tmp_path / "run" / "acquisition.json"
+    settings = json.loads(path.read_text())
+    for step, kept in ((1e-9, True), (2 * observer.CHANCE_ROUNDING, False)):
+        settings["live"]["rule"]["threshold"] = sure + step
+        path.write_text(json.dumps(settings))
+        LiveCounts.count(tmp_path / "run")
+        if kept:
+            assert verdicts(tmp_path / "run") == [(True, True)]
+            continue
+        with pytest.raises(InputError, match="not the one that follows"):
+            replay(tmp_path / "run")
+
+
+def test_rounding_decides_if_a_frame_of_the_shortest_gate_is_shown(patterns):
+    """Its time is otherwise shared out among the others, in proportion to theirs."""
+    ambient = np.zeros((2, 6, 1))
+    state = looks.ExposureState(1e4, 10**7, 10**5, np.zeros(1), ambient)
+    exposure = open_looks(patterns).expose(0, state)
+    gates = np.array([10**6, 1_200_000, 10**5 + 1])
+    asked = looks.FrameList(1, np.array([2, 4, 5]), gates)
+    shared = np.rint(gates[:2] * gates.sum() / gates[:2].sum()).astype(int)
+    left_out = looks.FrameList(1, np.array([2, 4]), shared)
+    assert exposure.may_be(asked, left_out)
+    assert exposure.may_be(left_out, asked)
+    assert exposure.may_be(asked, asked)
+    longer = looks.FrameList(1, asked.frames, np.array([10**6, 1_200_000, 10**5 + 100]))
+    assert not exposure.may_be(longer, left_out)
+    assert not exposure.may_be(asked, looks.FrameList(1, left_out.frames, gates[:2]))
+    assert not exposure.may_be(asked, looks.FrameList(2, asked.frames, gates))
+    assert not exposure.may_be(asked, looks.FrameList(1, np.array([3, 6]), gates[:2]))
+
+
+def test_other_kernels_decide_the_same(copied):
+    """Those of a processor that adds in another order, in a process of its own."""
+    words = ["camera", "classify", copied / "patterns", copied, "--json"]
+    program = "from deepfsi.cli import run_command_line; run_command_line()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, *map(str, words)],
+        env=os.environ | {"OPENBLAS_CORETYPE": "Prescott"},
+        capture_output=True,
+        check=True,
+    )
+    assert all(scene["agrees"] for scene in json.loads(done.stdout)["scenes"])
 
 
 def test_counts_of_other_files_are_refused(copied):

@@ -4,7 +4,7 @@ A line is written when its scene is decided, so that a run that is stopped at an
 scenes before.
 """
 
-from base64 import b64encode
+from base64 import b64decode, b64encode
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Self
@@ -62,6 +62,21 @@ class LoggedList(StrictModel):
             and np.array_equal(self.gate_ns, asked.gate_ns)
             and self.masks == _packed(asked.masks)
         )
+
+    def as_shown(self, asked: FrameList) -> FrameList:
+        """The list as it was shown; its masks have as many pixels as those asked for."""
+        masks = None
+        if asked.masks is not None:
+            pixels = asked.masks.shape[1]
+            size = (pixels + 7) // 8
+            try:
+                bits = np.frombuffer(b"".join(map(b64decode, self.masks)), np.uint8)
+                masks = np.unpackbits(bits.reshape(-1, size), axis=1, count=pixels).astype(bool)
+            except ValueError:
+                raise InputError(
+                    f"masks in {FrameLog.NAME} are not of {pixels} pixels: the file was changed"
+                ) from None
+        return FrameList(self.look, np.array(self.frames), np.array(self.gate_ns), masks)
 
 
 def _packed(masks: np.ndarray | None) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ or each mask itself. A run hands counts to whatever keeps to `LookChooser`.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,6 +19,19 @@ from deepfsi.hardware.patterns import Manifest, Patterns, read_patterns
 
 DECISION_S = 0.4e-3
 """Usual time from the counts to the class and the next dwells, seconds (`benchmarks/live.py`)."""
+
+
+GATE_STEP_NS = 1
+"""Step of the gates, by which a dwell near its middle is rounded up or down, ns."""
+
+GATE_ROUNDING = 1e-5
+"""Share by which dwells differ that two processors choose from the same counts.
+
+Networks choose them in float32. Four kernels of OpenBLAS (SkylakeX, Haswell, Sandybridge, Prescott)
+gave dwells that differ by 6e-7 at most: ten steps of 2⁻²⁴, in 100 exposures of 60 masks in four
+looks. This leaves a factor of 16 for larger networks; no count changes by 0.01 of its noise below
+10⁶ photons.
+"""
 
 
 @dataclass(frozen=True)
@@ -48,6 +61,17 @@ class FrameSource(Protocol):
 
     def count(self, asked: FrameList) -> FrameCounts:
         """Counts of the frames of a list."""
+
+
+class ShownLooks(Protocol):
+    """Looks of a scene that a run showed: its replay decides from these, not from its own."""
+
+    @property
+    def ended(self) -> bool:
+        """True if no look was shown after those that were followed."""
+
+    def follow(self, asked: FrameList, exposure: "LiveExposure") -> FrameList:
+        """The next look as it was shown; `InputError` if not by rounding alone another one."""
 
 
 class SceneSignal(NamedTuple):
@@ -139,6 +163,9 @@ class LiveExposure(Protocol):
 
     def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
+
+    def may_be(self, asked: FrameList, shown: FrameList) -> bool:
+        """True if a processor that rounds differently may ask for what was shown."""
 
     def compare(self, on: AllOnCounts) -> SceneComparison | None:
         """Comparison of all counts with the training; none where nothing of it is known."""
@@ -282,6 +309,29 @@ class FixedMaskExposure:
         lit = gates > 0
         return FrameList(look, self._looks.manifest.shown[lit], gates[lit])
 
+    def may_be(self, asked: FrameList, shown: FrameList) -> bool:
+        """True if a processor that rounds differently may ask for what was shown."""
+        if shown.look != asked.look:
+            return False
+        frames = np.union1d(shown.frames, asked.frames)
+        gates = np.zeros((2, len(frames)))
+        gates[0, np.searchsorted(frames, shown.frames)] = shown.gate_ns
+        gates[1, np.searchsorted(frames, asked.frames)] = asked.gate_ns
+        both = gates.min(axis=0) > 0
+        if not both.any():
+            return False
+        one, other = gates[:, both]
+        if not both.all():
+            # Rounding decides if a frame of the shortest gate is shown. Where it is not, its time
+            # is shared out among the others in proportion to theirs
+            one = one * (other.sum() / one.sum())
+        lone = gates[:, ~both].max(axis=0)
+        return (
+            _differ_by_rounding(one, other)
+            and _differ_by_rounding(lone, self._state.shortest_ns)
+            and _differ_by_rounding(gates[0].sum(), gates[1].sum(), steps=len(frames))
+        )
+
     def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
         counts, noise = self._by_rail(asked, arrivals)
@@ -290,6 +340,9 @@ class FixedMaskExposure:
         photons = self._state.photons
         self._features += self._design.features(counts) / photons
         # The network is told the gates that were shown, not the dwells that it asked for
+        shown = np.zeros(len(self._looks.manifest.shown), np.int64)
+        shown[rows_of(self._looks.manifest, asked)] = asked.gate_ns
+        self._gates[self._looks.dwell_of_frame] = shown
         self._dwell += self._gates / self._whole_ns
         return self._design.chances(self._design.inputs(self._features, self._dwell), photons)
 
@@ -318,3 +371,10 @@ class FixedMaskExposure:
         every = np.zeros((2, len(manifest.shown), manifest.inputs))
         every[:, rows] = self._state.signal(asked, rows, arrivals)
         return manifest.by_readout(every).reshape(2, *self._shape)
+
+
+def _differ_by_rounding(gates_ns: Any, others_ns: Any, steps: int = 1) -> bool:
+    """True if no gate (F,), each a sum of so many, is further from another than by rounding."""
+    return bool(
+        (abs(gates_ns - others_ns) <= steps * GATE_STEP_NS + GATE_ROUNDING * gates_ns).all()
+    )

@@ -36,6 +36,7 @@ from deepfsi.hardware.live.looks import (
     FrameSource,
     LookChooser,
     SceneComparison,
+    ShownLooks,
     rows_of,
 )
 from deepfsi.hardware.patterns import Manifest
@@ -51,6 +52,16 @@ def margin_ns(gate_ns: np.ndarray) -> np.ndarray:
     """Time by which pictures outlast their gates, ns."""
     return np.maximum(MARGIN_NS, CLOCKS_DIFFER * gate_ns)
 
+
+CHANCE_ROUNDING = 1e-3
+"""Difference of a probability that two processors compute of the same counts, at most.
+
+They are computed in float32. Of looks that networks choose they differed by 8e-7 at most between
+kernels of four processors, of adaptive masks by 7e-6 at 10⁴ photons. There log-likelihoods grow
+with the light, and their rounding with them: logarithms of probabilities differed by 1e-5 at 10⁴
+photons and by 6e-4 at 10⁶. A quarter of this, p (1 - p), is the largest difference, 1.4e-4, and
+this leaves a factor of 7. Confidences are printed to as many digits.
+"""
 
 ON = 0
 """Place of the all-ON frame among the frames of a manifest."""
@@ -142,7 +153,9 @@ class SceneObserver:
         self._ambient = np.stack([rates - dark, noise + dark_noise])[:, 2:]
         self._light.ambient = float((rates[ON] - dark)[manifest.arm].sum())
 
-    def observe(self, scene: int, source: FrameSource) -> Iterator[Decision]:
+    def observe(
+        self, scene: int, source: FrameSource, shown: ShownLooks | None = None
+    ) -> Iterator[Decision]:
         """Decisions after each look at the next scene.
 
         Parameters
@@ -151,6 +164,8 @@ class SceneObserver:
             From 0, in their order.
         source : FrameSource
             Of the counts of its frames.
+        shown : ShownLooks, optional
+            Looks that were shown, in a replay.
 
         Yields
         ------
@@ -176,7 +191,8 @@ class SceneObserver:
         last = len(self.looks.shares) - 1
         rule = self._settings.rule
         for look in range(last + 1):
-            asked.append(exposure.ask(look))
+            wanted = exposure.ask(look)
+            asked.append(wanted if shown is None else shown.follow(wanted, exposure))
             arrivals.append(self._arrivals(source, asked[-1]))
             chances = exposure.take(asked[-1], arrivals[-1])
             light_ns += int(asked[-1].gate_ns.sum())
@@ -188,7 +204,10 @@ class SceneObserver:
                 light_s=light_ns * 1e-9,
                 final=False,
             )
-            sure = rule is not None and rule.stops(float(chances.max()), state.photons)
+            confidence = float(chances.max())
+            sure = rule is not None and rule.stops(confidence, state.photons)
+            if shown and rule and abs(confidence - rule.threshold) <= CHANCE_ROUNDING:
+                sure = shown.ended  # rounding decides, and here that of the run
             if sure or look == last:
                 break
             yield decision

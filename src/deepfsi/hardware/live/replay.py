@@ -3,6 +3,9 @@
 The photon file and the frame log hold all that the run knew. `LiveCounts.count` finds each frame by
 the number of its marker and counts its gate; `replay_run` hands the counts to the observer that
 decided, asks of every list whether it is the one that was shown, and gives the decisions.
+
+Processors round sums of products differently. So a look may differ from the one shown by rounding
+(`LiveExposure.may_be`), and decisions follow from the one shown.
 """
 
 import io
@@ -21,8 +24,13 @@ from deepfsi.designfile import SceneReadouts
 from deepfsi.hardware.counting import Acquisition, FrameCounts, read_run
 from deepfsi.hardware.light import PARTS_OF_FRAME
 from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedList, LoggedScene
-from deepfsi.hardware.live.looks import FrameList, LookChooser
-from deepfsi.hardware.live.observer import Decision, SceneObserver
+from deepfsi.hardware.live.looks import FrameList, LiveExposure, LookChooser
+from deepfsi.hardware.live.observer import (
+    CHANCE_ROUNDING,
+    SCENE_ENDS,
+    Decision,
+    SceneObserver,
+)
 from deepfsi.hardware.live.results import LiveAnswers, LiveScene
 from deepfsi.hardware.patterns import Manifest
 from deepfsi.hardware.photons import count_windows, cut_windows, read_markers
@@ -217,21 +225,49 @@ class _LoggedFrames:
         Lists that were shown.
     counts : list of FrameCounts
         Of each list.
+
+    Attributes
+    ----------
+    exact : bool
+        True if all looks so far are those that were shown, with no rounding between.
     """
 
     def __init__(self, scene: LoggedScene, counts: list[FrameCounts]) -> None:
         self.left: deque[tuple[LoggedList, FrameCounts]] = deque(
             zip(scene.lists, counts, strict=True)
         )
+        self.exact = True
 
     def count(self, asked: FrameList) -> FrameCounts:
         """Counts of the next list that was shown; `InputError` if another one is asked for."""
         if not self.left or not self.left[0][0].matches(asked):
-            raise InputError(
-                "a look of this run is not the one that follows from its counts: it was made with "
-                "another version of the design, of deepfsi or of NumPy"
-            )
+            raise _another_look()
         return self.left.popleft()[1]
+
+    @property
+    def ended(self) -> bool:
+        """True if no look was shown after those that were followed."""
+        return not self.left or self.left[0][0].look == SCENE_ENDS
+
+    def follow(self, asked: FrameList, exposure: LiveExposure) -> FrameList:
+        """The next look as it was shown; `InputError` if not by rounding alone another one."""
+        if not self.left:
+            raise _another_look()
+        logged = self.left[0][0]
+        if logged.matches(asked):
+            return asked
+        shown = logged.as_shown(asked)
+        if (asked.masks is None) == bool(logged.masks) or not exposure.may_be(asked, shown):
+            raise _another_look()
+        self.exact = False
+        return shown
+
+
+def _another_look() -> InputError:
+    return InputError(
+        "a look of this run is not the one that follows from its counts, and not by rounding: it "
+        "was made with another version of the design or of deepfsi, or its files were changed"
+    )
 
 
 @dataclass(frozen=True)
@@ -299,16 +335,42 @@ def replay_run(counts: LiveCounts, looks: LookChooser) -> ReplayedRun:
         if scene.scene == DARK_SCENE:
             observer.measure_background(source)
             continue
-        decisions = tuple(observer.observe(scene.scene, source))
+        decisions = tuple(observer.observe(scene.scene, source, source))
         last = decisions[-1] if decisions else None
-        again = (tuple(last.chances.tolist()), last.faults) if last else ((), ())
+        agrees = not source.left and _agrees(scene, last)
         answer = LiveScene.of(
             counts.acquisition.scenes[scene.scene],
             last,
             looks,
             clock_s=scene.clock_s,
-            agrees=not source.left and again == (scene.chances, scene.faults),
+            agrees=agrees,
+            bit_for_bit=agrees and source.exact and _is_same(scene, last),
         )
         rows = observer.rows if decisions else None
         replayed.append(ReplayedScene(scene, decisions, answer, rows))
     return ReplayedRun(counts.acquisition.exposure_s, tuple(replayed))
+
+
+def _is_same(scene: LoggedScene, last: Decision | None) -> bool:
+    """True if a scene's last decision is that of the run, bit for bit and word for word."""
+    again = (tuple(last.chances.tolist()), last.faults) if last else ((), ())
+    return again == (scene.chances, scene.faults)
+
+
+def _agrees(scene: LoggedScene, last: Decision | None) -> bool:
+    """True if a scene's last decision is that of the run, but for the rounding of probabilities.
+
+    Words of a fault hold rounded numbers, so of faults only kind, scene and frame are compared.
+    """
+    before = np.array(scene.chances)
+    again = last.chances if last else np.zeros(0)
+    faults = [
+        [(fault.kind, fault.scene, fault.frame) for fault in some]
+        for some in (scene.faults, last.faults if last else ())
+    ]
+    return (
+        before.shape == again.shape
+        and faults[0] == faults[1]
+        and (not len(again) or bool(before.argmax() == again.argmax()))
+        and bool((abs(before - again) <= CHANCE_ROUNDING).all())
+    )

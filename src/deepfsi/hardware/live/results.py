@@ -33,7 +33,9 @@ class LiveScene:
     clock_s : float
         From the first command to the class, seconds.
     agrees : bool or None
-        Of a replay: true if it decides as the run did, bit for bit.
+        Of a replay: true if it decides as the run did, probabilities within rounding.
+    bit_for_bit : bool or None
+        Of a replay: true if looks, probabilities and faults are the same in each bit, too.
     faults : tuple of Fault
         Of its light, its budget and its counts.
     trained_on : bool or None
@@ -49,13 +51,14 @@ class LiveScene:
     light_s: float
     clock_s: float
     agrees: bool | None = None
+    bit_for_bit: bool | None = None
     faults: tuple[Fault, ...] = ()
     trained_on: bool | None = None
 
     @classmethod
     def of(
         cls, scene: Scene, decision: Decision | None, looks: LookChooser, *,
-        clock_s: float, agrees: bool | None = None,
+        clock_s: float, agrees: bool | None = None, bit_for_bit: bool | None = None,
     ) -> Self:  # fmt: skip
         """Class of a scene after its last decision; none is of a scene without light."""
         [trained] = was_trained_on(looks.training_scenes, [scene.hash])
@@ -72,6 +75,7 @@ class LiveScene:
             light_s=decision.light_s if decision else 0.0,
             clock_s=clock_s,
             agrees=agrees,
+            bit_for_bit=bit_for_bit,
             faults=decision.faults if decision else (),
             trained_on=trained,
         )
@@ -82,7 +86,7 @@ class LiveScene:
         content = {names.get(name, name): value for name, value in vars(self).items()}
         content["faults"] = [str(fault) for fault in self.faults]
         if self.agrees is None:
-            del content["agrees"]
+            del content["agrees"], content["bit_for_bit"]
         return content
 
     def lines(self, exposure_s: float) -> list[str]:
@@ -183,7 +187,9 @@ class LiveAnswers:
                 yield fault.words(names)
         yield from self._score_lines()
         agree = sum(bool(scene.agrees) for scene in self.scenes)
-        yield f"as decided in the run, bit for bit: {agree} of {len(rows)} scenes"
+        same = sum(bool(scene.bit_for_bit) for scene in self.scenes)
+        other = "; another processor rounds differently" if same < agree else ""
+        yield f"as decided in the run: {agree} of {len(rows)} scenes, bit for bit: {same}{other}"
 
     @property
     def score(self) -> Score:
