@@ -28,7 +28,7 @@ from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
-REFERENCE = "fa3deae976ce05cfc1c32dbe71e112b5e93f04db"
+REFERENCE = "7f3a79fa8e28805991b4f3eea6b26d6170103b3e"
 """Commit of the package with which floats and bytes are compared."""
 
 HERE = Path(__file__).parent
