@@ -238,7 +238,7 @@ class Design:
         photons : float
             Budget Φ.
         """
-        if self.gates is None:
+        if self.gates is None or self.exposure.makes_masks:  # of which a click has a price
             return None
         return full_gates(counts / (prod(self.counts_shape) * self.gates), photons)
 

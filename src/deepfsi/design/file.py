@@ -18,7 +18,7 @@ from deepfsi.designfile import (
     MaskHeader,
     damaged_design,
 )
-from deepfsi.exposure import MASK_KINDS, AdaptiveExposure, Clicks, TrainedMasks
+from deepfsi.exposure import MASK_KINDS, Clicks, TrainedMasks, adaptive_kind
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.networks import CLASSIFIER_TYPES, Classifier, OwnClassifier, Values, restore_network
 from deepfsi.physics import Detection, Rails, light_law
@@ -109,7 +109,9 @@ def fields_of(file: DesignFile) -> dict[str, Any]:
     header = file.header
     try:
         if isinstance(header, AdaptiveHeader):
-            fields: dict[str, Any] = {"exposure": AdaptiveExposure.restored(header, file.arrays)}
+            fields: dict[str, Any] = {
+                "exposure": adaptive_kind(header.settings).restored(header, file.arrays)
+            }
         else:
             fields = _mask_fields(file, header)
         return fields | {

@@ -10,6 +10,7 @@ from deepfsi.exposure.adaptive import (
     squared_distance,
 )
 from deepfsi.exposure.choice import candidate_masks, look_at, next_masks
+from deepfsi.exposure.clicking import ClickTraining
 from deepfsi.exposure.fixed import FixedExposure
 from deepfsi.exposure.kind import (
     EXPOSED_AT_ONCE,
@@ -22,7 +23,7 @@ from deepfsi.exposure.kind import (
     Stops,
     TrainedMasks,
 )
-from deepfsi.exposure.kinds import MASK_KINDS, build_training
+from deepfsi.exposure.kinds import MASK_KINDS, adaptive_kind, build_training
 from deepfsi.exposure.looks import LooksExposure
 from deepfsi.exposure.passing import PassingExposure
 from deepfsi.exposure.posterior import AdaptivePosterior, ScenePrior, class_chances
@@ -39,6 +40,7 @@ __all__ = [
     "AdaptivePosterior",
     "AdaptiveTraining",
     "Answer",
+    "ClickTraining",
     "Clicks",
     "CountedLight",
     "ExposureKind",
@@ -55,6 +57,7 @@ __all__ = [
     "Stops",
     "TrainedMasks",
     "TrainingSet",
+    "adaptive_kind",
     "build_training",
     "candidate_masks",
     "class_chances",

@@ -86,6 +86,11 @@ def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
     )
 
 
+def exposures_at_once(prior: ScenePrior) -> int:
+    """Exposures of which the memory holds the likelihoods, and the caches the masks."""
+    return max(1, min(MOST_EXPOSURES, LIKELIHOODS_AT_ONCE // len(prior)))
+
+
 MISFIT_BUDGETS = (0.1, 1.0, 10.0)
 """Budgets of the measurement, over that of the training."""
 
@@ -222,7 +227,7 @@ def _looks(
 
 
 @dataclass(frozen=True)
-class _PosteriorObservation(Observation):
+class PosteriorObservation(Observation):
     """Knowledge of the class after a look with adaptive masks.
 
     Attributes
@@ -235,12 +240,15 @@ class _PosteriorObservation(Observation):
         Counts of all looks so far, of all exposures, that are expected without dark ones.
     used : float or None
         Exposures' light together, over the budget; None where none stops before its end.
+    arriving : float or None
+        Photons that reach a detector that does not count each; None of counters.
     """
 
     _: KW_ONLY
     chances: Tensor
     counts: float
     used: float | None = None
+    arriving: float | None = None
 
 
 class LookedAt(NamedTuple):
@@ -362,7 +370,7 @@ class AdaptiveExposure(ExposureKind):
     @property
     def exposed_at_once(self) -> int:  # type: ignore[override]
         """Exposures of which the memory holds the likelihoods, and the caches the masks."""
-        return max(1, min(MOST_EXPOSURES, LIKELIHOODS_AT_ONCE // len(self.prior)))
+        return exposures_at_once(self.prior)
 
     def optics_at(self, photons: float, camera: Camera | None = None) -> LookOptics:
         """Optics of a look at a budget of a whole exposure, of another camera if one is given.
@@ -384,17 +392,17 @@ class AdaptiveExposure(ExposureKind):
 
     def observe(
         self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> Iterator[_PosteriorObservation]:
+    ) -> Iterator[PosteriorObservation]:
         """Exposures after each of all looks, of at most `exposed_at_once` scenes."""
         state = AdaptivePosterior(self.prior, len(rates), self.optics_at(photons, front))
         counts = 0.0
         for look in _looks(state, rates, self.settings.shares, generator):
             counts += float(look.light.double().sum())
-            yield _PosteriorObservation(look.counts / photons, chances=state.chances, counts=counts)
+            yield PosteriorObservation(look.counts / photons, chances=state.chances, counts=counts)
 
     def expose(
         self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> _PosteriorObservation:
+    ) -> PosteriorObservation:
         """Exposures at their end, each of which stops where it is sure enough."""
         optics = self.optics_at(photons, front)
         parts = []
@@ -408,7 +416,7 @@ class AdaptiveExposure(ExposureKind):
             used += shares
         every = torch.cat(parts)
         stops = used if self.settings.until < 1 else None
-        return _PosteriorObservation(every[:, :0], chances=every, counts=counted, used=stops)
+        return PosteriorObservation(every[:, :0], chances=every, counts=counted, used=stops)
 
     def _run(
         self, state: AdaptivePosterior, x: Tensor, generator: torch.Generator
@@ -442,13 +450,13 @@ class AdaptiveExposure(ExposureKind):
         self, front: Camera, rates: Tensor, seen: Observation, photons: float
     ) -> CountedLight:
         """Light of exposures together, which do not click; parameters of `observe`."""
-        assert isinstance(seen, _PosteriorObservation)
+        assert isinstance(seen, PosteriorObservation)
         used = None if seen.used is None else seen.used * photons
         return CountedLight(seen.counts, seen.counts, used)
 
     def answer(self, seen: Observation, photons: Tensor | float, network: ReadsCounts) -> Answer:
         """Answer of the posterior: nothing else reads the counts."""
-        assert isinstance(seen, _PosteriorObservation)
+        assert isinstance(seen, PosteriorObservation)
         chances = seen.chances
         return Answer(chances.clamp(min=LEAST_WEIGHT).log(), chances, chances.argmax(dim=-1))
 

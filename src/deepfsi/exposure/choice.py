@@ -43,7 +43,7 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
     """
     masks = candidate_masks(state)
     prior = state.prior
-    places, drawn = _sample(state.weights, generator)
+    places, drawn = draw_places(state.weights, generator)
     mean, parts = prior.light(state.optics.readouts(masks))  # (b, P, Q), (b, P, Q, d)
     left = state.unknown(parts)
     scenes = prior.coefficients[places].transpose(1, 2)  # (b, d, S), the same for all masks
@@ -73,7 +73,7 @@ def candidate_masks(state: AdaptivePosterior) -> Tensor:
     count = min(LIKELIEST, chances.shape[1])
     likely, top = chances.topk(count, dim=1)
     own = sums.gather(1, top[..., None].expand(-1, -1, sums.shape[-1]))
-    groups = _groups(count).to(sums.dtype)
+    groups = groups_of(count).to(sums.dtype)
     means = [
         (group @ own) / (likely @ group.T).clamp(min=1e-9)[..., None]
         for group in (groups, 1 - groups)
@@ -135,22 +135,24 @@ def information(counts: Tensor, members: Tensor, unknown: Tensor | None = None) 
     return (torch.logdet(total + noise) - torch.logdet(total - between + noise)) / 2
 
 
-def _groups(count: int) -> Tensor:
+def groups_of(count: int) -> Tensor:
     """All ways (P, count) to part classes in two groups: 1 for one of them, the last in neither."""
     numbers = torch.arange(1, 2 ** (count - 1))
     return numbers[:, None] >> torch.arange(count) & 1
 
 
-def _sample(weights: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+def draw_places(
+    weights: Tensor, generator: torch.Generator, count: int = SAMPLES
+) -> tuple[Tensor, Tensor]:
     """Places (b, S) of scenes drawn by their weights (b, n), and weights (b, S) of the drawn."""
     exposures, scenes = weights.shape
-    if scenes <= SAMPLES:
+    if scenes <= count:
         return torch.arange(scenes).expand(exposures, -1), weights
     start = torch.rand(exposures, 1, generator=generator)
-    points = (torch.arange(SAMPLES) + start) / SAMPLES
+    points = (torch.arange(count) + start) / count
     sums = weights.cumsum(dim=1)
     places = torch.searchsorted(sums, points * sums[:, -1:])
-    return places.clamp(max=scenes - 1), torch.full_like(points, 1 / SAMPLES)
+    return places.clamp(max=scenes - 1), torch.full_like(points, 1 / count)
 
 
 class Look(NamedTuple):

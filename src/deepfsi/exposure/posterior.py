@@ -15,6 +15,7 @@ which is learned with e while the readouts of the look are taken in, and is then
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import torch
@@ -293,8 +294,15 @@ class LookOptics:
 
     @classmethod
     def of(cls, camera: Camera, image_shape: tuple[int, ...], photons: float) -> "LookOptics":
-        """Optics of a camera; `InputError` where it shows no binary masks, or has read noise."""
+        """Optics of a camera that counts; `InputError` where it clicks, or shows no such masks."""
         AdaptiveMasks.check_camera(camera)
+        if camera.clicks is not None:
+            raise InputError(
+                "this design is for photon counts, and {given} noise is of clicks: give "
+                "{noise:poisson}, or learn a design for clicks",
+                setting="noise",
+                given=camera.noise_name,
+            )
         labels = camera.detector_map(image_shape).labels
         arms = LIGHT_LAWS[camera.light].arms
         detectors = None if labels is None else torch.from_numpy(labels)
@@ -372,9 +380,9 @@ class AdaptivePosterior:
         """Number of exposures, b."""
         return len(self.logs)
 
-    def rows_of(self, rows: Tensor) -> "AdaptivePosterior":
+    def rows_of(self, rows: Tensor) -> Self:
         """Posterior of some of the exposures, (b,) true."""
-        some = AdaptivePosterior(self.prior, 0, self.optics)
+        some = type(self)(self.prior, 0, self.optics)
         some.logs = self.logs[rows]
         some._known = self._known[rows]
         some._shift = self._shift[rows]
@@ -416,8 +424,7 @@ class AdaptivePosterior:
             )
         self._known = self._known[..., :size]
         self._shift = self._shift[:, :size]
-        self._weights = self._class_sums = None
-        self._looks += 1
+        self.end_look()
 
     def _take(
         self,
@@ -450,6 +457,11 @@ class AdaptivePosterior:
         found = ((counts - dark) / gain - offset) / total
         self._shift = self._shift + left * found[:, None]
         self._known = torch.cat([self._known, (left / total.sqrt()[:, None])[:, None]], dim=1)
+
+    def end_look(self) -> None:
+        """Count a look that was taken in: what follows from the counts is computed anew."""
+        self._weights = self._class_sums = None
+        self._looks += 1
 
     def unknown(self, parts: Tensor) -> Tensor:
         """Product (b, ..., d) of the covariance of e, given the counts, with (b, ..., d)."""

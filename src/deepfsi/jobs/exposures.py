@@ -782,12 +782,22 @@ class AdaptiveMasks(UserModel):
         description="light of all looks over the budget, which is the mean of exposures that stop",
     )
 
+    price: float | None = Field(
+        default=None,
+        ge=0,
+        allow_inf_nan=False,
+        description="of a detector that clicks at most once a look: information about the class "
+        "that a click has to tell, nats; none of detectors that count",
+    )
+
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """All fields; `cap` only where exposures share their light, as files have it."""
+        """All fields; `cap` and `price` only where they say something, as files have them."""
         content: dict[str, Any] = handler(self)
         if self.cap == 1:
             del content["cap"]
+        if self.price is None:
+            del content["price"]
         return content
 
     @property
@@ -805,11 +815,17 @@ class AdaptiveMasks(UserModel):
                 "free-dwell or two-arm"
             )
         noise = camera.noise_facts
-        exact = noise.counting and not noise.gates
-        if not exact or (noise.read_noise and camera.sigma):
+        if not noise.counting or (noise.read_noise and camera.sigma):
             raise InputError(
-                "adaptive masks are for photon counts: give poisson noise, or camera noise of "
-                "dark counts alone"
+                "adaptive masks are for photon counts or clicks: give poisson noise, click noise, "
+                "or camera noise of dark counts alone"
+            )
+        several = camera.gates != 1 or not camera.one_detector or LIGHT_LAWS[camera.light].arms > 1
+        if noise.gates and several:
+            raise InputError(
+                "adaptive masks for clicks have one detector, which clicks at most once a look: "
+                "leave {gates} and {detectors} out, and give {light:free-dwell}",
+                setting=("gates", "detectors", "light"),
             )
 
 

@@ -308,13 +308,15 @@ class Job(UserModel):
         """Everything in a job of few counts within its budget that cannot be had."""
         camera = self.optics
         counts = self.training.counts or 0.0
+        if self.code.adaptive and self.camera.clicks is not None:
+            return []  # fewer than any number: exposures end where a click is not worth its price
         if not self.code.learned or not isinstance(self.exposure, Fixed):
             return [
                 Message(
-                    "counts within a budget are of learned masks that are shown once each: "
-                    "leave {counts} or {photons} out, or give {design:deepfsi} without looks, "
-                    "nested, span or patch",
-                    setting=("counts", "photons", "design"),
+                    "counts within a budget are of learned masks that are shown once each, or of "
+                    "adaptive masks for clicks: leave {counts} or {photons} out, or give "
+                    "{design:deepfsi} without looks, nested, span or patch, or {noise:click}",
+                    setting=("counts", "photons", "design", "noise"),
                 )
             ]
         noise = find_noise(self.noise)
@@ -412,6 +414,20 @@ class Job(UserModel):
         if not isinstance(self.exposure, Fixed | SharedLight):
             yield "adaptive masks have a look each: give no looks, nested, span or patch"
         most = self.exposure.most_light
+        if self.camera.clicks is not None:
+            if len(data.x_train) < FEW_SCENES:
+                yield Message(
+                    "{scenes} training scenes say too little of what a click is worth: give "
+                    "{fewest} or more, or a detector that counts, {noise:poisson}",
+                    setting="noise",
+                    scenes=len(data.x_train),
+                    fewest=FEW_SCENES,
+                )
+            if most > 1:
+                yield Message(
+                    "exposures of adaptive masks for clicks end by themselves: leave {cap} out",
+                    setting="cap",
+                )
         if self.training.classifier != MLP:
             yield Message(
                 "adaptive masks are read by their posterior: leave {classifier} out",

@@ -185,7 +185,7 @@ MEASURES: dict[str, Measure] = {
             compute=lambda answers: answers.used,
             column="light",
             legend="light: share of the budget that exposures take, in the mean over test scenes, "
-            "as each ends when a class is sure",
+            "as each may end early",
             averaged=True,
         ),
         MainMeasure(

@@ -142,8 +142,8 @@ def mean_light_text(points: Iterable[Point]) -> str | None:
         return None
     ends = " to ".join(f"{share:.3f}" for share in sorted({min(taken), max(taken)}))
     return (
-        "Mean light: exposures end when a class is sure, so that training scenes take the budget "
-        f"in the mean. Test scenes took {ends} of it."
+        "Mean light: exposures end early where a class is sure, or no look is worth its clicks. "
+        f"Test scenes took {ends} of the budget."
     )
 
 

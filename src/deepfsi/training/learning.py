@@ -26,6 +26,7 @@ from deepfsi.exposure import (
     AdaptiveExposure,
     AdaptiveTraining,
     Clicks,
+    ClickTraining,
     ExposureTraining,
     JobGroup,
     TrainingSet,
@@ -436,6 +437,8 @@ def _adaptive_designs(
     settings = AdaptiveMasks(
         looks=first.masks, clusters=first.training.clusters, cap=first.exposure.most_light
     )
+    if first.optics.clicks is not None:
+        return _click_designs(training_set, jobs, ClickTraining(data, settings), report)
     exposure = AdaptiveTraining(data, settings)
     designs: list[Design] = []
     folds = [(fold, prior_without(fold, settings)) for fold in folds_of(data)]
@@ -467,6 +470,23 @@ def _adaptive_designs(
                 training_scenes=training_set.scenes,
             )
         )
+        span(1.0)
+    return designs
+
+
+def _click_designs(
+    training_set: TrainingSet, jobs: Sequence[Job], exposure: ClickTraining, report: Progress
+) -> list[Design]:
+    """Designs of jobs with adaptive masks before a detector that clicks."""
+    began = time.perf_counter()
+    data = training_set.data
+    designs: list[Design] = []
+    for job, span in zip(jobs, report.split(len(jobs)), strict=True):
+        info = provenance(job, data, torch.device("cpu"), 0.0)
+        made = exposure.make(job, info["job"]["camera"], span)
+        info["seconds"] = (time.perf_counter() - began) / (len(designs) + 1)
+        scenes = training_set.scenes
+        designs.append(Design(job.design, data.classes, made, info=info, training_scenes=scenes))
         span(1.0)
     return designs
 

@@ -1,0 +1,79 @@
+"""Accuracy of adaptive masks where a click has a price, on scenes with a black background.
+
+    python benchmarks/clicks.py --data mnist --counts 5.4 --photons 3000 --looks 96   # hours
+    python benchmarks/clicks.py --data mnist --counts 5.4 --images 2000   # half an hour
+    python benchmarks/clicks.py --counts 4 --photons 600 --looks 24       # digits: a minute
+
+One DMD and one detector, which clicks at most once a look. The price of a click is found with 256
+training images, each left out of the prior, which is all training images. Each test image is
+exposed once, in their order; the first 200 have a row of their own, as experiments have used them.
+± is half of the 95 % interval over images. `light`: photons on the device.
+"""
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+import deepfsi
+from deepfsi.base.numeric import wilson
+
+FIRST = 200
+"""Test images of the first row."""
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Make a design, test it and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", default="digits")
+    parser.add_argument("--counts", type=float, help="mean clicks; as many as tell unless given")
+    parser.add_argument("--photons", type=float, default=3000.0, help="on the device, at most")
+    parser.add_argument("--looks", type=int, default=96)
+    parser.add_argument("--images", type=int, help="test images, the first ones; all unless given")
+    parser.add_argument("--scenes", type=int, help="images of the prior, the first ones")
+    parser.add_argument("--seed", type=int, default=0, help="of the noise")
+    given = parser.parse_args(words)
+    data = deepfsi.load_dataset(given.data, rescale=(0.0, 1.0))
+    known = slice(given.scenes)
+    data = replace(data, x_train=data.x_train[known], y_train=data.y_train[known])
+    began = time.process_time()
+    design = deepfsi.learn(
+        data,
+        design="adaptive",
+        masks=given.looks,
+        photons=given.photons,
+        counts=given.counts,
+        camera={"light": "free-dwell", "rails": "single", "noise": "click"},
+    )
+    print(
+        f"price {design.prior_exposure.settings.price:.4g} nats a click, "
+        f"{time.process_time() - began:.0f} s\n"
+        "| images | accuracy | log loss | clicks | arriving | light | calibration error | seconds |"
+    )
+    print("| --- " * 8 + "|", flush=True)
+    images = given.images or len(data.x_test)
+    measured = []
+    for rows in (slice(0, FIRST), slice(FIRST, images)):
+        some = replace(data, x_test=data.x_test[rows], y_test=data.y_test[rows])
+        if not len(some.x_test):
+            continue
+        began = time.process_time()
+        [found] = deepfsi.evaluate(design, some, given.photons, draws=1, seed=given.seed)
+        seconds = time.process_time() - began
+        light = (found.score("mean_light") or 1) * given.photons
+        measured.append((found.accuracy, found.log_loss, found.counts, found.arriving, light))
+        sizes = [min(FIRST, images), images - FIRST][: len(measured)]
+        accuracy, loss, clicks, arriving, light = np.average(measured, axis=0, weights=sizes)
+        low, high = wilson(accuracy, sum(sizes))
+        print(
+            f"| {sum(sizes)} | {accuracy:.4f} ± {(high - low) / 2:.4f} | {loss:.3f} "
+            f"| {clicks:.2f} | {arriving:.1f} | {light:.0f} | {found.calibration_error:.3f} "
+            f"| {seconds:.0f} |",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

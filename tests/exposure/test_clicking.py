@@ -1,0 +1,200 @@
+"""Adaptive masks of a detector that clicks: what a look tells, its price, and their ends."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import deepfsi
+from deepfsi.base import InputError
+from deepfsi.design import Design
+from deepfsi.exposure import clicking
+from deepfsi.jobs import AdaptiveMasks
+
+CAMERA = {"light": "free-dwell", "rails": "single", "noise": "click"}
+
+LOOKS = 24
+
+PHOTONS = 600.0
+
+
+@pytest.fixture(scope="module")
+def data():
+    return deepfsi.load_dataset("digits", rescale=(0.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def training(data):
+    return clicking.ClickTraining(data, AdaptiveMasks(looks=LOOKS))
+
+
+@pytest.fixture(scope="module")
+def made(data):
+    """Design for four clicks in the mean."""
+    return deepfsi.learn(
+        data, design="adaptive", masks=LOOKS, photons=PHOTONS, counts=4, camera=CAMERA
+    )
+
+
+def run(training, x, price, photons=PHOTONS, seed=0):
+    settings = training.settings.model_copy(update={"price": price})
+    generator = torch.Generator().manual_seed(seed)
+    looks = clicking.ClickLooks(training.prior, settings, photons)
+    return looks.run(torch.from_numpy(x), generator)
+
+
+def test_no_click_has_the_probability_of_gamma_distributed_light():
+    draws = 200_000
+    light, mean, gain = 3.0, 5.0, 0.4
+    size = (light / (clicking.VARIATION * mean)) ** 2
+    drawn = np.random.default_rng(0).gamma(size, light / size, draws)
+    dark = np.exp(-gain * drawn)
+    tensors = (torch.tensor(number) for number in (light, mean, gain))
+    expected = math.exp(float(clicking.log_no_click(*tensors)))
+    assert expected == pytest.approx(dark.mean(), abs=5 * dark.std() / draws**0.5)
+    assert expected > math.exp(-gain * light)  # Jensen: light that varies leaves more dark
+
+
+def test_a_look_tells_the_mutual_information_of_its_outcome_and_the_class():
+    rng = np.random.default_rng(1)
+    chances = rng.random((1, 3, 5))
+    classes = np.array([0, 0, 1, 2, 2])
+    weights = rng.random(5)
+    weights /= weights.sum()
+    members = np.eye(3)[classes] * weights[:, None]
+    told, clicks = clicking.click_information(
+        torch.from_numpy(chances), torch.from_numpy(members)[None]
+    )
+    for look in range(3):
+        joint = np.zeros((2, 3))
+        for scene, label in enumerate(classes):
+            joint[1, label] += weights[scene] * chances[0, look, scene]
+            joint[0, label] += weights[scene] * (1 - chances[0, look, scene])
+        apart = joint.sum(axis=1, keepdims=True) * joint.sum(axis=0)
+        assert float(told[0, look]) == pytest.approx((joint * np.log(joint / apart)).sum())
+        assert float(clicks[0, look]) == pytest.approx(joint[1].sum())
+
+
+def test_a_click_and_none_are_taken_in_by_bayes_rule(training):
+    state = clicking.ClickPosterior(training.prior, 2, clicking.LookOptics(PHOTONS))
+    dwells = torch.tensor([0.1, 0.1])
+    mask = torch.zeros(64)
+    mask[20:44] = 1
+    look = clicking.ClickLook(mask.expand(2, -1), dwells, torch.ones(2))
+    prior = training.prior
+    light = prior.mean @ mask + prior.coefficients @ (prior.components @ mask)
+    light = light + clicking.FLOOR * mask.sum()
+    gain = torch.tensor(PHOTONS / prior.summed_reflectance * 0.1)
+    dark = clicking.log_no_click(light, prior.mean @ mask, gain).exp().double()
+    state.take(look, torch.tensor([0, 1]))
+    for row, likelihood in enumerate((dark, 1 - dark)):
+        expected = (likelihood / likelihood.sum()).numpy()
+        assert state.weights[row].numpy() == pytest.approx(expected, rel=2e-3, abs=1e-8)
+
+
+def test_an_endless_price_counts_nothing_and_no_price_uses_all_looks_or_all_light(training, data):
+    x = data.x_test[:40]
+    nothing = run(training, x, price=1e6)
+    assert nothing.clicks.sum() == nothing.used.sum() == 0
+    shares = training.prior.class_shares
+    assert nothing.chances.numpy() == pytest.approx(shares.expand(40, -1).numpy(), abs=1e-6)
+    dwells = np.array(clicking.DWELLS) / LOOKS
+    all_of_it = run(training, x, price=0.0)
+    shown = LOOKS * dwells.min()
+    assert (all_of_it.used >= shown - 1e-6).all()  # all looks, or less light than the shortest
+    assert (all_of_it.used <= 1 + 1e-5).all()
+
+
+def test_clicks_fall_as_their_price_rises(training, data):
+    x = data.x_test[:200]
+    means = []
+    for price in (0.0, 0.03, 0.1, 0.3):
+        seen = run(training, x, price)
+        means.append(float(seen.clicks.mean()))
+        assert (seen.used <= 1 + 1e-5).all()
+    assert means == sorted(means, reverse=True)
+    assert means[-1] < means[0] / 2
+
+
+def test_test_scenes_click_as_often_as_was_asked_for(made, data):
+    [result] = deepfsi.evaluate(made, data, PHOTONS, draws=1)
+    settings = made.exposure.settings
+    assert settings.price > 0
+    clicks = run_of(made, data).clicks
+    # the price is known by 256 training scenes, and the mean by these test scenes
+    error = float(clicks.std()) * (1 / len(clicks) + 1 / clicking.PRICING_SCENES) ** 0.5
+    assert result.counts == pytest.approx(4, abs=4 * error + 4 * clicking.PRICE_STEP)
+    assert result.counts < result.arriving
+    assert result.score("mean_light") <= 1
+    assert result.accuracy > 4 / 10  # fixed masks read less of so few clicks; chance is 1/10
+
+
+def run_of(design, data):
+    exposure = design.exposure
+    generator = torch.Generator().manual_seed(0)
+    looks = clicking.ClickLooks(exposure.prior, exposure.settings, PHOTONS)
+    return looks.run(torch.from_numpy(data.x_test), generator)
+
+
+def test_probabilities_are_those_of_being_right(made, data):
+    [result] = deepfsi.evaluate(made, data, PHOTONS, draws=3)
+    rows = len(data.x_test)
+    # binned over 10 groups; each has a binomial error of at most 1 / (2 sqrt(n / 10))
+    assert result.calibration_error < 0.03 + 0.5 / (rows / 10) ** 0.5
+
+
+def test_a_file_gives_the_same_exposures(made, data, tmp_path):
+    path = made.save(tmp_path / "clicks.safetensors")
+    again = Design.load(path)
+    few = replace(data, x_test=data.x_test[:50], y_test=data.y_test[:50])
+    twice = Design.load(again.save(tmp_path / "again.safetensors"))
+    results = [deepfsi.evaluate(design, few, PHOTONS, draws=1)[0] for design in (again, twice)]
+    assert results[0] == results[1]
+    assert again.exposure.settings == made.exposure.settings
+    [before] = deepfsi.evaluate(made, few, PHOTONS, draws=1)
+    # components of the prior are stored in 8 bits
+    assert results[0].counts == pytest.approx(before.counts, rel=0.2)
+
+
+def test_one_exposure_is_seen_look_by_look(made, data):
+    masks, scenes, chances = made.looks_at(data.x_test[0], PHOTONS)
+    assert len(masks) == len(scenes) == len(chances) <= LOOKS
+    assert set(np.unique(masks)) <= {0.0, 1.0}
+    assert chances.sum(axis=1) == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"camera": {**CAMERA, "gates": 4}}, "at most once a look"),
+        ({"camera": {**CAMERA, "detectors": "2x2"}}, "one detector"),
+        ({"camera": {**CAMERA, "light": "column"}}, "one device"),
+        ({"exposure": {"cap": 2}}, "end by themselves"),
+        ({"photons": None}, "photons"),
+    ],
+)
+def test_what_clicks_cannot_have_is_refused_in_a_line(data, changes, words):
+    asked = {
+        "design": "adaptive", "masks": 8, "photons": PHOTONS, "counts": 4, "camera": CAMERA
+    }  # fmt: skip
+    with pytest.raises(InputError, match=words) as refused:
+        deepfsi.learn(data, **{**asked, **changes})
+    assert "\n" not in str(refused.value)
+
+
+def test_few_scenes_are_refused(data):
+    few = replace(data, x_train=data.x_train[:300], y_train=data.y_train[:300])
+    with pytest.raises(InputError, match="300 training scenes"):
+        deepfsi.learn(few, design="adaptive", masks=8, photons=PHOTONS, counts=4, camera=CAMERA)
+
+
+def test_other_detectors_and_live_runs_are_refused(made, data):
+    with pytest.raises(InputError, match="detector that clicks"):
+        deepfsi.evaluate(made, data, PHOTONS, noise="poisson")
+    with pytest.raises(InputError, match="simulation alone"):
+        made.exposure.optics_at(PHOTONS)
+    counting = deepfsi.learn(data, design="adaptive", masks=4, photons=PHOTONS, camera="dmd")
+    with pytest.raises(InputError, match="photon counts"):
+        deepfsi.evaluate(counting, data, PHOTONS, noise="click")
