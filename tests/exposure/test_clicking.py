@@ -19,6 +19,8 @@ LOOKS = 24
 
 PHOTONS = 600.0
 
+CLICKS = 3.0
+
 
 @pytest.fixture(scope="module")
 def data():
@@ -32,9 +34,9 @@ def training(data):
 
 @pytest.fixture(scope="module")
 def made(data):
-    """Design for four clicks in the mean."""
+    """Design for three clicks in the mean."""
     return deepfsi.learn(
-        data, design="adaptive", masks=LOOKS, photons=PHOTONS, counts=4, camera=CAMERA
+        data, design="adaptive", masks=LOOKS, photons=PHOTONS, counts=CLICKS, camera=CAMERA
     )
 
 
@@ -118,6 +120,28 @@ def test_clicks_fall_as_their_price_rises(training, data):
     assert means[-1] < means[0] / 2
 
 
+def test_the_price_of_mean_clicks_is_the_lowest_that_costs_no_more():
+    rng = np.random.default_rng(3)
+    looks = 12
+    drawn = [torch.from_numpy(rng.random((50, looks))) for _ in range(2)]
+    priced = clicking.PricedLooks(*drawn, drawn[1], torch.zeros(50, looks + 1, 2))
+    for asked in (0.1, 0.5, 1.0, 2.0):
+        price = priced.price(asked)
+
+        def mean_clicks(at):
+            total = 0.0
+            for worth, clicks in zip(*drawn, strict=True):
+                for value, cost in zip(worth, clicks, strict=True):
+                    if value <= at:
+                        break
+                    total += float(cost) / 50
+            return total
+
+        assert mean_clicks(price) <= asked + 1e-9
+        assert mean_clicks(price - 1e-6) > asked
+    assert priced.price(1e6) == 0
+
+
 def test_test_scenes_click_as_often_as_was_asked_for(made, data):
     [result] = deepfsi.evaluate(made, data, PHOTONS, draws=1)
     settings = made.exposure.settings
@@ -125,7 +149,7 @@ def test_test_scenes_click_as_often_as_was_asked_for(made, data):
     clicks = run_of(made, data).clicks
     # the price is known by 256 training scenes, and the mean by these test scenes
     error = float(clicks.std()) * (1 / len(clicks) + 1 / clicking.PRICING_SCENES) ** 0.5
-    assert result.counts == pytest.approx(4, abs=4 * error + 4 * clicking.PRICE_STEP)
+    assert result.counts == pytest.approx(CLICKS, abs=4 * error)
     assert result.counts < result.arriving
     assert result.score("mean_light") <= 1
     assert result.accuracy > 4 / 10  # fixed masks read less of so few clicks; chance is 1/10

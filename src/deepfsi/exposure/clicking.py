@@ -12,9 +12,9 @@ probability of no click is a closed form). Sources: sequential design by expecte
 (Lindley 1956), with a cost of the observation (DeGroot, *Optimal Statistical Decisions*, 1970).
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import log
+from math import log as log_of
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -70,14 +70,8 @@ where information less price times clicks is largest, the first looks nearly alw
 COMPARED_SCENES = 256
 """Scenes drawn of the posterior by which looks are compared."""
 
-PRICING_SCENES = 256
+PRICING_SCENES = 512
 """Training scenes by which the price is found: their mean clicks are known to some 3 %."""
-
-PRICES = (1e-3, 1.0)
-"""Lowest and highest price that is tried, nats a click."""
-
-PRICE_STEP = 0.05
-"""Relative precision of the price."""
 
 NOT_AT_A_CAMERA = (
     "adaptive masks of detectors that click are tested in simulation alone: give a design of "
@@ -252,8 +246,32 @@ class ClickRun(NamedTuple):
     used: Tensor
 
 
+class ClickStep(NamedTuple):
+    """A look at those exposures that still go on.
+
+    Attributes
+    ----------
+    rows : tensor, shape (r,)
+        Which of the exposures.
+    masks, scenes : tensor, shape (r, N)
+        Scenes are the means of the posterior after the look.
+    chances : tensor, shape (r, C)
+        After the look.
+    worth, clicks, arriving : tensor, shape (r,)
+        Of the look, and what is expected of it.
+    """
+
+    rows: Tensor
+    masks: Tensor
+    scenes: Tensor
+    chances: Tensor
+    worth: Tensor
+    clicks: Tensor
+    arriving: Tensor
+
+
 class ClickLooks(NamedTuple):
-    """What exposes scenes, look after look, to their end.
+    """Looks at scenes, one after another, to the end of their exposures.
 
     Attributes
     ----------
@@ -275,7 +293,7 @@ class ClickLooks(NamedTuple):
         x: Tensor,
         generator: torch.Generator,
         *,
-        log: list[tuple[Tensor, Tensor, Tensor]] | None = None,
+        log: list[ClickStep] | None = None,
         left_out: Tensor | None = None,
     ) -> ClickRun:
         """Expose scenes to their end.
@@ -286,7 +304,7 @@ class ClickLooks(NamedTuple):
             Reflectance.
         generator : torch.Generator
         log : list, optional
-            Takes masks and mean scenes (b, N) and chances (b, C) of each look.
+            Takes each look.
         left_out : tensor, shape (b,), optional
             Places in the prior of scenes that are not known.
         """
@@ -316,7 +334,8 @@ class ClickLooks(NamedTuple):
             used[running] += look.dwells
             chances[running] = state.chances
             if log is not None:
-                log.append((look.masks, state.scene, state.chances))
+                numbers = look.worth, chance, light
+                log.append(ClickStep(running, look.masks, state.scene, state.chances, *numbers))
         return ClickRun(chances, clicks, arriving, used)
 
 
@@ -391,9 +410,10 @@ class ClickingExposure(AdaptiveExposure):
 
     def look_by_look(self, scene: Tensor, photons: float, generator: torch.Generator) -> LookedAt:
         """One exposure of a scene (N,), look by look, up to its end."""
-        log: list[tuple[Tensor, Tensor, Tensor]] = []
+        log: list[ClickStep] = []
         ClickLooks(self.prior, self.settings, photons).run(scene[None], generator, log=log)
-        return LookedAt(*(torch.cat(parts).numpy() for parts in zip(*log, strict=True)))
+        seen = [(step.masks, step.scenes, step.chances) for step in log]
+        return LookedAt(*(torch.cat(parts).numpy() for parts in zip(*seen, strict=True)))
 
 
 def blurred(data: Dataset) -> Dataset:
@@ -437,55 +457,98 @@ class ClickTraining(AdaptiveTraining):
         """
         generator = torch.Generator().manual_seed(job.seed)
         places, scenes = self._some(PRICING_SCENES, generator)
-        tried = 0
-
-        def run(price: float) -> ClickRun:
-            nonlocal tried
-            settings = self.settings.model_copy(update={"price": price})
-            some = torch.Generator().manual_seed(job.seed)
-            looks = ClickLooks(self.prior, settings, job.photons)
-            parts = [
-                looks.run(scenes[rows], some, left_out=places[rows])
-                for rows in torch.arange(len(scenes)).split(exposures_at_once(self.prior))
-            ]
-            tried += 1
-            report(tried / (tried + 2))
-            return ClickRun(*(torch.cat(parts) for parts in zip(*parts, strict=True)))
-
-        price, end = self._price(run, job.training.counts)
-        settings = self.settings.model_copy(update={"price": price})
-        labels = self.prior.labels[places]
-        temperature = best_temperature(end.chances, labels, self.prior.class_shares)
-        logs = np.full((settings.looks, 2), log(temperature))
-        prior = self.prior.with_temperatures(
-            Temperatures(logs, np.array([1e-3, 1e3]) * job.photons)
-        )
-        counted = torch.full((settings.looks,), float(end.arriving.mean()) / job.photons)
+        looks = ClickLooks(self.prior, self.settings, job.photons)  # which end nowhere: no price
+        runs = []
+        parts = torch.arange(len(scenes)).split(exposures_at_once(self.prior))
+        for done, rows in enumerate(parts, start=1):
+            log: list[ClickStep] = []
+            looks.run(scenes[rows], generator, log=log, left_out=places[rows])
+            runs.append(
+                PricedLooks.of(log, (len(rows), self.settings.looks), self.prior.class_shares)
+            )
+            report(done / len(parts))
+        whole = PricedLooks(*(torch.cat(some) for some in zip(*runs, strict=True)))
+        price = 0.0 if job.training.counts is None else whole.price(job.training.counts)
+        chances, arriving = whole.ends(price)
+        temperature = best_temperature(chances, self.prior.labels[places], self.prior.class_shares)
+        logs = np.full((self.settings.looks, 2), log_of(temperature))
+        budgets = np.array([1e-3, 1e3]) * job.photons
         return ClickingExposure(
-            prior,
-            settings,
+            self.prior.with_temperatures(Temperatures(logs, budgets)),
+            self.settings.model_copy(update={"price": price}),
             shape=self.data.image_shape,
-            counted=counted / settings.looks,
+            counted=arriving.mean(dim=0) / job.photons,
             optics=optics,
         )
 
-    @staticmethod
-    def _price(run: Any, counts: float | None) -> tuple[float, ClickRun]:
-        """Price at which exposures click so often in the mean, and these exposures."""
-        from scipy.optimize import brentq
 
-        runs = {0.0: run(0.0)}
-        if counts is None or float(runs[0.0].clicks.mean()) <= counts:
-            return 0.0, runs[0.0]
+class PricedLooks(NamedTuple):
+    """All looks of exposures, from which any price follows: it says only where they end.
 
-        def excess(level: float) -> float:
-            runs[level] = run(float(np.exp(level)))
-            return float(runs[level].clicks.mean()) - counts
+    Attributes
+    ----------
+    worth : tensor, shape (n, K)
+        Of each look; −∞ where there was none.
+    clicks, arriving : tensor, shape (n, K)
+        That are expected of it.
+    chances : tensor, shape (n, 1 + K, C)
+        Before all looks, and after each.
+    """
 
-        low, high = np.log(PRICES)
-        level = brentq(excess, low, high, xtol=PRICE_STEP, rtol=1e-3, maxiter=12)
-        nearest = min(runs, key=lambda tried: abs(tried - level))
-        return float(np.exp(nearest)), runs[nearest]
+    worth: Tensor
+    clicks: Tensor
+    arriving: Tensor
+    chances: Tensor
+
+    @classmethod
+    def of(cls, log: Sequence[ClickStep], size: tuple[int, int], shares: Tensor) -> Self:
+        """Looks of one run, of n exposures and K looks at most.
+
+        Parameters
+        ----------
+        log : sequence of ClickStep
+        size : tuple of int
+            n and K.
+        shares : tensor, shape (C,)
+            Of the classes before all looks.
+        """
+        worth = torch.full(size, -torch.inf)
+        clicks, arriving = torch.zeros(2, *size)
+        chances = shares.repeat(size[0], 1 + size[1], 1)
+        for look, step in enumerate(log):
+            worth[step.rows, look] = step.worth
+            clicks[step.rows, look] = step.clicks
+            arriving[step.rows, look] = step.arriving
+            chances[step.rows, look + 1 :] = step.chances[:, None]
+        return cls(worth, clicks, arriving, chances)
+
+    @property
+    def least_worth(self) -> Tensor:
+        """Least worth (n, K) of all looks so far: an exposure goes on while it is above the price.
+
+        A later look is taken only if all before it were.
+        """
+        return self.worth.cummin(dim=1).values
+
+    def price(self, clicks: float) -> float:
+        """Lowest price at which exposures cost no more clicks in the mean; 0 if they never do."""
+        worth, order = self.least_worth.flatten().sort(descending=True)
+        total = self.clicks.flatten().double()[order].cumsum(dim=0) / len(self.clicks)
+        affordable = int((total <= clicks).sum())
+        if affordable == len(worth):
+            return 0.0
+        return max(float(worth[affordable]), 0.0)
+
+    def ends(self, price: float) -> tuple[Tensor, Tensor]:
+        """Chances (n, C) where exposures end at a price, and photons (n, K) that arrive till then.
+
+        Parameters
+        ----------
+        price : float
+        """
+        going = self.least_worth > (price or -1.0)
+        rows = torch.arange(len(going))
+        return self.chances[rows, going.sum(dim=1)], self.arriving * going
 
 
 def best_temperature(chances: Tensor, labels: Tensor, shares: Tensor) -> float:
