@@ -334,8 +334,17 @@ class ClickLooks(NamedTuple):
             used[running] += look.dwells
             chances[running] = state.chances
             if log is not None:
-                numbers = look.worth, chance, light
-                log.append(ClickStep(running, look.masks, state.scene, state.chances, *numbers))
+                log.append(
+                    ClickStep(
+                        rows=running,
+                        masks=look.masks,
+                        scenes=state.scene,
+                        chances=state.chances,
+                        worth=look.worth,
+                        clicks=chance,
+                        arriving=light,
+                    )
+                )
         return ClickRun(chances, clicks, arriving, used)
 
 
