@@ -70,6 +70,9 @@ where information less price times clicks is largest, the first looks nearly alw
 COMPARED_SCENES = 256
 """Scenes drawn of the posterior by which looks are compared."""
 
+LEAST_PRICE = 1e-3
+"""Nats for a click below which a look tells nothing: exposures end there whatever they may cost."""
+
 PRICING_SCENES = 512
 """Training scenes by which the price is found: their mean clicks are known to some 3 %."""
 
@@ -477,7 +480,9 @@ class ClickTraining(AdaptiveTraining):
             )
             report(done / len(parts))
         whole = PricedLooks(*(torch.cat(some) for some in zip(*runs, strict=True)))
-        price = 0.0 if job.training.counts is None else whole.price(job.training.counts)
+        price = LEAST_PRICE
+        if job.training.counts is not None:
+            price = max(price, whole.price(job.training.counts))
         chances, arriving = whole.ends(price)
         temperature = best_temperature(chances, self.prior.labels[places], self.prior.class_shares)
         logs = np.full((self.settings.looks, 2), log_of(temperature))
