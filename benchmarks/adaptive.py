@@ -3,7 +3,8 @@
     python benchmarks/adaptive.py --data mnist --photons 1e4 --looks 32     # a quarter of an hour
     python benchmarks/adaptive.py --data mnist --photons 1e3 --looks 16 --camera dmd-2x2
     python benchmarks/adaptive.py --data mnist --photons 1e4 --looks 64 --cap 2 --draws 3
-    python benchmarks/adaptive.py --data mnist --latency                    # ms of one decision
+    python benchmarks/adaptive.py --data mnist --photons 1e4 --looks 96 --dictionary 2000
+    python benchmarks/adaptive.py --data mnist --latency                    # time of one decision
 
 Noise draws of each test image; ± is half of the 95 % interval over images. With `--cap` the budget
 is the mean of exposures that end when a class is sure: `light` is what test images take of it. With
@@ -11,7 +12,8 @@ is the mean of exposures that end when a class is sure: `light` is what test ima
 images. With `--validation` training images that are drawn by `--seed` are left out and read in
 place of the tests: settings are to be chosen there. `--scenes` keeps the first images of the prior
 alone, `--page` those that the page of the design knows; with `--clusters` the centres of as many
-clusters of each class stand for them.
+clusters of each class stand for them. `--dictionary` chooses among so many masks that stay on the
+device. `--latency` is the median from the counts of a look to the next mask.
 """
 
 import argparse
@@ -40,6 +42,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the validation images")
     parser.add_argument("--scenes", type=int, help="images of the prior, the first ones")
     parser.add_argument("--clusters", type=int, help="of each class, in place of all scenes")
+    parser.add_argument("--dictionary", type=int, help="masks that stay on the device")
     parser.add_argument("--page", action="store_true", help="the images that a page knows")
     parser.add_argument("--latency", action="store_true", help="time of one decision, alone")
     given = parser.parse_args(words)
@@ -64,7 +67,7 @@ def main(words: Sequence[str] | None = None) -> None:
                 photons=photons,
                 camera=given.camera,
                 exposure={"cap": 1 if given.until else given.cap},
-                training={"clusters": given.clusters},
+                training={"clusters": given.clusters, "dictionary": given.dictionary},
             )
             if given.until:
                 changes = {"cap": given.cap, "until": given.until}
@@ -73,7 +76,7 @@ def main(words: Sequence[str] | None = None) -> None:
             if given.page:
                 design = of_page(design)
             if given.latency:
-                print(f"one decision: {decision_time(design, photons) * 1e3:.2f} ms", flush=True)
+                print(f"one decision: {decision_time(design, photons) * 1e3:.3f} ms", flush=True)
                 continue
             began = time.process_time()
             [found] = deepfsi.evaluate(design, data, photons, draws=given.draws)

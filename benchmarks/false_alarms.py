@@ -17,10 +17,10 @@ import typer
 from scipy.stats import binomtest
 
 import deepfsi
+from deepfsi.adaptive import AdaptivePosterior, look_at, squared_distance
 from deepfsi.camera import DEVICES, DetectorMap
 from deepfsi.designfile import REFUSED, UNSURE, ReadoutDistribution
 from deepfsi.evaluation import find_distribution
-from deepfsi.exposure import AdaptivePosterior, look_at, squared_distance
 from deepfsi.hardware.light import (
     FALSE_ALARMS,
     PARTS_OF_FRAME,

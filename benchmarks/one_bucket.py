@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 import deepfsi
+from deepfsi.adaptive import AdaptivePosterior, look_at
 from deepfsi.evaluation import information_rate
-from deepfsi.exposure import AdaptivePosterior, look_at
 
 STARTS = 300
 """Random starts of the search."""

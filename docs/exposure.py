@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 import deepfsi
+from deepfsi.adaptive import AdaptivePosterior, look_at
 from deepfsi.base import write_atomically
-from deepfsi.exposure import AdaptivePosterior, look_at
 
 PHOTONS, LOOKS = 1e4, 16
 """Budget of a whole exposure, and its looks."""

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 import deepfsi
+from deepfsi.adaptive import AdaptiveExposure
 from deepfsi.base import InputError
 from deepfsi.evaluation import evaluate, stop
-from deepfsi.exposure import AdaptiveExposure
 from deepfsi.exposure.kind import Stops
 from deepfsi.jobs import AdaptiveMasks, LooksEntry
 from deepfsi.lab import design_rails

@@ -21,7 +21,7 @@ from golden.facts import (
 
 CASES = Cases()
 
-ADDED = {"fluctuation", "cap", "mean-light", "losses", "efficiency", "decision"}
+ADDED = {"fluctuation", "cap", "mean-light", "losses", "efficiency", "decision", "dictionary"}
 """Settings that came after the reference, and are left out of what is listed."""
 
 

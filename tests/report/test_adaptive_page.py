@@ -11,12 +11,12 @@ from selenium.webdriver.common.by import By
 
 from conftest import exposing, generator, synthetic
 from deepfsi import Camera, evaluate, learn
+from deepfsi.adaptive import AdaptivePosterior, choice, prior_of
+from deepfsi.adaptive.posterior import LookOptics
 from deepfsi.evaluation import of_page, playable, with_rule
 from deepfsi.evaluation import page_data as payload
 from deepfsi.evaluation.page_data import few_tests
 from deepfsi.evaluation.stopping import StoppingRule
-from deepfsi.exposure import AdaptivePosterior, choice, prior_of
-from deepfsi.exposure.posterior import LookOptics
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.report.playground import write_page
 from shared.playground import ask, open_playground

@@ -9,8 +9,8 @@ from scipy.special import softmax
 
 from conftest import exposing, generator
 from deepfsi import evaluate, learn
+from deepfsi.adaptive import AdaptivePosterior, next_masks
 from deepfsi.evaluation import logits_at_stops
-from deepfsi.exposure import AdaptivePosterior, next_masks
 from deepfsi.networks import stop_temperatures
 from deepfsi.training import characterisation
 

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from deepfsi.adaptive import AdaptiveExposure, LookedAt
 from deepfsi.base import (
     DESIGN_ENDINGS,
     InputError,
@@ -35,15 +36,7 @@ from deepfsi.designfile import (
     trained_budgets,
     trained_camera,
 )
-from deepfsi.exposure import (
-    EXPOSED_AT_ONCE,
-    AdaptiveExposure,
-    Answer,
-    ExposureKind,
-    LookedAt,
-    MaskExposure,
-    Observation,
-)
+from deepfsi.exposure import EXPOSED_AT_ONCE, Answer, ExposureKind, MaskExposure, Observation
 from deepfsi.networks import Given, OwnClassifier, Values, check_classes, rebuilt, temperatures_at
 from deepfsi.physics import (
     Detection,

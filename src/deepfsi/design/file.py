@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from deepfsi.adaptive import adaptive_kind
 from deepfsi.base import InputError
 from deepfsi.camera import DetectorMap
 from deepfsi.designfile import (
@@ -18,7 +19,7 @@ from deepfsi.designfile import (
     MaskHeader,
     damaged_design,
 )
-from deepfsi.exposure import MASK_KINDS, Clicks, TrainedMasks, adaptive_kind
+from deepfsi.exposure import MASK_KINDS, Clicks, TrainedMasks
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.networks import CLASSIFIER_TYPES, Classifier, OwnClassifier, Values, restore_network
 from deepfsi.physics import Detection, Rails, light_law

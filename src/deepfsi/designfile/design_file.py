@@ -451,6 +451,13 @@ def _check_prior(header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]) -> No
     for name, (shape, kind) in shapes.items():
         if arrays[name].shape != shape or arrays[name].dtype != kind:
             raise ValueError(f"{name} is not of this design")
+    if (header.settings.dictionary is None) != ("dictionary" not in arrays):
+        raise ValueError("the header and the arrays do not agree on a dictionary")
+    if header.settings.dictionary is not None:
+        bits = arrays["dictionary"]
+        fits = bits.ndim == 2 and bits.shape[1] == -(-pixels // 8) and bits.dtype == np.uint8
+        if not (fits and 1 <= len(bits) <= header.settings.dictionary):
+            raise ValueError("dictionary is not of this design")
     if len(arrays.get("temperature_logs", arrays["shares"])) != looks:
         raise ValueError("temperatures are of other looks")
     if not isinstance(header.info.get("job", {}).get("camera"), dict):

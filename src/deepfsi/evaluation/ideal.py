@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepfsi.adaptive import class_chances
 from deepfsi.base import Progress, plain_keywords, progress_bar
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import check_budget, summed_reflectance
@@ -26,7 +27,7 @@ from deepfsi.evaluation.accuracy import (
     check_draws,
     expose_scenes,
 )
-from deepfsi.exposure import CountedLight, class_chances
+from deepfsi.exposure import CountedLight
 from deepfsi.measures import ClassAnswers, Result, ResultList
 from deepfsi.networks import check_classes
 from deepfsi.physics import Scanner, library_defaults

@@ -138,6 +138,7 @@ def check_playable(design: Design) -> None:
             "steady light: give a design of fluctuation 0"
         )
     if design.exposure.makes_masks:
+        design.exposure.check("page")
         design.prior_exposure.optics_at(1.0)
     else:
         _classifier(design)

@@ -2,8 +2,6 @@
 
 from collections.abc import Callable
 
-from deepfsi.exposure.adaptive import AdaptiveExposure
-from deepfsi.exposure.clicking import ClickingExposure
 from deepfsi.exposure.conditioned import ConditionedExposure, ConditionedTraining
 from deepfsi.exposure.fixed import FixedExposure, fixed_training
 from deepfsi.exposure.kind import MaskExposure
@@ -11,7 +9,7 @@ from deepfsi.exposure.looks import LooksExposure, LooksTraining
 from deepfsi.exposure.passing import PassingExposure, PassingTraining
 from deepfsi.exposure.patches import PatchExposure, PatchTraining
 from deepfsi.exposure.training import ExposureTraining, JobGroup
-from deepfsi.jobs import AdaptiveMasks, Exposure, Fixed, Looks, Nested, Passing, Patches, Range
+from deepfsi.jobs import Exposure, Fixed, Looks, Nested, Passing, Patches, Range
 
 TRAININGS: dict[type[Exposure], Callable[[JobGroup], ExposureTraining]] = {
     Fixed: fixed_training,
@@ -34,11 +32,6 @@ MASK_KINDS: dict[str, type[MaskExposure]] = {
     )
 }
 """Exposure of the masks of a design file, by the kind of their entry."""
-
-
-def adaptive_kind(settings: AdaptiveMasks) -> type[AdaptiveExposure]:
-    """Exposure with adaptive masks of such settings: of a detector that counts, or that clicks."""
-    return AdaptiveExposure if settings.price is None else ClickingExposure
 
 
 def build_training(group: JobGroup) -> ExposureTraining:

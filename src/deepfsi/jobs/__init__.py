@@ -11,6 +11,7 @@ from deepfsi.jobs.designs import (
     mask_count,
 )
 from deepfsi.jobs.exposures import (
+    DICTIONARY_SPREAD,
     EXPOSURE_FIELDS,
     EXPOSURE_KINDS,
     LARGEST_SCORE,
@@ -66,6 +67,7 @@ __all__ = [
     "ADAPTIVE",
     "CUSTOM_CLASSIFIER",
     "DESIGNS",
+    "DICTIONARY_SPREAD",
     "EVERY_PIXEL",
     "EXPOSURE_FIELDS",
     "EXPOSURE_KINDS",

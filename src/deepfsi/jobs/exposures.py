@@ -19,7 +19,7 @@ does with its masks is in `exposure`.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import ceil
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -28,13 +28,14 @@ from pydantic import (
     SerializeAsAny,
     SerializerFunctionWrapHandler,
     model_serializer,
+    model_validator,
 )
 
 from deepfsi.base import InputError, Message, as_input_error, closest_choice
 from deepfsi.base.models import Amount, Count, Positive, StrictModel, UserModel, WholeNumber
 from deepfsi.camera import LIGHT_LAWS, Camera, find_noise
 from deepfsi.datasets import Dataset
-from deepfsi.jobs.training import Widths
+from deepfsi.jobs.training import MOST_READY, Widths
 
 if TYPE_CHECKING:
     from deepfsi.jobs.job import Job
@@ -728,6 +729,13 @@ class SharedLight(Exposure):
             )
 
 
+DICTIONARY_SPREAD = 0.5
+"""Spread of a prior whose masks are of a dictionary, better than 0.7 on training images of MNIST.
+
+What a look tells of how far the scene is from those of the prior is not kept for the next.
+"""
+
+
 class AdaptiveMasks(UserModel):
     """Exposure with adaptive masks: how a design that makes each next mask looks at a scene.
 
@@ -790,12 +798,29 @@ class AdaptiveMasks(UserModel):
         "that a click has to tell, nats; none of detectors that count",
     )
 
+    dictionary: int | None = Field(
+        default=None,
+        ge=1,
+        le=MOST_READY,
+        strict=True,
+        description="masks that stay on the device, of which each look shows one, at most; masks "
+        "are made anew unless given",
+    )
+
+    @model_validator(mode="after")
+    def _one_length(self) -> Self:
+        if self.dictionary is not None and self.growth != 1:
+            raise ValueError("masks of a dictionary are shown in looks of one length: leave growth")
+        return self
+
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """All fields; `cap` and `price` only where they say something, as files have them."""
+        """All fields; the latest only where they say something, as files have them."""
         content: dict[str, Any] = handler(self)
         if self.cap == 1:
             del content["cap"]
+        if self.dictionary is None:
+            del content["dictionary"]
         if self.price is None:
             del content["price"]
         return content
@@ -827,6 +852,22 @@ class AdaptiveMasks(UserModel):
                 "leave {gates} and {detectors} out, and give {light:free-dwell}",
                 setting=("gates", "detectors", "light"),
             )
+
+
+def check_dictionary_camera(camera: Camera) -> None:
+    """Raise `InputError` where a camera has no single readout that counts, for a dictionary."""
+    if camera.clicks is not None:
+        raise InputError(
+            "masks of a dictionary are for photon counts: leave {dictionary} out, or give "
+            "{noise:poisson}",
+            setting=("dictionary", "noise"),
+        )
+    if LIGHT_LAWS[camera.light].arms > 1 or not camera.one_detector:
+        raise InputError(
+            "masks of a dictionary are chosen for one detector and one arm: leave {dictionary} or "
+            "{detectors} out, and give {light:free-dwell}",
+            setting=("dictionary", "detectors", "light"),
+        )
 
 
 EXPOSURE_KINDS: dict[str, type[Exposure]] = {

@@ -37,6 +37,7 @@ from deepfsi.jobs.exposures import (
     Fixed,
     Nested,
     SharedLight,
+    check_dictionary_camera,
     find_exposure,
 )
 from deepfsi.jobs.tiles import check_count, count_allowed
@@ -262,6 +263,8 @@ class Job(UserModel):
             camera.mask_levels(scene.image_shape)
             if self.code.adaptive:
                 AdaptiveMasks.check_camera(camera)
+                if self.training.dictionary:
+                    check_dictionary_camera(camera)
             if matrix is None:
                 check_count(self.design, self.masks, scene, camera.detector_map(scene.image_shape))
             else:
@@ -544,6 +547,11 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
         raise InputError(
             "{clusters} are of adaptive masks: leave it out, or give {design:adaptive}",
             setting=("clusters", "design"),
+        )
+    if job.training.dictionary and not job.code.adaptive:
+        raise InputError(
+            "{dictionary} is of adaptive masks: leave it out, or give {design:adaptive}",
+            setting=("dictionary", "design"),
         )
     if "start" in _training_of(settings) and not job.code.learns_masks:
         raise InputError(

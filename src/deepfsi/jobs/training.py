@@ -15,7 +15,9 @@ from pydantic import (
     BeforeValidator,
     Field,
     PlainSerializer,
+    SerializerFunctionWrapHandler,
     WithJsonSchema,
+    model_serializer,
     model_validator,
 )
 
@@ -23,6 +25,9 @@ from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, import_path
 from deepfsi.base.models import Count, Positive, UserModel
 from deepfsi.camera import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
+
+MOST_READY = 2**16
+"""Masks of a dictionary, at most: tables of them are held for each scene."""
 
 MLP = "mlp"
 """Name of the paper's classifier in settings, which is the usual one."""
@@ -246,6 +251,13 @@ class Training(UserModel):
         description="of adaptive masks: the prior is the centres of so many clusters of each "
         "class; all training scenes unless given",
     )
+    dictionary: int | None = Field(
+        default=None,
+        ge=1,
+        le=MOST_READY,
+        description="of adaptive masks: each look shows one of so many masks, which stay on the "
+        "device; masks are made anew unless given",
+    )
     precision: Precision = Field(
         default="auto",
         description="number type of the products of learned masks and of wide networks: float32, "
@@ -262,6 +274,14 @@ class Training(UserModel):
         "gaussian, camera or none; unless given ml_gauss stands for photon noise, and several "
         "looks get exact counts",
     )
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """All fields; `dictionary` only where it is given, as files and keys have them."""
+        content: dict[str, Any] = handler(self)
+        if self.dictionary is None:
+            content.pop("dictionary", None)
+        return content
 
     @model_validator(mode="before")
     @classmethod

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from deepfsi.adaptive import candidate_masks, next_masks, squared_distance
 from deepfsi.base import InputError, as_input_error, hash_file, read_regular
 from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.camera import StopRule
 from deepfsi.design import Design
 from deepfsi.designfile import UNSURE
-from deepfsi.exposure import AdaptivePosterior, candidate_masks, next_masks, squared_distance
 from deepfsi.hardware.light import Arrivals
 from deepfsi.hardware.live import (
     AllOnCounts,
@@ -112,7 +112,7 @@ class _AdaptiveLiveExposure:
         optics = exposure.optics_at(state.photons)
         self._looks = looks
         self._state = state
-        self._posterior = AdaptivePosterior(exposure.prior, 1, replace(optics, dark=dark.float()))
+        self._posterior = exposure.posterior(1, replace(optics, dark=dark.float()))
         self._generator = torch.Generator().manual_seed(scene)
         self._usual = exposure.usual_misfit
         self._misfit = 0.0
@@ -170,7 +170,7 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
     camera = exposure.camera
     share = exposure.settings.shares[0]
     optics = exposure.optics_at(float(design.info["job"]["photons"]))
-    state = AdaptivePosterior(exposure.prior, 1, optics)
+    state = exposure.posterior(1, optics)
     mask = next_masks(state, share, torch.Generator().manual_seed(0))
     rails = torch.stack([mask, 1 - mask]) if optics.arms == 2 else mask[None]
     detectors = camera.detector_map(design.image_shape)

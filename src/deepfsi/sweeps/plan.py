@@ -360,7 +360,11 @@ def check_used(recipe: Recipe, options: Iterable[str]) -> None:
     adaptive = all(code.adaptive for code in codes)
     grey = any(str(levels) != "2" for levels in recipe.camera.get("levels", ()))
     reasons = [
-        (adaptive, Training.model_fields.keys() - {"clusters"}, "adaptive masks learn by no steps"),
+        (
+            adaptive,
+            Training.model_fields.keys() - {"clusters", "dictionary"},
+            "adaptive masks learn by no steps",
+        ),
         (adaptive and grey, {"levels"}, "adaptive masks are ON and OFF, of 2 levels"),
         (
             not any(code.learns_masks for code in codes),

@@ -14,6 +14,15 @@ import torch
 from pydantic import BaseModel
 from torch import Tensor
 
+from deepfsi.adaptive import (
+    MISFIT_BUDGETS,
+    MISFIT_SCENES,
+    AdaptiveExposure,
+    AdaptiveTraining,
+    MaskDictionary,
+    ScenePrior,
+    prior_of,
+)
 from deepfsi.datasets import Dataset
 from deepfsi.design import Design
 from deepfsi.designfile import (
@@ -35,16 +44,7 @@ from deepfsi.evaluation import (
     sample_scenes,
     share_light,
 )
-from deepfsi.exposure import (
-    CHUNK,
-    MISFIT_BUDGETS,
-    MISFIT_SCENES,
-    AdaptiveExposure,
-    AdaptiveTraining,
-    ScenePrior,
-    TrainingSet,
-    prior_of,
-)
+from deepfsi.exposure import CHUNK, TrainingSet
 from deepfsi.jobs import FEW_SCENES, AdaptiveMasks, Job
 
 FOLDS = 10
@@ -215,7 +215,10 @@ def prior_without(fold: Dataset, settings: AdaptiveMasks) -> ScenePrior:
 
 
 def calibrated_prior(
-    exposure: AdaptiveTraining, folds: Sequence[tuple[Dataset, ScenePrior]], job: Job
+    exposure: AdaptiveTraining,
+    folds: Sequence[tuple[Dataset, ScenePrior]],
+    job: Job,
+    dictionary: MaskDictionary | None = None,
 ) -> tuple[ScenePrior, dict[str, Any]]:
     """The prior with temperatures, by scenes that those of the folds leave out; their test."""
     settings = exposure.settings
@@ -223,7 +226,11 @@ def calibrated_prior(
     share = min(1.0, MISFIT_SCENES / sum(len(fold.x_test) for fold, _ in folds))
     for fold, prior in folds:
         without = AdaptiveExposure(
-            prior, settings, shape=fold.image_shape, counted=torch.zeros(settings.looks)
+            prior,
+            settings,
+            shape=fold.image_shape,
+            counted=torch.zeros(settings.looks),
+            dictionary=dictionary,
         )
         design = Design(job.design, fold.classes, without)
         n = len(fold.x_test)  # in the order of classes: some of each

@@ -17,16 +17,14 @@ import numpy as np
 import torch
 from torch.optim.lr_scheduler import LRScheduler
 
+from deepfsi.adaptive import AdaptiveExposure, AdaptiveTraining, ClickTraining
 from deepfsi.base import SILENT, InputError, Message, Progress, plain_keywords, progress_bar
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import CameraSource, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
 from deepfsi.design import Design
 from deepfsi.exposure import (
-    AdaptiveExposure,
-    AdaptiveTraining,
     Clicks,
-    ClickTraining,
     ExposureTraining,
     JobGroup,
     TrainingSet,
@@ -35,6 +33,7 @@ from deepfsi.exposure import (
     matrix_seeds,
 )
 from deepfsi.jobs import (
+    DICTIONARY_SPREAD,
     AdaptiveMasks,
     ExposureSource,
     Job,
@@ -435,20 +434,26 @@ def _adaptive_designs(
     data = training_set.data
     first = jobs[0]
     settings = AdaptiveMasks(
-        looks=first.masks, clusters=first.training.clusters, cap=first.exposure.most_light
+        looks=first.masks,
+        clusters=first.training.clusters,
+        cap=first.exposure.most_light,
+        dictionary=first.training.dictionary,
     )
     if first.optics.clicks is not None:
         return _click_designs(training_set, jobs, ClickTraining(data, settings), report)
+    if settings.dictionary:
+        settings = settings.model_copy(update={"spread": DICTIONARY_SPREAD})
     exposure = AdaptiveTraining(data, settings)
     designs: list[Design] = []
     folds = [(fold, prior_without(fold, settings)) for fold in folds_of(data)]
     for job, span in zip(jobs, report.split(len(jobs)), strict=True):
-        shares, misfit = exposure.finish(job)
+        dictionary = exposure.dictionary(job)
+        shares, misfit = exposure.finish(job, dictionary)
         prior = exposure.prior
         info = provenance(job, data, torch.device("cpu"), 0.0)
         span(0.5)
         if folds:
-            prior, info["left_out"] = calibrated_prior(exposure, folds, job)
+            prior, info["left_out"] = calibrated_prior(exposure, folds, job, dictionary)
         made = AdaptiveExposure(
             prior,
             settings,
@@ -456,6 +461,7 @@ def _adaptive_designs(
             counted=shares,
             usual_misfit=misfit,
             optics=info["job"]["camera"],
+            dictionary=dictionary,
         )
         if settings.cap > 1:
             made = exposure.share_light(made, job, span.between(0.5, 1.0))

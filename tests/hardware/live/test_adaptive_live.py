@@ -9,9 +9,9 @@ import pytest
 
 from conftest import exposing
 from deepfsi import learn
+from deepfsi.adaptive import candidate_masks, next_masks
 from deepfsi.base import InputError
 from deepfsi.camera import find_device
-from deepfsi.exposure import candidate_masks, next_masks
 from deepfsi.hardware.live import LiveCounts, frame_log, plan_live, run_live
 from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, virtual_setup

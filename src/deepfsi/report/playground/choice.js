@@ -1,4 +1,4 @@
-// Choice of the next mask: deepfsi.exposure.choice in the browser.
+// Choice of the next mask: deepfsi.adaptive.choice in the browser.
 
 import { logDeterminant } from "./numbers.js";
 import { add, dot } from "./posterior.js";

@@ -1,4 +1,4 @@
-// Posterior of the scene, look after look: deepfsi.exposure.posterior in the browser.
+// Posterior of the scene, look after look: deepfsi.adaptive.posterior in the browser.
 
 import { softmax, temperatureAt } from "./numbers.js";
 

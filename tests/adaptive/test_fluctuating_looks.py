@@ -9,8 +9,8 @@ from scipy.stats import nbinom
 
 import deepfsi
 from conftest import generator
+from deepfsi.adaptive import choice, posterior
 from deepfsi.base import InputError
-from deepfsi.exposure import choice, posterior
 
 PIXELS = 12
 SIGMA = 0.2

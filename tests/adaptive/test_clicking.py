@@ -8,9 +8,9 @@ import pytest
 import torch
 
 import deepfsi
+from deepfsi.adaptive import clicking
 from deepfsi.base import InputError
 from deepfsi.design import Design
-from deepfsi.exposure import clicking
 from deepfsi.jobs import AdaptiveMasks
 
 CAMERA = {"light": "free-dwell", "rails": "single", "noise": "click"}

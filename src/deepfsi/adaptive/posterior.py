@@ -359,6 +359,9 @@ class AdaptivePosterior:
         If light fluctuates, and the prior has no spread.
     """
 
+    ready: Tensor | None = None
+    """Masks (P, N) of a dictionary, one of which is shown; None where they are made."""
+
     def __init__(self, prior: ScenePrior, exposures: int, optics: LookOptics) -> None:
         if optics.fluctuation and not prior.spread:
             raise InputError("light that fluctuates needs a prior with a spread: give one above 0")
@@ -392,6 +395,10 @@ class AdaptivePosterior:
     def leave_out(self, places: Tensor) -> None:
         """Take one scene of the prior, at a place of each exposure (b,), for impossible."""
         self.logs[torch.arange(len(self)), places] = -torch.inf
+
+    def dictionary_masks(self, share: float) -> Tensor | None:
+        """Masks (b, N) of a dictionary to be shown next; None where they are to be made."""
+        return None
 
     def expected(self, masks: Tensor, x: Tensor, share: float) -> Tensor:
         """Expected counts (b, Q) of scenes (b, N) behind masks (b, N) for a share of the whole."""

@@ -6,7 +6,7 @@ from scipy.special import softmax
 from scipy.stats import multivariate_normal
 
 from deepfsi import evaluate, learn
-from deepfsi.exposure import AdaptivePosterior, ScenePrior, posterior
+from deepfsi.adaptive import AdaptivePosterior, ScenePrior, posterior
 
 PIXELS, SIZES = 8, (30, 60, 90)
 PHOTONS = 1e3

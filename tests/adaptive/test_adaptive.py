@@ -5,15 +5,16 @@ import pytest
 import torch
 
 from conftest import generator
-from deepfsi.exposure import (
+from deepfsi.adaptive import (
     MISFIT_BUDGETS,
+    AdaptiveExposure,
     AdaptivePosterior,
     ScenePrior,
-    adaptive,
     next_masks,
     posterior,
     squared_distance,
 )
+from deepfsi.adaptive import exposure as adaptive
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.physics import Poisson
 
@@ -42,7 +43,8 @@ def test_a_scene_that_is_left_out_is_further_than_one_that_is_known(prior):
     scenes, optics = torch.from_numpy(SCENES_KNOWN), posterior.LookOptics(1e5)
     ordered, rows = scenes[torch.from_numpy(prior.order)], torch.arange(SCENES)
     settings = AdaptiveMasks(looks=LOOKS)
-    left_out, _ = adaptive.measure(prior, settings, [optics], ordered, rows, generator(3))
+    exposure = AdaptiveExposure(prior, settings, (PIXELS,), torch.zeros(LOOKS))
+    left_out, _ = adaptive.measure(exposure, [optics], ordered, rows, generator(3))
     away, _ = distances(prior, scenes, optics)
     assert left_out[0, 0, -1] > float(away.sum(dim=0).log().mean()) + 1
 

@@ -21,11 +21,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError, Progress
-from deepfsi.camera import Camera, summed_reflectance
-from deepfsi.datasets import Dataset
-from deepfsi.designfile import LOG_BOUNDS, Temperatures
-from deepfsi.exposure.adaptive import (
+from deepfsi.adaptive.choice import LIKELIEST, difference_masks, draw_places, groups_of
+from deepfsi.adaptive.exposure import (
     POSTERIOR_ANSWERS,
     AdaptiveExposure,
     AdaptiveTraining,
@@ -34,9 +31,12 @@ from deepfsi.exposure.adaptive import (
     exposures_at_once,
     prior_of,
 )
-from deepfsi.exposure.choice import LIKELIEST, difference_masks, draw_places, groups_of
-from deepfsi.exposure.kind import CountedLight, Observation, Use
-from deepfsi.exposure.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
+from deepfsi.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
+from deepfsi.base import InputError, Progress
+from deepfsi.camera import Camera, summed_reflectance
+from deepfsi.datasets import Dataset
+from deepfsi.designfile import LOG_BOUNDS, Temperatures
+from deepfsi.exposure import CountedLight, Observation, Use
 from deepfsi.jobs import AdaptiveMasks, Job
 
 BLUR = 0.5
@@ -67,7 +67,7 @@ Chosen on validation images of MNIST on black. With 0 the first looks are dark a
 where information less price times clicks is largest, the first looks nearly always click.
 """
 
-COMPARED_SCENES = 256
+SAMPLED_SCENES = 256
 """Scenes drawn of the posterior by which looks are compared."""
 
 LEAST_PRICE = 1e-3
@@ -146,7 +146,7 @@ class ClickPosterior(AdaptivePosterior):
             Of the scenes by which looks are compared.
         """
         masks = click_candidates(self)  # (b, P, N)
-        places, drawn = draw_places(self.weights, generator, COMPARED_SCENES)
+        places, drawn = draw_places(self.weights, generator, SAMPLED_SCENES)
         mean, parts = self.prior.light(masks)  # (b, P), (b, P, d)
         scenes = self.prior.coefficients[places].transpose(1, 2)  # (b, d, S)
         light = mean[..., None] + parts @ scenes + FLOOR * _on(masks)  # (b, P, S)
@@ -585,3 +585,8 @@ def best_temperature(chances: Tensor, labels: Tensor, shares: Tensor) -> float:
 
     bounds = (LOG_BOUNDS[0], 3.0)
     return float(np.exp(minimize_scalar(loss, bounds=bounds, method="bounded").x))
+
+
+def adaptive_kind(settings: AdaptiveMasks) -> type[AdaptiveExposure]:
+    """Exposure with adaptive masks of such settings: of a detector that counts, or that clicks."""
+    return AdaptiveExposure if settings.price is None else ClickingExposure

@@ -20,13 +20,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deepfsi.adaptive.choice import Look, look_at
+from deepfsi.adaptive.dictionary import DictionaryPosterior, MaskDictionary
+from deepfsi.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
 from deepfsi.base import InputError, Message, Progress, as_input_error
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import Camera
 from deepfsi.datasets import Dataset
 from deepfsi.designfile import AdaptiveHeader
-from deepfsi.exposure.choice import Look, look_at
-from deepfsi.exposure.kind import (
+from deepfsi.exposure import (
     Answer,
     CountedLight,
     ExposureKind,
@@ -35,7 +37,6 @@ from deepfsi.exposure.kind import (
     Stops,
     Use,
 )
-from deepfsi.exposure.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
 from deepfsi.jobs import AdaptiveMasks, Job
 from deepfsi.physics import Detection
 
@@ -54,6 +55,12 @@ MASKS_ARE_MADE = (
     "before: `deepfsi evaluate`, `stop`, `show`, `page`, `dmd export` and `camera live` take it"
 )
 """Why adaptive masks are not for what needs masks."""
+
+PAGES_MAKE_MASKS = (
+    "a page makes its masks, and this design chooses among those of a dictionary: give a design "
+    "without {dictionary}"
+)
+"""Why designs with a dictionary are not for a page."""
 
 POSTERIOR_ANSWERS = Message(
     "adaptive masks are answered by the posterior of the ideal observer, after all looks: leave "
@@ -102,6 +109,12 @@ FEWEST_MISFIT_SCENES = 50
 
 MISFIT_SCENES = 128
 """Training scenes that are exposed at each budget, at most."""
+
+DICTIONARY_SCENES = 512
+"""Training scenes for which the masks of a dictionary are made, at most."""
+
+DICTIONARY_LOOKS = 32
+"""Looks in which they are made, at most."""
 
 SHARING_SCENES = 1024
 """Training scenes by which the threshold of a mean light is found, at most.
@@ -189,8 +202,7 @@ class UsualMisfit:
 
 @torch.no_grad()
 def measure(
-    prior: ScenePrior,
-    settings: AdaptiveMasks,
+    exposure: "AdaptiveExposure",
     optics: Sequence[LookOptics],
     scenes: Tensor,
     places: Tensor | None,
@@ -201,10 +213,11 @@ def measure(
     Mean and standard deviation (2, B, K) of the logarithm of the misfit after each look, which is
     nearly normal; mean counts (B, K) of each look.
     """
+    settings = exposure.settings
     totals = torch.zeros(len(optics), settings.looks, len(scenes), dtype=torch.double)
     counted = torch.zeros(len(optics), settings.looks, dtype=torch.double)
     for row, each in enumerate(optics):
-        state = AdaptivePosterior(prior, len(scenes), each)
+        state = exposure.posterior(len(scenes), each)
         if places is not None:
             state.leave_out(places)
         for look, share in enumerate(settings.shares):
@@ -284,6 +297,8 @@ class AdaptiveExposure(ExposureKind):
         How far counts of training scenes are from those expected; None of few training scenes.
     optics : mapping or None
         Fields of the camera that it was made for.
+    dictionary : MaskDictionary or None
+        Masks of which each look shows one; None where masks are made.
     """
 
     prior: ScenePrior
@@ -292,6 +307,7 @@ class AdaptiveExposure(ExposureKind):
     counted: Tensor
     usual_misfit: UsualMisfit | None = None
     optics: Mapping[str, Any] | None = None
+    dictionary: MaskDictionary | None = None
 
     makes_masks: ClassVar[bool] = True
     comparable: ClassVar[bool] = False
@@ -316,7 +332,14 @@ class AdaptiveExposure(ExposureKind):
             counted=torch.from_numpy(arrays["shares"]),
             usual_misfit=UsualMisfit.restored(arrays, header.settings.looks),
             optics=header.info.get("job", {}).get("camera"),
+            dictionary=MaskDictionary.restored(arrays),
         )
+
+    def check(self, use: Use, name: str | None = None) -> None:
+        """Raise `InputError` where a design, of such a name, cannot be used for something."""
+        super().check(use, name)
+        if use == "page" and self.dictionary is not None:
+            raise InputError(PAGES_MAKE_MASKS, setting="dictionary")
 
     def entry(self) -> AdaptiveMasks:
         """Settings of the looks."""
@@ -326,6 +349,8 @@ class AdaptiveExposure(ExposureKind):
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays of a design file: prior, shares and misfit."""
         arrays = self.prior.arrays | {"shares": self.counted.numpy()}
+        if self.dictionary is not None:
+            arrays |= self.dictionary.arrays
         return arrays if self.usual_misfit is None else arrays | self.usual_misfit.arrays
 
     @property
@@ -365,7 +390,8 @@ class AdaptiveExposure(ExposureKind):
     def title(self) -> str:
         """Number of looks, the most light, and the number of scenes that are known."""
         most = f" of at most {self.settings.cap:g} budgets" if self.settings.cap > 1 else ""
-        return f"{self.count} looks{most}, {len(self.prior)} scenes known"
+        choice = "" if self.dictionary is None else f" of {len(self.dictionary)} masks"
+        return f"{self.count} looks{most}{choice}, {len(self.prior)} scenes known"
 
     @property
     def exposed_at_once(self) -> int:  # type: ignore[override]
@@ -382,6 +408,13 @@ class AdaptiveExposure(ExposureKind):
         """
         return LookOptics.of(self.camera if camera is None else camera, self.shape, photons)
 
+    def posterior(self, exposures: int, optics: LookOptics) -> AdaptivePosterior:
+        """Posterior of so many exposures before all looks, which also chooses their masks."""
+        if self.dictionary is None:
+            return AdaptivePosterior(self.prior, exposures, optics)
+        share = self.settings.shares[0]
+        return DictionaryPosterior(self.dictionary, self.prior, exposures, optics, share=share)
+
     def front_end(self, camera: Camera | None) -> Camera:
         """The camera itself: its optics, and its dark counts."""
         return self.camera if camera is None else camera
@@ -394,7 +427,7 @@ class AdaptiveExposure(ExposureKind):
         self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
     ) -> Iterator[PosteriorObservation]:
         """Exposures after each of all looks, of at most `exposed_at_once` scenes."""
-        state = AdaptivePosterior(self.prior, len(rates), self.optics_at(photons, front))
+        state = self.posterior(len(rates), self.optics_at(photons, front))
         counts = 0.0
         for look in _looks(state, rates, self.settings.shares, generator):
             counts += float(look.light.double().sum())
@@ -409,7 +442,7 @@ class AdaptiveExposure(ExposureKind):
         counted = 0.0
         used = 0.0
         for some in rates.split(self.exposed_at_once):
-            state = AdaptivePosterior(self.prior, len(some), optics)
+            state = self.posterior(len(some), optics)
             chances, counts, shares = self._run(state, some, generator)
             parts.append(chances)
             counted += float(counts.sum())
@@ -486,7 +519,7 @@ class AdaptiveExposure(ExposureKind):
 
     def look_by_look(self, scene: Tensor, photons: float, generator: torch.Generator) -> LookedAt:
         """One exposure of a scene (N,), look by look."""
-        state = AdaptivePosterior(self.prior, 1, self.optics_at(photons))
+        state = self.posterior(1, self.optics_at(photons))
         masks = []
         scenes = []
         chances = []
@@ -535,7 +568,7 @@ class AdaptiveTraining:
         light = torch.empty(len(scenes), self.settings.looks)
         parts = torch.arange(len(scenes)).split(made.exposed_at_once)
         for done, rows in enumerate(parts, start=1):
-            state = AdaptivePosterior(made.prior, len(rows), optics)
+            state = made.posterior(len(rows), optics)
             if self.settings.clusters is None:
                 state.leave_out(places[rows])
             looks = _looks(state, scenes[rows], self.settings.shares, generator)
@@ -549,19 +582,52 @@ class AdaptiveTraining:
         counted = (light * going).mean(dim=0) / job.photons
         return replace(made.stopping_at(threshold), counted=counted)
 
-    def finish(self, job: Job) -> tuple[Tensor, UsualMisfit | None]:
-        """Share of the budget (K,) that each look counts of training scenes, and their misfit."""
-        prior = self.prior
+    @torch.no_grad()
+    def dictionary(self, job: Job) -> MaskDictionary | None:
+        """Masks that were made for training scenes, each left out of the prior; None if not asked.
+
+        Parameters
+        ----------
+        job : Job
+        """
+        count = self.settings.dictionary
+        if count is None:
+            return None
+        generator = torch.Generator().manual_seed(job.seed ^ 2**30)
+        places, scenes = self._some(DICTIONARY_SCENES, generator)
+        optics = LookOptics.of(job.optics, self.data.image_shape, job.photons)
+        made = AdaptiveMasks(looks=min(self.settings.looks, DICTIONARY_LOOKS))
+        masks: list[Tensor] = []
+        for rows in torch.arange(len(scenes)).split(MOST_EXPOSURES):
+            state = AdaptivePosterior(self.prior, len(rows), optics)
+            if self.settings.clusters is None:
+                state.leave_out(places[rows])
+            looks = _looks(state, scenes[rows], made.shares, generator)
+            masks += [look.masks.bool() for look in looks]
+        return MaskDictionary.drawn(torch.cat(masks), count, generator)
+
+    def finish(
+        self, job: Job, dictionary: MaskDictionary | None = None
+    ) -> tuple[Tensor, UsualMisfit | None]:
+        """Share of the budget (K,) that each look counts of training scenes, and their misfit.
+
+        Parameters
+        ----------
+        job : Job
+        dictionary : MaskDictionary, optional
+            Masks of which each look shows one.
+        """
         settings = self.settings
         shape = self.data.image_shape
+        exposure = AdaptiveExposure(
+            self.prior, settings, shape, torch.zeros(settings.looks), dictionary=dictionary
+        )
         generator = torch.Generator().manual_seed(job.seed)
         places, scenes = self._some(MISFIT_SCENES, generator)
         budgets = np.array(MISFIT_BUDGETS) * job.photons
         optics = [LookOptics.of(job.optics, shape, each) for each in budgets.tolist()]
         left_out = places if settings.clusters is None else None
-        logarithms, counts = measure(
-            prior, settings, optics, scenes, places=left_out, generator=generator
-        )
+        logarithms, counts = measure(exposure, optics, scenes, left_out, generator=generator)
         shares = (counts[MISFIT_BUDGETS.index(1.0)] / job.photons).float()
         few = len(scenes) < FEWEST_MISFIT_SCENES
         return shares, None if few else UsualMisfit(budgets, logarithms)

@@ -7,9 +7,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, poisson
 
 from deepfsi import Design, Result, evaluate
-from deepfsi.base import InputError
-from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.exposure import (
+from deepfsi.adaptive import (
     AdaptiveExposure,
     AdaptivePosterior,
     ScenePrior,
@@ -17,6 +15,8 @@ from deepfsi.exposure import (
     posterior,
     prior_of,
 )
+from deepfsi.base import InputError
+from deepfsi.datasets import Dataset, from_arrays
 from deepfsi.jobs import AdaptiveMasks
 
 PIXELS, SCENES, CLASSES = 8, 40, 3

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.exposure.posterior import AdaptivePosterior
+from deepfsi.adaptive.posterior import AdaptivePosterior
 from deepfsi.physics import Fluctuation, Poisson
 
 LIKELIEST = 4
@@ -41,6 +41,9 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
     generator : torch.Generator
         Of the scenes by which masks are compared.
     """
+    chosen = state.dictionary_masks(share)
+    if chosen is not None:
+        return chosen
     masks = candidate_masks(state)
     prior = state.prior
     places, drawn = draw_places(state.weights, generator)
@@ -67,7 +70,9 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
 
 
 def candidate_masks(state: AdaptivePosterior) -> Tensor:
-    """Masks (b, P, N) that separate the likeliest classes in two groups."""
+    """Masks (b, P, N) that separate the likeliest classes in two groups, or a dictionary's."""
+    if state.ready is not None:
+        return state.ready.expand(len(state), -1, -1)
     chances = state.class_weights
     sums = state.class_sums
     count = min(LIKELIEST, chances.shape[1])

@@ -1,0 +1,47 @@
+"""Masks that are made while the camera looks, of the counts so far: prior, choice and exposure."""
+
+from deepfsi.adaptive.choice import (
+    candidate_masks,
+    look_at,
+    next_masks,
+)
+from deepfsi.adaptive.clicking import (
+    ClickTraining,
+    adaptive_kind,
+)
+from deepfsi.adaptive.dictionary import (
+    MaskDictionary,
+)
+from deepfsi.adaptive.exposure import (
+    MISFIT_BUDGETS,
+    MISFIT_SCENES,
+    AdaptiveExposure,
+    AdaptiveTraining,
+    LookedAt,
+    prior_of,
+    squared_distance,
+)
+from deepfsi.adaptive.posterior import (
+    AdaptivePosterior,
+    ScenePrior,
+    class_chances,
+)
+
+__all__ = [
+    "MISFIT_BUDGETS",
+    "MISFIT_SCENES",
+    "AdaptiveExposure",
+    "AdaptivePosterior",
+    "AdaptiveTraining",
+    "ClickTraining",
+    "LookedAt",
+    "MaskDictionary",
+    "ScenePrior",
+    "adaptive_kind",
+    "candidate_masks",
+    "class_chances",
+    "look_at",
+    "next_masks",
+    "prior_of",
+    "squared_distance",
+]

@@ -1,0 +1,354 @@
+"""Adaptive masks of a dictionary that stays on the device: only an index is chosen, by tables.
+
+The masks are known before, so that the expected counts of all scenes behind all masks are, too.
+Counts n of a look change the log-probability of scene k by n · U[p, k] − V[p, k], with two tables
+of the dictionary. What scenes near those of the prior add, a normal e, is not learned from look to
+look as by `AdaptivePosterior`: the counts of each look are of a negative binomial law of its own.
+So no look is loaded into the device, and none asks for products with the scenes.
+
+Masks are compared as those that are made anew (`choice`): by what their counts tell of the class,
+on the scale of 2 √counts, for scenes drawn of the posterior. In each decision one part of the
+dictionary is compared, the next part in the next. Nothing is drawn by lot: the same counts give the
+same masks.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from deepfsi.adaptive.posterior import (
+    LARGEST_SIZE,
+    LEAST_LIGHT,
+    AdaptivePosterior,
+    LookOptics,
+    ScenePrior,
+)
+from deepfsi.base import InputError
+from deepfsi.base.numeric import check_memory, free_memory
+
+COMPARED_SCENES = (16, 32)
+"""Scenes drawn of the posterior by which masks are compared: of a small prior, and of a large one.
+
+All where there are no more.
+"""
+
+SCENES_A_DRAW = 1800
+"""Scenes of the prior for each that is drawn, between these numbers."""
+
+COMPARED_MASKS = 500
+"""Masks that a decision compares, about, or more where the prior has many scenes."""
+
+SCENES_A_MASK = 30
+"""Scenes of the prior for each mask that is compared then: their probabilities take longer."""
+
+SUMMED = 16
+"""Scenes whose probabilities are added before one is drawn among them."""
+
+RUNNING = np.triu(np.ones((SUMMED, SUMMED), np.float32))
+"""Sums of the first scenes of a block of them."""
+
+STEP = (math.sqrt(5) - 1) / 2
+"""Part of a step by which the points of the drawn scenes move from look to look."""
+
+TABLED = 64
+"""Masks of which tables are computed at a time."""
+
+SAME_SHARE = 1e-3
+"""Relative difference of the lengths of looks within which tables serve for both."""
+
+
+@dataclass(frozen=True, eq=False)
+class MaskTables:
+    """Tables of the counts of a look: n scenes behind each of P masks, in parts of masks.
+
+    Attributes
+    ----------
+    share : float
+        Of the exposure, of a look.
+    by_count : array, shape (P, n)
+        U: what a count adds to the log-probability of a scene.
+    constant : array, shape (P, n)
+        V: what is taken off it, whatever is counted.
+    scales : sequence of array, shape (n, p)
+        2 √(expected counts + 3/8) of each part of the dictionary, less its mean.
+    noises : sequence of array, shape (p,)
+        Variance on this scale of counts of one scene, that of scenes near it included.
+    starts : sequence of int
+        Index of the first mask of each part.
+    members : array, shape (n, C + 1)
+        1 for the class of a scene, and for all together.
+    """
+
+    share: float
+    by_count: np.ndarray
+    constant: np.ndarray
+    scales: Sequence[np.ndarray]
+    noises: Sequence[np.ndarray]
+    starts: Sequence[int]
+    members: np.ndarray
+
+    @classmethod
+    def of(cls, masks: Tensor, prior: ScenePrior, optics: LookOptics, share: float) -> "MaskTables":
+        """Tables of masks (P, N) for a share of the exposure.
+
+        Raises
+        ------
+        InputError
+            If they do not fit the memory.
+        """
+        many = len(masks)
+        scenes = len(prior)
+        check_memory(
+            4 * scenes * (3 * many + 6 * TABLED),
+            free_memory(),
+            "the tables of these masks and scenes",
+            "give fewer scenes, or a smaller {dictionary}",
+        )
+        gain = optics.photons / prior.summed_reflectance * share
+        dark = float(torch.as_tensor(optics.dark).sum()) * share
+        least = LEAST_LIGHT * float(prior.mean.sum())
+        often = prior.members / prior.members.sum()
+        mean, parts = prior.light(masks)
+        nearby = parts.square().sum(dim=1) * gain**2 * bool(prior.spread)
+        by_count = np.empty((many, scenes), np.float32)
+        constant = np.empty_like(by_count)
+        sizes = [len(each) for each in np.array_split(np.arange(many), _parts(many, scenes))]
+        scales = [np.empty((scenes, size), np.float32) for size in sizes]
+        noise = np.empty(many, np.float32)
+        ends = np.cumsum(sizes)
+        for rows in torch.arange(many).split(TABLED):
+            light = torch.addmm(mean[rows, None], parts[rows], prior.coefficients.T)
+            counts = light.clamp_(min=least).mul_(gain).add_(dark)
+            usual = counts @ often
+            variance = nearby[rows] + (optics.fluctuation * (usual - dark)) ** 2
+            size = (usual**2 / variance.clamp(min=1e-30)).clamp(max=LARGEST_SIZE)
+            scale = 2 * (counts + 3 / 8).sqrt()
+            scale -= (scale @ often)[:, None]
+            for index, row in zip(rows.tolist(), scale.numpy(), strict=True):
+                part = int(np.searchsorted(ends, index, side="right"))
+                scales[part][:, index - ends[part]] = row
+            noise[rows] = (1 + variance / usual).numpy()
+            ratio = counts.div_(usual[:, None])
+            own = ((ratio - 1) * (usual / (usual + size))[:, None]).log1p_()
+            by_count[rows] = (ratio.log() - own).numpy()
+            constant[rows] = own.mul_(size[:, None]).numpy()
+        members = np.ones((scenes, prior.classes + 1), np.float32)
+        members[:, :-1] = functional.one_hot(prior.labels, prior.classes).numpy()
+        return cls(
+            share,
+            by_count,
+            constant,
+            scales=scales,
+            noises=np.split(noise, ends[:-1]),
+            starts=[0, *ends[:-1].tolist()],
+            members=members,
+        )
+
+
+def _parts(masks: int, scenes: int) -> int:
+    """Parts of a dictionary, of which each decision compares one."""
+    return max(1, round(masks / max(COMPARED_MASKS, scenes / SCENES_A_MASK)))
+
+
+@dataclass(frozen=True, eq=False)
+class MaskDictionary:
+    """Masks among which adaptive masks are chosen.
+
+    Attributes
+    ----------
+    masks : tensor, shape (P, N)
+        Of 0 and 1, none twice.
+    """
+
+    masks: Tensor
+    _tables: dict[str, tuple[ScenePrior, LookOptics, MaskTables]] = field(
+        default_factory=dict, repr=False
+    )
+    _indices: dict[bytes, int] = field(default_factory=dict, repr=False)
+
+    def __len__(self) -> int:
+        """Number of masks, P."""
+        return len(self.masks)
+
+    @classmethod
+    def drawn(cls, masks: Tensor, count: int, generator: torch.Generator) -> "MaskDictionary":
+        """So many of masks (M, N), each once, by lot; all where there are no more."""
+        every = torch.unique(masks.bool(), dim=0)
+        order = torch.randperm(len(every), generator=generator)[:count]
+        return cls(every[order].float())
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, np.ndarray]) -> "MaskDictionary | None":
+        """Dictionary of the arrays of a design file; None where it has none."""
+        if "dictionary" not in arrays:
+            return None
+        bits = np.unpackbits(arrays["dictionary"], axis=1, count=len(arrays["mean"]))
+        return cls(torch.from_numpy(bits).float())
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The masks, 8 pixels a byte, as a design file has them."""
+        return {"dictionary": np.packbits(self.masks.bool().numpy(), axis=1)}
+
+    def tables(self, prior: ScenePrior, optics: LookOptics, share: float) -> MaskTables:
+        """Tables for scenes and a budget; the last ones are kept."""
+        if "last" in self._tables:
+            scenes, same, tables = self._tables["last"]
+            like = scenes is prior and _alike(same, optics)
+            if like and math.isclose(share, tables.share, rel_tol=SAME_SHARE):
+                return tables
+        tables = MaskTables.of(self.masks, prior, optics, share)
+        self._tables["last"] = (prior, optics, tables)
+        return tables
+
+    def indices(self, masks: Tensor) -> list[int]:
+        """Places of masks (b, N) in the dictionary; `KeyError` where it lacks one."""
+        if not self._indices:
+            self._indices.update({row.tobytes(): p for p, row in enumerate(self.masks.numpy())})
+        return [self._indices[row.tobytes()] for row in masks.numpy()]
+
+
+def _alike(one: LookOptics, other: LookOptics) -> bool:
+    """True where tables of one detector's counts are the same."""
+    darks = [float(torch.as_tensor(each.dark).sum()) for each in (one, other)]
+    return (one.photons, one.fluctuation, darks[0]) == (other.photons, other.fluctuation, darks[1])
+
+
+class DictionaryPosterior(AdaptivePosterior):
+    """Posterior of the scene in b exposures with masks of a dictionary, by tables.
+
+    Parameters
+    ----------
+    dictionary : MaskDictionary
+    prior : ScenePrior
+    exposures : int
+        b.
+    optics : LookOptics
+        Of one detector and one arm.
+    share : float
+        Of the exposure, of a look.
+
+    Raises
+    ------
+    InputError
+        If light is counted by several detectors or on two arms.
+    """
+
+    def __init__(
+        self,
+        dictionary: MaskDictionary,
+        prior: ScenePrior,
+        exposures: int,
+        optics: LookOptics,
+        *,
+        share: float,
+    ) -> None:
+        super().__init__(prior, exposures, optics)
+        if optics.arms > 1 or optics.detectors is not None:
+            raise InputError(
+                "masks of a dictionary are chosen for one detector and one arm: give a camera of "
+                "these, or leave {dictionary} out",
+                setting="dictionary",
+            )
+        self.dictionary = dictionary
+        self.ready = dictionary.masks
+        self.tables = dictionary.tables(prior, optics, share)
+        drawn = int(np.clip(len(prior) // SCENES_A_DRAW, *COMPARED_SCENES))
+        self._points = np.arange(drawn, dtype=np.float32) / drawn
+        self._ones = np.ones(drawn, np.float32)
+        self._block = np.ones(SUMMED, np.float32)
+        self._sums = np.zeros((-(-len(prior) // SUMMED), SUMMED), np.float32)
+        self._powers = self._sums.reshape(-1)[: len(prior)]
+        self._change = np.empty(len(prior), np.float32)
+        self._chosen: tuple[Tensor | None, list[int]] = (None, [])
+        """The last masks that were asked for, and their indices."""
+
+    def rows_of(self, rows: Tensor) -> "DictionaryPosterior":
+        """Posterior of some of the exposures, (b,) true."""
+        some = copy(self)
+        some.logs = self.logs[rows]
+        some._known = self._known[rows]
+        some._shift = self._shift[rows]
+        some._weights = some._class_sums = None
+        return some
+
+    def dictionary_masks(self, share: float) -> Tensor:
+        """Masks (b, N) to be shown next."""
+        indices = self.choose()
+        [first, *others] = indices or [0]
+        masks = self.dictionary.masks[indices if others else slice(first, first + len(indices))]
+        self._chosen = (masks, indices)
+        return masks
+
+    def update(self, masks: Tensor, counts: Tensor, share: float) -> None:
+        """Take in counts (b, 1) behind masks (b, N) that were shown for a share of the exposure."""
+        if not math.isclose(share, self.tables.share, rel_tol=SAME_SHARE):
+            self.tables = self.dictionary.tables(self.prior, self.optics, share)
+        shown, indices = self._chosen
+        if shown is not masks:
+            indices = self.dictionary.indices(masks)
+        self.take(indices, counts[:, 0].tolist())
+
+    def take(self, indices: Sequence[int], counts: Sequence[float]) -> None:
+        """Take in counts (b,) of a look behind masks of these indices (b,)."""
+        tables = self.tables
+        change = self._change
+        for logs, index, count in zip(self.logs.numpy(), indices, counts, strict=True):
+            np.multiply(tables.by_count[index], count, out=change)
+            np.subtract(change, tables.constant[index], out=change)
+            np.add(logs, change, out=logs)
+        self._weights = self._class_sums = None
+        self._looks += 1
+
+    def choose(self) -> list[int]:
+        """Indices (b,) of the masks whose counts are expected to tell most of the class."""
+        tables = self.tables
+        part = self._looks % len(tables.scales)
+        first = tables.starts[part]
+        return [first + self._best(logs, part) for logs in self.logs.numpy()]
+
+    def _best(self, logs: np.ndarray, part: int) -> int:
+        """Mask of a part that tells most, of log-probabilities (n,) of scenes."""
+        scale = self.tables.scales[part]
+        noise = self.tables.noises[part]
+        powers = self._powers
+        np.subtract(logs, logs.max(), out=powers)
+        np.exp(powers, out=powers)
+        if len(powers) <= len(self._ones):
+            weights = powers
+            members = self.tables.members * powers[:, None]
+            drawn = scale
+        else:
+            rows = self._draw()
+            weights = self._ones
+            members = self.tables.members.take(rows, axis=0, mode="clip")
+            drawn = scale.take(rows, axis=0, mode="clip")
+        sums = members.T @ drawn  # of each class, and of all together
+        sums *= sums
+        sizes = self._ones[: len(members)] @ members
+        shares = 1 / np.maximum(sizes, 1e-12)
+        between = shares[:-1] @ sums[:-1]
+        within = weights @ (drawn * drawn)
+        within -= between
+        within += noise * sizes[-1]
+        between -= sums[-1] * shares[-1]
+        between /= within
+        return int(between.argmax())
+
+    def _draw(self) -> np.ndarray:
+        """Scenes (S,) at equal steps of the sum of their probabilities, `_powers`."""
+        blocks = self._sums @ self._block
+        ends = blocks.cumsum()
+        shift = (self._looks * STEP) % 1 / len(self._points)
+        points = (self._points + shift) * ends[-1]
+        block = ends.searchsorted(points)
+        ends -= blocks
+        points -= ends.take(block)
+        inside = self._sums.take(block, axis=0) @ RUNNING
+        return block * SUMMED + (inside < points[:, None]).argmin(axis=1)
