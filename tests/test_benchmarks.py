@@ -173,6 +173,7 @@ ADAPTIVE = "--validation 1100 --scenes 200 --looks 3"
         ("live", f"decision {DECISIONS}", ["| "] * 6),
         ("adaptive", ADAPTIVE, ["| 10000 | 3 | 0."]),
         ("adaptive", f"{ADAPTIVE} --latency", ["one decision: "]),
+        ("clicks", "--counts 2 --looks 6 --images 300", ["price ", "| 200 | ", "| 300 | "]),
         ("inference", "--data digits --masks 5 --exposures 20 --rounds 1", ["| 5 | 40 128 |"]),
         ("detectors", "--side 8 --repeats 1", ["2x2 ", "4x4 "]),
         ("calibration_light", "--cells 8 --photons 1e5 --seeds 2", ["| raster |", "| hadamard |"]),
