@@ -207,7 +207,7 @@ def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[s
         )
     yield from full_gates_lines(design, results)
     masks = len(results[0].photons_per_mask)
-    if lit < masks:
+    if lit < masks and not design.exposure.makes_masks:  # which may end before
         yield f"masks: {lit_text(masks, lit)}; give a longer --exposure, or --masks {lit}"
     left_out = design.info.get("left_out")
     if left_out and left_out["guesses"]:
