@@ -215,4 +215,4 @@ def test_the_live_page_replays_bit_for_bit(run):
     assert len(found) == 60
     unsure = [line for line in found if "confidence" not in line]
     assert len(unsure) <= stats.binom.ppf(1 - 1e-4, 60, 0.018)
-    assert "bit for bit: 60 of 60 scenes" in printed["camera classify"]
+    assert "as decided in the run: 60 of 60 scenes, bit for bit: 60" in printed["camera classify"]

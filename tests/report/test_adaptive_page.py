@@ -200,7 +200,7 @@ def test_scenes_are_drawn_as_the_package_draws_them(opened):
         weights=weights.tolist(), start=start,
     )  # fmt: skip
     for each, own in zip(found, weights, strict=True):
-        wanted, _ = choice._sample(torch.from_numpy(own)[None], generator(3))
+        wanted, _ = choice.draw_places(torch.from_numpy(own)[None], generator(3))
         differ = np.array(each) != wanted[0].numpy()
         assert differ.mean() < 0.05  # points that lie between two scenes within rounding
 

@@ -126,7 +126,7 @@ def test_budgets_that_are_a_mean_are_said_to_be_one(tmp_path):
         ]
     )
     taken = [p.further["mean_light"] for p in shared.points if p.further and p.best]
-    words = f"Test scenes took {min(taken):.3f} to {max(taken):.3f} of it."
+    words = f"Test scenes took {min(taken):.3f} to {max(taken):.3f} of the budget."
     assert "at equal mean light (light law" in comparison_page.compared_text(shared)
     assert words in comparison_page.covers_text(shared)
     assert words in " ".join(map(str, comparison_page.comparison_lines(shared)))

@@ -56,9 +56,10 @@ MASKS_ARE_MADE = (
 )
 """Why adaptive masks are not for what needs masks."""
 
-PAGES_MAKE_MASKS = (
+PAGES_MAKE_MASKS = Message(
     "a page makes its masks, and this design chooses among those of a dictionary: give a design "
-    "without {dictionary}"
+    "without {dictionary}",
+    setting="dictionary",
 )
 """Why designs with a dictionary are not for a page."""
 
@@ -339,7 +340,7 @@ class AdaptiveExposure(ExposureKind):
         """Raise `InputError` where a design, of such a name, cannot be used for something."""
         super().check(use, name)
         if use == "page" and self.dictionary is not None:
-            raise InputError(PAGES_MAKE_MASKS, setting="dictionary")
+            raise InputError(PAGES_MAKE_MASKS)
 
     def entry(self) -> AdaptiveMasks:
         """Settings of the looks."""
