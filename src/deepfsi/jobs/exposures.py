@@ -26,13 +26,19 @@ from pydantic import (
     BeforeValidator,
     Field,
     SerializeAsAny,
-    SerializerFunctionWrapHandler,
-    model_serializer,
     model_validator,
 )
 
 from deepfsi.base import InputError, Message, as_input_error, closest_choice
-from deepfsi.base.models import Amount, Count, Positive, StrictModel, UserModel, WholeNumber
+from deepfsi.base.models import (
+    Amount,
+    Count,
+    LaterFields,
+    Positive,
+    StrictModel,
+    UserModel,
+    WholeNumber,
+)
 from deepfsi.camera import LIGHT_LAWS, Camera, find_noise
 from deepfsi.datasets import Dataset
 from deepfsi.jobs.training import MOST_READY, Widths
@@ -138,18 +144,12 @@ CAP_TEXT = (
 """Help on `cap`, which several kinds have."""
 
 
-class _Sharing(Exposure):
+class _Sharing(LaterFields, Exposure):
     """Base of those that may end when a class is sure: the budget then is the mean of all."""
 
-    cap: float = Field(default=1.0, ge=1, le=100, description=CAP_TEXT)
+    LATER: ClassVar = ("cap",)
 
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """All fields; `cap` only where exposures share their light, as keys of records have it."""
-        content: dict[str, Any] = handler(self)
-        if self.cap == 1:
-            del content["cap"]
-        return content
+    cap: float = Field(default=1.0, ge=1, le=100, description=CAP_TEXT)
 
     @property
     def most_light(self) -> float:
@@ -190,7 +190,7 @@ class FixedEntry(_Entry):
     kind: Literal["fixed"] = "fixed"
 
 
-class _SharingEntry(_Entry):
+class _SharingEntry(LaterFields, _Entry):
     """Entry of an exposure that may end when a class is sure.
 
     Attributes
@@ -201,16 +201,10 @@ class _SharingEntry(_Entry):
         Probability of a class above which an exposure ends; 1 for never.
     """
 
+    LATER: ClassVar = ("cap", "until")
+
     cap: Annotated[float, Field(ge=1, le=100)] = 1.0
     until: Annotated[float, Field(ge=0, le=1)] = 1.0
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """All fields; the two only where exposures share their light, as files have them."""
-        content: dict[str, Any] = handler(self)
-        if self.cap == 1:
-            del content["cap"], content["until"]
-        return content
 
 
 class _Conditioned(Exposure):
@@ -736,7 +730,7 @@ What a look tells of how far the scene is from those of the prior is not kept fo
 """
 
 
-class AdaptiveMasks(UserModel):
+class AdaptiveMasks(LaterFields, UserModel):
     """Exposure with adaptive masks: how a design that makes each next mask looks at a scene.
 
     Examples
@@ -745,6 +739,8 @@ class AdaptiveMasks(UserModel):
     >>> AdaptiveMasks(looks=3, growth=4).shares
     [0.14285714285714285, 0.2857142857142857, 0.5714285714285714]
     """
+
+    LATER: ClassVar = ("cap", "price", "dictionary")
 
     looks: int = Field(
         default=16, ge=1, le=1024, strict=True, description="masks that are shown one after another"
@@ -812,18 +808,6 @@ class AdaptiveMasks(UserModel):
         if self.dictionary is not None and self.growth != 1:
             raise ValueError("masks of a dictionary are shown in looks of one length: leave growth")
         return self
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """All fields; the latest only where they say something, as files have them."""
-        content: dict[str, Any] = handler(self)
-        if self.cap == 1:
-            del content["cap"]
-        if self.dictionary is None:
-            del content["dictionary"]
-        if self.price is None:
-            del content["price"]
-        return content
 
     @property
     def shares(self) -> list[float]:

@@ -8,21 +8,19 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
     PlainSerializer,
-    SerializerFunctionWrapHandler,
     WithJsonSchema,
-    model_serializer,
     model_validator,
 )
 
 from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, import_path
-from deepfsi.base.models import Count, Positive, UserModel
+from deepfsi.base.models import Count, LaterFields, Positive, UserModel
 from deepfsi.camera import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
 
@@ -182,7 +180,7 @@ def _widths(given: Any) -> Any:
     return [width for width in given.split(",") if width] if isinstance(given, str) else given
 
 
-class Training(UserModel):
+class Training(LaterFields, UserModel):
     """Settings of a training: its steps, its network, its precision and its start.
 
     Examples
@@ -191,6 +189,8 @@ class Training(UserModel):
     >>> deepfsi.Training(epochs=20, hidden=(256, 128), start="class-pairs").lr
     0.01
     """
+
+    LATER: ClassVar = ("dictionary",)
 
     epochs: int = Field(
         default=40, ge=1, le=MOST_EPOCHS, description="passes over the training scenes"
@@ -274,14 +274,6 @@ class Training(UserModel):
         "gaussian, camera or none; unless given ml_gauss stands for photon noise, and several "
         "looks get exact counts",
     )
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """All fields; `dictionary` only where it is given, as files and keys have them."""
-        content: dict[str, Any] = handler(self)
-        if self.dictionary is None:
-            content.pop("dictionary", None)
-        return content
 
     @model_validator(mode="before")
     @classmethod

@@ -3,6 +3,7 @@
 from deepfsi.base.models.strict import (
     Amount,
     Count,
+    LaterFields,
     MessageText,
     Positive,
     Seconds,
@@ -15,6 +16,7 @@ from deepfsi.base.models.strict import (
 __all__ = [
     "Amount",
     "Count",
+    "LaterFields",
     "MessageText",
     "Positive",
     "Seconds",

@@ -1,14 +1,16 @@
 """Bases of the models of settings and of what files hold, and the types of their fields."""
 
-from typing import TYPE_CHECKING, Annotated, Any, dataclass_transform
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, dataclass_transform
 
 from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
+    SerializerFunctionWrapHandler,
     ValidatorFunctionWrapHandler,
     WrapValidator,
+    model_serializer,
 )
 
 from deepfsi.base import InputError, Message, as_input_error, seconds
@@ -23,6 +25,25 @@ class StrictModel(BaseModel):
     """Model that is never changed once it is made, and knows no other fields than its own."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+
+class LaterFields(BaseModel):
+    """Base of models that got fields after files and keys of them were written.
+
+    These stay as they are: a field of `LATER` is written only where it has another value than its
+    default.
+    """
+
+    LATER: ClassVar[tuple[str, ...]] = ()
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        content: dict[str, Any] = handler(self)
+        fields = type(self).model_fields
+        for name in self.LATER:
+            if getattr(self, name) == fields[name].default:
+                content.pop(name, None)
+        return content
 
 
 @dataclass_transform(kw_only_default=True, field_specifiers=(Field,))
