@@ -44,7 +44,8 @@ def test_a_scene_that_is_left_out_is_further_than_one_that_is_known(prior):
     ordered, rows = scenes[torch.from_numpy(prior.order)], torch.arange(SCENES)
     settings = AdaptiveMasks(looks=LOOKS)
     exposure = AdaptiveExposure(prior, settings, (PIXELS,), torch.zeros(LOOKS))
-    left_out, _ = adaptive.measure(exposure, [optics], ordered, rows, generator(3))
+    unknown = adaptive.LeftOutScenes(ordered, prior.labels, rows)
+    left_out, _ = adaptive.measure(exposure, [optics], unknown, generator(3))
     away, _ = distances(prior, scenes, optics)
     assert left_out[0, 0, -1] > float(away.sum(dim=0).log().mean()) + 1
 

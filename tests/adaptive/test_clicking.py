@@ -208,6 +208,34 @@ def test_what_clicks_cannot_have_is_refused_in_a_line(data, changes, words):
     assert "\n" not in str(refused.value)
 
 
+def test_centres_of_clusters_stand_for_the_scenes(data):
+    """No scene is left out of them, and the price is found all the same."""
+    made = deepfsi.learn(
+        data,
+        design="adaptive",
+        masks=8,
+        photons=PHOTONS,
+        counts=1,
+        camera=CAMERA,
+        training={"clusters": 20},
+    )
+    assert len(made.exposure.prior) == 200
+    [result] = deepfsi.evaluate(made, data, PHOTONS, draws=1)
+    assert result.accuracy > 0.2  # of one click at most; chance is a tenth
+
+
+def test_an_exposure_without_any_look_is_said_to_be_one(training, data):
+    settings = training.settings.model_copy(update={"price": 1e6})
+    nothing = clicking.ClickingExposure(
+        training.prior, settings, data.image_shape, torch.zeros(LOOKS)
+    )
+    scene = torch.from_numpy(data.x_test[0])
+    with pytest.raises(InputError, match="no look is worth its clicks"):
+        nothing.look_by_look(scene, PHOTONS, torch.Generator().manual_seed(0))
+    with pytest.raises(InputError, match="end where no look"):
+        nothing.stopping_at(0.5)
+
+
 def test_few_scenes_are_refused(data):
     few = replace(data, x_train=data.x_train[:300], y_train=data.y_train[:300])
     with pytest.raises(InputError, match="300 training scenes"):

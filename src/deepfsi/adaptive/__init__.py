@@ -1,17 +1,8 @@
 """Masks that are made while the camera looks, of the counts so far: prior, choice and exposure."""
 
-from deepfsi.adaptive.choice import (
-    candidate_masks,
-    look_at,
-    next_masks,
-)
-from deepfsi.adaptive.clicking import (
-    ClickTraining,
-    adaptive_kind,
-)
-from deepfsi.adaptive.dictionary import (
-    MaskDictionary,
-)
+from deepfsi.adaptive.choice import candidate_masks, look_at, next_masks
+from deepfsi.adaptive.clicking import ClickTraining, adaptive_kind
+from deepfsi.adaptive.dictionary import MaskDictionary
 from deepfsi.adaptive.exposure import (
     MISFIT_BUDGETS,
     MISFIT_SCENES,
@@ -21,11 +12,7 @@ from deepfsi.adaptive.exposure import (
     prior_of,
     squared_distance,
 )
-from deepfsi.adaptive.posterior import (
-    AdaptivePosterior,
-    ScenePrior,
-    class_chances,
-)
+from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior, class_chances
 
 __all__ = [
     "MISFIT_BUDGETS",

@@ -41,7 +41,7 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
     generator : torch.Generator
         Of the scenes by which masks are compared.
     """
-    chosen = state.dictionary_masks(share)
+    chosen = state.dictionary_masks()
     if chosen is not None:
         return chosen
     masks = candidate_masks(state)
@@ -73,6 +73,17 @@ def candidate_masks(state: AdaptivePosterior) -> Tensor:
     """Masks (b, P, N) that separate the likeliest classes in two groups, or a dictionary's."""
     if state.ready is not None:
         return state.ready.expand(len(state), -1, -1)
+    differ = group_differences(state)
+    scene = state.scene.clamp(min=DARKEST)[:, None]
+    areas = state.optics.areas(scene)
+    return difference_masks(differ, scene.expand_as(differ), areas, state.optics.arms)
+
+
+def group_differences(state: AdaptivePosterior) -> Tensor:
+    """Differences (b, P, N) of the mean scenes of two groups of the likeliest classes.
+
+    On one arm either group is the brighter one; on two the masks of both are the same.
+    """
     chances = state.class_weights
     sums = state.class_sums
     count = min(LIKELIEST, chances.shape[1])
@@ -84,11 +95,7 @@ def candidate_masks(state: AdaptivePosterior) -> Tensor:
         for group in (groups, 1 - groups)
     ]
     differ = state.unknown(means[0] - means[1]) @ state.prior.components
-    scene = state.scene.clamp(min=DARKEST)[:, None]
-    if state.optics.arms == 1:
-        differ = torch.cat([differ, -differ], dim=1)
-    areas = state.optics.areas(scene)
-    return difference_masks(differ, scene.expand_as(differ), areas, state.optics.arms)
+    return torch.cat([differ, -differ], dim=1) if state.optics.arms == 1 else differ
 
 
 def difference_masks(differ: Tensor, scene: Tensor, areas: Tensor, arms: int = 1) -> Tensor:

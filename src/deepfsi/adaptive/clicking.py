@@ -12,7 +12,7 @@ probability of no click is a closed form). Sources: sequential design by expecte
 (Lindley 1956), with a cost of the observation (DeGroot, *Optimal Statistical Decisions*, 1970).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import log as log_of
 from typing import Any, ClassVar, NamedTuple, Self
@@ -21,9 +21,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.adaptive.choice import LIKELIEST, difference_masks, draw_places, groups_of
+from deepfsi.adaptive.choice import difference_masks, draw_places, group_differences
 from deepfsi.adaptive.exposure import (
-    POSTERIOR_ANSWERS,
     AdaptiveExposure,
     AdaptiveTraining,
     LookedAt,
@@ -32,11 +31,11 @@ from deepfsi.adaptive.exposure import (
     prior_of,
 )
 from deepfsi.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
-from deepfsi.base import InputError, Progress
+from deepfsi.base import InputError, Message, Progress
 from deepfsi.camera import Camera, summed_reflectance
 from deepfsi.datasets import Dataset
 from deepfsi.designfile import LOG_BOUNDS, Temperatures
-from deepfsi.exposure import CountedLight, Observation, Use
+from deepfsi.exposure import Use
 from deepfsi.jobs import AdaptiveMasks, Job
 
 BLUR = 0.5
@@ -81,6 +80,13 @@ NOT_AT_A_CAMERA = (
     "photon counts"
 )
 """Why live runs and pages do not take these designs."""
+
+ENDS_BY_PRICE = Message(
+    "exposures of this design end where no look is worth its clicks: give fewer {counts} to its "
+    "training",
+    setting="counts",
+)
+"""Why no rule is found by which they stop."""
 
 
 class ClickLook(NamedTuple):
@@ -214,18 +220,7 @@ def _binary_entropy(chance: Tensor) -> Tensor:
 
 def click_candidates(state: AdaptivePosterior) -> Tensor:
     """Masks (b, P, N) that separate the likeliest classes in two groups, brightly or strictly."""
-    weights = state.class_weights
-    sums = state.class_sums
-    count = min(LIKELIEST, weights.shape[1])
-    likely, top = weights.topk(count, dim=1)
-    own = sums.gather(1, top[..., None].expand(-1, -1, sums.shape[-1]))
-    groups = groups_of(count).to(sums.dtype)
-    means = [
-        (group @ own) / (likely @ group.T).clamp(min=1e-9)[..., None]
-        for group in (groups, 1 - groups)
-    ]
-    differ = (means[0] - means[1]) @ state.prior.components
-    differ = torch.cat([differ, -differ], dim=1)
+    differ = group_differences(state)
     scene = state.scene.clamp(min=DARKEST_PIXEL)[:, None].expand_as(differ)
     bright = difference_masks(differ, scene, state.optics.areas(scene))
     ratio = differ / scene
@@ -256,19 +251,16 @@ class ClickStep(NamedTuple):
     ----------
     rows : tensor, shape (r,)
         Which of the exposures.
-    masks, scenes : tensor, shape (r, N)
-        Scenes are the means of the posterior after the look.
+    look : ClickLook
     chances : tensor, shape (r, C)
         After the look.
-    worth, clicks, arriving : tensor, shape (r,)
-        Of the look, and what is expected of it.
+    clicks, arriving : tensor, shape (r,)
+        That are expected of it.
     """
 
     rows: Tensor
-    masks: Tensor
-    scenes: Tensor
+    look: ClickLook
     chances: Tensor
-    worth: Tensor
     clicks: Tensor
     arriving: Tensor
 
@@ -281,7 +273,7 @@ class ClickLooks(NamedTuple):
     prior : ScenePrior
         Of blurred scenes.
     settings : AdaptiveMasks
-        With a price.
+        With a price; with 0 no exposure ends before its looks or its light do.
     photons : float
         Budget Φ.
     """
@@ -290,64 +282,49 @@ class ClickLooks(NamedTuple):
     settings: AdaptiveMasks
     photons: float
 
+    def posterior(self, exposures: int) -> ClickPosterior:
+        """Posterior of so many exposures before all looks."""
+        return ClickPosterior(self.prior, exposures, LookOptics(self.photons))
+
     @torch.no_grad()
-    def run(
-        self,
-        x: Tensor,
-        generator: torch.Generator,
-        *,
-        log: list[ClickStep] | None = None,
-        left_out: Tensor | None = None,
-    ) -> ClickRun:
-        """Expose scenes to their end.
+    def steps(
+        self, state: ClickPosterior, x: Tensor, generator: torch.Generator
+    ) -> Iterator[ClickStep]:
+        """Looks at scenes (b, N), from the state before all looks.
 
         Parameters
         ----------
+        state : ClickPosterior
         x : tensor, shape (b, N)
             Reflectance.
         generator : torch.Generator
-        log : list, optional
-            Takes each look.
-        left_out : tensor, shape (b,), optional
-            Places in the prior of scenes that are not known.
         """
-        looks = self.settings.looks
-        state = ClickPosterior(self.prior, len(x), LookOptics(self.photons))
-        if left_out is not None:
-            state.leave_out(left_out)
-        dwells = torch.tensor(DWELLS) / looks
-        chances = torch.empty(len(x), self.prior.classes)
-        clicks, arriving, used = torch.zeros(3, len(x))
+        dwells = torch.tensor(DWELLS) / self.settings.looks
         running = torch.arange(len(x))
-        for _ in range(looks):
+        for _ in range(self.settings.looks):
             look = state.next_look(dwells, generator)
             going = look.worth > (self.settings.price or -1.0)  # −∞ where no light is left
-            chances[running] = state.chances
             if not bool(going.all()):
                 state = state.rows_of(going)
                 look = ClickLook(*(part[going] for part in look))
                 running = running[going]
             if not len(running):
-                break
+                return
             light = (look.masks * x[running]).sum(dim=1) * look.dwells * state.gain
             chance = -torch.expm1(-light)
             state.take(look, torch.rand(len(light), generator=generator) < chance)
-            clicks[running] += chance
-            arriving[running] += light
-            used[running] += look.dwells
-            chances[running] = state.chances
-            if log is not None:
-                log.append(
-                    ClickStep(
-                        rows=running,
-                        masks=look.masks,
-                        scenes=state.scene,
-                        chances=state.chances,
-                        worth=look.worth,
-                        clicks=chance,
-                        arriving=light,
-                    )
-                )
+            yield ClickStep(running, look, state.chances, clicks=chance, arriving=light)
+
+    def run(self, x: Tensor, generator: torch.Generator) -> ClickRun:
+        """Exposures of scenes (b, N) at their end; parameters of `steps`."""
+        state = self.posterior(len(x))
+        chances = state.chances
+        clicks, arriving, used = torch.zeros(3, len(x))
+        for step in self.steps(state, x, generator):
+            clicks[step.rows] += step.clicks
+            arriving[step.rows] += step.arriving
+            used[step.rows] += step.look.dwells
+            chances[step.rows] = step.chances
         return ClickRun(chances, clicks, arriving, used)
 
 
@@ -385,8 +362,8 @@ class ClickingExposure(AdaptiveExposure):
     def observe(
         self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
     ) -> Iterator[PosteriorObservation]:
-        """Raise `InputError`: exposures end by themselves, so that their looks are not compared."""
-        raise InputError(POSTERIOR_ANSWERS)
+        """Raise `InputError`: exposures end by themselves, and no other rule is tried."""
+        raise InputError(ENDS_BY_PRICE)
 
     def expose(
         self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
@@ -403,28 +380,22 @@ class ClickingExposure(AdaptiveExposure):
             used=sum(float(part.used.sum()) for part in parts),
         )
 
-    def light(
-        self, front: Camera, rates: Tensor, seen: Observation, photons: float
-    ) -> CountedLight:
-        """Clicks of exposures together, photons that arrive, and light that was used."""
-        assert isinstance(seen, PosteriorObservation)
-        assert seen.used is not None
-        assert seen.arriving is not None
-        return CountedLight(seen.counts, seen.arriving, seen.used * photons)
-
     def stopping_at(self, threshold: float) -> "ClickingExposure":
         """Raise `InputError`: exposures end where no look is worth its price."""
-        raise InputError(
-            "exposures of this design end where no look is worth its clicks: give fewer {counts} "
-            "to its training",
-            setting="counts",
-        )
+        raise InputError(ENDS_BY_PRICE)
 
     def look_by_look(self, scene: Tensor, photons: float, generator: torch.Generator) -> LookedAt:
         """One exposure of a scene (N,), look by look, up to its end."""
-        log: list[ClickStep] = []
-        ClickLooks(self.prior, self.settings, photons).run(scene[None], generator, log=log)
-        seen = [(step.masks, step.scenes, step.chances) for step in log]
+        looks = ClickLooks(self.prior, self.settings, photons)
+        state = looks.posterior(1)
+        steps = looks.steps(state, scene[None], generator)
+        seen = [(step.look.masks, state.scene, step.chances) for step in steps]
+        if not seen:
+            raise InputError(
+                "no look is worth its clicks in this exposure, so that none is shown: give more "
+                "{counts} to the training",
+                setting="counts",
+            )
         return LookedAt(*(torch.cat(parts).numpy() for parts in zip(*seen, strict=True)))
 
 
@@ -468,23 +439,21 @@ class ClickTraining(AdaptiveTraining):
         report : Progress
         """
         generator = torch.Generator().manual_seed(job.seed)
-        places, scenes = self._some(PRICING_SCENES, generator)
+        left_out = self.left_out(PRICING_SCENES, generator)
         looks = ClickLooks(self.prior, self.settings, job.photons)  # which end nowhere: no price
         runs = []
-        parts = torch.arange(len(scenes)).split(exposures_at_once(self.prior))
-        for done, rows in enumerate(parts, start=1):
-            log: list[ClickStep] = []
-            looks.run(scenes[rows], generator, log=log, left_out=places[rows])
-            runs.append(
-                PricedLooks.of(log, (len(rows), self.settings.looks), self.prior.class_shares)
-            )
-            report(done / len(parts))
+        for rows, some in left_out.parts(exposures_at_once(self.prior), report):
+            state = looks.posterior(len(rows))
+            some.leave(state)
+            steps = looks.steps(state, some.scenes, generator)
+            size = len(rows), self.settings.looks
+            runs.append(PricedLooks.of(steps, size, self.prior.class_shares))
         whole = PricedLooks(*(torch.cat(some) for some in zip(*runs, strict=True)))
         price = LEAST_PRICE
         if job.training.counts is not None:
             price = max(price, whole.price(job.training.counts))
         chances, arriving = whole.ends(price)
-        temperature = best_temperature(chances, self.prior.labels[places], self.prior.class_shares)
+        temperature = best_temperature(chances, left_out.labels, self.prior.class_shares)
         logs = np.full((self.settings.looks, 2), log_of(temperature))
         budgets = np.array([1e-3, 1e3]) * job.photons
         return ClickingExposure(
@@ -515,12 +484,12 @@ class PricedLooks(NamedTuple):
     chances: Tensor
 
     @classmethod
-    def of(cls, log: Sequence[ClickStep], size: tuple[int, int], shares: Tensor) -> Self:
+    def of(cls, steps: Iterable[ClickStep], size: tuple[int, int], shares: Tensor) -> Self:
         """Looks of one run, of n exposures and K looks at most.
 
         Parameters
         ----------
-        log : sequence of ClickStep
+        steps : iterable of ClickStep
         size : tuple of int
             n and K.
         shares : tensor, shape (C,)
@@ -529,8 +498,8 @@ class PricedLooks(NamedTuple):
         worth = torch.full(size, -torch.inf)
         clicks, arriving = torch.zeros(2, *size)
         chances = shares.repeat(size[0], 1 + size[1], 1)
-        for look, step in enumerate(log):
-            worth[step.rows, look] = step.worth
+        for look, step in enumerate(steps):
+            worth[step.rows, look] = step.look.worth
             clicks[step.rows, look] = step.clicks
             arriving[step.rows, look] = step.arriving
             chances[step.rows, look + 1 :] = step.chances[:, None]
@@ -559,8 +528,9 @@ class PricedLooks(NamedTuple):
         Parameters
         ----------
         price : float
+            Above 0.
         """
-        going = self.least_worth > (price or -1.0)
+        going = self.least_worth > price
         rows = torch.arange(len(going))
         return self.chances[rows, going.sum(dim=1)], self.arriving * going
 

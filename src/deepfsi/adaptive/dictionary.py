@@ -14,7 +14,6 @@ same masks.
 
 import math
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -269,16 +268,7 @@ class DictionaryPosterior(AdaptivePosterior):
         self._chosen: tuple[Tensor | None, list[int]] = (None, [])
         """The last masks that were asked for, and their indices."""
 
-    def rows_of(self, rows: Tensor) -> "DictionaryPosterior":
-        """Posterior of some of the exposures, (b,) true."""
-        some = copy(self)
-        some.logs = self.logs[rows]
-        some._known = self._known[rows]
-        some._shift = self._shift[rows]
-        some._weights = some._class_sums = None
-        return some
-
-    def dictionary_masks(self, share: float) -> Tensor:
+    def dictionary_masks(self) -> Tensor:
         """Masks (b, N) to be shown next."""
         indices = self.choose()
         [first, *others] = indices or [0]
@@ -303,8 +293,7 @@ class DictionaryPosterior(AdaptivePosterior):
             np.multiply(tables.by_count[index], count, out=change)
             np.subtract(change, tables.constant[index], out=change)
             np.add(logs, change, out=logs)
-        self._weights = self._class_sums = None
-        self._looks += 1
+        self.end_look()
 
     def choose(self) -> list[int]:
         """Indices (b,) of the masks whose counts are expected to tell most of the class."""

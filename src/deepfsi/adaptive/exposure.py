@@ -23,7 +23,7 @@ from torch import Tensor
 from deepfsi.adaptive.choice import Look, look_at
 from deepfsi.adaptive.dictionary import DictionaryPosterior, MaskDictionary
 from deepfsi.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
-from deepfsi.base import InputError, Message, Progress, as_input_error
+from deepfsi.base import SILENT, InputError, Message, Progress, as_input_error
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import Camera
 from deepfsi.datasets import Dataset
@@ -205,22 +205,21 @@ class UsualMisfit:
 def measure(
     exposure: "AdaptiveExposure",
     optics: Sequence[LookOptics],
-    scenes: Tensor,
-    places: Tensor | None,
+    left_out: "LeftOutScenes",
     generator: torch.Generator,
 ) -> tuple[np.ndarray, Tensor]:
-    """Misfit and counts of scenes (S, N) in looks at several budgets, without their own places.
+    """Misfit and counts of S scenes that the prior lacks, in looks at several budgets.
 
     Mean and standard deviation (2, B, K) of the logarithm of the misfit after each look, which is
     nearly normal; mean counts (B, K) of each look.
     """
     settings = exposure.settings
+    scenes = left_out.scenes
     totals = torch.zeros(len(optics), settings.looks, len(scenes), dtype=torch.double)
     counted = torch.zeros(len(optics), settings.looks, dtype=torch.double)
     for row, each in enumerate(optics):
         state = exposure.posterior(len(scenes), each)
-        if places is not None:
-            state.leave_out(places)
+        left_out.leave(state)
         for look, share in enumerate(settings.shares):
             masks, counts, light = look_at(state, scenes, share, generator)
             totals[row, look] = squared_distance(state, masks, counts, share)
@@ -483,10 +482,11 @@ class AdaptiveExposure(ExposureKind):
     def light(
         self, front: Camera, rates: Tensor, seen: Observation, photons: float
     ) -> CountedLight:
-        """Light of exposures together, which do not click; parameters of `observe`."""
+        """Light of exposures together; parameters of `observe`."""
         assert isinstance(seen, PosteriorObservation)
         used = None if seen.used is None else seen.used * photons
-        return CountedLight(seen.counts, seen.counts, used)
+        arriving = seen.counts if seen.arriving is None else seen.arriving
+        return CountedLight(seen.counts, arriving, used)
 
     def answer(self, seen: Observation, photons: Tensor | float, network: ReadsCounts) -> Answer:
         """Answer of the posterior: nothing else reads the counts."""
@@ -531,6 +531,37 @@ class AdaptiveExposure(ExposureKind):
         return LookedAt(*(torch.stack(each).numpy() for each in (masks, scenes, chances)))
 
 
+class LeftOutScenes(NamedTuple):
+    """Training scenes, each of which is left out of the prior when it is exposed.
+
+    Attributes
+    ----------
+    scenes : tensor, shape (S, N)
+    labels : tensor, shape (S,)
+    places : tensor, shape (S,), or None
+        In the prior; None where centres of clusters stand for its scenes, which stay.
+    """
+
+    scenes: Tensor
+    labels: Tensor
+    places: Tensor | None
+
+    def leave(self, state: AdaptivePosterior) -> None:
+        """Take each scene for impossible in the exposure of its row."""
+        if self.places is not None:
+            state.leave_out(self.places)
+
+    def parts(
+        self, size: int, report: Progress = SILENT
+    ) -> Iterator[tuple[Tensor, "LeftOutScenes"]]:
+        """Rows and scenes, so many at a time."""
+        every = torch.arange(len(self.scenes)).split(size)
+        for done, rows in enumerate(every, start=1):
+            places = None if self.places is None else self.places[rows]
+            yield rows, LeftOutScenes(self.scenes[rows], self.labels[rows], places)
+            report(done / len(every))
+
+
 class AdaptiveTraining:
     """Adaptive masks of jobs that differ in budget and seed: one prior of scenes, and no steps.
 
@@ -545,11 +576,23 @@ class AdaptiveTraining:
         self.settings = settings
         self.prior = prior_of(data, settings)
 
-    def _some(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Places (S,) in the prior of some training scenes, and these (S, N)."""
+    def left_out(self, count: int, generator: torch.Generator) -> LeftOutScenes:
+        """Some of the training scenes, drawn by lot.
+
+        Parameters
+        ----------
+        count : int
+            Scenes at most.
+        generator : torch.Generator
+        """
         order = self.prior.order
         places = torch.randperm(len(order), generator=generator)[:count]
-        return places, torch.from_numpy(self.data.x_train[order[places.numpy()]])
+        rows = order[places.numpy()]
+        return LeftOutScenes(
+            torch.from_numpy(self.data.x_train[rows]),
+            torch.from_numpy(self.data.y_train[rows]),
+            places if self.settings.clusters is None else None,
+        )
 
     @torch.no_grad()
     def share_light(self, made: AdaptiveExposure, job: Job, report: Progress) -> AdaptiveExposure:
@@ -563,20 +606,18 @@ class AdaptiveTraining:
         report : Progress
         """
         generator = torch.Generator().manual_seed(job.seed ^ 2**31)
-        places, scenes = self._some(SHARING_SCENES, generator)
+        left_out = self.left_out(SHARING_SCENES, generator)
+        size = len(left_out.scenes), self.settings.looks
         optics = made.optics_at(job.photons, job.optics)
-        confidence = torch.empty(len(scenes), self.settings.looks, dtype=torch.double)
-        light = torch.empty(len(scenes), self.settings.looks)
-        parts = torch.arange(len(scenes)).split(made.exposed_at_once)
-        for done, rows in enumerate(parts, start=1):
+        confidence = torch.empty(size, dtype=torch.double)
+        light = torch.empty(size)
+        for rows, some in left_out.parts(made.exposed_at_once, report):
             state = made.posterior(len(rows), optics)
-            if self.settings.clusters is None:
-                state.leave_out(places[rows])
-            looks = _looks(state, scenes[rows], self.settings.shares, generator)
+            some.leave(state)
+            looks = _looks(state, some.scenes, self.settings.shares, generator)
             for index, look in enumerate(looks):
                 confidence[rows, index] = state.confidence
                 light[rows, index] = look.light.sum(dim=1)
-            report(done / len(parts))
         sure = confidence.numpy()
         threshold = made.stops.threshold(sure, 1.0)
         going = torch.from_numpy(made.stops.going(sure, threshold))
@@ -595,15 +636,14 @@ class AdaptiveTraining:
         if count is None:
             return None
         generator = torch.Generator().manual_seed(job.seed ^ 2**30)
-        places, scenes = self._some(DICTIONARY_SCENES, generator)
+        left_out = self.left_out(DICTIONARY_SCENES, generator)
         optics = LookOptics.of(job.optics, self.data.image_shape, job.photons)
         made = AdaptiveMasks(looks=min(self.settings.looks, DICTIONARY_LOOKS))
         masks: list[Tensor] = []
-        for rows in torch.arange(len(scenes)).split(MOST_EXPOSURES):
+        for rows, some in left_out.parts(MOST_EXPOSURES):
             state = AdaptivePosterior(self.prior, len(rows), optics)
-            if self.settings.clusters is None:
-                state.leave_out(places[rows])
-            looks = _looks(state, scenes[rows], made.shares, generator)
+            some.leave(state)
+            looks = _looks(state, some.scenes, made.shares, generator)
             masks += [look.masks.bool() for look in looks]
         return MaskDictionary.drawn(torch.cat(masks), count, generator)
 
@@ -624,11 +664,10 @@ class AdaptiveTraining:
             self.prior, settings, shape, torch.zeros(settings.looks), dictionary=dictionary
         )
         generator = torch.Generator().manual_seed(job.seed)
-        places, scenes = self._some(MISFIT_SCENES, generator)
+        left_out = self.left_out(MISFIT_SCENES, generator)
         budgets = np.array(MISFIT_BUDGETS) * job.photons
         optics = [LookOptics.of(job.optics, shape, each) for each in budgets.tolist()]
-        left_out = places if settings.clusters is None else None
-        logarithms, counts = measure(exposure, optics, scenes, left_out, generator=generator)
+        logarithms, counts = measure(exposure, optics, left_out, generator)
         shares = (counts[MISFIT_BUDGETS.index(1.0)] / job.photons).float()
-        few = len(scenes) < FEWEST_MISFIT_SCENES
+        few = len(left_out.scenes) < FEWEST_MISFIT_SCENES
         return shares, None if few else UsualMisfit(budgets, logarithms)

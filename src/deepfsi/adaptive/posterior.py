@@ -385,18 +385,18 @@ class AdaptivePosterior:
 
     def rows_of(self, rows: Tensor) -> Self:
         """Posterior of some of the exposures, (b,) true."""
-        some = type(self)(self.prior, 0, self.optics)
+        some = copy(self)
         some.logs = self.logs[rows]
         some._known = self._known[rows]
         some._shift = self._shift[rows]
-        some._looks = self._looks
+        some._weights = some._class_sums = None
         return some
 
     def leave_out(self, places: Tensor) -> None:
         """Take one scene of the prior, at a place of each exposure (b,), for impossible."""
         self.logs[torch.arange(len(self)), places] = -torch.inf
 
-    def dictionary_masks(self, share: float) -> Tensor | None:
+    def dictionary_masks(self) -> Tensor | None:
         """Masks (b, N) of a dictionary to be shown next; None where they are to be made."""
         return None
 
