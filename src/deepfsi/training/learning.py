@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch.optim.lr_scheduler import LRScheduler
 
-from deepfsi.adaptive import AdaptiveExposure, AdaptiveTraining, ClickTraining
+from deepfsi.adaptive import AdaptiveExposure, AdaptiveTraining, ClickTraining, ScenePrior
 from deepfsi.base import SILENT, InputError, Message, Progress, plain_keywords, progress_bar
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import CameraSource, check_budget
@@ -439,33 +439,18 @@ def _adaptive_designs(
         cap=first.exposure.most_light,
         dictionary=first.training.dictionary,
     )
-    if first.optics.clicks is not None:
-        return _click_designs(training_set, jobs, ClickTraining(data, settings), report)
     if settings.dictionary:
         settings = settings.model_copy(update={"spread": DICTIONARY_SPREAD})
-    exposure = AdaptiveTraining(data, settings)
+    clicks = first.optics.clicks is not None
+    training = (ClickTraining if clicks else AdaptiveTraining)(data, settings)
+    folds = [] if clicks else [(fold, prior_without(fold, settings)) for fold in folds_of(data)]
     designs: list[Design] = []
-    folds = [(fold, prior_without(fold, settings)) for fold in folds_of(data)]
     for job, span in zip(jobs, report.split(len(jobs)), strict=True):
-        dictionary = exposure.dictionary(job)
-        shares, misfit = exposure.finish(job, dictionary)
-        prior = exposure.prior
         info = provenance(job, data, torch.device("cpu"), 0.0)
-        span(0.5)
-        if folds:
-            prior, info["left_out"] = calibrated_prior(exposure, folds, job, dictionary)
-        made = AdaptiveExposure(
-            prior,
-            settings,
-            shape=data.image_shape,
-            counted=shares,
-            usual_misfit=misfit,
-            optics=info["job"]["camera"],
-            dictionary=dictionary,
-        )
-        if settings.cap > 1:
-            made = exposure.share_light(made, job, span.between(0.5, 1.0))
-            info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
+        if isinstance(training, ClickTraining):
+            made: AdaptiveExposure = training.make(job, info["job"]["camera"], span)
+        else:
+            made = _counting_exposure(training, folds, job, info, report=span)
         info["seconds"] = (time.perf_counter() - began) / (len(designs) + 1)
         designs.append(
             Design(
@@ -480,21 +465,34 @@ def _adaptive_designs(
     return designs
 
 
-def _click_designs(
-    training_set: TrainingSet, jobs: Sequence[Job], exposure: ClickTraining, report: Progress
-) -> list[Design]:
-    """Designs of jobs with adaptive masks before a detector that clicks."""
-    began = time.perf_counter()
-    data = training_set.data
-    designs: list[Design] = []
-    for job, span in zip(jobs, report.split(len(jobs)), strict=True):
-        info = provenance(job, data, torch.device("cpu"), 0.0)
-        made = exposure.make(job, info["job"]["camera"], span)
-        info["seconds"] = (time.perf_counter() - began) / (len(designs) + 1)
-        scenes = training_set.scenes
-        designs.append(Design(job.design, data.classes, made, info=info, training_scenes=scenes))
-        span(1.0)
-    return designs
+def _counting_exposure(
+    training: AdaptiveTraining,
+    folds: Sequence[tuple[Dataset, ScenePrior]],
+    job: Job,
+    info: dict[str, Any],
+    *,
+    report: Progress,
+) -> AdaptiveExposure:
+    """Exposure of a job with a detector that counts; its provenance gets what was measured."""
+    dictionary = training.dictionary(job)
+    shares, misfit = training.finish(job, dictionary)
+    prior = training.prior
+    report(0.5)
+    if folds:
+        prior, info["left_out"] = calibrated_prior(training, folds, job, dictionary)
+    made = AdaptiveExposure(
+        prior,
+        training.settings,
+        shape=training.data.image_shape,
+        counted=shares,
+        usual_misfit=misfit,
+        optics=info["job"]["camera"],
+        dictionary=dictionary,
+    )
+    if training.settings.cap > 1:
+        made = training.share_light(made, job, report.between(0.5, 1.0))
+        info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
+    return made
 
 
 def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 1) -> None:

@@ -215,12 +215,11 @@ class LightLosses:
             return 1.0
         rate = self.camera.flux * self.lit / self.detectors  # of each detector, (arms, f)
         seconds = self.gates_s * self.dwell
+        expected = rate * seconds
         if self.camera.clicks is not None:
             open_gates = self.exposures * self.camera.clicks
-            expected = rate * seconds
             counts = -open_gates * np.expm1(-expected / open_gates)
         else:
-            expected = rate * seconds
             counts = self.camera.counter_dead_time.registered(rate) * seconds
         return float(counts.sum() / expected.sum()) if expected.sum() else 1.0
 
