@@ -33,6 +33,7 @@ LONELY = {
     "hardware.live.losses": "an exposure before any is shown, which one command plans",
     "hardware.pictures.rail_sums": "a test of the light, which needs no pictures",
     "hardware.virtual.setup": "virtual devices, apart from the camera that records at once",
+    "lab.losses": "light that is lost, which is planned before any run",
     "lab.scenes": "what a camera is shown, by pictures or by a list, before it runs",
     "lab.adaptive_looks": "it loads torch, which only adaptive masks need",
     "lab.transits": "scenes that pass a pattern are no run, and have their own command",
