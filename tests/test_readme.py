@@ -40,6 +40,9 @@ BRIEFLY = {
 }
 """Options that make a command take a moment."""
 
+SMALLER = {"64": "8", "16,32": "8", "1e3,1e4": "1e4"}
+"""Values of options in place of those of a page, where exposures share light: fewer looks."""
+
 
 def lines(page: str) -> list[str]:
     """Command lines in the blocks of `sh` of a page."""
@@ -131,6 +134,7 @@ def run(tmp_path, monkeypatch, done, digits, trained_once):
             brief = "" if whole else BRIEFLY.get(words[0], "")
             if "--cap" in words:  # of designs that may end early
                 brief = brief.removesuffix("--designs pca,deepfsi")
+                words = [SMALLER.get(word, word) for word in words]
             small = [word.replace("10000", "300") for word in words]
             printed[" ".join(words[:2])] = done(*small, *brief.split())
         return printed
