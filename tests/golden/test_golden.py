@@ -20,11 +20,11 @@ def reference():
 @pytest.mark.parametrize(("module", "name"), CASES)
 def test_a_case_gives_what_it_gave(module, name, reference, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    now, before = beside.facts(module, name), reference(module, name)
-    wrong = []
+    now = beside.facts(module, name)
+    wrong = beside.differences(beside.stored(module)[name], beside.to_be_stored(module, now))
+    before = reference(module, name) if now["bits"] else now  # without bits all facts are stored
     for kind in ("exact", "bits") if before is not None else ():
         wrong += beside.differences(before[kind], now[kind])
-    wrong += beside.differences(beside.stored(module)[name], beside.to_be_stored(module, now))
     assert not wrong, "\n".join(wrong[:20])
     if before is None:
         pytest.skip(f"the history lacks {beside.REFERENCE[:8]}: only what is stored was compared")
