@@ -1,6 +1,5 @@
 """Layout of the page to play with, for designs of both kinds, in Chromium at two widths."""
 
-import time
 from pathlib import Path
 
 import pytest
@@ -55,11 +54,11 @@ def test_expose_exposure_and_answer_are_in_view_together(opened, kind, width):
     if adaptive:
         assert ask(browser, "return page.exposure.taken") == 1  # the first mask needs no counts
     press_button(browser, "expose")
-    time.sleep(1.5)  # where the page goes to the exposure, it goes smoothly
     seen = ["expose", "state", "mask", "verdict", "answer", *(["through"] if adaptive else [])]
-    assert outside(browser, *seen) == []
+    until(lambda: not outside(browser, *seen))  # the page goes to the exposure smoothly
     if adaptive:  # masks are made while one watches
-        assert 1 < ask(browser, "return page.exposure.taken") < LOOKS
+        until(lambda: ask(browser, "return page.exposure.taken") > 1)
+        assert ask(browser, "return page.exposure.taken") < LOOKS
     wait_for_the_end(browser)
     assert outside(browser, *seen) == []
     assert said(browser, "play") == "Play"
@@ -101,13 +100,15 @@ def test_an_embedded_page_stands_whole_and_shows_its_exposure(browser, pages, tm
 
     until(whole)
     press_button(browser, "expose")
-    time.sleep(1.5)  # the page goes to the exposure smoothly
     ends = "return [expose, answer].map((each) => each.getBoundingClientRect())"
     first, last = browser.execute_script(ends)
     browser.switch_to.default_content()
-    top = browser.execute_script("return arguments[0].getBoundingClientRect().top", embedded)
-    assert top + first["top"] >= 0
-    assert top + last["bottom"] <= 800
+
+    def in_view():  # the page goes to the exposure smoothly
+        top = browser.execute_script("return arguments[0].getBoundingClientRect().top", embedded)
+        return top + first["top"] >= 0 and top + last["bottom"] <= 800
+
+    until(in_view)
 
 
 OVERPRINT = """

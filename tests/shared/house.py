@@ -51,9 +51,13 @@ class Module:
     def is_door(self) -> bool:
         return self.path.name == "__init__.py"
 
+    @cached_property
+    def nodes(self) -> list[ast.AST]:
+        return list(ast.walk(self.tree))
+
     def all(self, *kinds: type[ast.AST]) -> Iterator:
         """Nodes of some kinds."""
-        return (node for node in ast.walk(self.tree) if isinstance(node, kinds))
+        return (node for node in self.nodes if isinstance(node, kinds))
 
 
 @dataclass(frozen=True)

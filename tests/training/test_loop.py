@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from conftest import RECIPE, every_optics, quick, same
+from conftest import OPTICS, RECIPE, quick, same
 from deepfsi import Design
 from deepfsi.exposure import TrainingSet
 from deepfsi.exposure import training as exposure_training
@@ -52,15 +52,20 @@ def apart(first: Design, second: Design, pixels: torch.Tensor) -> float:
 
 
 @pytest.mark.usefixtures("uncharacterised")
-@every_optics
 @pytest.mark.parametrize(
-    ("design", "noise", "tight"),
+    ("design", "noise", "tight", "light", "rails"),
     [
-        ("pca", "ml_gauss", 1e-5),
-        ("pca", "poisson", 1e-6),
-        ("random", "ml_gauss", 1e-5),
-        ("deepfsi", "ml_gauss", 1e-3),
-        ("control", "ml_gauss", 1e-2),
+        *(("deepfsi", "ml_gauss", 1e-3, *optics) for optics in OPTICS),
+        *(
+            (*design, *optics)
+            for design in (
+                ("pca", "ml_gauss", 1e-5),
+                ("pca", "poisson", 1e-6),
+                ("random", "ml_gauss", 1e-5),
+                ("control", "ml_gauss", 1e-2),
+            )
+            for optics in (("column", "dual"), ("two-arm", "dual"), ("free-dwell", "single"))
+        ),
     ],
 )
 def test_replicas_train_together_as_alone(few, varies, design, light, rails, noise, tight):
@@ -79,19 +84,21 @@ def test_replicas_train_together_as_alone(few, varies, design, light, rails, noi
 
 
 @pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize("seeds", [(3, 4, 7), (3, 3, 4)])
 @pytest.mark.parametrize(
-    ("design", "change"),
+    ("design", "change", "seeds"),
     [
-        ("pca", {}),
-        ("pca", {"noise": "poisson"}),
-        ("random", {}),
-        ("deepfsi", {}),
-        ("deepfsi", {"noise": "gaussian", "sigma": 3.0}),
-        ("deepfsi", {"light": "two-arm"}),
-        ("deepfsi", {"rails": "single", "light": "free-dwell"}),
-        ("control", {}),
-        ("pca", {"span": 100.0}),
+        ("pca", {}, (3, 4, 7)),
+        ("pca", {}, (3, 3, 4)),
+        ("pca", {"noise": "poisson"}, (3, 3, 4)),
+        ("random", {}, (3, 4, 7)),
+        ("random", {}, (3, 3, 4)),
+        ("deepfsi", {}, (3, 4, 7)),
+        ("deepfsi", {}, (3, 3, 4)),
+        ("deepfsi", {"noise": "gaussian", "sigma": 3.0}, (3, 3, 4)),
+        ("deepfsi", {"light": "two-arm"}, (3, 4, 7)),
+        ("deepfsi", {"rails": "single", "light": "free-dwell"}, (3, 3, 4)),
+        ("control", {}, (3, 4, 7)),
+        ("pca", {"span": 100.0}, (3, 3, 4)),
     ],
 )
 def test_seeds_train_together_as_alone(few, varies, monkeypatch, design, change, seeds):
