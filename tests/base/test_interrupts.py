@@ -95,11 +95,11 @@ def test_a_signal_at_any_moment_says_one_line_and_leaves_at_once(tmp_path):
     span, chance = time.monotonic() - began, random.Random(5)
     moments = [chance.uniform(0, 1.2 * span) for _ in range(STOPS)]
     stopped(process)
-    for place, moment in enumerate([0.0, *moments, *moments]):
+    for place, moment in enumerate([0.0, *moments]):
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
         process = sweep(tmp_path)
         time.sleep(moment)
-        number = (signal.SIGINT, signal.SIGTERM)[place % 2]
+        number = (signal.SIGTERM, signal.SIGINT)[place % 2]
         stopped(process, number, alone=number == signal.SIGTERM)
 
 
