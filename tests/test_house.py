@@ -12,11 +12,10 @@ from pathlib import Path
 import pytest
 
 import deepfsi
-from shared.house import DESCRIBED, RULES, Function, House
+from shared.house import DESCRIBED, RULES, Function, House, trees
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src"
-TREES = {path: ast.parse(path.read_text()) for path in sorted(SOURCE.rglob("*.py"))}
 
 LONELY = {
     "cli.app": "the table of the commands, which loads each when it is called",
@@ -70,14 +69,17 @@ WORDS_OF_FILES = (
 """Public names and fields that a file, a key or an option has: ``deepfsi.jobs.job.Job.shown``."""
 
 USERS = (ROOT / "README.md", ROOT / "docs", ROOT / "benchmarks")
-HOUSE = House(
-    SOURCE, USERS, {f"deepfsi.{m}" for k in LONELY | ALIKE for m in k.split()}, WORDS_OF_FILES
-)
+
+
+@pytest.fixture(scope="module")
+def house():
+    lonely = {f"deepfsi.{m}" for names in LONELY | ALIKE for m in names.split()}
+    return House(SOURCE, USERS, lonely, WORDS_OF_FILES)
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_every_room_keeps_the_rules(rule):
-    assert not list(RULES[rule](HOUSE))
+def test_every_room_keeps_the_rules(rule, house):
+    assert not list(RULES[rule](house))
 
 
 BASE = '''"""What both rooms need."""
@@ -191,17 +193,17 @@ def test_a_sound_house_keeps_every_rule_and_a_wrong_one_breaks_it(rule, changes,
     assert bool(list(RULES[rule](house))) == bool(changes)
 
 
-def test_the_page_of_the_architecture_has_each_room_and_no_other():
+def test_the_page_of_the_architecture_has_each_room_and_no_other(house):
     text = (ROOT / "docs/develop/architecture.md").read_text()
     rooms = re.findall(r"^- \*\*`([\w.]+)`\*\* ", text, re.M)
-    assert sorted(rooms) == sorted(HOUSE.rooms)
+    assert sorted(rooms) == sorted(house.rooms)
 
 
 def test_no_module_takes_a_private_name_of_another():
     tests = [ast.parse(path.read_text()) for path in (ROOT / "tests").rglob("*.py")]
     taken = [
         (node.module, alias.name)
-        for tree in (*TREES.values(), *tests)
+        for tree in (*trees(SOURCE).values(), *tests)
         for node in ast.walk(tree)
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("deepfsi")
         for alias in node.names
@@ -210,14 +212,14 @@ def test_no_module_takes_a_private_name_of_another():
 
 
 def test_no_public_function_shares_its_name_with_a_module_beside_it():
-    for path, tree in TREES.items():
+    for path, tree in trees(SOURCE).items():
         beside = {path.parent.name, *(other.stem for other in path.parent.iterdir())}
         assert not beside & {node.name for node in tree.body if isinstance(node, Function)}, path
 
 
 def test_summaries_name_the_thing():
     """Those of doors may also say what a room is for."""
-    for path, tree in TREES.items():
+    for path, tree in trees(SOURCE).items():
         for node in ast.walk(tree):
             if isinstance(node, Function | ast.ClassDef | ast.Module):
                 text = ast.get_docstring(node) or ""
@@ -238,7 +240,7 @@ def test_the_names_of_the_reference_describe_their_parameters():
 
 def test_constants_say_what_they_are():
     """A public constant of a module that is a number has a docstring with its unit."""
-    for path, tree in TREES.items():
+    for path, tree in trees(SOURCE).items():
         for node, after in zip(tree.body, [*tree.body[1:], None], strict=True):
             match node:
                 case ast.Assign([ast.Name(name)], ast.Constant(int() | float())):

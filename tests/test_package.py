@@ -17,12 +17,12 @@ from deepfsi.base import Progress, progress_bar
 from deepfsi.jobs import Job, Training
 from deepfsi.jobs.training import TUNED
 from shared import commands
+from shared.house import trees
 from shared.jobs import learn
 
 BRIEF = {**RECIPE, "photons": 1e4, "masks": 5, "device": "cpu"}
 OPTIONS = set().union(*commands.OPTIONS.values())
-SOURCES = sorted(Path(deepfsi.__file__).parent.rglob("*.py"))
-TREES = {path: ast.parse(path.read_text()) for path in SOURCES}
+SOURCE = Path(deepfsi.__file__).parent
 
 
 def test_learn_takes_the_fields_of_a_job_and_its_words_name_each():
@@ -83,7 +83,7 @@ def calls(*names):
     """Calls of functions of these names, each with its module."""
     return [
         (path, node)
-        for path, tree in TREES.items()
+        for path, tree in trees(SOURCE).items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Call) and ast.unparse(node.func) in names
     ]
@@ -122,7 +122,7 @@ def test_settings_are_named_in_templates_alone():
     """Neither as options nor in backticks, which the command line would show so."""
     helps = [call for _, call in calls("typer.Option", "typer.Argument", "Field", "argument")]
     helped = {id(part) for node in helps for part in ast.walk(node)}
-    for path, tree in TREES.items():
+    for path, tree in trees(SOURCE).items():
         nodes = list(ast.walk(tree))
         docs = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
         for part in nodes:

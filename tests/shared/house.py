@@ -9,7 +9,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -36,6 +36,12 @@ ROOMS_OF_WORK = ("hardware", "designfile")
 """Rooms that no option needs: the help of a command takes two thirds of the time without."""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+@cache
+def trees(source: Path) -> dict[Path, ast.Module]:
+    """Modules of a folder by their files, read when they are asked for, and once."""
+    return {path: ast.parse(path.read_text()) for path in sorted(source.rglob("*.py"))}
 
 
 @dataclass(frozen=True)
@@ -82,7 +88,8 @@ class House:
     """
 
     def __init__(self, source: Path, users=(), lonely=(), words=()) -> None:
-        self.everything = {each.name: each for each in map(_module(source), source.rglob("*.py"))}
+        every = (_module(source, path, tree) for path, tree in trees(source).items())
+        self.everything = {each.name: each for each in every}
         own = (each for each in self.everything.values() if each.name.split(".")[0] == "deepfsi")
         self.modules = {each.name: each for each in sorted(own, key=lambda each: each.name)}
         self.rooms = defaultdict(list)
@@ -144,14 +151,10 @@ class House:
         return ((m, node) for m in self.modules.values() if m.room for node in m.all(*kinds))
 
 
-def _module(source: Path) -> Callable[[Path], Module]:
-    def read(path: Path) -> Module:
-        words = path.relative_to(source).with_suffix("").parts
-        room = ".".join(words[1:-1]) if words[0] == "deepfsi" else ""
-        name = ".".join(words).removesuffix(".__init__")
-        return Module(name, room, path, ast.parse(path.read_text()))
-
-    return read
+def _module(source: Path, path: Path, tree: ast.Module) -> Module:
+    words = path.relative_to(source).with_suffix("").parts
+    room = ".".join(words[1:-1]) if words[0] == "deepfsi" else ""
+    return Module(".".join(words).removesuffix(".__init__"), room, path, tree)
 
 
 RULES: dict[str, Callable[[House], list[str] | Iterator[str]]] = {}
