@@ -166,7 +166,7 @@ def test_a_comparison_caps_the_exposures_that_may_end_early():
 
 EXPOSURES = {"looks": {"looks": 4}, "nested": {"nested": 1}}
 HELD_OUT = 400
-FEW = {"training": {"epochs": 10}, "masks": 16}
+FEW = {"training": {"epochs": 5}, "masks": 16}
 
 
 @pytest.fixture(scope="module", params=EXPOSURES)

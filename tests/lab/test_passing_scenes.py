@@ -24,7 +24,7 @@ def design(data):
         data,
         photons=PHOTONS,
         exposure=deepfsi.Passing(bins=12, speed=2.0, jitter=0.7, pattern_width=16),
-        training={"epochs": 60, "hidden": (48,), "mask_lr": 0.2},
+        training={"epochs": 30, "hidden": (48,), "mask_lr": 0.2},
     )
 
 

@@ -12,7 +12,7 @@ from deepfsi.physics import light_law
 from deepfsi.training import learning
 from shared.jobs import learn
 
-FEW = {"masks": 16, "photons": 200.0, "epochs": 20, "hidden": (32,), "device": "cpu"}
+FEW = {"masks": 16, "photons": 200.0, "epochs": 10, "hidden": (32,), "device": "cpu"}
 
 
 @pytest.mark.usefixtures("uncharacterised")

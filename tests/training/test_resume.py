@@ -66,7 +66,7 @@ def check_law(make, writes, path: Path) -> None:
         assert not path.exists()
 
 
-@pytest.mark.usefixtures("trained_once")
+@pytest.mark.usefixtures("uncharacterised", "trained_once")
 @pytest.mark.parametrize("case", TRAININGS)
 def test_a_resumed_training_ends_in_the_same_bits(few, writes, path, case):
     given = settings(TRAININGS[case])

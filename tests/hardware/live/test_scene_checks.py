@@ -108,13 +108,9 @@ def test_a_sound_run_has_no_fault_but_the_stated_rate_of_unsure_scenes(digits, p
     ("lab", "settings", "said", "most"),
     [
         # a stated budget that the all-ON frames contradict
-        *(
-            (Lab(), {"photons": share * PHOTONS}, "`photons` says", 4)
-            for share in (0.1, 0.5, 2, 10)
-        ),
+        *((Lab(), {"photons": share * PHOTONS}, "`photons` says", 4) for share in (0.1, 0.5, 2)),
         # a dead time that is not told
         (Lab(VirtualCamera(dead_time_s=50e-9)), {}, "dead time of 30 ns", 2),
-        (Lab(VirtualCamera(dead_time_s=100e-9)), {}, "dead time of 30 ns", 2),
         (Lab(flicker=(0.4, 100.0)), {}, "flicker", 8),
     ],
 )
@@ -127,7 +123,7 @@ def test_what_is_wrong_in_all_scenes_is_named_and_few_get_a_class(
     assert said in " ".join(map(str, found[-1].faults))
 
 
-@pytest.mark.parametrize("light", [0.2, 0.5, 2.0, 5.0])
+@pytest.mark.parametrize("light", [0.2, 0.5, 2.0])
 def test_a_lamp_that_steps_starts_a_new_budget_and_is_said(digits, patterns, tmp_path, light):
     half = SCENES // 2
     lab = Lab(lamp=(1.0,) * half + (light,) * half)
