@@ -155,8 +155,8 @@ def test_shipped_designs_are_as_accurate_as_their_index_says(monkeypatch):
     """On some test images, of one noise draw; within four standard errors."""
     monkeypatch.delenv("DEEPFSI_DESIGNS", raising=False)
     mnist = load_dataset("mnist")
-    few = replace(mnist, x_test=mnist.x_test[:400], y_test=mnist.y_test[:400])
+    few = replace(mnist, x_test=mnist.x_test[:200], y_test=mnist.y_test[:200])
     for name, entry in read_indexes()[str(SHIPPED_DESIGNS)].items():
         [result] = evaluate(load_design(name), few, entry.photons, draws=1)
-        error = (entry.accuracy * (1 - entry.accuracy) / 400) ** 0.5
+        error = (entry.accuracy * (1 - entry.accuracy) / 200) ** 0.5
         assert abs(result.accuracy - entry.accuracy) < 4 * error

@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from deepfsi_paper import bootstrap
 from deepfsi_paper.camera import claims, laboratory
 from shared.results import a_point, some_results
 
@@ -57,7 +58,9 @@ def finding():
         tests=[*tests.values(), *varied],
         times=[laboratory.RunTime(name, label, 0.1, 1000, 10**6) for name, label in NAMES.items()],
     )
-    return claims.show(some_results([a_point(0.9, 0.01)], extra=asdict(measures)))
+    with pytest.MonkeyPatch.context() as patch:  # of 9999 for each of 1440 intervals of a table
+        patch.setattr(bootstrap, "RESAMPLES", 99)
+        return claims.show(some_results([a_point(0.9, 0.01)], extra=asdict(measures)))
 
 
 def test_means_are_over_trainings_and_intervals_over_draws():

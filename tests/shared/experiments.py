@@ -7,7 +7,7 @@ import pytest
 
 from deepfsi.sweeps import Recipe
 from deepfsi.training import learning
-from deepfsi_paper import experiment, studies
+from deepfsi_paper import bootstrap, experiment, studies
 from deepfsi_paper.camera import laboratory, rate_simulations
 from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.indian_pines import claims as indian_pines
@@ -66,6 +66,7 @@ def run_all(folder: Path) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learning, "characterise", lambda *_: None)
         patch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
+        patch.setattr(bootstrap, "RESAMPLES", 99)
         patch.setattr(laboratory, "DRAWS", 2)
         patch.setattr(laboratory, "processes", here)
         patch.setattr(rate_simulations, "processes", here)
