@@ -28,6 +28,50 @@ def test_clusters_stand_for_the_scenes(done, tmp_path):
     assert sizes[0] < sizes[2]
 
 
+@pytest.fixture(scope="module")
+def ready(tmp_path_factory, digits):
+    """Design that chooses among 60 masks."""
+    words = {"design": "adaptive", "masks": 3, "photons": 1e4}
+    made = learn(digits.hold_out(900), **words, training={"dictionary": 60})
+    return made.save(tmp_path_factory.mktemp("ready") / "a.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("held", "said"),
+    [
+        (64, None),
+        (63, "64 frames do not fit small, whose controller holds 63: learn the design with "
+         "--dictionary of 59 at most, or use a device that holds them, such as dlp7000"),
+    ],
+)  # fmt: skip
+def test_a_dictionary_is_exported_whole_or_not_at_all(call, ready, tmp_path, held, said):
+    """One line, exit code 2 and no folder where the device does not hold all masks."""
+    device = tmp_path / "small.toml"
+    device.write_text(f"columns = 64\nrows = 48\npatterns = {held}\n")
+    out = tmp_path / "patterns"
+    code, told, errors = call("dmd", "export", ready, "--device", device, "-o", out)
+    if said is None:
+        assert code == 0
+        assert "60 frames of masks" in told
+        assert "3 looks, each at one of these masks by its index" in told
+        assert len(json.loads((out / "manifest.json").read_text())["frames"]) == 64
+    else:
+        assert (code, errors.count("\n")) == (2, 1)
+        assert said in errors
+        assert [each.name for each in tmp_path.iterdir()] == ["small.toml"]
+
+
+def test_losses_of_a_dictionary_have_no_loading(done, refuse, ready):
+    told = json.loads(done("plan", "--losses", ready, "--dmd", "dlp7000", "--json"))
+    waits = told["waits_s"]
+    assert (waits["loading"], waits["decision"]) == (0, 0)
+    assert waits["settling"] == pytest.approx(3 * 10e-6)
+    assert not any("on the device before" in each["change"] for each in told["changes"])
+    assert "masks that are chosen in no time" in told["assumed"]
+    said = refuse("plan", "--losses", ready, "--dmd", "dlp4500")
+    assert "64 frames do not fit dlp4500, whose controller holds 48" in said
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

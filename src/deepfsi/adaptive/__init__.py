@@ -2,7 +2,7 @@
 
 from deepfsi.adaptive.choice import candidate_masks, look_at, next_masks
 from deepfsi.adaptive.clicking import ClickTraining, adaptive_kind
-from deepfsi.adaptive.dictionary import MaskDictionary
+from deepfsi.adaptive.dictionary import DictionaryPosterior, MaskDictionary
 from deepfsi.adaptive.exposure import (
     MISFIT_BUDGETS,
     MISFIT_SCENES,
@@ -12,7 +12,7 @@ from deepfsi.adaptive.exposure import (
     prior_of,
     squared_distance,
 )
-from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior, class_chances
+from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics, ScenePrior, class_chances
 
 __all__ = [
     "MISFIT_BUDGETS",
@@ -21,6 +21,8 @@ __all__ = [
     "AdaptivePosterior",
     "AdaptiveTraining",
     "ClickTraining",
+    "DictionaryPosterior",
+    "LookOptics",
     "LookedAt",
     "MaskDictionary",
     "ScenePrior",

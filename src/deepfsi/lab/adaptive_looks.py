@@ -1,4 +1,8 @@
-"""Looks of a live run with adaptive masks: each mask from the posterior of the counts so far."""
+"""Looks of a live run with adaptive masks: each mask from the posterior of the counts so far.
+
+A mask that is made is loaded before its look. Masks of a dictionary are frames of the folder, which
+the device holds from the start: a look names one, and nothing is loaded.
+"""
 
 import math
 import os
@@ -8,7 +12,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepfsi.adaptive import candidate_masks, next_masks, squared_distance
+from deepfsi.adaptive import (
+    AdaptivePosterior,
+    DictionaryPosterior,
+    LookOptics,
+    candidate_masks,
+    next_masks,
+    squared_distance,
+)
 from deepfsi.base import InputError, as_input_error, hash_file, read_regular
 from deepfsi.base.numeric import LARGEST_TENSORS
 from deepfsi.camera import StopRule
@@ -36,6 +47,22 @@ ADAPTIVE_DECISION_S = 4e-3
 DECISION_A_SCENE_S = 1.35e-7
 """Time that each scene of the prior adds to it, seconds, by the same with 60 000 scenes."""
 
+DICTIONARY_DECISION_S = 0.5e-3
+"""Usual time from the counts to a mask of a dictionary, seconds: most of it counts and light.
+
+The choice takes 0.06 to 0.2 ms of it, by `benchmarks/adaptive.py --latency --dictionary 2000`, and
+counts 0.3 ms, by `benchmarks/live.py decision`.
+"""
+
+DICTIONARY_DECISION_A_SCENE_S = 5e-9
+"""Time that each scene of the prior adds to it, seconds; a run asks for chances at each look."""
+
+SAME_LIGHT = 0.02
+"""Relative difference of budgets within which the tables of a dictionary serve for both.
+
+All-ON frames tell a budget no better: they differ with the brightness of scenes.
+"""
+
 MIRRORS_ROUNDED = 0.02
 """Share of a candidate's mirrors that may differ by rounding: those at its threshold.
 
@@ -53,7 +80,7 @@ class AdaptiveLooks:
     design : Design
         Of adaptive masks.
     manifest : Manifest
-        Patterns of its first mask, whose frame is loaded anew for each look.
+        Patterns of its first mask, whose frame is loaded anew for each look, or of its dictionary.
     """
 
     def __init__(self, design: Design, manifest: Manifest) -> None:
@@ -66,13 +93,18 @@ class AdaptiveLooks:
         self.photons: float | None = design.info["job"].get("photons")
         self.rule = None if until == 1 else StopRule(threshold=until)
         self.shortest = 0.0
-        self.decision_s = ADAPTIVE_DECISION_S + DECISION_A_SCENE_S * len(exposure.prior)
+        scenes = len(exposure.prior)
+        self.decision_s = ADAPTIVE_DECISION_S + DECISION_A_SCENE_S * scenes
+        self.stored = exposure.dictionary if manifest.looks and manifest.looks.dictionary else None
+        if self.stored is not None:
+            self.decision_s = DICTIONARY_DECISION_S + DICTIONARY_DECISION_A_SCENE_S * scenes
+        self._tabled: LookOptics | None = None
         self.training_scenes = design.training_scenes
         self.scene_model = exposure.prior.model
 
     @classmethod
     def read(cls, folder: Path, manifest: Manifest) -> "AdaptiveLooks":
-        """Looks of a folder of patterns of a first mask, which has the design's file.
+        """Looks of a folder of patterns of a first mask, or of a dictionary, and its design.
 
         Parameters
         ----------
@@ -84,35 +116,62 @@ class AdaptiveLooks:
         Raises
         ------
         InputError
-            If files are damaged, or the design is not the one whose mask is beside it.
+            If files are damaged, or the design is not the one whose masks are beside it.
         """
         if hash_file(folder / Patterns.DESIGN) != manifest.design_sha256:
             raise InputError(
-                f"{folder / Patterns.DESIGN} is not the design whose first mask is beside it: "
+                f"{folder / Patterns.DESIGN} is not the design whose masks are beside it: "
                 "export the patterns again"
             )
         return cls(Design.load(folder / Patterns.DESIGN), manifest)
 
     def expose(self, scene: int, state: ExposureState) -> "_AdaptiveLiveExposure":
-        """Begin an exposure of a scene."""
-        return _AdaptiveLiveExposure(self, scene, state)
+        """Begin an exposure of a scene; a run begins with scene 0."""
+        kind = _AdaptiveLiveExposure if self.stored is None else _StoredMaskExposure
+        return kind(self, scene, state)
 
     def lit(self, asked: FrameList) -> np.ndarray:
         """Pixels of the mask of a look that are ON, (1, N)."""
+        if self.stored is not None:
+            return self.stored.masks[self.row_of(asked)][None].double().numpy()
         assert asked.masks is not None
         return asked.masks.astype(float)
 
+    def row_of(self, asked: FrameList) -> int:
+        """Index in the dictionary of the mask of a look."""
+        return int(np.searchsorted(self.frames, asked.frames[0]))
+
+    def tabled(self, scene: int, optics: LookOptics) -> LookOptics:
+        """Optics of the tables of a dictionary: those of an earlier scene of the run, if alike.
+
+        To compute tables takes a hundred times as long as all looks at a scene, and the light that
+        is measured changes a little with each scene.
+        """
+        last = self._tabled
+        if scene == 0 or last is None or not _alike(last, optics):
+            self._tabled = last = optics
+        return last
+
+
+def _alike(one: LookOptics, other: LookOptics) -> bool:
+    """True if budgets, and the dark counts beside them, differ by less than is known of them."""
+    most = SAME_LIGHT * one.photons
+    darks = [float(torch.as_tensor(each.dark).sum()) for each in (one, other)]
+    close = abs(other.photons - one.photons) <= most
+    return close and abs(darks[1] - darks[0]) <= SAME_LIGHT * (most + darks[0])
+
 
 class _AdaptiveLiveExposure:
-    """One exposure of a scene with adaptive masks."""
+    """One exposure of a scene with masks that are made."""
 
     def __init__(self, looks: AdaptiveLooks, scene: int, state: ExposureState) -> None:
         exposure = looks.exposure
         dark = torch.from_numpy(state.dark.clip(min=0) * state.exposure_ns * 1e-9)
-        optics = exposure.optics_at(state.photons)
+        self._optics = replace(exposure.optics_at(state.photons), dark=dark.float())
         self._looks = looks
         self._state = state
-        self._posterior = exposure.posterior(1, replace(optics, dark=dark.float()))
+        tabled = self._optics if looks.stored is None else looks.tabled(scene, self._optics)
+        self._posterior = exposure.posterior(1, tabled)
         self._generator = torch.Generator().manual_seed(scene)
         self._usual = exposure.usual_misfit
         self._misfit = 0.0
@@ -162,22 +221,81 @@ class _AdaptiveLiveExposure:
         return SceneComparison(chance, chance < UNSURE, detail)
 
 
+class _StoredMaskExposure(_AdaptiveLiveExposure):
+    """One exposure of a scene with masks of a dictionary, which stay on the device."""
+
+    _posterior: DictionaryPosterior
+
+    def __init__(self, looks: AdaptiveLooks, scene: int, state: ExposureState) -> None:
+        super().__init__(looks, scene, state)
+        self._rows: list[int] = []
+        self._counts: list[float] = []
+        self._logs: list[torch.Tensor] = []  # of the scenes, before each look
+
+    def ask(self, look: int) -> FrameList:
+        """Frame of the mask of the dictionary that tells most of the class."""
+        gate = np.array([round(self._looks.shares[look] * self._state.exposure_ns)])
+        return FrameList(look, self._looks.frames[self._posterior.choose()], gate)
+
+    def may_be(self, asked: FrameList, shown: FrameList) -> bool:
+        """True if a processor that rounds differently may ask for what was shown."""
+        gates = np.array_equal(shown.gate_ns, asked.gate_ns)
+        if shown.look != asked.look or not gates:
+            return False
+        row = self._looks.row_of(shown)
+        stored = np.array_equal(self._looks.frames[row : row + 1], shown.frames)
+        return stored and self._posterior.rounds_to(row)
+
+    @library_defaults(grad=False)
+    def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
+        """Probabilities (C,) of the classes, from the photons of a look and those before."""
+        self._rows.append(self._looks.row_of(asked))
+        self._counts.append(float(arrivals.photons.sum()))
+        self._logs.append(self._posterior.logs.clone())
+        self._look = asked.look
+        self._posterior.take(self._rows[-1:], self._counts[-1:])
+        return self._posterior.chances[0].double().numpy()
+
+    @library_defaults(grad=False)
+    def compare(self, on: AllOnCounts) -> SceneComparison | None:
+        """Misfit of all looks, found after the last one: that takes longer than a decision."""
+        stored = self._looks.stored
+        if self._usual is not None and stored is not None:
+            before = AdaptivePosterior(self._looks.exposure.prior, len(self._rows), self._optics)
+            before.logs = torch.cat(self._logs)
+            masks = stored.masks[self._rows]
+            counts = torch.tensor(self._counts)[:, None]
+            share = self._looks.shares[0]
+            self._misfit = float(squared_distance(before, masks, counts, share).sum())
+        return super().compare(on)
+
+
 @library_defaults(grad=False)
 def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
-    """Mask of the first look of a design file, at the budget of its training, as rails."""
+    """Masks of a design file that its patterns begin with, as rails.
+
+    That of the first look at the budget of the training, or all of a dictionary. The time of an
+    exposure is then divided among them in equal parts.
+    """
     design = Design.load(path)
     exposure = design.prior_exposure
     camera = exposure.camera
     share = exposure.settings.shares[0]
     optics = exposure.optics_at(float(design.info["job"]["photons"]))
-    state = exposure.posterior(1, optics)
-    mask = next_masks(state, share, torch.Generator().manual_seed(0))
-    rails = torch.stack([mask, 1 - mask]) if optics.arms == 2 else mask[None]
+    stored = exposure.dictionary
+    if stored is not None:
+        if not bool(stored.masks.any(dim=1).all()):
+            raise InputError(f"{path} has a mask without light in its dictionary: make it again")
+        rails = stored.masks.double()[None] / len(stored)
+    else:
+        state = exposure.posterior(1, optics)
+        mask = next_masks(state, share, torch.Generator().manual_seed(0))
+        rails = (torch.stack([mask, 1 - mask]) if optics.arms == 2 else mask[None]) * share
     detectors = camera.detector_map(design.image_shape)
     with as_input_error(str(path)):
         brightness = Brightness.of(design.info)
     return DesignRails(
-        rails=(rails * share).numpy(),
+        rails=rails.numpy(),
         light=camera.light,
         image_shape=design.image_shape,
         summed_reflectance=design.summed_reflectance,
@@ -185,6 +303,11 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
         brightness=brightness,
         detectors=detectors if detectors.count > 1 else None,
         looks=LookPlan(
-            count=design.masks, each_rail=False, first=(share,), shortest=0, loop_sha256=None
+            count=design.masks,
+            each_rail=False,
+            first=(share,) * rails.shape[1],
+            shortest=0,
+            loop_sha256=None,
+            dictionary=stored is not None,
         ),
     )

@@ -107,7 +107,7 @@ def plan_losses(
     losses = LightLosses.of(
         rails, camera, counted=counted, efficiency=efficiency, decision_s=decision_s
     )
-    if losses.adaptive and not decision_s:
+    if rails.looks is not None and rails.looks.adaptive and not decision_s:
         assumed.append("masks that are chosen in no time")
     return PlannedLosses(losses, camera, tuple(assumed))
 
@@ -160,14 +160,22 @@ def _timed_rails(file: Path, design: DesignFile, camera: Camera) -> DesignRails:
     looks = max(1, round(header.settings.looks / header.settings.cap))
     half = np.arange(math.prod(header.image_shape)) % 2
     arms = LIGHT_LAWS[camera.light].arms
+    stored = design.arrays.get("dictionary")
+    frames = 1 if stored is None else len(stored)
+    rails = np.stack([half, 1 - half][:arms])[:, None] / frames
     detectors = camera.detector_map(header.image_shape)
     return DesignRails(
-        rails=np.stack([half, 1 - half][:arms])[:, None] / looks,
+        rails=np.repeat(rails, frames, axis=1),
         light=camera.light,
         image_shape=header.image_shape,
         summed_reflectance=1.0,
         detectors=detectors if detectors.count > 1 else None,
         looks=LookPlan(
-            count=looks, each_rail=False, first=(1 / looks,), shortest=0, loop_sha256=None
+            count=looks,
+            each_rail=False,
+            first=(1 / looks,) * frames,
+            shortest=0,
+            loop_sha256=None,
+            dictionary=stored is not None,
         ),
     )

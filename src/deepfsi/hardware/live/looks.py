@@ -250,8 +250,8 @@ class FixedMaskLooks:
             )
         if manifest.looks.adaptive:
             raise InputError(
-                "{folder} has the first of adaptive masks alone, and the design makes the others: "
-                "give its {looks}",
+                "{folder} has adaptive masks, and the design says which comes next: give its "
+                "{looks}",
                 setting="looks",
                 folder=folder,
             )

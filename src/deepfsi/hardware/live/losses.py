@@ -105,7 +105,7 @@ class LightLosses:
         Of each arm; each sees as much light as another.
     device : str
     adaptive : bool
-        True where masks are made while the exposure runs.
+        True where masks are made and loaded while the exposure runs.
     """
 
     gates_s: float
@@ -195,7 +195,7 @@ class LightLosses:
             camera=camera,
             detectors=manifest.detector_count,
             device=device.name,
-            adaptive=bool(manifest.looks and manifest.looks.adaptive),
+            adaptive=bool(manifest.looks and manifest.looks.loads),
         )
 
     @property
@@ -373,14 +373,14 @@ def _times(
             "idle": cost.idle * manifest.pass_s,
         }
     looks = manifest.looks.count
-    frames = looks * len(manifest.shown)
+    frames = looks * (1 if manifest.looks.adaptive else len(manifest.shown))
     gate_ns = np.array(exposure_s / frames * 1e9)
     picture_s = max(
         np.ceil(float(gate_ns + margin_ns(gate_ns)) * 1e-3 + device.settle_us),
         device.shortest_us,
     )
     sentinels_s = float(manifest.picture_s.sum() - manifest.picture_s[manifest.shown].sum())
-    load_s = (device.load_us or 0) * 1e-6 * manifest.looks.adaptive
+    load_s = (device.load_us or 0) * 1e-6 * manifest.looks.loads
     # the all-OFF frame after each look stays while the next is chosen, and is a picture, too
     rest_s = max(device.shortest_us * 1e-6 - load_s - decision_s, 0.0)
     return exposure_s, {

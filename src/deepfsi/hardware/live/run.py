@@ -101,7 +101,7 @@ def plan_live(
         raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
     if background and manifest.looks and manifest.looks.adaptive:
         raise InputError(
-            "adaptive masks are not known before, and a {background} is measured mask by mask: "
+            "adaptive masks take dark counts alone, and a {background} is measured mask by mask: "
             "keep ambient light out, and leave it out",
             setting="background",
         )

@@ -189,7 +189,18 @@ class Patterns:
             f"{len(manifest.frames) - len(manifest.shown)} all-ON and all-OFF ones"
         )
         gates = self._longest_gates
-        if looks and looks.adaptive:
+        if looks and looks.dictionary:
+            yield (
+                f"{frames}: {plural(looks.count, 'look')}, each at one of these masks by its "
+                "index, so that nothing is loaded between looks; show them with `deepfsi camera "
+                "live`"
+            )
+            if device.packed:
+                yield (
+                    f"virtual devices alone show them: the driver of {device.name} shows its "
+                    "table from the beginning, and no frame by its index"
+                )
+        elif looks and looks.adaptive:
             yield (
                 f"{frames}: the mask of the first look, of {looks.count}; a live run loads a new "
                 f"one before each look, {device.load_us} µs a frame on {device.name}, in which no "
@@ -348,7 +359,7 @@ class FrameSettings:
         total = len(counted.mask_rails) + SENTINELS
         if total > MOST_FRAMES:
             raise InputError(f"{total} frames are too many: give at most {MOST_FRAMES}")
-        check_stored(device, total)
+        check_stored(device, total, design.looks)
         pictures_us, sentinel_us = self.times_us(
             design.first_dwells(counted), "free-dwell" if design.looks else design.light
         )

@@ -21,13 +21,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
-from typing import Any, Literal, Self, get_args
+from typing import Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from deepfsi.base import InputError, as_input_error, check_choice
-from deepfsi.base.models import Amount, Count, Share, StrictModel
+from deepfsi.base.models import Amount, Count, LaterFields, Share, StrictModel
 from deepfsi.camera import (
     DEVICE_SOURCES,
     DEVICES,
@@ -148,20 +148,26 @@ class Brightness(StrictModel):
         return None if stored is None else cls.model_validate(stored)
 
 
-class LookPlan(StrictModel):
-    """Looks at the same masks, whose frames are loaded once, or at a new mask each."""
+class LookPlan(LaterFields, StrictModel):
+    """Looks at the same masks, whose frames are loaded once, or at one mask each.
 
+    That one is made and loaded before its look, or is one of a dictionary that stays on the device.
+    """
+
+    LATER: ClassVar = ("dictionary",)
     count: int = Field(ge=1, le=1024)  # K
     each_rail: bool  # Whether the two rails of a mask are frames with dwells of their own
     # Dwells of the first look, shares of the exposure; 0 for frames that it does not show. Those of
     # later ones are chosen from the counts so far: mask by mask, and those of a mask's two rails
-    # follow one another
+    # follow one another. Of a dictionary: that of each mask in a look that shows it
     first: tuple[Share, ...]
     # Shortest dwell that the design was learned for, a share of the exposure
     shortest: float = Field(ge=0, lt=1)
-    # Of `loop.safetensors`, the networks that choose them; none where each look takes one new mask,
-    # which the design beside it makes, and the one frame of a mask is that of the first look
+    # Of `loop.safetensors`, the networks that choose them; none where each look takes one mask,
+    # which the design beside it makes or chooses. Of made ones the frame is that of the first look
     loop_sha256: str | None = Field(pattern=r"^[0-9a-f]{64}$")
+    # True if the frames of masks are all that looks may show: one each, by its index
+    dictionary: bool = False
 
     @classmethod
     def of(cls, design: DesignFile) -> "LookPlan | None":
@@ -181,12 +187,19 @@ class LookPlan(StrictModel):
         equal = math.isclose(sum(self.first) * self.count, 1, abs_tol=LOOK_SLACK)
         if not equal and not self.adaptive:
             raise ValueError(f"the dwells of the first look are not 1/{self.count} together")
+        if self.dictionary and not self.adaptive:
+            raise ValueError("a dictionary is of masks that a design chooses, not networks")
         return self
 
     @property
     def adaptive(self) -> bool:
-        """True where masks are made while the exposure runs."""
+        """True where masks are made, or chosen, while the exposure runs, one a look."""
         return self.loop_sha256 is None
+
+    @property
+    def loads(self) -> bool:
+        """True where the mask of each look is loaded before it."""
+        return self.adaptive and not self.dictionary
 
     def dwells(self, masks: int) -> int:
         """Number of dwells of a look at so many masks."""
@@ -454,6 +467,8 @@ class Manifest(StrictModel):
             raise ValueError(f"the rails are not those of {self.light}")
         if self.looks and self.looks.dwells(self.masks) != len(self.looks.first):
             raise ValueError("the first look has a dwell for other frames than the masks'")
+        if self.looks and self.looks.dictionary and len(rails) != self.masks:
+            raise ValueError("the masks of a dictionary have a frame each")
         if len(self.frames) * self.detector_count > MOST_FRAMES:
             raise ValueError(
                 f"{len(self.frames)} frames of {self.detector_count} detectors are given, and at "
@@ -601,8 +616,13 @@ class Manifest(StrictModel):
     def check_limits(self) -> None:
         """Raise `InputError` unless the device can show all of the frames."""
         device = self.device
-        check_stored(device, len(self.frames))
-        if self.looks and self.looks.adaptive and device.load_us is None:
+        check_stored(device, len(self.frames), self.looks)
+        if self.looks and self.looks.dictionary and device.video_us is not None:
+            raise InputError(
+                f"masks of a dictionary are shown by their index, and {device.name} shows the "
+                "frames of a video in their order: use a device that stores frames, such as dlp7000"
+            )
+        if self.looks and self.looks.loads and device.load_us is None:
             able = ", ".join(other.name for other in DEVICES.values() if other.load_us)
             raise InputError(
                 f"adaptive masks are loaded while the run goes on, and {device.name} takes no "
@@ -715,8 +735,8 @@ class Manifest(StrictModel):
         )
 
 
-def check_stored(device: Device, frames: int) -> None:
-    """Raise `InputError` if a controller does not hold as many frames."""
+def check_stored(device: Device, frames: int, looks: LookPlan | None = None) -> None:
+    """Raise `InputError` if a controller does not hold as many frames, of such looks."""
     if device.patterns is None or frames <= device.patterns:
         return
     larger = [
@@ -724,6 +744,18 @@ def check_stored(device: Device, frames: int) -> None:
         for other in DEVICES.values()
         if not other.video_us and (other.patterns is None or other.patterns >= frames)
     ]
+    if looks is not None and looks.dictionary:
+        raise InputError(
+            "{frames} frames do not fit {name}, whose controller holds {most}: learn the design "
+            "with {dictionary} of {masks} at most, or use a device that holds them, such as "
+            "{larger}",
+            setting="dictionary",
+            frames=frames,
+            name=device.name,
+            most=device.patterns,
+            masks=device.patterns - SENTINELS,
+            larger=", ".join(larger[:3]),
+        )
     raise InputError(
         f"{frames} frames do not fit {device.name}, whose controller holds "
         f"{device.patterns}: use fewer masks (of a scan: a smaller --size), or a device that holds "
