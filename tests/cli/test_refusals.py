@@ -27,6 +27,20 @@ REFUSED = {
         --masks 2 --photons 1e3 --design adaptive --clusters 400 | 400 clusters of each class are
         --masks 4 --photons 1e4 --normal 13 | no class '13'
     """,
+    "design --photons 1e3 --masks 3 --design adaptive": """
+        --epochs 3 | learn by no steps: leave --epochs out, or give --design deepfsi
+        --epochs 3 --hidden 20,10 --lr 0.1 | leave --epochs, --hidden, --lr out
+        --batch 40 | leave --batch out
+        --mask-lr 0.1 | leave --mask-lr out
+        --dropout 0.1 | leave --dropout out
+        --scale each | leave --scale out
+        --decay 0.1 | leave --decay out
+        --balance | leave --balance out
+        --start random | leave --start out
+        --train-noise poisson | leave --train-noise out
+        --classifier mlp | leave --classifier out
+        --levels 16 | of 2 levels: leave --levels out, or give --design deepfsi
+    """,
     "design --photons 1e3 --masks 3": """
         --design nosuch | unknown design 'nosuch'
         --data nosuch | unknown data set 'nosuch'

@@ -143,6 +143,12 @@ def _job_fields(
     if "masks" in settings:
         settings["masks"] = fields.parse_option("masks", fields.whole_number, settings["masks"])
     job = sorted_settings(settings)
+    if job.get("design") == "adaptive" and str(settings.get("levels", 2)) != "2":
+        raise InputError(
+            "adaptive masks are ON and OFF, of 2 levels: leave {levels} out, or give "
+            "{design:deepfsi}",
+            setting=("levels", "design"),
+        )
     job["camera"] = Camera.load(job.get("camera"))
     if matrix is not None:
         if "masks" in job or job.get("design", "custom") != "custom":

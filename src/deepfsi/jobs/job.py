@@ -45,6 +45,7 @@ from deepfsi.jobs.training import (
     CLASSIFIERS,
     FEW_COUNTS,
     MLP,
+    PRIOR_SETTINGS,
     TUNED,
     Training,
     TrainingSource,
@@ -553,7 +554,18 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
             "{dictionary} is of adaptive masks: leave it out, or give {design:adaptive}",
             setting=("dictionary", "design"),
         )
-    if "start" in _training_of(settings) and not job.code.learns_masks:
+    given = _training_of(settings)
+    # counts are of clicks, or find the budget
+    idle = [*(given.keys() - PRIOR_SETTINGS - {"counts"})] if job.code.adaptive else []
+    if idle:
+        names = {table_field: name for name, table_field in SETTING_ALIASES.items()}
+        options = sorted(names.get(("training", name), name) for name in idle)
+        raise InputError(
+            f"adaptive masks learn by no steps: leave {{{'}, {'.join(options)}}} out, or give "
+            "{design:deepfsi}",
+            setting=(*options, "design"),
+        )
+    if "start" in given and not job.code.learns_masks:
         raise InputError(
             "{start} is of learned masks, and {given} has its own: leave it out, or give "
             "{design:deepfsi}",

@@ -180,6 +180,10 @@ def _widths(given: Any) -> Any:
     return [width for width in given.split(",") if width] if isinstance(given, str) else given
 
 
+PRIOR_SETTINGS = {"clusters", "dictionary"}
+"""Settings of the training that adaptive masks take, which learn by no steps."""
+
+
 class Training(LaterFields, UserModel):
     """Settings of a training: its steps, its network, its precision and its start.
 

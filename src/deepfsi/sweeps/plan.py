@@ -20,7 +20,16 @@ from deepfsi.base import InputError, Message, join_messages, source_hash
 from deepfsi.base.models import StrictModel
 from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR
 from deepfsi.datasets import Dataset
-from deepfsi.jobs import DESIGNS, REVISION, Exposure, Job, Training, custom_parts, find_table
+from deepfsi.jobs import (
+    DESIGNS,
+    PRIOR_SETTINGS,
+    REVISION,
+    Exposure,
+    Job,
+    Training,
+    custom_parts,
+    find_table,
+)
 from deepfsi.sweeps.recipe import (
     MASK_SETTINGS,
     CameraVariant,
@@ -362,7 +371,7 @@ def check_used(recipe: Recipe, options: Iterable[str]) -> None:
     reasons = [
         (
             adaptive,
-            Training.model_fields.keys() - {"clusters", "dictionary"},
+            Training.model_fields.keys() - PRIOR_SETTINGS,
             "adaptive masks learn by no steps",
         ),
         (adaptive and grey, {"levels"}, "adaptive masks are ON and OFF, of 2 levels"),
