@@ -22,9 +22,6 @@ from deepfsi.physics import (
     root,
 )
 
-START = 10.0
-"""Counts of the start over those asked for, at most."""
-
 CLICKING = 0.9
 """Part of the gates that click at the start, at most."""
 
@@ -158,7 +155,8 @@ class _LearnedTraining(ExposureTraining):
             rails = masks()
             readouts = rails.count * rails.masks * detection.count
             most = float(self.noise.kind.mean(torch.tensor(torch.inf)))  # if it is limited
-            goal = max(counts, min(START * counts, CLICKING * most * readouts))
+            bright_start = self.job.training.start_counts * counts
+            goal = max(counts, min(bright_start, CLICKING * most * readouts))
             low = torch.full_like(bright, -20.0)
             high = torch.zeros_like(bright)
             whole = {name: each.clone() for name, each in masks.state_dict().items()}

@@ -565,6 +565,12 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
             "{design:deepfsi}",
             setting=(*options, "design"),
         )
+    if "start_counts" in given and job.training.counts is None:
+        raise InputError(
+            "{start_counts} is of few counts within a budget: leave it out, or give {counts} and "
+            "{photons}",
+            setting=("start_counts", "counts", "photons"),
+        )
     if "start" in given and not job.code.learns_masks:
         raise InputError(
             "{start} is of learned masks, and {given} has its own: leave it out, or give "

@@ -194,7 +194,7 @@ class Training(LaterFields, UserModel):
     0.01
     """
 
-    LATER: ClassVar = ("dictionary",)
+    LATER: ClassVar = ("dictionary", "start_counts")
 
     epochs: int = Field(
         default=40, ge=1, le=MOST_EPOCHS, description="passes over the training scenes"
@@ -248,6 +248,11 @@ class Training(LaterFields, UserModel):
         default="pca",
         description="design that learned masks start from; unless given pca, for several looks "
         "class-pairs, for few counts random",
+    )
+    start_counts: Positive = Field(
+        default=10.0,
+        description="of few counts: masks start from so many times those asked for, unless that "
+        "would be nine tenths of all gates",
     )
     clusters: int | None = Field(
         default=None,

@@ -64,7 +64,7 @@ _RATIOS_OR_MASKS = "give ratios or masks, not both"
 _TABLES = ("camera", "exposure", "training")
 """Fields that are tables of axes."""
 
-MASK_SETTINGS = ("start", "mask_lr")
+MASK_SETTINGS = ("start", "start_counts", "mask_lr")
 """Settings of the training that only learned masks have."""
 
 _MLP_SETTINGS = find_classifier(MLP).settings

@@ -7,8 +7,8 @@ or a function of the user's own.
 Few counts within a budget have a cost beside it, which is μ max(0, c / C − 1), of the mean counts c
 of a step and the counts C that are asked for. The cost grows from 0 over the first third of the
 training, while masks learn from more light; then its weight follows the counts,
-d log μ = κ log(c / C) in a whole training. Masks start with ten times the counts, but not so bright
-that nearly all gates click: such readouts teach nothing.
+d log μ = κ log(c / C) in a whole training. Masks start with `Training.start_counts` times the
+counts, but not so bright that nearly all gates click: such readouts teach nothing.
 """
 
 from collections.abc import Callable
