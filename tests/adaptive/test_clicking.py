@@ -55,11 +55,11 @@ def run(training, x, price, photons=PHOTONS, seed=0):
 
 def test_no_click_has_the_probability_of_gamma_distributed_light():
     draws = 200_000
-    light, mean, gain = 3.0, 5.0, 0.4
-    size = (light / (clicking.VARIATION * mean)) ** 2
+    light, variance, gain = 3.0, 0.25, 0.4
+    size = light**2 / variance
     drawn = np.random.default_rng(0).gamma(size, light / size, draws)
     dark = np.exp(-gain * drawn)
-    tensors = (torch.tensor(number) for number in (light, mean, gain))
+    tensors = (torch.tensor(number) for number in (light, variance, gain))
     expected = math.exp(float(clicking.log_no_click(*tensors)))
     assert expected == pytest.approx(dark.mean(), abs=5 * dark.std() / draws**0.5)
     assert expected > math.exp(-gain * light)  # Jensen: light that varies leaves more dark
@@ -95,7 +95,10 @@ def test_a_click_and_none_are_taken_in_by_bayes_rule(training):
     light = prior.mean @ mask + prior.coefficients @ (prior.components @ mask)
     light = light + clicking.FLOOR * mask.sum()
     gain = torch.tensor(PHOTONS / prior.summed_reflectance * 0.1)
-    dark = clicking.log_no_click(light, prior.mean @ mask, gain).exp().double()
+    # coefficients of neighbours differ by a standard deviation of 1 in each component
+    deviation = (prior.components @ mask).norm()
+    variance = deviation**2 + (clicking.VARIATION * (prior.mean @ mask)) ** 2
+    dark = clicking.log_no_click(light, variance, gain).exp().double()
     state.take(look, torch.tensor([0, 1]))
     for row, likelihood in enumerate((dark, 1 - dark)):
         expected = (likelihood / likelihood.sum()).numpy()
@@ -124,6 +127,17 @@ def test_clicks_fall_as_their_price_rises(training, data):
         assert (seen.used <= 1 + 1e-5).all()
     assert means == sorted(means, reverse=True)
     assert means[-1] < means[0] / 2
+
+
+def test_less_light_is_taken_where_it_costs_more(training, data, monkeypatch):
+    x = data.x_test[:60]
+    used = []
+    for cost in (0.0, 0.2):
+        monkeypatch.setattr(clicking, "LIGHT_COST", cost)
+        seen = run(training, x, price=0.03)
+        used.append(seen.used)
+    errors = sum(float(each.var()) / len(x) for each in used) ** 0.5
+    assert used[1].mean() < used[0].mean() - 3 * errors
 
 
 def test_the_price_of_mean_clicks_is_the_lowest_that_costs_no_more():
@@ -206,18 +220,15 @@ def test_what_clicks_cannot_have_is_refused_in_a_line(data, changes, words):
 
 def test_centres_of_clusters_stand_for_the_scenes(data):
     """No scene is left out of them, and the price is found all the same."""
-    made = deepfsi.learn(
-        data,
-        design="adaptive",
-        masks=8,
-        photons=PHOTONS,
-        counts=1,
-        camera=CAMERA,
-        training={"clusters": 20},
-    )
+    asked = {"design": "adaptive", "masks": 8, "photons": PHOTONS, "camera": CAMERA}
+    asked |= {"training": {"clusters": 20}}
+    made = deepfsi.learn(data, counts=2, **asked)
     assert len(made.exposure.prior) == 200
     [result] = deepfsi.evaluate(made, data, PHOTONS, draws=1)
-    assert result.accuracy > 0.2  # of one click at most; chance is a tenth
+    assert result.accuracy > 0.3  # of two clicks; chance is a tenth
+    # the first look is worth less than the second: no price leaves it alone, and none half of it
+    with pytest.raises(InputError, match=r"as few clicks as 0\.01"):
+        deepfsi.learn(data, counts=0.01, **asked)
 
 
 def test_an_exposure_without_any_look_is_said_to_be_one(training, data):

@@ -2,13 +2,14 @@
 
 A look that stays dark costs no count, and tells something as well. So that look is chosen, mask and
 dwell together, whose outcome, click or none, is expected to tell most of the class for each click:
-information over the probability of a click, to which the share of a click is added that a look
-costs, as looks are not endless. An exposure ends where no look tells as much for a click as the
-price asks, after all looks, or where the next has no light left.
+information over the probability of a click, to which the shares of a click are added that a look
+and its light cost, as neither is endless. An exposure ends where no look tells as much for a click
+as the price asks, after all looks, or where the next has no light left.
 
 Scenes of the prior are known to within one mirror or so: they are blurred, a mask is never dark,
-and its light varies from scene to scene by a tenth of its mean (gamma distributed, so that the
-probability of no click is a closed form). Sources: sequential design by expected information
+and its light varies among scenes that are alike, as it does among neighbours of the prior (gamma
+distributed, so that the probability of no click is a closed form). A mask of few mirrors varies
+more, over its mean, than one of many. Sources: sequential design by expected information
 (Lindley 1956), with a cost of the observation (DeGroot, *Optimal Statistical Decisions*, 1970).
 """
 
@@ -47,14 +48,17 @@ COMPONENTS = 300
 FLOOR = 0.01
 """Reflectance that a mirror of a mask is taken to add where a scene is dark."""
 
-VARIATION = 0.1
-"""Standard deviation of a mask's light between scenes that are alike, over its mean light."""
+SPREAD = 0.3
+"""How far scenes lie from those of the prior, over the distance of nearest neighbours."""
+
+VARIATION = 0.05
+"""Standard deviation of the light of all masks, over that of the mean scene, which is added."""
 
 DWELLS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Dwells that a look may have, over the exposure's equal parts."""
 
-STRICT = 0.6
-"""Of the largest difference over light, above which a mirror of the strictest masks is ON."""
+STRICT = (0.4, 0.6, 0.8)
+"""Of the largest difference over light, above which mirrors of strict masks are ON."""
 
 DARKEST_PIXEL = 1e-2
 """Least reflectance that the mean scene is taken to have, in choosing mirrors: it may be black."""
@@ -64,6 +68,13 @@ LOOK_COST = 0.1
 
 Chosen on validation images of MNIST on black. With 0 the first looks are dark and tell little;
 where information less price times clicks is largest, the first looks nearly always click.
+"""
+
+LIGHT_COST = 5e-3
+"""Clicks that a photon on the device is taken to cost.
+
+Chosen on the same images. With 0 looks are so dark that the light of an exposure is at its end
+after some six clicks.
 """
 
 SAMPLED_SCENES = 256
@@ -135,7 +146,8 @@ class ClickPosterior(AdaptivePosterior):
         """Take in whether the detector clicked (b,) in a look."""
         mean, parts = self.prior.light(look.masks)
         light = mean[:, None] + parts @ self.prior.coefficients.T + FLOOR * _on(look.masks)
-        none = log_no_click(light, mean[:, None], self.gain * look.dwells[:, None])
+        variance = light_variance(mean, parts)[:, None]
+        none = log_no_click(light, variance, self.gain * look.dwells[:, None])
         some = torch.expm1(none).neg_().clamp_(min=LEAST_WEIGHT).log_()
         self.logs += torch.where(clicks[:, None] > 0, some, none)
         self.left = self.left - look.dwells
@@ -156,11 +168,14 @@ class ClickPosterior(AdaptivePosterior):
         mean, parts = self.prior.light(masks)  # (b, P), (b, P, d)
         scenes = self.prior.coefficients[places].transpose(1, 2)  # (b, d, S)
         light = mean[..., None] + parts @ scenes + FLOOR * _on(masks)  # (b, P, S)
-        none = log_no_click(light[:, :, None], mean[..., None, None], (self.gain * dwells)[:, None])
+        variance = light_variance(mean, parts)[..., None, None]
+        none = log_no_click(light[:, :, None], variance, (self.gain * dwells)[:, None])
         chances = -torch.expm1(none.flatten(1, 2))  # (b, P · L, S) of a click
         members = torch.nn.functional.one_hot(self.prior.labels[places], self.prior.classes)
         told, clicks = click_information(chances, members * drawn[..., None])
-        worth = (told / (clicks + LOOK_COST)).unflatten(1, (-1, len(dwells)))
+        cost = LOOK_COST + LIGHT_COST * self.optics.photons * dwells
+        worth = told.unflatten(1, (-1, len(dwells)))
+        worth = worth / (clicks.unflatten(1, (-1, len(dwells))) + cost)
         too_long = dwells > self.left[:, None] + 1e-6
         worth = worth.masked_fill(too_long[:, None], -torch.inf).flatten(1)
         best = worth.argmax(dim=1)
@@ -174,24 +189,33 @@ def _on(masks: Tensor) -> Tensor:
     return masks.sum(dim=-1, keepdim=True)
 
 
-def log_no_click(light: Tensor, mean: Tensor, gain: Tensor) -> Tensor:
-    """Logarithm of the probability that a detector stays dark.
+def light_variance(mean: Tensor, parts: Tensor) -> Tensor:
+    """Variance (...) of the light of masks between scenes that are alike.
 
-    The light is gamma distributed about its mean, with a standard deviation of `VARIATION` times
-    the mean light of the mask.
+    Parameters
+    ----------
+    mean : tensor, shape (...)
+        Light of the mean scene.
+    parts : tensor, shape (..., d)
+        Light of each component of the prior, between whose neighbours all of them vary alike.
+    """
+    return (VARIATION * mean.clamp(min=1e-4)).square() + parts.square().sum(dim=-1)
+
+
+def log_no_click(light: Tensor, variance: Tensor, gain: Tensor) -> Tensor:
+    """Logarithm of the probability that a detector stays dark, before light that varies.
 
     Parameters
     ----------
     light : tensor, shape (...)
-        Summed reflectance behind a mask.
-    mean : tensor, broadcastable to light
-        Of the mean scene.
+        Summed reflectance behind a mask: the mean of a gamma distribution.
+    variance : tensor, broadcastable to light
+        Of this distribution.
     gain : tensor, broadcastable to light
         Photons of a unit of summed reflectance.
     """
     light = light.clamp(min=1e-4)
-    ratio = light / (VARIATION * mean.clamp(min=1e-4))
-    size = ratio * ratio
+    size = light * light / variance
     return -(size * (light * gain / size).log1p())
 
 
@@ -224,8 +248,9 @@ def click_candidates(state: AdaptivePosterior) -> Tensor:
     scene = state.scene.clamp(min=DARKEST_PIXEL)[:, None].expand_as(differ)
     bright = difference_masks(differ, scene, state.optics.areas(scene))
     ratio = differ / scene
-    strict = (ratio > STRICT * ratio.amax(dim=-1, keepdim=True)).to(differ.dtype)
-    return torch.cat([bright, strict], dim=1)
+    largest = ratio.amax(dim=-1, keepdim=True)
+    strict = [(ratio > share * largest).to(differ.dtype) for share in STRICT]
+    return torch.cat([bright, *strict], dim=1)
 
 
 class ClickRun(NamedTuple):
@@ -421,7 +446,7 @@ class ClickTraining(AdaptiveTraining):
     def __init__(self, data: Dataset, settings: AdaptiveMasks) -> None:
         self.data = data
         self.settings = settings.model_copy(
-            update={"components": COMPONENTS, "spread": 0.0, "price": 0.0}
+            update={"components": COMPONENTS, "spread": SPREAD, "price": 0.0}
         )
         self.prior = prior_of(blurred(data), self.settings)
         self.prior.summed_reflectance = summed_reflectance(data.x_train)  # not of the blurred
@@ -452,6 +477,12 @@ class ClickTraining(AdaptiveTraining):
         price = LEAST_PRICE
         if job.training.counts is not None:
             price = max(price, whole.price(job.training.counts))
+        if not bool((whole.least_worth > price).any()):
+            raise InputError(
+                "no exposure of these masks costs as few clicks as {given}: give more {counts}",
+                setting="counts",
+                given=job.training.counts,
+            )
         chances, arriving = whole.ends(price)
         temperature = best_temperature(chances, left_out.labels, self.prior.class_shares)
         logs = np.full((self.settings.looks, 2), log_of(temperature))
