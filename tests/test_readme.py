@@ -131,7 +131,7 @@ def run(tmp_path, monkeypatch, done, digits, trained_once):
         printed = {}
         for line in lines(page):
             words = shlex.split(line)[1:]
-            brief = "" if whole else BRIEFLY.get(words[0], "")
+            brief = "" if whole or "adaptive" in words else BRIEFLY.get(words[0], "")
             if "--cap" in words:  # of designs that may end early
                 brief = brief.removesuffix("--designs pca,deepfsi")
                 words = [SMALLER.get(word, word) for word in words]

@@ -28,7 +28,7 @@ REFUSED = {
         --masks 4 --photons 1e4 --normal 13 | no class '13'
     """,
     "design --photons 1e3 --masks 3 --design adaptive": """
-        --epochs 3 | learn by no steps: leave --epochs out, or give --design deepfsi
+        --epochs 3 | learn by no steps: leave --epochs out, or learn
         --epochs 3 --hidden 20,10 --lr 0.1 | leave --epochs, --hidden, --lr out
         --batch 40 | leave --batch out
         --mask-lr 0.1 | leave --mask-lr out

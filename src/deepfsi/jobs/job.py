@@ -559,11 +559,11 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
     idle = [*(given.keys() - PRIOR_SETTINGS - {"counts"})] if job.code.adaptive else []
     if idle:
         names = {table_field: name for name, table_field in SETTING_ALIASES.items()}
-        options = sorted(names.get(("training", name), name) for name in idle)
+        option = min(names.get(("training", name), name) for name in idle)
         raise InputError(
-            f"adaptive masks learn by no steps: leave {{{'}, {'.join(options)}}} out, or give "
-            "{design:deepfsi}",
-            setting=(*options, "design"),
+            "adaptive masks learn by no steps: leave {setting} out, or learn masks of another "
+            "design",
+            setting=option,
         )
     if "start_counts" in given and job.training.counts is None:
         raise InputError(
