@@ -29,7 +29,7 @@ REFUSED = {
     """,
     "design --photons 1e3 --masks 3 --design adaptive": """
         --epochs 3 | learn by no steps: leave --epochs out, or learn
-        --epochs 3 --hidden 20,10 --lr 0.1 | leave --epochs, --hidden, --lr out
+        --epochs 3 --hidden 20,10 --lr 0.1 | leave --epochs out
         --batch 40 | leave --batch out
         --mask-lr 0.1 | leave --mask-lr out
         --dropout 0.1 | leave --dropout out
