@@ -172,10 +172,10 @@ class ClickPosterior(AdaptivePosterior):
         none = log_no_click(light[:, :, None], variance, (self.gain * dwells)[:, None])
         chances = -torch.expm1(none.flatten(1, 2))  # (b, P · L, S) of a click
         members = torch.nn.functional.one_hot(self.prior.labels[places], self.prior.classes)
-        told, clicks = click_information(chances, members * drawn[..., None])
+        outcomes = click_information(chances, members * drawn[..., None])
+        told, clicks = (each.unflatten(1, (-1, len(dwells))) for each in outcomes)  # (b, P, L)
         cost = LOOK_COST + LIGHT_COST * self.optics.photons * dwells
-        worth = told.unflatten(1, (-1, len(dwells)))
-        worth = worth / (clicks.unflatten(1, (-1, len(dwells))) + cost)
+        worth = told / (clicks + cost)
         too_long = dwells > self.left[:, None] + 1e-6
         worth = worth.masked_fill(too_long[:, None], -torch.inf).flatten(1)
         best = worth.argmax(dim=1)
