@@ -263,7 +263,7 @@ def Small(inputs, classes):
 def test_unbalanced_data_shows_its_worst_class(done, file, tmp_path, monkeypatch):
     """At `design`, `evaluate`, `compare` and on its page, with a network of one's own."""
     monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "mynets.py").write_text(NETWORK)
+    (tmp_path / "smallnets.py").write_text(NETWORK)
     folder, out = (
         save_pictures(tmp_path / "leaves", {"ash": 90, "oak": 8, "yew": 8}),
         tmp_path / "o",
@@ -282,8 +282,8 @@ def test_unbalanced_data_shows_its_worst_class(done, file, tmp_path, monkeypatch
     done(*words, "--balance", "--force")
     assert Design.load(file).info["job"]["training"]["balance"] is True
     words = ["--designs", "pca", "--masks", "2,3", "--workers", 1, "-o", out, "--balance"]
-    printed = done("compare", *light, *words, "--classifier", "mlp,mynets:Small")
-    assert "classifier mynets:Small" in printed
+    printed = done("compare", *light, *words, "--classifier", "mlp,smallnets:Small")
+    assert "classifier smallnets:Small" in printed
     results = json.loads((out / "results.json").read_text(encoding="utf-8"))
     page = (out / "report.html").read_text(encoding="utf-8")
     told = []
@@ -296,7 +296,7 @@ def test_unbalanced_data_shows_its_worst_class(done, file, tmp_path, monkeypatch
             assert said in page
     assert any(told)
     assert results["chosen_by"] == "balanced"
-    assert "mynets:Small" in page
+    assert "smallnets:Small" in page
     assert "by balanced accuracy" in page
 
 
