@@ -21,10 +21,21 @@ PHOTONS = 600.0
 
 CLICKS = 3.0
 
+SCENES = 128
+"""Training scenes by which prices are found, and test scenes that are read."""
+
 
 @pytest.fixture(scope="module")
 def data():
-    return deepfsi.load_dataset("digits", rescale=(0.0, 1.0))
+    digits = deepfsi.load_dataset("digits", rescale=(0.0, 1.0))
+    return replace(digits, x_test=digits.x_test[:SCENES], y_test=digits.y_test[:SCENES])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_scenes():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clicking, "PRICING_SCENES", SCENES)
+        yield
 
 
 @pytest.fixture(scope="module")
