@@ -18,7 +18,7 @@ import pytest
 from deepfsi.base import interrupts
 from shared.waiting import PATIENCE, until
 
-STOPS = int(os.environ.get("DEEPFSI_STOPS") or 1)
+STOPS = int(os.environ.get("DEEPFSI_STOPS") or 0)
 
 RECIPE = """
 designs = ["pca", "deepfsi"]
