@@ -40,8 +40,9 @@ BRIEFLY = {
 }
 """Options that make a command take a moment."""
 
-SMALLER = {"64": "8", "16,32": "8", "1e3,1e4": "1e4"}
-"""Values of options in place of those of a page, where exposures share light: fewer looks."""
+SMALLER = {"64": "8", "16,32": "8", "1e3,1e4": "1e4", "4,8,16": "8"}
+"""Values of options in place of those of a page, where exposures share light or a comparison takes
+values: fewer looks and masks."""
 
 
 def lines(page: str) -> list[str]:
@@ -115,8 +116,10 @@ def run(tmp_path, monkeypatch, done, digits, trained_once):
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
-    monkeypatch.setattr(catalog.IdxImages, "load", lambda self, _: replace(digits, name=self.name))
+    few = replace(digits, x_test=digits.x_test[:100], y_test=digits.y_test[:100])
+    monkeypatch.setattr(catalog.IdxImages, "load", lambda self, _: replace(few, name=self.name))
     monkeypatch.setattr("deepfsi.evaluation.page_data.TESTED", 20)
+    monkeypatch.setattr("deepfsi.adaptive.exposure.SHARING_SCENES", 64)
     recipes = tiny(starts.EXPERIMENT, 1)
     monkeypatch.setitem(studies.STUDIES, "mnist", (starts.EXPERIMENT,))
     monkeypatch.setattr(experiment.Experiment, "recipes", lambda *_: recipes)
@@ -134,6 +137,7 @@ def run(tmp_path, monkeypatch, done, digits, trained_once):
             brief = "" if whole or "adaptive" in words else BRIEFLY.get(words[0], "")
             if "--cap" in words:  # of designs that may end early
                 brief = brief.removesuffix("--designs pca,deepfsi")
+            if "--cap" in words or "placed.npz" in words:
                 words = [SMALLER.get(word, word) for word in words]
             small = [word.replace("10000", "300") for word in words]
             printed[" ".join(words[:2])] = done(*small, *brief.split())
