@@ -70,7 +70,7 @@ def sweep(
     return ["sweep", str(recipe), "--json", "-o", str(tmp_path / "out"), "--workers", str(workers)]
 
 
-def start(tmp_path: Path, trials: int = 40, workers: int = 2) -> subprocess.Popen:
+def start(tmp_path: Path, trials: int = 6, workers: int = 2) -> subprocess.Popen:
     return subprocess.Popen(
         [sys.executable, "-m", "deepfsi", *sweep(tmp_path, trials, workers)],
         stdout=subprocess.PIPE,
@@ -82,7 +82,7 @@ def start(tmp_path: Path, trials: int = 40, workers: int = 2) -> subprocess.Pope
 @pytest.mark.slow
 def test_random_kills_lose_no_record_and_repeat_none(done, tmp_path):
     """One process, or one with two workers, which die with it; a record is never written twice."""
-    trials = max(3, KILLS)
+    trials = max(2, KILLS)
     chance = random.Random(1)
     kept: dict[Path, tuple[int, int]] = {}
     for kill in range(KILLS):
@@ -120,23 +120,24 @@ def sound(tmp_path_factory) -> tuple[dict[str, dict[str, bytes]], dict[str, Any]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moves", [1, 7])
-def test_a_kill_while_files_are_written_leaves_nothing_and_changes_no_bit(
-    done, tmp_path, sound, moves
-):
-    """Trials that were trained together are kept together: alone one of them rounds otherwise."""
+def test_a_kill_while_files_are_written_leaves_nothing_and_changes_no_bit(done, tmp_path, sound):
+    """Before the first file is moved into its place, and again before the seventh.
+
+    Trials that were trained together are kept together: alone one of them rounds otherwise.
+    """
     recipe = sweep(tmp_path, trials=1, workers=1, masks=(1, 2), batch=500)
-    kill = (
-        "import os, sys; from deepfsi.base import files; from deepfsi.cli import run_command_line\n"
-        f"real, calls = os.replace, []; sys.argv = ['deepfsi', *{recipe!r}]\n"
-        "def replace(*paths):\n"
-        f"    calls.append(paths); os.kill(os.getpid(), 9) if len(calls) == {moves} else None\n"
-        "    real(*paths)\n"
-        "os.replace = replace; run_command_line()"
-    )
-    killed = subprocess.run([sys.executable, "-c", kill], capture_output=True)
-    assert killed.returncode == -signal.SIGKILL
-    assert left_over(tmp_path / "out")
+    for moves in (1, 7):
+        kill = (
+            "import os, sys; from deepfsi.cli import run_command_line\n"
+            f"real, calls = os.replace, []; sys.argv = ['deepfsi', *{recipe!r}]\n"
+            "def replace(*paths):\n"
+            f"    calls.append(paths); os.kill(os.getpid(), 9) if len(calls) == {moves} else None\n"
+            "    real(*paths)\n"
+            "os.replace = replace; run_command_line()"
+        )
+        killed = subprocess.run([sys.executable, "-c", kill], capture_output=True)
+        assert killed.returncode == -signal.SIGKILL
+        assert left_over(tmp_path / "out")
     done(*recipe)
     assert not left_over(tmp_path / "out")
     assert len(written(tmp_path / "out")) == 2 * 2 * 2
