@@ -58,7 +58,7 @@ class Reader:
     sample: str  # path in the folder of samples; what it lies in is copied with it
     read: Callable[[Path], Any]
     mutations: tuple[Mutation, ...]
-    weight: int = 4  # of all inputs, relative
+    weight: float = 4  # of all inputs, relative; less where figures are drawn
 
 
 def use_design(path: Path) -> None:
@@ -194,9 +194,9 @@ READERS = {
     "recipe": Reader("recipe.toml", use_recipe, TOML),
     "results": Reader("out/results.json", read_results, JSON),
     "report": Reader("out/results.json", lambda path: build_report(path.parent),
-                     (changed_json,), 1),
+                     (changed_json,), 0.4),
     "report's design": Reader("out/designs/key.safetensors",
-                              lambda path: build_report(path.parents[1]), (changed_tensors,), 1),
+                              lambda path: build_report(path.parents[1]), (changed_tensors,), 0.4),
     "index": Reader("published/designs.json", lambda path: CollectionIndex.read(path.parent), JSON),
     "list of designs": Reader("collection.toml", use_collection, TOML),
     "npz": Reader("data.npz", load_dataset, (changed_zip, changed_zip, mangled), 8),

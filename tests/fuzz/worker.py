@@ -6,6 +6,7 @@ prints a JSON object for each failure, and keeps the input that is read in WORK/
 """
 
 import json
+import math
 import re
 import resource
 import signal
@@ -73,7 +74,7 @@ def main(samples: Path, work: Path, first: int, count: int, names: list[str]) ->
     now = work / "now"
     for name, path in places.items():
         sound = path.read_bytes()
-        for seed in range(first, first + count * READERS[name].weight):
+        for seed in range(first, first + math.ceil(count * READERS[name].weight)):
             content = drawn(READERS[name], seed, name, sound)
             path.write_bytes(content)
             now.write_text(f"{name} {seed}")
