@@ -117,7 +117,7 @@ class MaskTables:
             "give fewer scenes, or a smaller {dictionary}",
         )
         gain = optics.photons / prior.summed_reflectance * share
-        dark = float(torch.as_tensor(optics.dark).sum()) * share
+        dark = optics.dark_sum * share
         least = LEAST_LIGHT * float(prior.mean.sum())
         often = prior.members / prior.members.sum()
         mean, parts = prior.light(masks)
@@ -223,8 +223,10 @@ class MaskDictionary:
 
 def _alike(one: LookOptics, other: LookOptics) -> bool:
     """True where tables of one detector's counts are the same."""
-    darks = [float(torch.as_tensor(each.dark).sum()) for each in (one, other)]
-    return (one.photons, one.fluctuation, darks[0]) == (other.photons, other.fluctuation, darks[1])
+    return all(
+        getattr(one, field) == getattr(other, field)
+        for field in ("photons", "fluctuation", "dark_sum")
+    )
 
 
 class DictionaryPosterior(AdaptivePosterior):

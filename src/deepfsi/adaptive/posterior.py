@@ -310,6 +310,11 @@ class LookOptics:
             photons, camera.dark_counts, arms, detectors=detectors, fluctuation=camera.fluctuation
         )
 
+    @property
+    def dark_sum(self) -> float:
+        """Dark counts of all readouts together, in a whole exposure."""
+        return float(torch.as_tensor(self.dark).sum())
+
     def areas(self, masks: Tensor) -> Tensor:
         """Pixels (D, N) of each detector, 1 where it sees them."""
         if self.detectors is None:

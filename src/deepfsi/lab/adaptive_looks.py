@@ -148,17 +148,16 @@ class AdaptiveLooks:
         is measured changes a little with each scene.
         """
         last = self._tabled
-        if scene == 0 or last is None or not _alike(last, optics):
+        if scene == 0 or last is None or not _nearly_alike(last, optics):
             self._tabled = last = optics
         return last
 
 
-def _alike(one: LookOptics, other: LookOptics) -> bool:
+def _nearly_alike(one: LookOptics, other: LookOptics) -> bool:
     """True if budgets, and the dark counts beside them, differ by less than is known of them."""
     most = SAME_LIGHT * one.photons
-    darks = [float(torch.as_tensor(each.dark).sum()) for each in (one, other)]
     close = abs(other.photons - one.photons) <= most
-    return close and abs(darks[1] - darks[0]) <= SAME_LIGHT * (most + darks[0])
+    return close and abs(other.dark_sum - one.dark_sum) <= SAME_LIGHT * (most + one.dark_sum)
 
 
 class _AdaptiveLiveExposure:
