@@ -1,10 +1,14 @@
 """The paper's experiments on digits, small."""
 
 import pickle
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
 
+from deepfsi.camera import find_device
+from deepfsi.datasets import catalog
 from deepfsi.sweeps import Recipe
 from deepfsi.training import learning
 from deepfsi_paper import bootstrap, experiment, studies
@@ -20,6 +24,9 @@ OVIT = (ovit.EXPERIMENT, ovit.IMAGES, ovit.FULL)
 APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT, *OVIT, images.EXPERIMENT)
 EVERY = [each for each in ALL if each not in APART]
 TWICE = ("masks", "starts", "compression", "training")
+SMALL_DEVICE = find_device("256x192")
+"""A sixteenth of the laboratory's mirrors."""
+
 TINY = {"data": "digits", "ratios": (0.05, 0.1), "photons": (1e2, 1e4), "training": {"epochs": 1}}
 
 
@@ -60,6 +67,15 @@ def here(work, shared, tasks, count):
         yield pickle.loads(pickle.dumps(work(shared, pickle.loads(pickle.dumps(task)))))
 
 
+_load = catalog.Digits.load
+
+
+def few_to_test(self, options):
+    """Digits with 100 scenes to test."""
+    digits = _load(self, options)
+    return replace(digits, x_test=digits.x_test[:100], y_test=digits.y_test[:100])
+
+
 def run_all(folder: Path) -> Path:
     """Run experiments on digits into a folder, some with two trials and the others with one."""
     recipes = {each.name: tiny(each, 1 + (each.name in TWICE)) for each in EVERY}
@@ -68,6 +84,10 @@ def run_all(folder: Path) -> Path:
         patch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
         patch.setattr(bootstrap, "RESAMPLES", 99)
         patch.setattr(laboratory, "DRAWS", 2)
+        patch.setattr(catalog.Digits, "load", few_to_test)
+        patch.setattr(laboratory, "DEVICE", SMALL_DEVICE)
+        patch.setattr(laboratory, "LAB", laboratory.LAB.model_copy(update={"blur": 2.0}))
+        patch.setattr(laboratory, "calibrate", cache(laboratory.calibrate.__wrapped__))
         patch.setattr(laboratory, "processes", here)
         patch.setattr(rate_simulations, "processes", here)
         patch.setattr(rate_simulations, "SETTINGS_A_BUDGET", 2)
