@@ -43,7 +43,8 @@ def summary(results):
 
 
 def test_page_is_one_document_with_its_figures_beside_it(tmp_path):
-    make_results(tmp_path, noises=("poisson", "gaussian"))
+    few = ("raster", "truncated-hadamard", "deepfsi")
+    make_results(tmp_path, designs=few, noises=("poisson", "gaussian"))
     page = page_of(tmp_path)
     assert_whole(page, tmp_path)
     names = {path.name for path in tmp_path.iterdir()}
@@ -296,7 +297,7 @@ def test_small_and_odd_comparisons_make_a_page(tmp_path, case):
 
 
 def test_same_results_make_the_same_page_and_figures(tmp_path):
-    make_results(tmp_path, designs=("deepfsi",))
+    make_results(tmp_path, designs=("deepfsi",), budgets=(1e3,), counts=(4,))
     first, second = (
         [page_of(tmp_path), *(path.read_bytes() for path in sorted(tmp_path.glob("figures/*")))]
         for _ in range(2)
@@ -334,7 +335,7 @@ def test_folders_without_usable_results_are_refused(tmp_path, content, told):
 
 
 def test_report_needs_no_torch(tmp_path):
-    make_results(tmp_path)
+    make_results(tmp_path, designs=("raster", "deepfsi"), budgets=(1e3,), counts=(4,))
     run_without_torch(
         "from deepfsi.report import write_report; write_report(sys.argv[1])", tmp_path
     )
@@ -358,6 +359,7 @@ def test_equal_designs_are_all_named_and_bold_and_those_of_one_class_are_marked(
     assert 0.1 not in heights
 
 
+@pytest.mark.usefixtures("drawn_once")
 def test_confusion_matrices_are_those_of_the_chosen_mask_counts(tmp_path):
     results = make_results(tmp_path, designs=("raster", "pca"))
     assert "taken for which" not in page_of(tmp_path), "results of before have none"
