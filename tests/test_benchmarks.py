@@ -22,6 +22,9 @@ from deepfsi.training import train
 from shared.benchmarks import benchmark
 
 DRAWS = 400_000
+RUNS = 15
+"""Without a fault, of each test of light and counts."""
+
 RATES = torch.tensor([[0.7, 1.3], [0.4, 0.0]], dtype=torch.float64)
 """Two readouts; the second has one rail."""
 
@@ -287,7 +290,7 @@ def test_networks_of_both_types_are_timed_and_compared(printed, monkeypatch):
     bench = benchmark("networks")
     width, job = bench.rules.BFLOAT16_WIDTH, ("free-dwell", 4, "2x2", 2, (16,))
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
-    small = {"EPOCHS": 60, "SEEDS": 1, "BUDGETS": (1e4,), "COMPARED": (job,), "TIMED": (job,)}
+    small = {"EPOCHS": 30, "SEEDS": 1, "BUDGETS": (1e4,), "COMPARED": (job,), "TIMED": (job,)}
     for name, value in small.items():
         monkeypatch.setattr(bench, name, value)
     accurate, timed = (
@@ -336,8 +339,8 @@ def test_tests_of_light_and_counts_alarm_as_seldom_as_they_state_and_find_their_
     """As their rates give but once in 10⁶ runs, and their powers but once in a hundred."""
     script = benchmark("false_alarms")
     for law in script.LAWS:
-        alarms, powers, tries = script.measured(law, 40)
-        assert alarms <= binom.ppf(1 - 1e-6, 40, law.stated), law.name
+        alarms, powers, tries = script.measured(law, RUNS)
+        assert alarms <= binom.ppf(1 - 1e-6, RUNS, law.stated), law.name
         assert powers >= binom.ppf(0.01, tries, law.power), law.name
 
 
