@@ -6,7 +6,7 @@ is read from the source, so the rules can be tried on a small package that was m
 
 import ast
 import re
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -81,6 +81,23 @@ class Import:
     typed: bool
 
 
+def import_statements(tree: ast.Module) -> Iterator[tuple[ast.Import | ast.ImportFrom, bool, bool]]:
+    """Imports of a module, the outer ones first, whether in a function, and for checkers only.
+
+    Blocks of statements alone are looked through, which takes a tenth of the time of all nodes.
+    """
+    blocks = deque([(tree, False, False)])
+    while blocks:
+        node, late, typed = blocks.popleft()
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield node, late, typed
+        late = late or isinstance(node, Function)
+        typed = typed or (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test))
+        for field in ("body", "handlers", "orelse", "finalbody", "cases"):
+            inside = getattr(node, field, ())
+            blocks.extend((each, late, typed) for each in inside if isinstance(inside, list))
+
+
 class House:
     """The packages of a folder, `users` of them (pages and scripts), and reasons for exceptions.
 
@@ -103,15 +120,8 @@ class House:
         self.imports = [one for module in self.everything.values() for one in self._imports(module)]
 
     def _imports(self, module: Module) -> Iterator[Import]:
-        late, typed = (
-            {id(node) for block in blocks for node in ast.walk(block)}
-            for blocks in (
-                module.all(*Function.__args__),
-                (each for each in module.all(ast.If) if "TYPE_CHECKING" in ast.dump(each.test)),
-            )
-        )
         package = module.name.split(".")
-        for node in module.all(ast.Import, ast.ImportFrom):
+        for node, late, typed in import_statements(module.tree):
             origin = getattr(node, "module", None) or ""
             if getattr(node, "level", 0):
                 above = package[: len(package) - node.level + module.is_door]
@@ -121,7 +131,7 @@ class House:
                 if isinstance(node, ast.ImportFrom) and target not in self.everything:
                     target, name = origin, alias.name
                 target = target if target in self.everything else target.partition(".")[0]
-                yield Import(module, target, name, id(node) in late, id(node) in typed)
+                yield Import(module, target, name, late, typed)
 
     @cached_property
     def exports(self) -> dict[str, dict[str, str]]:
