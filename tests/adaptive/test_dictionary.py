@@ -235,7 +235,7 @@ def test_light_is_shared_among_exposures_with_masks_of_a_dictionary(digits):
         exposure={"cap": 2},
         training={"dictionary": 200},
     )
-    [result] = evaluate(shared, digits, 1e3, draws=3)
+    [result] = evaluate(shared, digits, 1e3, draws=1)
     assert result.score("mean_light") == pytest.approx(1, abs=0.1)
     assert shared.prior_exposure.settings.until < 1
 

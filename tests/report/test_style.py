@@ -29,7 +29,7 @@ CALLERS = [
 
 def test_figures_are_the_same_whatever_the_caller_set(tmp_path):
     """On the page and as files; also a theme, and a font or a LaTeX that are not there."""
-    results = make_results(tmp_path)
+    results = make_results(tmp_path, designs=("raster", "deepfsi"), counts=(4,))
 
     def drawn(name):
         figures = Figures()
