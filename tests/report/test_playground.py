@@ -59,8 +59,9 @@ def pages(designs, digits, tmp_path_factory):
         stopping = {"threshold": 0.05, "photons": 1e4}
         return replace(designs(kind), info={**designs(kind).info, "stopping": stopping})
 
+    few = replace(digits, x_test=digits.x_test[:100], y_test=digits.y_test[:100])
     data = {"spectra": synthetic((24,))}
-    return page_writer(tmp_path_factory.mktemp("pages"), shown, lambda kind: data.get(kind, digits))
+    return page_writer(tmp_path_factory.mktemp("pages"), shown, lambda kind: data.get(kind, few))
 
 
 @pytest.mark.parametrize("kind", KINDS)
