@@ -473,11 +473,14 @@ def restore_high_bytes(
         axes = np.linalg.eigh(scaled.T @ scaled)[1][:, -RANK:]
         scores = scaled @ axes
         for band in np.flatnonzero(unsure.any(axis=0)):
-            others = np.c_[scores - scaled[:, band, None] * axes[band], np.ones(len(lower))]
-            sure = fitted & ~unsure[:, band]
-            asked = unsure[:, band]
-            weights = np.linalg.lstsq(others[sure], lower[sure, band], rcond=None)[0]
-            expected = others[asked] @ weights
+            asked = np.flatnonzero(unsure[:, band])
+            sure = np.flatnonzero(fitted & ~unsure[:, band])
+            others = [
+                np.c_[scores[rows] - scaled[rows, band, None] * axes[band], np.ones(len(rows))]
+                for rows in (sure, asked)
+            ]
+            weights = np.linalg.lstsq(others[0], lower[sure, band], rcond=None)[0]
+            expected = others[1] @ weights
             either = lower[asked, band]
             nearer = abs(either + gap - expected) < abs(either - expected)
             values[asked, band] = expected if number < SOFT else either + gap * nearer
