@@ -11,7 +11,7 @@ from selenium.webdriver.common.by import By
 
 from conftest import exposing, generator, synthetic
 from deepfsi import Camera, evaluate, learn
-from deepfsi.adaptive import AdaptivePosterior, choice, exposure, prior_of
+from deepfsi.adaptive import AdaptivePosterior, choice, prior_of
 from deepfsi.adaptive.posterior import LookOptics
 from deepfsi.evaluation import of_page, playable, with_rule
 from deepfsi.evaluation import page_data as payload
@@ -19,7 +19,6 @@ from deepfsi.evaluation.page_data import few_tests
 from deepfsi.evaluation.stopping import StoppingRule
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.report.playground import write_page
-from deepfsi.training import characterisation
 from shared.playground import ask, open_playground
 
 LOOKS, PHOTONS, VECTORS = 6, 1e3, 20
@@ -47,12 +46,9 @@ CLOSE = 1e-6
 @pytest.fixture(scope="module")
 def designs(digits):
     few, made = replace(digits, x_train=digits.x_train[:700], y_train=digits.y_train[:700]), {}
-    with pytest.MonkeyPatch.context() as patch:
-        for module in (characterisation, exposure):
-            patch.setattr(module, "MISFIT_SCENES", exposure.FEWEST_MISFIT_SCENES)
-        for kind, settings in KINDS.items():
-            data = synthetic((24,)) if kind == "spectra" else few
-            made[kind] = learn(data, design="adaptive", masks=LOOKS, photons=PHOTONS, **settings)
+    for kind, settings in KINDS.items():
+        data = synthetic((24,)) if kind == "spectra" else few
+        made[kind] = learn(data, design="adaptive", masks=LOOKS, photons=PHOTONS, **settings)
     known = AdaptiveMasks(looks=LOOKS, spread=0.0)
     made["among"] = exposing(made["among"], prior=prior_of(few, known), settings=known)
     rule = StoppingRule(after=tuple(range(1, LOOKS + 1)), threshold=SURE, photons=PHOTONS)
@@ -69,7 +65,6 @@ def pages(designs, digits, tmp_path_factory):
         )  # no test reads the accuracy here
         for kind, design in designs.items():
             data = synthetic((24,)) if kind == "spectra" else digits
-            data = replace(data, x_test=data.x_test[:100], y_test=data.y_test[:100])
             write_page(home / f"{kind}.html", playable(design, data))
     return {kind: (home / f"{kind}.html").as_uri() for kind in designs}
 
