@@ -4,8 +4,9 @@ The masks are known before, so that the expected counts of all scenes behind all
 Counts n of a look change the log-probability of scene k by n · U[p, k] − V[p, k], with two tables
 of the dictionary. What scenes near those of the prior add, a normal e, is not learned from look to
 look as by `AdaptivePosterior`: the counts of each look are of a negative binomial law of its own.
-As e is the same in all looks, they tell less together than apart, and the likelihood of each is
-taken to a power below 1, unless scenes are those of the prior (a power posterior: A. Ibrahim and M.-H. Chen, Statistical Science 15, 46 (2000)).
+As e is the same in all looks, they tell less together than apart: the likelihood of each is taken
+to a power below 1, unless scenes are those of the prior (P. Grünwald and T. van Ommen, Bayesian
+Analysis 12, 1069 (2017), of powers where a model is not just right).
 So no look is loaded into the device, and none asks for products with the scenes.
 
 Masks are compared as those that are made anew (`choice`): by what their counts tell of the class,
