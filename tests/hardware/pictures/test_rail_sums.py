@@ -12,7 +12,7 @@ from deepfsi.jobs import formula_masks
 SHAPE = (16, 16)
 FINE = rail_sums.fineness(formula_masks("hadamard-natural", SHAPE), SHAPE)[1:]
 PAIRS = len(FINE)
-TRIALS = 200
+TRIALS = 120
 
 
 def counts(light: np.ndarray, mean: float, rng: np.random.Generator) -> np.ndarray:
@@ -51,7 +51,7 @@ def test_an_excess_that_was_put_in_is_measured():
     rng, spread = np.random.default_rng(2), 0.06
     found = [
         rail_sums.check_rail_sums(counts(lognormal(spread, (1, PAIRS), rng), 600, rng), FINE)
-        for _ in range(30)
+        for _ in range(16)
     ]
     assert not any(one.poisson for one in found)
     excess = [one.runs[0].excess for one in found]
