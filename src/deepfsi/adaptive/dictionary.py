@@ -183,7 +183,7 @@ class MaskDictionary:
     """
 
     masks: Tensor
-    _tables: dict[str, tuple[ScenePrior, LookOptics, MaskTables]] = field(
+    _tables: dict[str, tuple[ScenePrior, tuple[float, ...], MaskTables]] = field(
         default_factory=dict, repr=False
     )
     _indices: dict[bytes, int] = field(default_factory=dict, repr=False)
@@ -215,13 +215,14 @@ class MaskDictionary:
 
     def tables(self, prior: ScenePrior, optics: LookOptics, share: float) -> MaskTables:
         """Tables for scenes and a budget; the last ones are kept."""
+        light = optics.photons, optics.fluctuation, optics.dark_sum
         if "last" in self._tables:
-            scenes, same, tables = self._tables["last"]
-            like = scenes is prior and _alike(same, optics)
+            scenes, known, tables = self._tables["last"]
+            like = scenes is prior and known == light
             if like and math.isclose(share, tables.share, rel_tol=SAME_SHARE):
                 return tables
         tables = MaskTables.of(self.masks, prior, optics, share)
-        self._tables["last"] = (prior, optics, tables)
+        self._tables["last"] = (prior, light, tables)
         return tables
 
     def indices(self, masks: Tensor) -> list[int]:
@@ -229,14 +230,6 @@ class MaskDictionary:
         if not self._indices:
             self._indices.update({row.tobytes(): p for p, row in enumerate(self.masks.numpy())})
         return [self._indices[row.tobytes()] for row in masks.numpy()]
-
-
-def _alike(one: LookOptics, other: LookOptics) -> bool:
-    """True where tables of one detector's counts are the same."""
-    return all(
-        getattr(one, field) == getattr(other, field)
-        for field in ("photons", "fluctuation", "dark_sum")
-    )
 
 
 class DictionaryPosterior(AdaptivePosterior):

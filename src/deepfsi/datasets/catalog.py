@@ -475,12 +475,12 @@ def restore_high_bytes(
         for band in np.flatnonzero(unsure.any(axis=0)):
             asked = np.flatnonzero(unsure[:, band])
             sure = np.flatnonzero(fitted & ~unsure[:, band])
-            others = [
+            known, unknown = (
                 np.c_[scores[rows] - scaled[rows, band, None] * axes[band], np.ones(len(rows))]
                 for rows in (sure, asked)
-            ]
-            weights = np.linalg.lstsq(others[0], lower[sure, band], rcond=None)[0]
-            expected = others[1] @ weights
+            )
+            weights = np.linalg.lstsq(known, lower[sure, band], rcond=None)[0]
+            expected = unknown @ weights
             either = lower[asked, band]
             nearer = abs(either + gap - expected) < abs(either - expected)
             values[asked, band] = expected if number < SOFT else either + gap * nearer
