@@ -1,6 +1,6 @@
-"""Ctrl-C and SIGTERM at random moments: one line, exit code 130 or 143, nothing left over.
+"""Ctrl-C and SIGTERM at any moment: one line, exit code 130 or 143, nothing left over.
 
-DEEPFSI_STOPS=100 pytest tests/base/test_interrupts.py tries more moments.
+DEEPFSI_STOPS=100 pytest tests/base/test_interrupts.py tries random ones.
 """
 
 import os
@@ -89,7 +89,7 @@ def stopped(process: subprocess.Popen, number: int = signal.SIGINT, alone: bool 
 
 @pytest.mark.slow
 def test_a_signal_at_any_moment_says_one_line_and_leaves_at_once(tmp_path):
-    """While workers train, as the command begins, and at moments in between."""
+    """While workers train, as the command begins, and, if asked for, at moments in between."""
     process, began = sweep(tmp_path), time.monotonic()
     until(lambda: list(tmp_path.glob("out/trials/*.json")) or process.poll() is not None)
     span, chance = time.monotonic() - began, random.Random(5)
