@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 from conftest import synthetic
@@ -15,7 +16,7 @@ from deepfsi_paper import experiment, mlgauss, studies
 from deepfsi_paper.camera import claims
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.mnist import accuracy as mnist
-from shared.experiments import ALL, EVERY, OVIT, SMALL_DEVICE, run_all
+from shared.experiments import ALL, DRAWS, EVERY, OVIT, SMALL_DEVICE, run_all
 from shared.results import a_point, of_three, some_results
 
 
@@ -49,6 +50,15 @@ def test_every_experiment_ends_in_a_section(folder):
         for rows in (table(folder / name) for name in section.files):
             assert rows
             assert all(0 <= float(row["accuracy"]) <= 1 for row in rows)
+
+
+@pytest.mark.slow
+def test_rates_of_the_laboratory_are_of_all_its_draws_and_digits(folder):
+    extra = json.loads((folder / "hardware.json").read_text())["extra"]
+    rates = [one["rates"] for one in extra["tests"]]
+    assert rates
+    assert {np.shape(each)[1:] for each in rates} == {(DRAWS, 10)}
+    assert {np.shape(each)[0] for each in rates} == {1}, "trainings of a design"
 
 
 @pytest.mark.slow

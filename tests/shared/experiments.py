@@ -27,6 +27,9 @@ TWICE = ("masks", "starts", "compression", "training")
 SMALL_DEVICE = find_device("256x192")
 """A sixteenth of the laboratory's mirrors."""
 
+DRAWS = 2
+"""Of ten digits, that the laboratory shows."""
+
 TINY = {"data": "digits", "ratios": (0.05, 0.1), "photons": (1e2, 1e4), "training": {"epochs": 1}}
 
 
@@ -83,7 +86,7 @@ def run_all(folder: Path) -> Path:
         patch.setattr(learning, "characterise", lambda *_: None)
         patch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
         patch.setattr(bootstrap, "RESAMPLES", 99)
-        patch.setattr(laboratory, "DRAWS", 2)
+        patch.setattr(laboratory, "DRAWS", DRAWS)
         patch.setattr(catalog.Digits, "load", few_to_test)
         patch.setattr(laboratory, "DEVICE", SMALL_DEVICE)
         patch.setattr(laboratory, "LAB", laboratory.LAB.model_copy(update={"blur": 2.0}))
