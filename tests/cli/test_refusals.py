@@ -41,6 +41,10 @@ REFUSED = {
         --classifier mlp | leave --classifier out
         --levels 16 | of 2 levels: leave --levels out, or give --design deepfsi
     """,
+    "design --photons 1e3 --masks 3 --design pca": """
+        --start lda | --start is of learned masks, and pca has its own
+        --mask-lr 0.1 | --mask-lr is of learned masks, and pca has its own
+    """,
     "design --photons 1e3 --masks 3": """
         --design nosuch | unknown design 'nosuch'
         --data nosuch | unknown data set 'nosuch'

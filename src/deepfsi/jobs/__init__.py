@@ -51,6 +51,7 @@ from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.jobs.tiles import check_count, count_allowed, sensing_matrix
 from deepfsi.jobs.training import (
     CUSTOM_CLASSIFIER,
+    MASK_SETTINGS,
     MLP,
     MOST_LAYERS,
     PRIOR_SETTINGS,
@@ -75,6 +76,7 @@ __all__ = [
     "FEW_SCENES",
     "FORMULAS",
     "LARGEST_SCORE",
+    "MASK_SETTINGS",
     "MLP",
     "MOST_LAYERS",
     "PRIOR_SETTINGS",

@@ -44,6 +44,7 @@ from deepfsi.jobs.tiles import check_count, count_allowed
 from deepfsi.jobs.training import (
     CLASSIFIERS,
     FEW_COUNTS,
+    MASK_SETTINGS,
     MLP,
     PRIOR_SETTINGS,
     TUNED,
@@ -571,11 +572,12 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
             "{photons}",
             setting=("start_counts", "counts", "photons"),
         )
-    if "start" in given and not job.code.learns_masks:
+    idle = [name for name in MASK_SETTINGS if name in given and not job.code.learns_masks]
+    if idle:
         raise InputError(
-            "{start} is of learned masks, and {given} has its own: leave it out, or give "
+            f"{{{idle[0]}}} is of learned masks, and {{given}} has its own: leave it out, or give "
             "{design:deepfsi}",
-            setting=("start", "design"),
+            setting=(idle[0], "design"),
             given=job.design,
         )
     return job

@@ -180,6 +180,9 @@ def _widths(given: Any) -> Any:
     return [width for width in given.split(",") if width] if isinstance(given, str) else given
 
 
+MASK_SETTINGS = ("start", "start_counts", "mask_lr")
+"""Settings of the training that only learned masks have."""
+
 PRIOR_SETTINGS = {"clusters", "dictionary"}
 """Settings of the training that adaptive masks take, which learn by no steps."""
 

@@ -22,6 +22,7 @@ from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR
 from deepfsi.datasets import Dataset
 from deepfsi.jobs import (
     DESIGNS,
+    MASK_SETTINGS,
     PRIOR_SETTINGS,
     REVISION,
     Exposure,
@@ -31,7 +32,6 @@ from deepfsi.jobs import (
     find_table,
 )
 from deepfsi.sweeps.recipe import (
-    MASK_SETTINGS,
     CameraVariant,
     Recipe,
     TestNoise,

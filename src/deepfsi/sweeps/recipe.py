@@ -38,6 +38,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.jobs import (
     CUSTOM_CLASSIFIER,
     DESIGNS,
+    MASK_SETTINGS,
     MLP,
     Exposure,
     Training,
@@ -63,9 +64,6 @@ _RATIOS_OR_MASKS = "give ratios or masks, not both"
 
 _TABLES = ("camera", "exposure", "training")
 """Fields that are tables of axes."""
-
-MASK_SETTINGS = ("start", "start_counts", "mask_lr")
-"""Settings of the training that only learned masks have."""
 
 _MLP_SETTINGS = find_classifier(MLP).settings
 """Settings of the training that only the usual classifier has."""
