@@ -4,6 +4,11 @@
 
 writes `exact/` anew from the reference, for cases that are new. Nothing is ever stored from the
 package that is tested.
+
+    python tests/golden/beside.py know
+
+adds what the reference gives on this processor to `known.json`, as a hash for each case: facts with
+such a hash are the reference's, which then need not run.
 """
 
 import contextlib
@@ -34,6 +39,9 @@ REFERENCE = "7f3a79fa8e28805991b4f3eea6b26d6170103b3e"
 HERE = Path(__file__).parent
 CACHE = HERE.parents[1] / ".venv" / "reference"
 """Source of the reference, and its facts of each case, on this machine."""
+
+KNOWN = HERE / "known.json"
+"""Hashes of the reference's facts of each case, one for each kind of processor that gave them."""
 
 MODULES = tuple(sorted(path.stem for path in HERE.glob("*_cases.py")))
 """Modules that have cases."""
@@ -153,12 +161,54 @@ def _state(module: str) -> str:
     processor = re.findall("model name.*", about.read_text())[:1] if about.exists() else []
     processor += [platform.machine(), platform.processor()]
     machine = [*processor, sys.version, numpy.__version__, torch.__version__]
-    state = sha256(json.dumps([REFERENCE, *machine, os.environ.get("DEEPFSI_DATA")]).encode())
+    return digest([_cases_state(module), *machine, os.environ.get("DEEPFSI_DATA")])
+
+
+@functools.cache
+def _cases_state(module: str) -> str:
+    """Hash of the reference and of the cases of a module, without the machine."""
+    state = sha256(REFERENCE.encode())
     shared = [path for path in HERE.glob("*.py") if path.stem not in (*MODULES, *APART)]
     for path in sorted([HERE / f"{module}.py", *shared, *(HERE / "inputs").rglob("*")]):
         if path.is_file():
             state.update(path.relative_to(HERE).as_posix().encode() + path.read_bytes())
     return state.hexdigest()[:16]
+
+
+@functools.cache
+def known() -> dict[str, Any]:
+    """Of each module the state of its cases, and the hashes of the reference's facts by case."""
+    return json.loads(KNOWN.read_text())
+
+
+def is_known(module: str, name: str, of_case: dict[str, Any]) -> bool:
+    """True if facts are, bit for bit, what the reference gave on one of the known processors."""
+    of_module = known().get(module, {})
+    fresh = of_module.get("state") == _cases_state(module)  # of the same reference and cases
+    return fresh and fingerprint(of_case) in of_module["cases"].get(name, "").split()
+
+
+def fingerprint(of_case: dict[str, Any]) -> str:
+    """Hash of the facts of a case, bits included."""
+    return digest([of_case["exact"], of_case["bits"]])
+
+
+def know() -> None:
+    """Add what the reference gives on this processor to the known hashes."""
+    found = {}
+    with reference() as ask:
+        for module in MODULES:
+            state = _cases_state(module)
+            of_module = known().get(module, {})
+            before = of_module["cases"] if of_module.get("state") == state else {}
+            hashes = {name: set(own.split()) for name, own in before.items()}
+            for name in cases(module):
+                hashes.setdefault(name, set()).add(fingerprint(ask(module, name)))
+            found[module] = {
+                "state": state,
+                "cases": {name: " ".join(sorted(own)) for name, own in sorted(hashes.items())},
+            }
+    KNOWN.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n")
 
 
 def _source() -> Path | None:
@@ -217,4 +267,5 @@ MISSING = "missing"
 
 if __name__ == "__main__":
     sys.path[0] = str(HERE.parent)
-    importlib.import_module("golden.beside").store(sys.argv[2:])
+    here = importlib.import_module("golden.beside")
+    here.know() if sys.argv[1:] == ["know"] else here.store(sys.argv[2:])
