@@ -152,7 +152,6 @@ def test_a_job_comes_back_from_json():
         ({"training": {"classifier": 3}}, "training.classifier = 3"),
         ({"training": 3}, "training = 3"),
         ({"design": "pca", "training": {"start": "lda"}}, "pca has its own"),
-        ({"design": "pca", "training": {"mask_lr": 0.1}}, "`mask_lr` .* pca has its own"),
         ({"photons": None}, "told once: .*or a camera with its flux"),
         ({"photons": None, "counts": -1.0}, "-1.0 counts"),
         ({"photons": None, "counts": 30.0, "exposure": {"span": 10.0}}, "leave .*`span`, out"),

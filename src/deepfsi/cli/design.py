@@ -26,7 +26,14 @@ from deepfsi.cli.evaluate import (
 )
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.jobs import Job, find_job, read_matrix, sorted_settings, usual_mask_count
+from deepfsi.jobs import (
+    MASK_SETTINGS,
+    Job,
+    find_job,
+    read_matrix,
+    sorted_settings,
+    usual_mask_count,
+)
 from deepfsi.measures import Result, details_text, lit_text, score_text
 
 if TYPE_CHECKING:
@@ -75,6 +82,7 @@ class LearnDesign(Command):
             scenes = view_dataset(scenes, self.view)
         asked = _job_fields(settings, scenes, matrix)
         job = find_job(asked, counts)
+        _check_mask_settings(settings, job)
         fields.check_sigma(settings, (job.camera.noise_name, job.noise))
         _check_test(job)
         trained = scenes.hold_out(self.hold_out) if self.hold_out else scenes
@@ -157,6 +165,18 @@ def _job_fields(
             )
         return {**job, "design": "custom", "masks": len(matrix)}
     return job if "masks" in job else {**job, "masks": usual_mask_count(job, data)}
+
+
+def _check_mask_settings(settings: Mapping[str, Any], job: Job) -> None:
+    """Raise `InputError` for options of learned masks where a design has its own."""
+    idle = [name for name in MASK_SETTINGS if name in settings and not job.code.learns_masks]
+    if idle:
+        raise InputError(
+            "{setting} is of learned masks, and {given} has its own: leave it out, or give "
+            "another design",
+            setting=idle[0],
+            given=job.design,
+        )
 
 
 def _check_test(job: Job) -> None:

@@ -44,7 +44,6 @@ from deepfsi.jobs.tiles import check_count, count_allowed
 from deepfsi.jobs.training import (
     CLASSIFIERS,
     FEW_COUNTS,
-    MASK_SETTINGS,
     MLP,
     PRIOR_SETTINGS,
     TUNED,
@@ -572,12 +571,11 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
             "{photons}",
             setting=("start_counts", "counts", "photons"),
         )
-    idle = [name for name in MASK_SETTINGS if name in given and not job.code.learns_masks]
-    if idle:
+    if "start" in given and not job.code.learns_masks:
         raise InputError(
-            f"{{{idle[0]}}} is of learned masks, and {{given}} has its own: leave it out, or give "
+            "{start} is of learned masks, and {given} has its own: leave it out, or give "
             "{design:deepfsi}",
-            setting=(idle[0], "design"),
+            setting=("start", "design"),
             given=job.design,
         )
     return job
