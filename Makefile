@@ -4,6 +4,9 @@ BIN := $(VENV)/bin
 
 unexport PYTHONDONTWRITEBYTECODE # compiled anew, the imports of torch alone take each process 3 s
 
+# each folder that a test makes costs milliseconds on some disks, and nothing in memory
+IN_MEMORY := $(shell df --output=avail /dev/shm 2>/dev/null | awk '$$1 + 0 > 8e6 {print "TMPDIR=/dev/shm"}')
+
 .PHONY: run test quick static pytest-test pytest-quick docs clean
 
 run: $(VENV)/package
@@ -24,10 +27,10 @@ static: # one process, which leaves the other cores to pytest
 	$(BIN)/lint-imports
 
 pytest-test:
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n logical --dist worksteal
+	OMP_NUM_THREADS=1 $(IN_MEMORY) $(BIN)/pytest -n logical --dist worksteal
 
 pytest-quick:
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n logical --dist worksteal tests/golden tests/test_house.py
+	OMP_NUM_THREADS=1 $(IN_MEMORY) $(BIN)/pytest -n logical --dist worksteal tests/golden tests/test_house.py
 
 docs: $(VENV)/docs
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --jobs auto docs docs/_build/html
