@@ -169,14 +169,14 @@ def _job_fields(
 
 def _check_mask_settings(settings: Mapping[str, Any], job: Job) -> None:
     """Raise `InputError` for options of learned masks where a design has its own."""
-    idle = [name for name in MASK_SETTINGS if name in settings and not job.code.learns_masks]
-    if idle:
-        raise InputError(
-            "{setting} is of learned masks, and {given} has its own: leave it out, or give "
-            "another design",
-            setting=idle[0],
-            given=job.design,
-        )
+    for setting in MASK_SETTINGS:
+        if setting in settings and not job.code.learns_masks:
+            raise InputError(
+                "{setting} is of learned masks, and {given} has its own: leave it out, or give "
+                "another design",
+                setting=setting,
+                given=job.design,
+            )
 
 
 def _check_test(job: Job) -> None:
