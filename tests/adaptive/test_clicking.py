@@ -57,8 +57,13 @@ def tested(made, data):
     return result
 
 
-def run(training, x, price, photons=PHOTONS, seed=0):
-    settings = training.settings.model_copy(update={"price": price})
+LIGHT_PRICE = CLICKS / PHOTONS
+"""Of a design for these clicks, clicks a photon."""
+
+
+def run(training, x, price, photons=PHOTONS, seed=0, light_price=LIGHT_PRICE):
+    update = {"price": price, "light_price": light_price}
+    settings = training.settings.model_copy(update=update)
     generator = torch.Generator().manual_seed(seed)
     looks = clicking.ClickLooks(training.prior, settings, photons)
     return looks.run(torch.from_numpy(x), generator)
@@ -140,13 +145,9 @@ def test_clicks_fall_as_their_price_rises(training, data):
     assert means[-1] < means[0] / 2
 
 
-def test_less_light_is_taken_where_it_costs_more(training, data, monkeypatch):
+def test_less_light_is_taken_where_it_costs_more(training, data):
     x = data.x_test[:60]
-    used = []
-    for cost in (0.0, 0.2):
-        monkeypatch.setattr(clicking, "LIGHT_COST", cost)
-        seen = run(training, x, price=0.03)
-        used.append(seen.used)
+    used = [run(training, x, price=0.03, light_price=each).used for each in (0.0, 0.2)]
     errors = sum(float(each.var()) / len(x) for each in used) ** 0.5
     assert used[1].mean() < used[0].mean() - 3 * errors
 
@@ -176,6 +177,7 @@ def test_the_price_of_mean_clicks_is_the_lowest_that_costs_no_more():
 def test_test_scenes_click_as_often_as_was_asked_for(made, tested, training, data):
     settings = made.exposure.settings
     assert settings.price > 0
+    assert settings.light_price == pytest.approx(LIGHT_PRICE)  # all light costs these clicks, too
     clicks = run(training, data.x_test[:60], settings.price).clicks
     # the price is known by some training scenes, and the mean by these test scenes
     error = float(clicks.std()) * (1 / len(data.x_test) + 1 / clicking.PRICING_SCENES) ** 0.5

@@ -70,11 +70,12 @@ Chosen on validation images of MNIST on black. With 0 the first looks are dark a
 where information less price times clicks is largest, the first looks nearly always click.
 """
 
-LIGHT_COST = 5e-3
-"""Clicks that a photon on the device is taken to cost.
+LIGHT_CLICKS = 15.0
+"""Clicks that all light of an exposure is taken to cost; those asked for, if they are fewer.
 
-Chosen on the same images. With 0 looks are so dark that the light of an exposure is at its end
-after some six clicks.
+So neither comes to its end long before the other. Where light costs nothing, looks are so dark that
+it is at its end after some five clicks of images of MNIST on black; where it costs three times the
+clicks that are asked for, a sixth of it is used, and those clicks tell less.
 """
 
 SAMPLED_SCENES = 256
@@ -153,13 +154,15 @@ class ClickPosterior(AdaptivePosterior):
         self.left = self.left - look.dwells
         self.end_look()
 
-    def next_look(self, dwells: Tensor, generator: torch.Generator) -> ClickLook:
+    def next_look(self, dwells: Tensor, costs: Tensor, generator: torch.Generator) -> ClickLook:
         """The look that is worth most, of all masks and dwells that are compared.
 
         Parameters
         ----------
         dwells : tensor, shape (L,)
             Shares of the exposure that a look may have.
+        costs : tensor, shape (L,)
+            Clicks that such a look costs, were it dark for certain.
         generator : torch.Generator
             Of the scenes by which looks are compared.
         """
@@ -174,8 +177,7 @@ class ClickPosterior(AdaptivePosterior):
         members = torch.nn.functional.one_hot(self.prior.labels[places], self.prior.classes)
         outcomes = click_information(chances, members * drawn[..., None])
         told, clicks = (each.unflatten(1, (-1, len(dwells))) for each in outcomes)  # (b, P, L)
-        cost = LOOK_COST + LIGHT_COST * self.optics.photons * dwells
-        worth = told / (clicks + cost)
+        worth = told / (clicks + costs)
         too_long = dwells > self.left[:, None] + 1e-6
         worth = worth.masked_fill(too_long[:, None], -torch.inf).flatten(1)
         best = worth.argmax(dim=1)
@@ -325,9 +327,10 @@ class ClickLooks(NamedTuple):
         generator : torch.Generator
         """
         dwells = torch.tensor(DWELLS) / self.settings.looks
+        costs = LOOK_COST + self.settings.light_price * self.photons * dwells
         running = torch.arange(len(x))
         for _ in range(self.settings.looks):
-            look = state.next_look(dwells, generator)
+            look = state.next_look(dwells, costs, generator)
             going = look.worth > (self.settings.price or -1.0)  # −∞ where no light is left
             if not bool(going.all()):
                 state = state.rows_of(going)
@@ -465,31 +468,34 @@ class ClickTraining(AdaptiveTraining):
         """
         generator = torch.Generator().manual_seed(job.seed)
         left_out = self.left_out(PRICING_SCENES, generator)
-        looks = ClickLooks(self.prior, self.settings, job.photons)  # which end nowhere: no price
+        asked = job.training.counts
+        light_price = min(LIGHT_CLICKS, asked or LIGHT_CLICKS) / job.photons
+        settings = self.settings.model_copy(update={"light_price": light_price})
+        looks = ClickLooks(self.prior, settings, job.photons)  # which end nowhere: no price
         runs = []
         for rows, some in left_out.parts(exposures_at_once(self.prior), report):
             state = looks.posterior(len(rows))
             some.leave(state)
             steps = looks.steps(state, some.scenes, generator)
-            size = len(rows), self.settings.looks
+            size = len(rows), settings.looks
             runs.append(PricedLooks.of(steps, size, self.prior.class_shares))
         whole = PricedLooks(*(torch.cat(some) for some in zip(*runs, strict=True)))
         price = LEAST_PRICE
-        if job.training.counts is not None:
-            price = max(price, whole.price(job.training.counts))
+        if asked is not None:
+            price = max(price, whole.price(asked))
         if not bool((whole.least_worth > price).any()):
             raise InputError(
                 "no exposure of these masks costs as few clicks as {given}: give more {counts}",
                 setting="counts",
-                given=job.training.counts,
+                given=asked,
             )
         chances, arriving = whole.ends(price)
         temperature = best_temperature(chances, left_out.labels, self.prior.class_shares)
-        logs = np.full((self.settings.looks, 2), log_of(temperature))
+        logs = np.full((settings.looks, 2), log_of(temperature))
         budgets = np.array([1e-3, 1e3]) * job.photons
         return ClickingExposure(
             self.prior.with_temperatures(Temperatures(logs, budgets)),
-            self.settings.model_copy(update={"price": price}),
+            settings.model_copy(update={"price": price}),
             shape=self.data.image_shape,
             counted=arriving.mean(dim=0) / job.photons,
             optics=optics,

@@ -740,7 +740,7 @@ class AdaptiveMasks(LaterFields, UserModel):
     [0.14285714285714285, 0.2857142857142857, 0.5714285714285714]
     """
 
-    LATER: ClassVar = ("cap", "price", "dictionary")
+    LATER: ClassVar = ("cap", "price", "light_price", "dictionary")
 
     looks: int = Field(
         default=16, ge=1, le=1024, strict=True, description="masks that are shown one after another"
@@ -792,6 +792,14 @@ class AdaptiveMasks(LaterFields, UserModel):
         allow_inf_nan=False,
         description="of a detector that clicks at most once a look: information about the class "
         "that a click has to tell, nats; none of detectors that count",
+    )
+
+    light_price: float = Field(
+        default=0.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="of a detector that clicks at most once a look: clicks that a photon on the "
+        "device is taken to cost",
     )
 
     dictionary: int | None = Field(
