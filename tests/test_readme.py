@@ -35,7 +35,7 @@ LINES = {
 BRIEFLY = {
     "compare": "--epochs 1 --trials 1 --designs pca,deepfsi",
     "design": "--epochs 1",
-    "plan": "--epochs 1 --trials 1 --masks 3 --designs pca,deepfsi",
+    "plan": "--epochs 1 --trials 1 --masks 3 --designs pca",
     "data": "--per-class 6",
 }
 """Options that make a command take a moment."""
@@ -43,6 +43,9 @@ BRIEFLY = {
 SMALLER = {"64": "8", "16,32": "8", "1e3,1e4": "1e4", "4,8,16": "8"}
 """Values of options in place of those of a page, where exposures share light or a comparison takes
 values: fewer looks and masks."""
+
+RATIOS = {"0.01,0.04,0.09": "0.04,0.09"}
+"""Fewer numbers of masks of a comparison."""
 
 
 def lines(page: str) -> list[str]:
@@ -139,7 +142,7 @@ def run(tmp_path, monkeypatch, done, digits, trained_once):
                 brief = brief.removesuffix("--designs pca,deepfsi")
             if "--cap" in words or "placed.npz" in words:
                 words = [SMALLER.get(word, word) for word in words]
-            small = [word.replace("10000", "300") for word in words]
+            small = [RATIOS.get(word, word.replace("10000", "300")) for word in words]
             printed[" ".join(words[:2])] = done(*small, *brief.split())
         return printed
 

@@ -98,6 +98,7 @@ def test_a_dose_that_lights_what_tells_beats_impulse_imaging():
     assert separation(told, told @ mean, difference) == pytest.approx(4 * float(impulse))
 
 
+@pytest.mark.usefixtures("uncharacterised", "trained_once")
 @pytest.mark.parametrize("design", ["hadamard", "truncated-hadamard", "s-matrix"])
 def test_padding_takes_no_light_from_the_laws(design):
     data = synthetic((12, 10))
@@ -232,6 +233,7 @@ def test_gaussian_noise_impulse_can_be_beaten():
     assert separation(bucket, read_noise, difference) > separation(eye, read_noise, difference)
 
 
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize("design", ["deepfsi", "pca", "truncated-hadamard"])
 def test_more_light_classifies_better(digits, design):
     accuracy = [

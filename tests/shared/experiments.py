@@ -30,6 +30,9 @@ SMALL_DEVICE = find_device("256x192")
 DRAWS = 2
 """Of ten digits, that the laboratory shows."""
 
+HELD_OUT = 200
+"""Scenes for validation, of the few that there are."""
+
 TINY = {"data": "digits", "ratios": (0.05, 0.1), "photons": (1e2, 1e4), "training": {"epochs": 1}}
 
 
@@ -43,6 +46,8 @@ def shrunk(experiment, trials: int, part: str, quick: Recipe):
     kept = quick.model_dump(exclude={"masks"}, exclude_unset=True)
     training = {**kept.pop("training", {}), **TINY["training"], "batch": 200}
     changes = {**TINY, "training": training, "trials": trials}
+    if kept.get("validation", 0) > HELD_OUT:
+        changes["validation"] = HELD_OUT
     if kept.get("gaussian_photons"):
         changes["gaussian_photons"] = (80, 800)
     if kept.get("test_photons"):
@@ -73,10 +78,12 @@ def here(work, shared, tasks, count):
 _load = catalog.Digits.load
 
 
-def few_to_test(self, options):
-    """Digits with 100 scenes to test."""
+def few_digits(self, options):
+    """Digits with 700 scenes to train on and 50 to test."""
     digits = _load(self, options)
-    return replace(digits, x_test=digits.x_test[:100], y_test=digits.y_test[:100])
+    learned = {f"{name}_train": getattr(digits, f"{name}_train")[:700] for name in "xy"}
+    tests = {f"{name}_test": getattr(digits, f"{name}_test")[:50] for name in "xy"}
+    return replace(digits, **learned, **tests)
 
 
 def run_all(folder: Path) -> Path:
@@ -84,10 +91,11 @@ def run_all(folder: Path) -> Path:
     recipes = {each.name: tiny(each, 1 + (each.name in TWICE)) for each in EVERY}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(learning, "characterise", lambda *_: None)
+        patch.setattr(learning, "folds_of", lambda _: [])
         patch.setattr(experiment.Experiment, "recipes", lambda self, *_: recipes[self.name])
         patch.setattr(bootstrap, "RESAMPLES", 99)
         patch.setattr(laboratory, "DRAWS", DRAWS)
-        patch.setattr(catalog.Digits, "load", few_to_test)
+        patch.setattr(catalog.Digits, "load", few_digits)
         patch.setattr(laboratory, "DEVICE", SMALL_DEVICE)
         patch.setattr(laboratory, "LAB", laboratory.LAB.model_copy(update={"blur": 2.0}))
         patch.setattr(laboratory, "calibrate", cache(laboratory.calibrate.__wrapped__))
