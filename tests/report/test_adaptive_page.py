@@ -19,7 +19,6 @@ from deepfsi.evaluation.page_data import few_tests
 from deepfsi.evaluation.stopping import StoppingRule
 from deepfsi.jobs import AdaptiveMasks
 from deepfsi.report.playground import write_page
-from deepfsi.training import learning
 from shared.playground import ask, open_playground
 
 LOOKS, PHOTONS, VECTORS = 6, 1e3, 20
@@ -40,9 +39,6 @@ KINDS = {
 }
 """Cameras; of `among` a scene is one of those of the prior."""
 
-TEMPERED = ("one", "tiles")
-"""Designs whose probabilities have temperatures, which ten more priors are made for."""
-
 CLOSE = 1e-6
 """Largest difference from the package in 64 bits, of sums of log-likelihoods of 1e6 counts."""
 
@@ -52,10 +48,7 @@ def designs(digits):
     few, made = replace(digits, x_train=digits.x_train[:700], y_train=digits.y_train[:700]), {}
     for kind, settings in KINDS.items():
         data = synthetic((24,)) if kind == "spectra" else few
-        with pytest.MonkeyPatch.context() as patch:
-            if kind not in TEMPERED:
-                patch.setattr(learning, "folds_of", lambda _: [])
-            made[kind] = learn(data, design="adaptive", masks=LOOKS, photons=PHOTONS, **settings)
+        made[kind] = learn(data, design="adaptive", masks=LOOKS, photons=PHOTONS, **settings)
     known = AdaptiveMasks(looks=LOOKS, spread=0.0)
     made["among"] = exposing(made["among"], prior=prior_of(few, known), settings=known)
     rule = StoppingRule(after=tuple(range(1, LOOKS + 1)), threshold=SURE, photons=PHOTONS)

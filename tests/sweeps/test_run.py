@@ -39,7 +39,6 @@ def trained(monkeypatch):
     return seen
 
 
-@pytest.mark.usefixtures("uncharacterised")
 def test_levels_are_an_axis_and_a_column(digits, tmp_path):
     training = {"epochs": 1}
     trials = planned(digits, designs="deepfsi", masks=3, levels=[0, 2, 769], training=training)
@@ -62,7 +61,6 @@ def test_every_recipe_runs_small(name, digits, tmp_path):
     assert {point.design for point in results.points} == set(recipe.designs)
 
 
-@pytest.mark.usefixtures("uncharacterised")
 def test_a_test_scene_that_was_trained_on_is_in_no_interval(digits, tmp_path):
     parts = {"x_test": digits.x_train, "y_test": digits.y_train}
     more = {k: np.concatenate([train[:1], getattr(digits, k)]) for k, train in parts.items()}
@@ -89,7 +87,6 @@ def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, tr
     assert not list(tmp_path.glob("**/.*"))
 
 
-@pytest.mark.usefixtures("uncharacterised")
 def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained, monkeypatch):
     """Also where file locks do nothing, as on network folders that are mounted without them."""
     monkeypatch.setattr(fcntl, "flock", lambda *_: None)
@@ -104,7 +101,6 @@ def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained, mon
     assert not list(tmp_path.glob("**/locks"))
 
 
-@pytest.mark.usefixtures("uncharacterised")
 def test_other_tests_of_the_same_training_need_no_training(digits, tmp_path, trained):
     train_trials(planned(digits), digits, tmp_path)
     count = len(trained)
@@ -118,7 +114,6 @@ def test_other_tests_of_the_same_training_need_no_training(digits, tmp_path, tra
         assert [t["accuracy"] for t in one["test"]] == [t["accuracy"] for t in other["test"]]
 
 
-@pytest.mark.usefixtures("uncharacterised")
 def test_a_changed_recipe_trains_only_what_is_new(digits, tmp_path, trained):
     train_trials(planned(digits), digits, tmp_path)
     trained.clear()
@@ -132,7 +127,6 @@ def shared_training(digits):
     return once + twice
 
 
-@pytest.mark.usefixtures("uncharacterised")
 def test_trials_of_one_training_train_it_once(digits, tmp_path):
     """The lock on their common design must not lock them out."""
     trials = shared_training(digits)
@@ -166,7 +160,6 @@ def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digit
         assert first["test"] == second["test"]
 
 
-@pytest.mark.usefixtures("uncharacterised")
 def test_a_trial_that_diverges_is_named_and_the_others_are_done(digits, tmp_path):
     trials = planned(digits, designs="pca", masks=3, training={"epochs": 2, "lr": [1e-2, 1e30]})
     with pytest.raises(InputError, match=r"diverged.*pca, 3 masks"):
