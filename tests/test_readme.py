@@ -40,7 +40,7 @@ BRIEFLY = {
 }
 """Options that make a command take a moment."""
 
-SMALLER = {"64": "8", "16,32": "8", "1e3,1e4": "1e4", "4,8,16": "8"}
+SMALLER = {"96": "8", "16,32": "8", "1e3,1e4": "1e4", "4,8,16": "8"}
 """Values of options in place of those of a page, where exposures share light or a comparison takes
 values: fewer looks and masks."""
 
