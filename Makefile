@@ -4,8 +4,8 @@ BIN := $(VENV)/bin
 
 unexport PYTHONDONTWRITEBYTECODE # compiled anew, the imports of torch alone take each process 3 s
 
-# each folder that a test makes costs milliseconds on some disks, and nothing in memory
-IN_MEMORY := $(shell df --output=avail /dev/shm 2>/dev/null | awk '$$1 + 0 > 8e6 {print "TMPDIR=/dev/shm"}')
+# each folder that a test makes costs milliseconds on some disks, and nothing in memory; your TMPDIR stays
+IN_MEMORY := $(if $(TMPDIR),,$(shell df --output=avail /dev/shm 2>/dev/null | awk '$$1 + 0 > 8e6 {print "TMPDIR=/dev/shm"}'))
 
 .PHONY: run test quick static pytest-test pytest-quick docs clean
 

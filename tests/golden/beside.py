@@ -268,4 +268,7 @@ MISSING = "missing"
 if __name__ == "__main__":
     sys.path[0] = str(HERE.parent)
     here = importlib.import_module("golden.beside")
-    here.know() if sys.argv[1:] == ["know"] else here.store(sys.argv[2:])
+    if sys.argv[1:] == ["know"]:
+        here.know()
+    else:
+        here.store(sys.argv[2:])

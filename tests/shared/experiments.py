@@ -81,9 +81,14 @@ _load = catalog.Digits.load
 def few_digits(self, options):
     """Digits with 700 scenes to train on and 50 to test."""
     digits = _load(self, options)
-    learned = {f"{name}_train": getattr(digits, f"{name}_train")[:700] for name in "xy"}
-    tests = {f"{name}_test": getattr(digits, f"{name}_test")[:50] for name in "xy"}
-    return replace(digits, **learned, **tests)
+    few, tested = slice(700), slice(50)
+    return replace(
+        digits,
+        x_train=digits.x_train[few],
+        y_train=digits.y_train[few],
+        x_test=digits.x_test[tested],
+        y_test=digits.y_test[tested],
+    )
 
 
 def run_all(folder: Path) -> Path:
