@@ -55,6 +55,10 @@ REFUSED = {
         --looks 99 | looks = '99': give 64 or less
         --looks 3 --nested 2 | nested and looks are of different
         --cap 2 | --cap is of exposures that may end early
+        --cap 2 --least-cap 1 | --cap is of exposures that may end early
+        --looks 4 --cap 2 --least-cap 1 | least_cap and looks are of different exposures
+        --least-cap 2 --design adaptive | cap: it is missing
+        --least-cap 3 --cap 2 --design adaptive | a cap from 3 to 2: give a lower --least-cap
         --looks 4 --cap 2 | the threshold of --cap is found on scenes that the training leaves out
         --looks 4 --cap 2 --hold-out 40 | 40 training scenes say too little of the mean light
         --looks 2 --cap 3 --hold-out 400 | the first of 2 looks takes 1.5 of the budget
@@ -108,6 +112,7 @@ REFUSED = {
         --designs pca --photons 1e4 --masks 3 --detectors 9x9 | do not divide
         --colour red | colour
         --epochs 10000000000000000000000 | 10000000000000000000000
+        --designs adaptive --masks 3 --cap 2 --least-cap 1 | --least-cap
         --designs pca,deepfsi --masks 3 --cap 2 | --cap is of exposures that may end early
         --designs pca --masks 3 --start random | no masks of pca learn: leave --start out
         --designs pca --masks 3 --mask-lr 0.1 | no masks of pca learn: leave --mask-lr out

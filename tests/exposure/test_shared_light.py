@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from pydantic import ValidationError
 
 import deepfsi
 from deepfsi.adaptive import AdaptiveExposure
@@ -51,6 +52,73 @@ def test_the_threshold_takes_the_light_asked_for_and_rises_with_it(seed):
 def test_less_light_than_the_first_stop_takes_is_refused():
     with pytest.raises(InputError, match="the first stop alone"):
         Stops((1, 2), np.array([0.5, 1.0])).threshold(confidences(0, stops=2), 0.4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_rule_has_the_fewest_errors_of_all_last_stops(seed):
+    seen = confidences(seed)
+    wrong = np.random.default_rng(seed).random(seen.shape) > seen
+    used = np.cumsum(np.full(12, 1 / 4))
+    for least in (1, 1.5, 3):
+        errors = {}
+        for count in range(round(4 * least), 13):
+            threshold = Stops(tuple(range(count)), used[:count]).threshold(seen[:, :count], 1.0)
+            ends = np.argmax(np.c_[seen[:, : count - 1] > threshold, np.ones(500)], axis=1)
+            errors[count, threshold] = sum(wrong[e, end] for e, end in enumerate(ends))
+        stops = Stops(tuple(range(1, 13)), used)
+        best = stops.best_rule(seen, wrong, light=1.0, least=least)
+        assert best == min(errors, key=lambda rule: (errors[rule], rule[0]))
+
+
+def test_scenes_that_are_never_sure_take_no_light_of_others():
+    """Half of 800 scenes are sure after one stop, a quarter after 3 to 10, a quarter never.
+
+    An answer is right where it is sure. The budget is 4.4 stops. With 9 at most, it is enough for
+    all that end when they are sure: (400 + 25 · (3 + … + 9 + 9) + 200 · 9) / 800 = 4.34. With 10
+    it is 4.63: the second quarter has to end before it is sure.
+    """
+    stops = Stops(tuple(range(1, 17)), np.arange(1, 17) / 4.4)
+    sure_after = np.repeat(np.arange(3, 11), 25)
+    rising = np.where(np.arange(1, 17) >= sure_after[:, None], 0.9, 0.5)
+    seen = np.concatenate([np.full((400, 16), 0.99), rising, np.full((200, 16), 0.05)])
+    assert stops.best_rule(seen, seen < 0.9, light=1.0, least=1) == (9, 0.5)
+    assert stops.best_rule(seen, seen < 0.9, light=1.0, least=2.4) == (11, 0.05)
+
+
+def test_a_cap_that_is_found_is_of_the_same_looks(digits, shared, tmp_path):
+    found = deepfsi.learn(
+        digits, design="adaptive", masks=16, photons=PHOTONS, exposure={"cap": 2, "least_cap": 1.5}
+    )
+    settings = found.exposure.settings
+    assert 1.5 <= settings.cap == settings.looks / 8 <= 2
+    assert settings.shares == shared.exposure.settings.shares[: settings.looks]
+    assert len(found.exposure.counted) == settings.looks
+    assert found.exposure.usual_misfit.logarithms.shape[2] == settings.looks
+    found.save(tmp_path / "found.safetensors")
+    again = deepfsi.load_design(tmp_path / "found.safetensors")
+    assert again.exposure.settings == settings
+    [result] = evaluate(again, digits, PHOTONS, draws=1)
+    error = 0.94 * (1 / len(digits.x_test) + 1 / min(1024, len(digits.x_train))) ** 0.5
+    assert result.score("mean_light") == pytest.approx(1, abs=4 * error)
+
+
+def test_no_choice_of_caps_is_the_cap_bit_for_bit(digits, shared):
+    same = deepfsi.learn(
+        digits, design="adaptive", masks=16, photons=PHOTONS, exposure={"cap": 2, "least_cap": 2}
+    )
+    assert same.exposure.settings == shared.exposure.settings
+    assert torch.equal(same.exposure.counted, shared.exposure.counted)
+    assert same.info["stopping"] == shared.info["stopping"]
+
+
+def test_a_cap_of_1_may_be_found_and_shares_nothing(digits):
+    """In so much light that the first look is sure, no scene can use the light of another."""
+    asked = {"design": "adaptive", "masks": 2, "photons": 1e9}
+    alike = deepfsi.learn(digits, **asked | {"masks": 1})
+    found = deepfsi.learn(digits, **asked, exposure={"cap": 2, "least_cap": 1})
+    assert (found.exposure.count, found.exposure.settings.cap) == (1, 1)
+    assert found.exposure.settings == alike.exposure.settings
+    assert "stopping" not in found.info
 
 
 def test_looks_are_as_long_as_those_of_as_many_in_the_budget():
@@ -105,6 +173,11 @@ def test_a_file_and_a_camera_know_the_rule(shared, tmp_path):
         ({"design": "deepfsi"}, "is of exposures that may end early"),
         ({"exposure": {"cap": 2, "looks": 4}}, "a look each"),
         ({"exposure": {"cap": 0.5}}, "cap"),
+        ({"exposure": {"cap": 2, "least_cap": 3}}, "a cap from 3 to 2: give a lower `least_cap`"),
+        ({"exposure": {"cap": 2, "least_cap": 0.5}}, "least_cap"),
+        ({"exposure": {"least_cap": 2}}, "cap"),
+        ({"exposure": {"looks": 4, "cap": 2, "least_cap": 1}}, "least_cap and looks are of"),
+        ({"design": "deepfsi", "exposure": {"cap": 2, "least_cap": 1}}, "exposures that may end"),
         ({"exposure": {"cap": 9}}, "the first of 8 looks takes 1.12 of the budget"),
         ({"design": "deepfsi", "exposure": {"looks": 4, "cap": 2}}, "`hold_out`"),
         ({"design": "deepfsi", "exposure": {"looks": 2, "cap": 3}}, "first of 2 looks takes 1.5"),
@@ -159,6 +232,11 @@ def test_a_comparison_caps_the_exposures_that_may_end_early():
     assert recipe.exposures("adaptive") == [
         ("(mean light, at most 2 Φ)", deepfsi.SharedLight(cap=2))
     ]
+
+
+def test_a_comparison_gives_all_exposures_the_same_cap():
+    with pytest.raises(ValidationError, match="several values of `cap`"):
+        Recipe.model_validate({"exposure": {"cap": 4, "least_cap": 1}})
 
 
 # Nested masks and looks, on scenes that their training left out

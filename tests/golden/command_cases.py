@@ -24,6 +24,7 @@ CASES = Cases()
 ADDED = {
     *("fluctuation", "cap", "mean-light", "losses", "efficiency", "decision", "dictionary"),
     "start-counts",
+    "least-cap",
 }
 """Settings that came after the reference, and are left out of what is listed."""
 

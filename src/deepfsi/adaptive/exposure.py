@@ -37,7 +37,7 @@ from deepfsi.exposure import (
     Stops,
     Use,
 )
-from deepfsi.jobs import AdaptiveMasks, Job
+from deepfsi.jobs import AdaptiveMasks, Job, SharedLight
 from deepfsi.physics import Detection
 
 LIKELIHOODS_AT_ONCE = 2**22
@@ -189,6 +189,10 @@ class UsualMisfit:
         if not (positive and (np.diff(made.budgets) > 0).all()):
             raise ValueError("the misfit is none")
         return made
+
+    def first(self, looks: int) -> "UsualMisfit":
+        """That of the first looks."""
+        return UsualMisfit(self.budgets, self.logarithms[:, :, :looks])
 
     def chance(self, total: float, look: int, photons: float) -> float:
         """Share of sound exposures with so large a misfit after a look, from 0, at a budget."""
@@ -507,6 +511,22 @@ class AdaptiveExposure(ExposureKind):
         """The kind whose exposures stop at a probability of a class."""
         return replace(self, settings=self.settings.model_copy(update={"until": threshold}))
 
+    def of_looks(self, looks: int) -> "AdaptiveExposure":
+        """The kind whose longest exposure ends after the first looks, all of one length.
+
+        Parameters
+        ----------
+        looks : int
+        """
+        settings = self.settings
+        cap = settings.cap * looks / settings.looks
+        return replace(
+            self,
+            settings=settings.model_copy(update={"looks": looks, "cap": max(1.0, cap)}),
+            counted=self.counted[:looks],
+            usual_misfit=None if self.usual_misfit is None else self.usual_misfit.first(looks),
+        )
+
     def few(self, coefficients: int, seed: int) -> "AdaptiveExposure":
         """The kind that knows some of the scenes, with so many coefficients.
 
@@ -598,18 +618,25 @@ class AdaptiveTraining:
     def share_light(self, made: AdaptiveExposure, job: Job, report: Progress) -> AdaptiveExposure:
         """The kind whose exposures stop so that they take the budget in the mean.
 
+        Where the job asks for it, the most light of an exposure is found, too: one run of the
+        longest exposures has those of all lower caps in it.
+
         Parameters
         ----------
         made : AdaptiveExposure
             Whose exposures stop nowhere, with this prior, or with its temperatures.
         job : Job
+            Of an exposure that shares light.
         report : Progress
         """
+        assert isinstance(job.exposure, SharedLight)
+        least = job.exposure.least_cap
         generator = torch.Generator().manual_seed(job.seed ^ 2**31)
         left_out = self.left_out(SHARING_SCENES, generator)
         size = len(left_out.scenes), self.settings.looks
         optics = made.optics_at(job.photons, job.optics)
         confidence = torch.empty(size, dtype=torch.double)
+        wrong = torch.empty(size, dtype=torch.bool)
         light = torch.empty(size)
         for rows, some in left_out.parts(made.exposed_at_once, report):
             state = made.posterior(len(rows), optics)
@@ -617,9 +644,16 @@ class AdaptiveTraining:
             looks = _looks(state, some.scenes, self.settings.shares, generator)
             for index, look in enumerate(looks):
                 confidence[rows, index] = state.confidence
+                wrong[rows, index] = state.chances.argmax(dim=1) != some.labels
                 light[rows, index] = look.light.sum(dim=1)
         sure = confidence.numpy()
-        threshold = made.stops.threshold(sure, 1.0)
+        if least is None:
+            threshold = made.stops.threshold(sure, 1.0)
+        else:
+            count, threshold = made.stops.best_rule(sure, wrong.numpy(), light=1.0, least=least)
+            made = made.of_looks(count)
+            sure = sure[:, :count]
+            light = light[:, :count]
         going = torch.from_numpy(made.stops.going(sure, threshold))
         counted = (light * going).mean(dim=0) / job.photons
         return replace(made.stopping_at(threshold), counted=counted)

@@ -231,6 +231,12 @@ def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[s
             f"{score_text(result)}, {counts} (a share of {result.throughput:.3f})\n"
             f"{details_text(result, design.classes)}"
         )
+        if (light := result.score("mean_light")) is not None:
+            yield (
+                f"exposures end above a probability of {design.info['stopping']['threshold']:.4g}, "
+                f"or after {design.exposure.stops.used[-1]:.3g} of the budget: test scenes take "
+                f"{light:.3g} of it in the mean"
+            )
     yield from full_gates_lines(design, results)
     masks = len(results[0].photons_per_mask)
     if lit < masks and not design.exposure.makes_masks:  # which may end before

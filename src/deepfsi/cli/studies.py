@@ -53,6 +53,9 @@ PLANNED: dict[str, Any] = {
 MOST_PLANNED = 10_000
 """Masks of a table of losses at most."""
 
+OF_ONE_DESIGN = ("design", "seed", "least_cap")
+"""Settings of a job that a comparison does not have: its own, and a cap that a training finds."""
+
 RECIPE_FIELDS = ("size", "skip_bad", "normal", "designs", "ratios", "trials", "folds")
 """Fields of a recipe, besides the data, that are options by themselves."""
 
@@ -73,7 +76,7 @@ class CompareDesigns(Command):
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
 
-    settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=("design", "seed"))]
+    settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=OF_ONE_DESIGN)]
     out: fields.StudyFolder = Path("runs/compare")
     data: fields.TrainingData = "digits"
     size: fields.Size = None
@@ -154,7 +157,7 @@ class PlanPhotons(Command):
         default=None,
     )
 
-    settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=("design", "seed"))]
+    settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=OF_ONE_DESIGN)]
     target: fields.Number | None = fields.option("target accuracy, such as 0.95")
     losses: bool = fields.flag("say where the camera loses light, and train nothing")
     efficiency: Annotated[float, Field(gt=0, le=1)] = fields.option(

@@ -98,6 +98,10 @@ class Answer(NamedTuple):
     classes: Tensor
 
 
+LIGHT_ROUNDING = 1e-9
+"""Light over the budget that sums of shares differ by, at most."""
+
+
 class Stops(NamedTuple):
     """Where an exposure may stop.
 
@@ -142,6 +146,46 @@ class Stops(NamedTuple):
             )
         first = bisect_right(range(len(tried)), light, key=lambda place: taken(tried[place]))
         return tried[first - 1]
+
+    def first(self, count: int) -> "Stops":
+        """The first stops, so many, of exposures of which none goes on."""
+        return Stops(self.after[:count], self.used[:count])
+
+    def best_rule(
+        self, confidence: np.ndarray, wrong: np.ndarray, *, light: float, least: float
+    ) -> tuple[int, float]:
+        """Number of stops, and threshold, of most right answers among those that take the light.
+
+        Exposures that are never sure take light from others: it may be better to end them sooner.
+        Of equals it is the lowest number.
+
+        Parameters
+        ----------
+        confidence : array, shape (E, K)
+            Of exposures after each stop.
+        wrong : array of bool, shape (E, K)
+            True where the answer then is.
+        light : float
+            Share of the budget that they are to take in the mean, at most.
+        least : float
+            That the longest exposure may take, at the least; not less than `light`.
+
+        Raises
+        ------
+        InputError
+            If they take more even where all stop at once.
+        """
+        every = np.arange(len(confidence))
+        rules = []
+        for count in range(1, len(self.after) + 1):
+            if self.used[count - 1] < least - LIGHT_ROUNDING:
+                continue
+            stops = self.first(count)
+            threshold = stops.threshold(confidence[:, :count], light)
+            ends = stops.ends(confidence[:, :count], threshold)
+            rules.append((float(wrong[every, ends].mean()), count, threshold))
+        _, count, threshold = min(rules)
+        return count, threshold
 
     @staticmethod
     def ends(confidence: np.ndarray, threshold: float) -> np.ndarray:

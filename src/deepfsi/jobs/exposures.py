@@ -689,12 +689,13 @@ ExposureEntry = Annotated[
 """Field of a header: how the masks of a design are exposed, where they are known before."""
 
 
-class SharedLight(Exposure):
+class SharedLight(LaterFields, Exposure):
     """Adaptive masks that share the light among exposures: the budget is the mean of all.
 
     An exposure ends as soon as the probability of a class is above a threshold, and takes at most
     `cap` times the budget where it is never. The training finds the threshold at which its own
-    scenes, each left out of the prior, take the budget in the mean.
+    scenes, each left out of the prior, take the budget in the mean. With `least_cap` it finds the
+    cap, too: the one of most right answers to these scenes, from `least_cap` to `cap`.
 
     Examples
     --------
@@ -704,17 +705,34 @@ class SharedLight(Exposure):
     2.0
     """
 
+    LATER: ClassVar = ("least_cap",)
+
     of_classes: ClassVar[bool] = True
 
     cap: float = Field(gt=1, le=100, description=CAP_TEXT)
+    least_cap: float | None = Field(
+        default=None,
+        ge=1,
+        le=100,
+        description="of adaptive masks: the training finds the cap, from this to --cap; --cap "
+        "itself unless given",
+    )
 
     @property
     def most_light(self) -> float:
-        """The cap."""
+        """The cap, or the most that it may be."""
         return self.cap
 
     def faults(self, job: "Job") -> Iterator[str]:
-        """Masks that are not adaptive."""
+        """Masks that are not adaptive, and caps of which the least is above the most."""
+        if self.least_cap is not None and self.least_cap > self.cap:
+            yield Message(
+                "the training finds a cap from {least:g} to {most:g}: give a lower {least_cap}, or "
+                "a higher {cap}",
+                setting=("least_cap", "cap"),
+                least=self.least_cap,
+                most=self.cap,
+            )
         if not job.code.adaptive:
             yield Message(
                 "{cap} is of exposures that may end early: leave it out, or give {nested}, {looks} "
@@ -868,11 +886,12 @@ EXPOSURE_KINDS: dict[str, type[Exposure]] = {
     "nested": Nested,
     "span": Range,
     "cap": SharedLight,
+    "least_cap": SharedLight,
     **dict.fromkeys(Passing.model_fields, Passing),
 }
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 
-EXPOSURE_FIELDS = ("nested", "looks", "patch", "cap", *Passing.model_fields)
+EXPOSURE_FIELDS = ("nested", "looks", "patch", "cap", "least_cap", *Passing.model_fields)
 """Settings that ask for an exposure by an option of their own; a range is one of budgets."""
 
 NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "patch": "0", "cap": "1", "bins": "0"}

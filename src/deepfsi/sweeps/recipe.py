@@ -177,7 +177,16 @@ def _read_camera(given: Any) -> _Axes:
     return axes
 
 
-_read_exposure = partial(_read_axes, make=find_exposure)
+def _read_exposure(given: Any) -> _Axes:
+    if isinstance(given, Mapping) and "least_cap" in given:
+        raise InputError(
+            "adaptive masks alone can find their cap, and a comparison gives all the same: leave "
+            "{least_cap} out, or give several values of {cap}",
+            setting=("least_cap", "cap"),
+        )
+    return _read_axes(given, find_exposure)
+
+
 _read_training = partial(_read_axes, make=Training.model_validate)
 
 

@@ -491,7 +491,8 @@ def _counting_exposure(
     )
     if training.settings.cap > 1:
         made = training.share_light(made, job, report.between(0.5, 1.0))
-        info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
+        if made.settings.until < 1:  # a cap that is found may be 1: all exposures are whole then
+            info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
     return made
 
 
