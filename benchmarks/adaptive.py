@@ -76,8 +76,9 @@ def main(words: Sequence[str] | None = None) -> None:
                 training={"clusters": given.clusters, "dictionary": given.dictionary},
             )
             if given.least_cap:
-                settings = design.prior_exposure.settings
-                print(f"cap {settings.cap:.4g}, threshold {settings.until:.8g}", flush=True)
+                for rule in design.info["caps"]:
+                    print(f"cap {rule['cap']:.4g}: {rule['wrong']:.4f} wrong")
+                print(f"found: {design.prior_exposure.settings.cap:.4g}", flush=True)
             if given.until:
                 changes = {"cap": given.cap, "until": given.until}
                 settings = design.prior_exposure.settings.model_copy(update=changes)

@@ -66,8 +66,8 @@ def test_the_best_rule_has_the_fewest_errors_of_all_last_stops(seed):
             ends = np.argmax(np.c_[seen[:, : count - 1] > threshold, np.ones(500)], axis=1)
             errors[count, threshold] = sum(wrong[e, end] for e, end in enumerate(ends))
         stops = Stops(tuple(range(1, 13)), used)
-        best = stops.best_rule(seen, wrong, light=1.0, least=least)
-        assert best == min(errors, key=lambda rule: (errors[rule], rule[0]))
+        best = min(stops.rules(seen, wrong, light=1.0, least=least))
+        assert (best.stops, best.threshold) == min(errors, key=lambda rule: (errors[rule], rule[0]))
 
 
 def test_scenes_that_are_never_sure_take_no_light_of_others():
@@ -81,8 +81,8 @@ def test_scenes_that_are_never_sure_take_no_light_of_others():
     sure_after = np.repeat(np.arange(3, 11), 25)
     rising = np.where(np.arange(1, 17) >= sure_after[:, None], 0.9, 0.5)
     seen = np.concatenate([np.full((400, 16), 0.99), rising, np.full((200, 16), 0.05)])
-    assert stops.best_rule(seen, seen < 0.9, light=1.0, least=1) == (9, 0.5)
-    assert stops.best_rule(seen, seen < 0.9, light=1.0, least=2.4) == (11, 0.05)
+    for least, best in ((1, (225 / 800, 9, 9 / 4.4, 0.5)), (2.4, (1 / 2, 11, 2.5, 0.05))):
+        assert min(stops.rules(seen, seen < 0.9, light=1.0, least=least)) == best
 
 
 def test_a_cap_that_is_found_is_of_the_same_looks(digits, shared, tmp_path):
@@ -97,6 +97,10 @@ def test_a_cap_that_is_found_is_of_the_same_looks(digits, shared, tmp_path):
     found.save(tmp_path / "found.safetensors")
     again = deepfsi.load_design(tmp_path / "found.safetensors")
     assert again.exposure.settings == settings
+    caps = {rule["cap"]: rule for rule in again.info["caps"]}
+    assert [*caps] == [1.5, 1.625, 1.75, 1.875, 2]
+    assert min(caps.values(), key=lambda rule: rule["wrong"])["cap"] == settings.cap
+    assert caps[settings.cap]["threshold"] == settings.until
     [result] = evaluate(again, digits, PHOTONS, draws=1)
     error = 0.94 * (1 / len(digits.x_test) + 1 / min(1024, len(digits.x_train))) ** 0.5
     assert result.score("mean_light") == pytest.approx(1, abs=4 * error)

@@ -30,6 +30,7 @@ from deepfsi.datasets import Dataset
 from deepfsi.designfile import AdaptiveHeader
 from deepfsi.exposure import (
     Answer,
+    CappedRule,
     CountedLight,
     ExposureKind,
     Observation,
@@ -615,8 +616,10 @@ class AdaptiveTraining:
         )
 
     @torch.no_grad()
-    def share_light(self, made: AdaptiveExposure, job: Job, report: Progress) -> AdaptiveExposure:
-        """The kind whose exposures stop so that they take the budget in the mean.
+    def share_light(
+        self, made: AdaptiveExposure, job: Job, report: Progress
+    ) -> tuple[AdaptiveExposure, list[CappedRule]]:
+        """The kind whose exposures stop so that they take the budget in the mean, and its choice.
 
         Where the job asks for it, the most light of an exposure is found, too: one run of the
         longest exposures has those of all lower caps in it.
@@ -647,16 +650,19 @@ class AdaptiveTraining:
                 wrong[rows, index] = state.chances.argmax(dim=1) != some.labels
                 light[rows, index] = look.light.sum(dim=1)
         sure = confidence.numpy()
+        rules = []
         if least is None:
             threshold = made.stops.threshold(sure, 1.0)
         else:
-            count, threshold = made.stops.best_rule(sure, wrong.numpy(), light=1.0, least=least)
-            made = made.of_looks(count)
-            sure = sure[:, :count]
-            light = light[:, :count]
+            rules = made.stops.rules(sure, wrong.numpy(), light=1.0, least=least)
+            best = min(rules)
+            threshold = best.threshold
+            made = made.of_looks(best.stops)
+            sure = sure[:, : best.stops]
+            light = light[:, : best.stops]
         going = torch.from_numpy(made.stops.going(sure, threshold))
         counted = (light * going).mean(dim=0) / job.photons
-        return replace(made.stopping_at(threshold), counted=counted)
+        return replace(made.stopping_at(threshold), counted=counted), rules
 
     @torch.no_grad()
     def dictionary(self, job: Job) -> MaskDictionary | None:

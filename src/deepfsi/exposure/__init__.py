@@ -4,6 +4,7 @@ from deepfsi.exposure.fixed import FixedExposure
 from deepfsi.exposure.kind import (
     EXPOSED_AT_ONCE,
     Answer,
+    CappedRule,
     Clicks,
     CountedLight,
     ExposureKind,
@@ -25,6 +26,7 @@ __all__ = [
     "EXPOSED_AT_ONCE",
     "MASK_KINDS",
     "Answer",
+    "CappedRule",
     "Clicks",
     "CountedLight",
     "ExposureKind",

@@ -151,13 +151,12 @@ class Stops(NamedTuple):
         """The first stops, so many, of exposures of which none goes on."""
         return Stops(self.after[:count], self.used[:count])
 
-    def best_rule(
+    def rules(
         self, confidence: np.ndarray, wrong: np.ndarray, *, light: float, least: float
-    ) -> tuple[int, float]:
-        """Number of stops, and threshold, of most right answers among those that take the light.
+    ) -> "list[CappedRule]":
+        """Rules that take the light, one for each number of stops that takes `least` or more.
 
         Exposures that are never sure take light from others: it may be better to end them sooner.
-        Of equals it is the lowest number.
 
         Parameters
         ----------
@@ -183,9 +182,9 @@ class Stops(NamedTuple):
             stops = self.first(count)
             threshold = stops.threshold(confidence[:, :count], light)
             ends = stops.ends(confidence[:, :count], threshold)
-            rules.append((float(wrong[every, ends].mean()), count, threshold))
-        _, count, threshold = min(rules)
-        return count, threshold
+            errors = float(wrong[every, ends].mean())
+            rules.append(CappedRule(errors, count, float(self.used[count - 1]), threshold))
+        return rules
 
     @staticmethod
     def ends(confidence: np.ndarray, threshold: float) -> np.ndarray:
@@ -206,6 +205,27 @@ class Stops(NamedTuple):
     def going(cls, confidence: np.ndarray, threshold: float) -> np.ndarray:
         """True where an exposure (E, K) takes a part; parameters of `ends`."""
         return np.arange(confidence.shape[1]) <= cls.ends(confidence, threshold)[:, None]
+
+
+class CappedRule(NamedTuple):
+    """Where exposures end; the least is that of fewest wrong answers, of equals the shortest.
+
+    Attributes
+    ----------
+    wrong : float
+        Share of the answers that are.
+    stops : int
+        Number of stops that the longest exposure has.
+    cap : float
+        Share of the budget that it takes.
+    threshold : float
+        Confidence above which others end.
+    """
+
+    wrong: float
+    stops: int
+    cap: float
+    threshold: float
 
 
 @dataclass(frozen=True)

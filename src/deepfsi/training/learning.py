@@ -490,7 +490,12 @@ def _counting_exposure(
         dictionary=dictionary,
     )
     if training.settings.cap > 1:
-        made = training.share_light(made, job, report.between(0.5, 1.0))
+        made, rules = training.share_light(made, job, report.between(0.5, 1.0))
+        if rules:
+            info["caps"] = [
+                {"cap": rule.cap, "threshold": rule.threshold, "wrong": rule.wrong}
+                for rule in rules
+            ]
         if made.settings.until < 1:  # a cap that is found may be 1: all exposures are whole then
             info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
     return made
