@@ -137,7 +137,7 @@ def test_trials_of_one_training_train_it_once(digits, tmp_path):
 
 @pytest.mark.slow
 def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digits, tmp_path):
-    trials = planned(digits, designs=("deepfsi", "random", "control"), photons=1e3, trials=1)
+    trials = planned(digits, designs=("deepfsi", "control"), masks=3, photons=1e3, trials=1)
     patches = {"designs": "pca", "masks": 3, "photons": 1e3, "trials": 1, "exposure": {"patch": 4}}
     trials += planned(digits, **patches) + shared_training(digits)
     wild = planned(digits, designs="pca", masks=6, training={"epochs": 2, "lr": 1e30})
