@@ -11,6 +11,7 @@ from deepfsi.base import (
     DESIGN_ENDINGS,
     InputError,
     budget_text,
+    confidence_text,
     count_text,
     join_messages,
     write_atomically,
@@ -232,9 +233,10 @@ def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[s
             f"{details_text(result, design.classes)}"
         )
         if (light := result.score("mean_light")) is not None:
+            threshold = confidence_text(design.info["stopping"]["threshold"])
             yield (
-                f"exposures end above a probability of {design.info['stopping']['threshold']:.4g}, "
-                f"or after {design.exposure.stops.used[-1]:.3g} of the budget: test scenes take "
+                f"exposures end above a probability of {threshold}, or after "
+                f"{design.exposure.stops.used[-1]:.3g} of the budget: test scenes take "
                 f"{light:.3g} of it in the mean"
             )
     if caps := design.info.get("caps"):

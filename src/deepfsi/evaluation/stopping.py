@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from pydantic import model_serializer
 from scipy.special import log_softmax
 
-from deepfsi.base import InputError, Table, as_input_error, budget_text
+from deepfsi.base import InputError, Table, as_input_error, budget_text, confidence_text
 from deepfsi.base.numeric import accuracy_interval
 from deepfsi.camera import StopRule, check_budget
 from deepfsi.datasets import Dataset, Source, as_dataset
@@ -248,7 +248,8 @@ class Stopped:
             "difference, paired": self.difference,
         }
         yield Table(
-            f"{size}, {budget_text(self.photons)} photons, stopped above {self.rule.threshold:.5g}",
+            f"{size}, {budget_text(self.photons)} photons, stopped above "
+            f"{confidence_text(self.rule.threshold)}",
             ("", "mean", "95 % interval"),
             [
                 (head, f"{rate.mean:.4f}", f"[{rate.low:.4f}, {rate.high:.4f}]")
