@@ -134,6 +134,18 @@ def test_an_endless_price_counts_nothing_and_no_price_uses_all_looks_or_all_ligh
     assert (all_of_it.used <= 1 + 1e-5).all()
 
 
+def test_a_detector_that_stays_dark_in_a_bright_look_gives_no_answer(training, data):
+    """Scenes send 20 photons to the bright look in the mean, and a dead detector sees none."""
+    price = 0.1
+    dead = run(training, 0 * data.x_test, price)
+    shares = training.prior.class_shares.expand(len(data.x_test), -1)
+    assert torch.equal(dead.chances, shares)
+    assert dead.clicks.sum() == dead.arriving.sum() == 0
+    seen = run(training, data.x_test, price)
+    assert not (seen.chances == shares).all(dim=1).any()  # one of 128 by a chance of 1e-4
+    assert (seen.used <= 1 + 1e-5).all()
+
+
 def test_clicks_fall_as_their_price_rises(training, data):
     x = data.x_test[:60]
     means = []
@@ -156,17 +168,22 @@ def test_the_price_of_mean_clicks_is_the_lowest_that_costs_no_more():
     rng = np.random.default_rng(3)
     looks = 12
     drawn = [torch.from_numpy(rng.random((50, looks))) for _ in range(2)]
-    priced = clicking.PricedLooks(*drawn, drawn[1], torch.zeros(50, looks + 1, 2))
+    dark = torch.from_numpy(rng.random((50, looks)) < 0.6).long().cumprod(dim=1).bool()
+    dark = torch.nn.functional.pad(dark, (1, 0))
+    priced = clicking.PricedLooks(*drawn, drawn[1], torch.zeros(50, looks + 1, 2), dark)
     for asked in (0.1, 0.5, 1.0, 2.0):
         price = priced.price(asked)
 
         def mean_clicks(at):
             total = 0.0
-            for worth, clicks in zip(*drawn, strict=True):
+            for worth, clicks, silent in zip(*drawn, dark, strict=True):
+                end = 0
                 for value, cost in zip(worth, clicks, strict=True):
                     if value <= at:
                         break
                     total += float(cost) / 50
+                    end += 1
+                total += float(silent[end]) / 50  # a look with all mirrors ON
             return total
 
         assert mean_clicks(price) <= asked + 1e-9

@@ -9,8 +9,15 @@ from scipy.special import softmax
 
 from conftest import exposing, generator
 from deepfsi import evaluate, learn
-from deepfsi.adaptive import AdaptivePosterior, next_masks
+from deepfsi.adaptive import (
+    AdaptiveExposure,
+    AdaptivePosterior,
+    AdaptiveTraining,
+    LeftOutAnswers,
+    next_masks,
+)
 from deepfsi.evaluation import logits_at_stops
+from deepfsi.jobs import AdaptiveMasks, find_job
 from deepfsi.networks import stop_temperatures
 from deepfsi.training import characterisation
 
@@ -68,6 +75,28 @@ def chances(design, data, photons=PHOTONS, seed=3):
     scanner = design.front_end(design.camera)
     logits = logits_at_stops(design, scanner, data.x_test, photons, 1, seed)[-1]
     return softmax(logits / stop_temperatures(design.temperatures, photons)[-1], axis=1)
+
+
+@pytest.mark.parametrize("sureness", [0.5, 1.4, 4.0])
+def test_a_posterior_that_is_too_sure_by_a_factor_gets_it_as_its_temperature(few, sureness):
+    """Classes are drawn from the odds over the factor; Fisher's information is that of log τ."""
+    job = find_job({"design": "adaptive", "masks": 2, "photons": PHOTONS})
+    training = AdaptiveTraining(few, AdaptiveMasks(looks=2))
+    made = AdaptiveExposure(training.prior, training.settings, few.image_shape, torch.zeros(2))
+    draws = generator(2)
+    true = 3 * torch.randn(20_000, 3, generator=draws)
+    shares = made.prior.class_shares.log()
+    chances = (true + shares).softmax(dim=1)
+    labels = torch.multinomial(chances, 1, generator=draws)[:, 0]
+    answers = LeftOutAnswers(np.array([PHOTONS]), sureness * true[None, None], labels)
+    calibrated, test = characterisation.calibrate_posterior(made, answers, few, job)
+    given = calibrated.prior.calibrated(sureness * true, 2, PHOTONS)
+    spread = (chances * true**2).sum(dim=1) - (chances * true).sum(dim=1) ** 2
+    error = float(spread.sum()) ** -0.5
+    logs = calibrated.prior.temperatures.logs
+    assert logs == pytest.approx(np.log(sureness), abs=4 * error + 0.01)
+    assert float((given - chances).abs().max()) < 0.05
+    assert test["log_loss"] <= test["uncalibrated_log_loss"]
 
 
 @pytest.mark.parametrize("ratio", [0.1, 1, 10])

@@ -4,10 +4,9 @@ from deepfsi.adaptive.choice import candidate_masks, look_at, next_masks
 from deepfsi.adaptive.clicking import ClickTraining, adaptive_kind
 from deepfsi.adaptive.dictionary import DictionaryPosterior, MaskDictionary
 from deepfsi.adaptive.exposure import (
-    MISFIT_BUDGETS,
-    MISFIT_SCENES,
     AdaptiveExposure,
     AdaptiveTraining,
+    LeftOutAnswers,
     LookedAt,
     prior_of,
     squared_distance,
@@ -15,13 +14,12 @@ from deepfsi.adaptive.exposure import (
 from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics, ScenePrior, class_chances
 
 __all__ = [
-    "MISFIT_BUDGETS",
-    "MISFIT_SCENES",
     "AdaptiveExposure",
     "AdaptivePosterior",
     "AdaptiveTraining",
     "ClickTraining",
     "DictionaryPosterior",
+    "LeftOutAnswers",
     "LookOptics",
     "LookedAt",
     "MaskDictionary",

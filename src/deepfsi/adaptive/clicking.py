@@ -4,7 +4,8 @@ A look that stays dark costs no count, and tells something as well. So that look
 dwell together, whose outcome, click or none, is expected to tell most of the class for each click:
 information over the probability of a click, to which the shares of a click are added that a look
 and its light cost, as neither is endless. An exposure ends where no look tells as much for a click
-as the price asks, after all looks, or where the next has no light left.
+as the price asks, after all looks, or where the next has no light left. One that ends without a
+click takes a look with all mirrors ON: where the detector stays dark there, too, it tells nothing.
 
 Scenes of the prior are known to within one mirror or so: they are blurred, a mask is never dark,
 and its light varies among scenes that are alike, as it does among neighbours of the prior (gamma
@@ -15,7 +16,6 @@ more, over its mean, than one of many. Sources: sequential design by expected in
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from math import log as log_of
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -26,6 +26,7 @@ from deepfsi.adaptive.choice import difference_masks, draw_places, group_differe
 from deepfsi.adaptive.exposure import (
     AdaptiveExposure,
     AdaptiveTraining,
+    LeftOutAnswers,
     LookedAt,
     PosteriorObservation,
     exposures_at_once,
@@ -35,7 +36,6 @@ from deepfsi.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOpti
 from deepfsi.base import InputError, Message, Progress
 from deepfsi.camera import Camera, summed_reflectance
 from deepfsi.datasets import Dataset
-from deepfsi.designfile import LOG_BOUNDS, Temperatures
 from deepfsi.exposure import Use
 from deepfsi.jobs import AdaptiveMasks, Job
 
@@ -255,6 +255,10 @@ def click_candidates(state: AdaptivePosterior) -> Tensor:
     return torch.cat([bright, *strict], dim=1)
 
 
+BRIGHT_PHOTONS = 20.0
+"""Photons of the mean scene in a look with all mirrors ON: the detector clicks all but surely."""
+
+
 class ClickRun(NamedTuple):
     """Exposures at their end.
 
@@ -279,8 +283,9 @@ class ClickStep(NamedTuple):
     rows : tensor, shape (r,)
         Which of the exposures.
     look : ClickLook
-    chances : tensor, shape (r, C)
+    chances, odds : tensor, shape (r, C)
         After the look.
+    clicked : tensor of bool, shape (r,)
     clicks, arriving : tensor, shape (r,)
         That are expected of it.
     """
@@ -288,6 +293,8 @@ class ClickStep(NamedTuple):
     rows: Tensor
     look: ClickLook
     chances: Tensor
+    odds: Tensor
+    clicked: Tensor
     clicks: Tensor
     arriving: Tensor
 
@@ -340,20 +347,31 @@ class ClickLooks(NamedTuple):
                 return
             light = (look.masks * x[running]).sum(dim=1) * look.dwells * state.gain
             chance = -torch.expm1(-light)
-            state.take(look, torch.rand(len(light), generator=generator) < chance)
-            yield ClickStep(running, look, state.chances, clicks=chance, arriving=light)
+            clicked = torch.rand(len(light), generator=generator) < chance
+            state.take(look, clicked)
+            yield ClickStep(
+                running, look, state.chances, state.odds, clicked, clicks=chance, arriving=light
+            )
 
     def run(self, x: Tensor, generator: torch.Generator) -> ClickRun:
         """Exposures of scenes (b, N) at their end; parameters of `steps`."""
         state = self.posterior(len(x))
         chances = state.chances
         clicks, arriving, used = torch.zeros(3, len(x))
+        clicked = torch.zeros(len(x), dtype=torch.bool)
         for step in self.steps(state, x, generator):
             clicks[step.rows] += step.clicks
             arriving[step.rows] += step.arriving
             used[step.rows] += step.look.dwells
             chances[step.rows] = step.chances
-        return ClickRun(chances, clicks, arriving, used)
+            clicked[step.rows] |= step.clicked
+        dark = ~clicked & (used > 0)
+        dwells = dark * (1 - used).clamp(min=0.0, max=BRIGHT_PHOTONS / self.photons)
+        light = x.sum(dim=1) * dwells * state.gain
+        seen = -torch.expm1(-light)
+        silent = dark & (torch.rand(len(x), generator=generator) >= seen)
+        chances[silent] = self.prior.class_shares
+        return ClickRun(chances, clicks + seen, arriving + light, used + dwells)
 
 
 @dataclass(frozen=True, eq=False)
@@ -454,8 +472,10 @@ class ClickTraining(AdaptiveTraining):
         self.prior = prior_of(blurred(data), self.settings)
         self.prior.summed_reflectance = summed_reflectance(data.x_train)  # not of the blurred
 
-    def make(self, job: Job, optics: Mapping[str, Any], report: Progress) -> ClickingExposure:
-        """The exposure of a job, with its price and a temperature, found with training scenes.
+    def make(
+        self, job: Job, optics: Mapping[str, Any], report: Progress
+    ) -> tuple[ClickingExposure, LeftOutAnswers]:
+        """The exposure of a job with its price, found with training scenes; answers to these.
 
         Each of them is left out of the prior.
 
@@ -478,7 +498,7 @@ class ClickTraining(AdaptiveTraining):
             some.leave(state)
             steps = looks.steps(state, some.scenes, generator)
             size = len(rows), settings.looks
-            runs.append(PricedLooks.of(steps, size, self.prior.class_shares))
+            runs.append(PricedLooks.of(steps, size, self.prior.classes))
         whole = PricedLooks(*(torch.cat(some) for some in zip(*runs, strict=True)))
         price = LEAST_PRICE
         if asked is not None:
@@ -489,17 +509,16 @@ class ClickTraining(AdaptiveTraining):
                 setting="counts",
                 given=asked,
             )
-        chances, arriving = whole.ends(price)
-        temperature = best_temperature(chances, left_out.labels, self.prior.class_shares)
-        logs = np.full((settings.looks, 2), log_of(temperature))
-        budgets = np.array([1e-3, 1e3]) * job.photons
-        return ClickingExposure(
-            self.prior.with_temperatures(Temperatures(logs, budgets)),
+        odds, arriving = whole.ends(price)
+        made = ClickingExposure(
+            self.prior,
             settings.model_copy(update={"price": price}),
             shape=self.data.image_shape,
             counted=arriving.mean(dim=0) / job.photons,
             optics=optics,
         )
+        answers = LeftOutAnswers(np.array([job.photons]), odds[None, None], left_out.labels)
+        return made, answers
 
 
 class PricedLooks(NamedTuple):
@@ -511,17 +530,20 @@ class PricedLooks(NamedTuple):
         Of each look; −∞ where there was none.
     clicks, arriving : tensor, shape (n, K)
         That are expected of it.
-    chances : tensor, shape (n, 1 + K, C)
-        Before all looks, and after each.
+    odds : tensor, shape (n, 1 + K, C)
+        Log odds of the classes before all looks, and after each.
+    dark : tensor of bool, shape (n, 1 + K)
+        True after looks none of which clicked.
     """
 
     worth: Tensor
     clicks: Tensor
     arriving: Tensor
-    chances: Tensor
+    odds: Tensor
+    dark: Tensor
 
     @classmethod
-    def of(cls, steps: Iterable[ClickStep], size: tuple[int, int], shares: Tensor) -> Self:
+    def of(cls, steps: Iterable[ClickStep], size: tuple[int, int], classes: int) -> Self:
         """Looks of one run, of n exposures and K looks at most.
 
         Parameters
@@ -529,18 +551,21 @@ class PricedLooks(NamedTuple):
         steps : iterable of ClickStep
         size : tuple of int
             n and K.
-        shares : tensor, shape (C,)
-            Of the classes before all looks.
+        classes : int
+            C.
         """
         worth = torch.full(size, -torch.inf)
         clicks, arriving = torch.zeros(2, *size)
-        chances = shares.repeat(size[0], 1 + size[1], 1)
+        odds = torch.zeros(size[0], 1 + size[1], classes)
+        dark = torch.ones(size[0], 1 + size[1], dtype=torch.bool)
+        dark[:, 0] = False
         for look, step in enumerate(steps):
             worth[step.rows, look] = step.look.worth
             clicks[step.rows, look] = step.clicks
             arriving[step.rows, look] = step.arriving
-            chances[step.rows, look + 1 :] = step.chances[:, None]
-        return cls(worth, clicks, arriving, chances)
+            odds[step.rows, look + 1 :] = step.odds[:, None]
+            dark[step.rows, look + 1 :] &= ~step.clicked[:, None]
+        return cls(worth, clicks, arriving, odds, dark)
 
     @property
     def least_worth(self) -> Tensor:
@@ -551,16 +576,21 @@ class PricedLooks(NamedTuple):
         return self.worth.cummin(dim=1).values
 
     def price(self, clicks: float) -> float:
-        """Lowest price at which exposures cost no more clicks in the mean; 0 if they never do."""
+        """Lowest price at which exposures cost no more clicks in the mean; 0 if they never do.
+
+        An exposure that ends dark costs one more, of the look with all mirrors ON.
+        """
         worth, order = self.least_worth.flatten().sort(descending=True)
-        total = self.clicks.flatten().double()[order].cumsum(dim=0) / len(self.clicks)
-        affordable = int((total <= clicks).sum())
+        bright = self.dark.double()
+        more = self.clicks.double() + bright[:, 1:] - bright[:, :-1]
+        total = more.flatten()[order].cumsum(dim=0) / len(self.clicks)
+        affordable = int((total <= clicks).double().cumprod(dim=0).sum())
         if affordable == len(worth):
             return 0.0
         return max(float(worth[affordable]), 0.0)
 
     def ends(self, price: float) -> tuple[Tensor, Tensor]:
-        """Chances (n, C) where exposures end at a price, and photons (n, K) that arrive till then.
+        """Log odds (n, C) where exposures end at a price, and photons (n, K) that arrive till then.
 
         Parameters
         ----------
@@ -569,29 +599,7 @@ class PricedLooks(NamedTuple):
         """
         going = self.least_worth > price
         rows = torch.arange(len(going))
-        return self.chances[rows, going.sum(dim=1)], self.arriving * going
-
-
-def best_temperature(chances: Tensor, labels: Tensor, shares: Tensor) -> float:
-    """Temperature of the odds of classes to their shares at which labels have the least log loss.
-
-    Parameters
-    ----------
-    chances : tensor, shape (n, C)
-    labels : tensor, shape (n,)
-    shares : tensor, shape (C,)
-        Of the classes before any look.
-    """
-    from scipy.optimize import minimize_scalar
-
-    base = shares.log().double()
-    odds = chances.double().clamp(min=LEAST_WEIGHT).log() - base
-
-    def loss(level: float) -> float:
-        return float(torch.nn.functional.cross_entropy(odds / np.exp(level) + base, labels))
-
-    bounds = (LOG_BOUNDS[0], 3.0)
-    return float(np.exp(minimize_scalar(loss, bounds=bounds, method="bounded").x))
+        return self.odds[rows, going.sum(dim=1)], self.arriving * going
 
 
 def adaptive_kind(settings: AdaptiveMasks) -> type[AdaptiveExposure]:

@@ -22,7 +22,13 @@ from torch import Tensor
 
 from deepfsi.adaptive.choice import Look, look_at
 from deepfsi.adaptive.dictionary import DictionaryPosterior, MaskDictionary
-from deepfsi.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
+from deepfsi.adaptive.posterior import (
+    LEAST_WEIGHT,
+    AdaptivePosterior,
+    LookOptics,
+    ScenePrior,
+    confidence_of,
+)
 from deepfsi.base import SILENT, InputError, Message, Progress, as_input_error
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import Camera
@@ -38,7 +44,7 @@ from deepfsi.exposure import (
     Stops,
     Use,
 )
-from deepfsi.jobs import AdaptiveMasks, Job, SharedLight
+from deepfsi.jobs import AdaptiveMasks, Job
 from deepfsi.physics import Detection
 
 LIKELIHOODS_AT_ONCE = 2**22
@@ -109,8 +115,8 @@ SMALLEST_MISFIT = 1e-6
 FEWEST_MISFIT_SCENES = 50
 """Training scenes below which nothing is measured."""
 
-MISFIT_SCENES = 128
-"""Training scenes that are exposed at each budget, at most."""
+MISFIT_SCENES = 256
+"""Training scenes that are exposed at each budget, at most: they tell misfit and temperatures."""
 
 DICTIONARY_SCENES = 512
 """Training scenes for which the masks of a dictionary are made, at most."""
@@ -121,7 +127,7 @@ DICTIONARY_LOOKS = 32
 SHARING_SCENES = 1024
 """Training scenes by which the threshold of a mean light is found, at most.
 
-The light of an exposure varies by some 0.6 of its mean, so that the mean is known to 2 %.
+The light of an exposure varies by some 0.6 of its mean, so that the mean is known to 4 % (95 %).
 """
 
 
@@ -212,26 +218,29 @@ def measure(
     optics: Sequence[LookOptics],
     left_out: "LeftOutScenes",
     generator: torch.Generator,
-) -> tuple[np.ndarray, Tensor]:
-    """Misfit and counts of S scenes that the prior lacks, in looks at several budgets.
+) -> tuple[np.ndarray, Tensor, Tensor]:
+    """Misfit, counts and answers of S scenes that the prior lacks, in looks at several budgets.
 
     Mean and standard deviation (2, B, K) of the logarithm of the misfit after each look, which is
-    nearly normal; mean counts (B, K) of each look.
+    nearly normal; mean counts (B, K) of each look; log odds (B, K, S, C) of the classes after it.
     """
     settings = exposure.settings
     scenes = left_out.scenes
     totals = torch.zeros(len(optics), settings.looks, len(scenes), dtype=torch.double)
     counted = torch.zeros(len(optics), settings.looks, dtype=torch.double)
+    odds = torch.zeros(*totals.shape, exposure.prior.classes)
     for row, each in enumerate(optics):
-        state = exposure.posterior(len(scenes), each)
-        left_out.leave(state)
-        for look, share in enumerate(settings.shares):
-            masks, counts, light = look_at(state, scenes, share, generator)
-            totals[row, look] = squared_distance(state, masks, counts, share)
-            counted[row, look] = light.double().sum() / len(scenes)
-            state.update(masks, counts, share)
+        for rows, some in left_out.parts(exposure.exposed_at_once):
+            state = exposure.posterior(len(rows), each)
+            some.leave(state)
+            for look, share in enumerate(settings.shares):
+                masks, counts, light = look_at(state, some.scenes, share, generator)
+                totals[row, look, rows] = squared_distance(state, masks, counts, share).double()
+                counted[row, look] += light.double().sum() / len(scenes)
+                state.update(masks, counts, share)
+                odds[row, look, rows] = state.odds
     logs = totals.cumsum(dim=1).clamp(min=SMALLEST_MISFIT).log()
-    return torch.stack([logs.mean(dim=-1), logs.std(dim=-1)]).numpy(), counted
+    return torch.stack([logs.mean(dim=-1), logs.std(dim=-1)]).numpy(), counted, odds
 
 
 def _looks(
@@ -583,6 +592,53 @@ class LeftOutScenes(NamedTuple):
             report(done / len(every))
 
 
+class LeftOutAnswers(NamedTuple):
+    """Answers to S training scenes, each left out of the prior, at budgets (B,).
+
+    Log odds (B, K, S, C) are those after each look, or those at the end (K = 1).
+    """
+
+    budgets: np.ndarray
+    odds: Tensor
+    labels: Tensor
+
+
+class LongestExposures(NamedTuple):
+    """Exposures of S scenes that end after all looks: log odds (S, K, C), light (S, K)."""
+
+    odds: Tensor
+    light: Tensor
+    labels: Tensor
+    photons: float
+
+    def confidence(self, prior: ScenePrior) -> np.ndarray:
+        """Calibrated confidence (S, K) after each look."""
+        looks = enumerate(self.odds.unbind(1), start=1)
+        chances = [prior.calibrated(odds, taken, self.photons) for taken, odds in looks]
+        return confidence_of(torch.stack(chances, dim=1)).numpy()
+
+    def answers(self, made: AdaptiveExposure) -> LeftOutAnswers:
+        """Answers where the exposures end that are made."""
+        sure = self.confidence(made.prior)[:, : made.count]
+        ends = torch.from_numpy(made.stops.ends(sure, made.settings.until))
+        odds = self.odds[torch.arange(len(ends)), ends]
+        return LeftOutAnswers(np.array([self.photons]), odds[None, None], self.labels)
+
+    def shared(self, made: AdaptiveExposure) -> AdaptiveExposure:
+        """The kind whose exposures stop so that these scenes take the budget in the mean."""
+        sure = self.confidence(made.prior)[:, : made.count]
+        threshold = made.stops.threshold(sure, 1.0)
+        going = torch.from_numpy(made.stops.going(sure, threshold))
+        counted = (self.light[:, : made.count] * going).mean(dim=0) / self.photons
+        return replace(made.stopping_at(threshold), counted=counted)
+
+    def caps(self, made: AdaptiveExposure, least: float) -> list[CappedRule]:
+        """Share of wrong answers for each cap, from the least to that of all looks."""
+        wrong = (self.odds + made.prior.class_shares.log()).argmax(dim=2) != self.labels[:, None]
+        sure = self.confidence(made.prior)
+        return made.stops.rules(sure, wrong.numpy(), light=1.0, least=least)
+
+
 class AdaptiveTraining:
     """Adaptive masks of jobs that differ in budget and seed: one prior of scenes, and no steps.
 
@@ -616,53 +672,30 @@ class AdaptiveTraining:
         )
 
     @torch.no_grad()
-    def share_light(
-        self, made: AdaptiveExposure, job: Job, report: Progress
-    ) -> tuple[AdaptiveExposure, list[CappedRule]]:
-        """The kind whose exposures stop so that they take the budget in the mean, and its choice.
-
-        Where the job asks for it, the most light of an exposure is found, too: one run of the
-        longest exposures has those of all lower caps in it.
+    def longest(self, made: AdaptiveExposure, job: Job, report: Progress) -> "LongestExposures":
+        """Exposures that do not stop, by which a job's light is shared among scenes.
 
         Parameters
         ----------
         made : AdaptiveExposure
-            Whose exposures stop nowhere, with this prior, or with its temperatures.
+            With this prior.
         job : Job
-            Of an exposure that shares light.
         report : Progress
         """
-        assert isinstance(job.exposure, SharedLight)
-        least = job.exposure.least_cap
         generator = torch.Generator().manual_seed(job.seed ^ 2**31)
         left_out = self.left_out(SHARING_SCENES, generator)
         size = len(left_out.scenes), self.settings.looks
         optics = made.optics_at(job.photons, job.optics)
-        confidence = torch.empty(size, dtype=torch.double)
-        wrong = torch.empty(size, dtype=torch.bool)
+        odds = torch.empty(*size, self.prior.classes)
         light = torch.empty(size)
         for rows, some in left_out.parts(made.exposed_at_once, report):
             state = made.posterior(len(rows), optics)
             some.leave(state)
             looks = _looks(state, some.scenes, self.settings.shares, generator)
             for index, look in enumerate(looks):
-                confidence[rows, index] = state.confidence
-                wrong[rows, index] = state.chances.argmax(dim=1) != some.labels
+                odds[rows, index] = state.odds
                 light[rows, index] = look.light.sum(dim=1)
-        sure = confidence.numpy()
-        rules = []
-        if least is None:
-            threshold = made.stops.threshold(sure, 1.0)
-        else:
-            rules = made.stops.rules(sure, wrong.numpy(), light=1.0, least=least)
-            best = min(rules)
-            threshold = best.threshold
-            made = made.of_looks(best.stops)
-            sure = sure[:, : best.stops]
-            light = light[:, : best.stops]
-        going = torch.from_numpy(made.stops.going(sure, threshold))
-        counted = (light * going).mean(dim=0) / job.photons
-        return replace(made.stopping_at(threshold), counted=counted), rules
+        return LongestExposures(odds, light, left_out.labels, job.photons)
 
     @torch.no_grad()
     def dictionary(self, job: Job) -> MaskDictionary | None:
@@ -689,8 +722,8 @@ class AdaptiveTraining:
 
     def finish(
         self, job: Job, dictionary: MaskDictionary | None = None
-    ) -> tuple[Tensor, UsualMisfit | None]:
-        """Share of the budget (K,) that each look counts of training scenes, and their misfit.
+    ) -> tuple[Tensor, UsualMisfit | None, LeftOutAnswers]:
+        """Share of the budget (K,) that each look counts, misfit and answers, of left-out scenes.
 
         Parameters
         ----------
@@ -707,7 +740,8 @@ class AdaptiveTraining:
         left_out = self.left_out(MISFIT_SCENES, generator)
         budgets = np.array(MISFIT_BUDGETS) * job.photons
         optics = [LookOptics.of(job.optics, shape, each) for each in budgets.tolist()]
-        logarithms, counts = measure(exposure, optics, left_out, generator)
+        logarithms, counts, odds = measure(exposure, optics, left_out, generator)
         shares = (counts[MISFIT_BUDGETS.index(1.0)] / job.photons).float()
         few = len(left_out.scenes) < FEWEST_MISFIT_SCENES
-        return shares, None if few else UsualMisfit(budgets, logarithms)
+        misfit = None if few else UsualMisfit(budgets, logarithms)
+        return shares, misfit, LeftOutAnswers(budgets, odds, left_out.labels)

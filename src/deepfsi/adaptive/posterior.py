@@ -110,7 +110,7 @@ class ScenePrior:
         self.members = torch.ones(len(self))
         """Training scenes that each scene stands for."""
         self.temperatures: Temperatures | None = None
-        """Of the classes' probabilities after each look; None where there are many scenes."""
+        """Of the classes' probabilities after each look; None before they are calibrated."""
         if clusters is not None:
             self.spread = CENTRE_SPREAD
             self._scale(self._cluster(clusters, seed) * self.spread)
@@ -137,6 +137,22 @@ class ScenePrior:
         own = copy(self)
         own.temperatures = temperatures
         return own
+
+    def log_odds(self, chances: Tensor) -> Tensor:
+        """Logarithms (..., C) of probabilities of the classes over those before all looks."""
+        return chances.clamp(min=LEAST_WEIGHT).log() - self.class_shares.log()
+
+    def calibrated(self, odds: Tensor, looks: int, photons: float) -> Tensor:
+        """Probabilities (..., C) of the classes of log odds (..., C) after some looks at a budget.
+
+        A temperature divides the odds, so that without light the classes keep their shares.
+        """
+        shares = self.class_shares.log()
+        if self.temperatures is None:
+            return (odds + shares).softmax(dim=-1)
+        budget = torch.tensor([photons], dtype=torch.double)
+        temperature = temperatures_at(self.temperatures, looks - 1, budget).to(shares)
+        return (odds / temperature + shares).softmax(dim=-1)
 
     def light(self, masks: Tensor) -> tuple[Tensor, Tensor]:
         """Light of the mean scene through masks (..., N), and of each component (..., d)."""
@@ -348,6 +364,15 @@ def class_chances(weights: Tensor, sizes: Sequence[int]) -> Tensor:
     return sums / sums.sum(dim=1, keepdim=True)
 
 
+def confidence_of(chances: Tensor) -> Tensor:
+    """Probability (...) of the likeliest of the classes (..., C), in double precision.
+
+    Written as 1 less those of the others, which keep their digits where it rounds to 1.
+    """
+    others = chances.scatter(-1, chances.argmax(dim=-1, keepdim=True), 0.0)
+    return 1 - others.double().sum(dim=-1)
+
+
 class AdaptivePosterior:
     """Posterior of the scene in b exposures that see masks of their own.
 
@@ -507,30 +532,21 @@ class AdaptivePosterior:
         return class_chances(self.weights, self.prior.sizes)
 
     @property
-    def chances(self) -> Tensor:
-        """Probabilities (b, C) of the classes: sums of scenes, calibrated where few are known.
+    def odds(self) -> Tensor:
+        """Logarithms (b, C) of the probabilities of the classes over those before all looks."""
+        return self.prior.log_odds(self.class_weights)
 
-        A temperature τ makes of the odds of classes to those before all looks their power 1 / τ.
-        Without light the classes keep their shares.
-        """
-        fitted = self.prior.temperatures
-        if fitted is None or not self._looks:
+    @property
+    def chances(self) -> Tensor:
+        """Calibrated probabilities (b, C) of the classes."""
+        if self.prior.temperatures is None or not self._looks:
             return self.class_weights
-        shares = self.prior.class_shares.log()
-        budget = torch.tensor([self.optics.photons], dtype=torch.double)
-        temperature = temperatures_at(fitted, self._looks - 1, budget).to(shares)
-        odds = self.class_weights.clamp(min=LEAST_WEIGHT).log() - shares
-        return (odds / temperature + shares).softmax(dim=1)
+        return self.prior.calibrated(self.odds, self._looks, self.optics.photons)
 
     @property
     def confidence(self) -> Tensor:
-        """Probability (b,) of the likeliest class, in double precision.
-
-        Written as 1 less those of the others, which keep their digits where it rounds to 1.
-        """
-        chances = self.chances
-        others = chances.scatter(1, chances.argmax(dim=1, keepdim=True), 0.0)
-        return 1 - others.double().sum(dim=1)
+        """Probability (b,) of the likeliest class, in double precision."""
+        return confidence_of(self.chances)
 
     @property
     def scene(self) -> Tensor:

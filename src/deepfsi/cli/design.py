@@ -209,11 +209,14 @@ def _scenes_text(trained: Dataset, tested: Dataset) -> str:
     """Scenes of a training and its test in words, and what `compare` does otherwise."""
     from deepfsi.sweeps import Recipe
 
-    count = len(trained.x_train)
-    words = (
-        f"trained on all {count} scenes, tested on {len(tested.x_test)}; deepfsi compare holds "
-        f"{Recipe().held_out(trained)} of them out to choose numbers of masks"
-    )
+    words = f"trained on {len(trained.x_train)} scenes, tested on {len(tested.x_test)}"
+    if trained.held_out:
+        words += f"; {trained.held_out} more are held out"
+    else:
+        words += (
+            f"; deepfsi compare holds {Recipe().held_out(trained)} of these out to choose numbers "
+            "of masks"
+        )
     folds = len(Recipe().parts(tested))
     return words if folds == 1 else f"{words}, and tests every scene once, in {folds} folds"
 
@@ -255,9 +258,9 @@ def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[s
         other = "--clusters" if design.name == "adaptive" else "fewer --masks"
         yield (
             f"note: on {left_out['scenes']} scenes that the training left out the probabilities "
-            f"are no better than guessing (log loss {left_out['log_loss']:.2f} nats, guessing "
-            f"{left_out['guessing']:.2f}): give more scenes, more --photons, {other}, or another "
-            "--design"
+            f"cannot be told from guessing (log loss {left_out['log_loss']:.2f} ± "
+            f"{2 * left_out['error']:.2f} nats, guessing {left_out['guessing']:.2f}): give more "
+            f"scenes, more --photons, {other}, or another --design"
         )
 
 

@@ -137,7 +137,7 @@ class LeftOutTest:
 
     @property
     def guesses(self) -> bool:
-        """True where the answers are not better than guessing by twice the standard error."""
+        """True where the answers cannot be told from guessing: within twice the standard error."""
         return self.log_loss + 2 * self.error >= self.guessing
 
     def as_dict(self) -> dict[str, Any]:

@@ -16,10 +16,6 @@ from deepfsi.sweeps import Point, Results
 _SUBJECTS = {"deepfsi": "learned masks (DeepFSI)", "adaptive": "adaptive masks"}
 """Designs whose names in a sentence are masks."""
 
-_LEAST_RATIO = 1.15
-"""Smallest ratio of light that is said as a number of times."""
-
-
 _UNEVEN = 0.02
 """Difference of an accuracy from the balanced one, each class counting alike, that is said."""
 
@@ -41,7 +37,7 @@ class ComparisonVerdict:
     Attributes
     ----------
     title : str
-        For a heading: "Learned masks (DeepFSI) need 3 times less light than PCA".
+        For a heading: "Learned masks (DeepFSI) need 3 (2 to 4) times less light than PCA".
     text : str
         The same with its numbers, a sentence.
     photons : float
@@ -62,7 +58,8 @@ def verdict_of(results: Results) -> ComparisonVerdict:
     The most accurate design of a camera is compared with the most accurate one that is neither
     learned nor adaptive, at the budget where they differ most. How many times less light it needs
     is found where the curve of the other meets its accuracy, or where its own meets that of the
-    other. Where the difference is not above 0 at any budget, the verdict says so.
+    other, within the tested budgets; else the accuracies at that budget are said. Where the
+    difference is not above 0 at any budget, the verdict says so.
     """
     noise = noises(results)[0]
     points = [p for p in results.points if p.noise == noise and p.best]
@@ -131,20 +128,25 @@ def better(first: Point, second: Point) -> bool:
 
 
 def _times(first: Point, other: Point, series: Series, *, images: int) -> str | None:
-    """Ratio of the light that two designs need, in words; None if it is not known."""
+    """Ratio of the light that two designs need, with its 95 % interval, in words.
+
+    None unless both curves reach the accuracy within the tested budgets, and the interval, too.
+    """
     mine, theirs = (
         sorted(series.groups[series.key(point)], key=lambda p: p.photons)
         for point in (first, other)
     )
-    beyond = _meets(theirs, first.accuracy, images)
-    if beyond.photons is not None:
-        return _ratio_text(beyond.photons / first.photons)
-    before = _meets(mine, other.accuracy, images)
-    if before.photons is not None:
-        return _ratio_text(first.photons / before.photons)
-    last = theirs[-1]  # with how much light it is still below
-    least = _ratio_text(last.photons / first.photons) if better(first, last) else None
-    return least and f"over {least}"
+    for curve, point in ((theirs, first), (mine, other)):
+        ends = (point.low, point.accuracy, point.high)
+        low, best, high = (_meets(curve, target, images) for target in ends)
+        if low.low and best.photons and high.high:
+            ratios = [photons / first.photons for photons in (low.low, best.photons, high.high)]
+            if curve is mine:
+                ratios = [1 / ratio for ratio in reversed(ratios)]
+            if ratios[0] < 1:
+                return None
+            return "{1} ({0} to {2})".format(*map(_ratio_text, ratios))
+    return None
 
 
 def _meets(curve: Sequence[Point], target: float, images: int) -> Crossing:
@@ -155,9 +157,7 @@ def _meets(curve: Sequence[Point], target: float, images: int) -> Crossing:
     return find_crossing([p.photons for p in curve], trials, images, target)
 
 
-def _ratio_text(ratio: float) -> str | None:
-    if ratio < _LEAST_RATIO:
-        return None
+def _ratio_text(ratio: float) -> str:
     return f"{ratio:.1f}" if ratio < 1.95 else f"{float(f'{ratio:.1g}'):.0f}"
 
 

@@ -4,7 +4,7 @@ Few training scenes are left out in folds, which calibrate a design that leaves 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from math import prod
 from typing import Any
@@ -14,15 +14,7 @@ import torch
 from pydantic import BaseModel
 from torch import Tensor
 
-from deepfsi.adaptive import (
-    MISFIT_BUDGETS,
-    MISFIT_SCENES,
-    AdaptiveExposure,
-    AdaptiveTraining,
-    MaskDictionary,
-    ScenePrior,
-    prior_of,
-)
+from deepfsi.adaptive import AdaptiveExposure, LeftOutAnswers
 from deepfsi.datasets import Dataset
 from deepfsi.design import Design
 from deepfsi.designfile import (
@@ -45,7 +37,7 @@ from deepfsi.evaluation import (
     share_light,
 )
 from deepfsi.exposure import CHUNK, TrainingSet
-from deepfsi.jobs import FEW_SCENES, AdaptiveMasks, Job
+from deepfsi.jobs import FEW_SCENES, Job
 
 FOLDS = 10
 """Parts of the training scenes, each to be left out of a training of its own."""
@@ -137,7 +129,9 @@ def find_temperatures(
     budgets = calibration_budgets(job.photons, job.exposure.highest(job.photons))
     scenes = _calibration_scenes(design, job, data, left_out)
     if left_out or data.held_out:
-        return _calibrated(scenes, budgets, data, job)
+        fitted = fit_temperatures(scenes, budgets, trained_on=False, seed=job.seed)
+        test = measure_left_out(scenes, fitted, job.photons, _guess(data), seed=job.seed)
+        return fitted, test
     return fit_temperatures(scenes, budgets, trained_on=True, seed=job.seed), None
 
 
@@ -205,46 +199,42 @@ def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> Readout
         )
 
 
-def prior_without(fold: Dataset, settings: AdaptiveMasks) -> ScenePrior:
-    """Prior of the training part of a fold, of no more clusters than it can have."""
-    if settings.clusters is not None:
-        smallest = int(np.bincount(fold.y_train, minlength=len(fold.classes)).min())
-        most = min(settings.clusters, max(1, smallest // 2))
-        settings = settings.model_copy(update={"clusters": most})
-    return prior_of(fold, settings)
+@dataclass(frozen=True)
+class PosteriorScenes(CalibrationScenes):
+    """Training scenes that the posterior answers, each left out of its prior."""
+
+    answers: LeftOutAnswers = field(kw_only=True)
+
+    @property
+    def labels(self) -> np.ndarray:
+        """Class (S,) of each scene."""
+        return self.answers.labels.numpy()
+
+    def logits(self, photons: float, seed: int, places: Sequence[int]) -> np.ndarray:
+        """Log odds (len(places), S, C) after some looks."""
+        budget = self.answers.budgets.tolist().index(photons)
+        return self.answers.odds[budget, list(places)].numpy()
 
 
-def calibrated_prior(
-    exposure: AdaptiveTraining,
-    folds: Sequence[tuple[Dataset, ScenePrior]],
-    job: Job,
-    dictionary: MaskDictionary | None = None,
-) -> tuple[ScenePrior, dict[str, Any]]:
-    """The prior with temperatures, by scenes that those of the folds leave out; their test."""
-    settings = exposure.settings
-    parts = []
-    share = min(1.0, MISFIT_SCENES / sum(len(fold.x_test) for fold, _ in folds))
-    for fold, prior in folds:
-        without = AdaptiveExposure(
-            prior,
-            settings,
-            shape=fold.image_shape,
-            counted=torch.zeros(settings.looks),
-            dictionary=dictionary,
-        )
-        design = Design(job.design, fold.classes, without)
-        n = len(fold.x_test)  # in the order of classes: some of each
-        rows = np.linspace(0, n - 1, max(1, round(share * n))).astype(int)
-        parts.append(Exposed(design, job.optics, fold.x_test[rows], fold.y_test[rows]))
-    classes = exposure.prior.class_shares.double().numpy()
-    scenes = CalibrationScenes(parts, settings.looks, shares=classes, doubt=DOUBT)
-    temperatures, test = _calibrated(
-        scenes, np.array(MISFIT_BUDGETS) * job.photons, exposure.data, job
-    )
+def calibrate_posterior(
+    made: AdaptiveExposure, answers: LeftOutAnswers, data: Dataset, job: Job
+) -> tuple[AdaptiveExposure, dict[str, Any]]:
+    """The exposure with calibrated probabilities, and the test of its answers.
+
+    Answers at the end of exposures give one temperature; those after each look one for each look
+    and budget.
+    """
+    shares = made.prior.class_shares.double().numpy()
+    looks = answers.odds.shape[1]
+    scenes = PosteriorScenes((), looks, shares=shares, doubt=DOUBT, answers=answers)
+    fitted = fit_temperatures(scenes, answers.budgets, trained_on=False, seed=job.seed)
     # beyond the light that is measured as at its ends
-    logs = np.pad(temperatures.logs, ((0, 0), (1, 1)), mode="edge")
-    budgets = np.array([1 / CALIBRATION_REACH, *MISFIT_BUDGETS, CALIBRATION_REACH]) * job.photons
-    return exposure.prior.with_temperatures(Temperatures(logs, budgets)), test.as_dict()
+    logs = np.pad(fitted.logs, ((0, made.count - looks), (1, 1)), mode="edge")
+    ends = [job.photons / CALIBRATION_REACH], [job.photons * CALIBRATION_REACH]
+    temperatures = Temperatures(logs, np.concatenate([ends[0], answers.budgets, ends[1]]))
+    test = measure_left_out(scenes, temperatures, job.photons, _guess(data), seed=job.seed)
+    prior = made.prior.with_temperatures(temperatures)
+    return replace(made, prior=prior), test.as_dict()
 
 
 def folds_of(data: Dataset) -> list[Dataset]:
@@ -279,14 +269,9 @@ def _without(data: Dataset, rows: np.ndarray) -> Dataset:
     )
 
 
-def _calibrated(
-    scenes: CalibrationScenes, budgets: np.ndarray, data: Dataset, job: Job
-) -> tuple[Temperatures, LeftOutTest]:
-    """Temperatures by scenes that were left out of the training, and the test of their answers."""
-    temperatures = fit_temperatures(scenes, budgets, trained_on=False, seed=job.seed)
-    guess = np.bincount(data.y_train, minlength=len(data.classes)) / len(data.y_train)
-    test = measure_left_out(scenes, temperatures, job.photons, guess, seed=job.seed)
-    return temperatures, test
+def _guess(data: Dataset) -> np.ndarray:
+    """Share (C,) of each class in the training scenes."""
+    return np.bincount(data.y_train, minlength=len(data.classes)) / len(data.y_train)
 
 
 def provenance(

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch.optim.lr_scheduler import LRScheduler
 
-from deepfsi.adaptive import AdaptiveExposure, AdaptiveTraining, ClickTraining, ScenePrior
+from deepfsi.adaptive import AdaptiveExposure, AdaptiveTraining, ClickTraining
 from deepfsi.base import SILENT, InputError, Message, Progress, plain_keywords, progress_bar
 from deepfsi.base.numeric import check_memory, free_memory
 from deepfsi.camera import CameraSource, check_budget
@@ -37,6 +37,7 @@ from deepfsi.jobs import (
     AdaptiveMasks,
     ExposureSource,
     Job,
+    SharedLight,
     TrainingSource,
     find_job,
     table_advice,
@@ -45,11 +46,10 @@ from deepfsi.networks import Classifier
 from deepfsi.physics import library_defaults
 from deepfsi.training.assembly import designs_of
 from deepfsi.training.characterisation import (
-    calibrated_prior,
+    calibrate_posterior,
     characterise,
     detector_shares,
     folds_of,
-    prior_without,
     provenance,
 )
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, array_hash
@@ -443,14 +443,14 @@ def _adaptive_designs(
         settings = settings.model_copy(update={"spread": DICTIONARY_SPREAD})
     clicks = first.optics.clicks is not None
     training = (ClickTraining if clicks else AdaptiveTraining)(data, settings)
-    folds = [] if clicks else [(fold, prior_without(fold, settings)) for fold in folds_of(data)]
     designs: list[Design] = []
     for job, span in zip(jobs, report.split(len(jobs)), strict=True):
         info = provenance(job, data, torch.device("cpu"), 0.0)
         if isinstance(training, ClickTraining):
-            made: AdaptiveExposure = training.make(job, info["job"]["camera"], span)
+            raw, answers = training.make(job, info["job"]["camera"], span)
+            made, info["left_out"] = calibrate_posterior(raw, answers, data, job)
         else:
-            made = _counting_exposure(training, folds, job, info, report=span)
+            made = _counting_exposure(training, job, info, report=span)
         info["seconds"] = (time.perf_counter() - began) / (len(designs) + 1)
         designs.append(
             Design(
@@ -466,22 +466,14 @@ def _adaptive_designs(
 
 
 def _counting_exposure(
-    training: AdaptiveTraining,
-    folds: Sequence[tuple[Dataset, ScenePrior]],
-    job: Job,
-    info: dict[str, Any],
-    *,
-    report: Progress,
+    training: AdaptiveTraining, job: Job, info: dict[str, Any], *, report: Progress
 ) -> AdaptiveExposure:
     """Exposure of a job with a detector that counts; its provenance gets what was measured."""
     dictionary = training.dictionary(job)
-    shares, misfit = training.finish(job, dictionary)
-    prior = training.prior
+    shares, misfit, answers = training.finish(job, dictionary)
     report(0.5)
-    if folds:
-        prior, info["left_out"] = calibrated_prior(training, folds, job, dictionary)
     made = AdaptiveExposure(
-        prior,
+        training.prior,
         training.settings,
         shape=training.data.image_shape,
         counted=shares,
@@ -490,14 +482,17 @@ def _counting_exposure(
         dictionary=dictionary,
     )
     if training.settings.cap > 1:
-        made, rules = training.share_light(made, job, report.between(0.5, 1.0))
-        if rules:
-            info["caps"] = [
-                {"cap": rule.cap, "threshold": rule.threshold, "wrong": rule.wrong}
-                for rule in rules
-            ]
-        if made.settings.until < 1:  # a cap that is found may be 1: all exposures are whole then
-            info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
+        longest = training.longest(made, job, report.between(0.5, 1.0))
+        if isinstance(job.exposure, SharedLight) and job.exposure.least_cap is not None:
+            rules = longest.caps(made, job.exposure.least_cap)
+            info["caps"] = [{"cap": rule.cap, "wrong": rule.wrong} for rule in rules]
+            made = made.of_looks(min(rules).stops)
+        made = longest.shared(made)
+        answers = longest.answers(made)
+    made, info["left_out"] = calibrate_posterior(made, answers, training.data, job)
+    if made.settings.until < 1:  # a cap that is found may be 1: all exposures are whole then
+        made = longest.shared(made)  # the same light, by the probabilities that it states
+        info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
     return made
 
 

@@ -189,8 +189,8 @@ def _posterior(payload: _Payload) -> dict[str, str]:
         "class the same share, and the accuracy above is of these. All of them may tell more."
         if prior["scenes"] < prior["of"]
         else f"This page knows the {prior['of']} {kind}.",
-        "Probabilities": "The posterior of the class. No network is trained, and nothing is "
-        "calibrated.",
+        "Probabilities": "The posterior of the class, calibrated with training scenes that it is "
+        "left without. No network is trained.",
     }
 
 
@@ -221,6 +221,12 @@ def _stopping(payload: _Payload) -> str:
     """Words for the rule by which an exposure stops, if there is one."""
     if not payload["rules"]:
         return "This design has no rule for stopping early."
+    if _is_adaptive(payload):
+        return (
+            "An exposure ends as soon as the probability of one class is above a threshold, found "
+            "with training scenes so that they take the budget in the mean. It holds near that "
+            "budget."
+        )
     return (
         "An exposure may stop as soon as the probability of its answer is above a threshold. "
         "It is chosen on scenes that the training left out, so that the accuracy on them stays "
