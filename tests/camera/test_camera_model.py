@@ -72,6 +72,8 @@ def test_a_camera_comes_back_from_json(given):
         ({"dead_time": "1s"}, "dead_time = 1.0: give 1e-05 or less"),
         ({"noise": 3}, "noise = 3: give a noise's name, or noise"),
         ({"sigma": float("nan")}, "sigma = nan: .*finite"),
+        ({"contrast": 100}, "contrast = 100: contrast is of a projector: give light dose"),
+        ({"light": "dose", "contrast": 1}, "contrast = 1: give more than 1"),
         ({"dark": -1, "flux": 0}, "flux = 0: .*; dark = -1: "),
     ],
 )

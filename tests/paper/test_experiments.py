@@ -122,6 +122,7 @@ def answers(changed):
         of_three(
             changed.get((noise, design, photons), OTHER.get((noise, design), level)),
             noise=noise, design=design, photons=photons,
+            throughput=1.0 if design == "hadamard" else 0.45,
         )
         for noise in ("poisson", "gaussian")
         for photons in (1e2, 1e4, 1e8)
@@ -163,13 +164,20 @@ def test_mlgauss_is_good_in_bright_light_only_where_intervals_say_so(change, hal
         ("poisson", "truncated-hadamard", 1e4, 0.6, 3, False),
         ("poisson", "control", 1e4, 0.95, 4, False),
         ("poisson", "control", 1e8, 0.95, 4, True),
-        ("gaussian", "hadamard", 1e4, 0.4, 5, False),
-        ("gaussian", "pca", 1e4, 0.95, 6, False),
-        ("gaussian", "impulse", 1e4, 0.99, 6, True),
+        ("poisson", "deepfsi", 1e8, 0.97, 5, False),
+        ("poisson", "deepfsi", 1e8, 0.955, 5, True),
+        ("poisson", "hadamard", 1e4, 0.85, 6, False),
+        ("poisson", "pca", 1e4, 0.5, 6, None),
+        ("gaussian", "hadamard", 1e4, 0.4, 7, False),
+        ("gaussian", "pca", 1e4, 0.95, 8, False),
+        ("gaussian", "impulse", 1e4, 0.99, 8, True),
+        ("gaussian", "truncated-hadamard", 1e4, 0.78, 9, False),
+        ("gaussian", "truncated-hadamard", 1e8, 0.78, 9, True),
+        ("gaussian", "pca", 1e2, 0.97, 10, False),
     ],
 )
 def test_claims_answer_to_the_numbers(noise, design, photons, accuracy, place, answer):
-    assert answers({}) == [True] * 7
+    assert answers({}) == [True] * 11
     assert answers({(noise, design, photons): accuracy})[place] is answer
 
 

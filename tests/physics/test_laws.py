@@ -24,7 +24,7 @@ from deepfsi import Scanner, evaluate
 from deepfsi.datasets import load_dataset
 from deepfsi.exposure import TrainingSet
 from deepfsi.jobs import sensing_matrix
-from deepfsi.physics import Rails, detection, frames, light_law
+from deepfsi.physics import LearnedMasks, Rails, detection, frames, light_law
 from deepfsi.physics import noise as noise_module
 from deepfsi.training import train
 from shared.jobs import job as job_of
@@ -96,6 +96,41 @@ def test_a_dose_that_lights_what_tells_beats_impulse_imaging():
     assert float(told.max()) == 4
     impulse = separation(torch.eye(4).double(), mean, difference)
     assert separation(told, told @ mean, difference) == pytest.approx(4 * float(impulse))
+
+
+@pytest.mark.parametrize("levels", [0, 4])
+@pytest.mark.parametrize("rails", ["dual", "single"])
+def test_what_a_projector_leaks_is_of_its_dose(rails, levels):
+    """An OFF pixel sends 1 / C of the frame's light, learned masks and fixed ones alike."""
+    matrix = torch.randn(5, N, generator=generator())
+    matrix = matrix if rails == "dual" else matrix.clamp(min=0)
+    dose = light_law("dose")
+    dark = LearnedMasks(matrix, "dose", rails, levels)().stacked.detach()
+    masks = LearnedMasks(matrix, "dose", rails, levels, contrast=50.0)
+    lit = masks().stacked.detach()
+    assert torch.equal(lit, dose.leak(dark, 50.0))
+    assert float(lit.sum(dim=(0, 1)).mean()) == pytest.approx(1, rel=1e-5)
+    assert torch.allclose(frames(lit).amin(dim=-1), frames(lit).amax(dim=-1) / 50)
+    assert torch.allclose(dose.leak(dark, 1e9), dark, atol=1e-6)
+    assert not masks.disjoint
+
+
+def test_half_the_dose_of_a_scan_is_leak_at_a_contrast_of_its_pixels():
+    scan = light_law("dose").leak(torch.eye(1024)[None], 1023.0)
+    assert float(scan.diagonal(dim1=-2, dim2=-1).mean()) == pytest.approx(0.5, rel=1e-5)
+    assert float(scan.sum(dim=(0, 1)).mean()) == pytest.approx(1, rel=1e-5)
+
+
+@pytest.mark.usefixtures("uncharacterised", "trained_once")
+@pytest.mark.parametrize("design", ["deepfsi", "pca", "raster", "control"])
+def test_a_design_for_a_projector_counts_what_leaks(design):
+    """Its file holds the light of OFF pixels, and its tests count it."""
+    camera = {"light": "dose", "rails": "single", "contrast": 20.0}
+    made_design = quick(synthetic((8, 8)), design, camera=camera)
+    lit = frames(made_design.rails.stacked)
+    assert torch.allclose(lit.amin(dim=-1), lit.amax(dim=-1) / 20, rtol=1e-4)
+    assert light_law("dose").excess(made_design.rails.stacked) <= FLOAT32
+    assert made_design.camera.contrast == 20
 
 
 @pytest.mark.usefixtures("uncharacterised", "trained_once")

@@ -70,6 +70,7 @@ FILE_EXAMPLES = {
     "gates": "1",
     "sigma": "0.0",
     "fluctuation": "0.05",
+    "contrast": "10000",
 }
 """Values of a camera file, as TOML writes them."""
 
@@ -203,6 +204,13 @@ _CONFLICTS: tuple[tuple[str, Callable[[Fields], bool], str], ...] = (
         lambda fields: fields["fluctuation"] > 0 and not _noise(fields).fluctuates,
         "clicks have no light that fluctuates here: leave fluctuation or noise out",
     ),
+    (
+        "contrast",
+        lambda fields: (
+            fields["contrast"] is not None and (_law(fields).one_device or not _law(fields).in_turn)
+        ),
+        "contrast is of a projector: give light dose, or leave contrast out",
+    ),
 )
 """What does not go together: the field that is refused, whether it is, and why."""
 
@@ -228,6 +236,7 @@ class CameraSettings(TypedDict, total=False):
     noise: str | Callable[..., Any]
     sigma: float
     fluctuation: float
+    contrast: float | None
 
 
 class Camera(UserModel):
@@ -349,6 +358,14 @@ class Camera(UserModel):
         le=10,
         description="relative standard deviation of the light from frame to frame, such as 0.05",
     )
+    contrast: float | None = Field(
+        default=None,
+        gt=1,
+        allow_inf_nan=False,
+        validate_default=True,
+        description="contrast of a projector (light law dose), light of an ON pixel over that of "
+        "an OFF one, such as 1000; OFF is dark unless given",
+    )
 
     if TYPE_CHECKING:  # a field has one type, and may be given as others
 
@@ -366,10 +383,11 @@ class Camera(UserModel):
         return value
 
     @model_serializer(mode="wrap")
-    def _without_steady(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Fields, but for `fluctuation` of a steady light, so that older files are the same."""
+    def _without_later(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Fields, but for later ones that are not given, so that older files are the same."""
         fields: dict[str, Any] = dump(self)
-        return {name: each for name, each in fields.items() if name != "fluctuation" or each}
+        later = ("fluctuation", "contrast")
+        return {name: each for name, each in fields.items() if name not in later or each}
 
     @classmethod
     @plain_keywords()
@@ -575,6 +593,8 @@ class Camera(UserModel):
             lines.append(f"detectors that click at most once in a gate, {gates} a frame")
         if self.sigma and noise.read_noise:
             lines.append(f"read noise of {self.sigma:g} counts rms a readout")
+        if self.contrast:
+            lines.append(f"OFF pixels of the projector send 1/{self.contrast:g} of the light of ON")
         if self.fluctuation:
             lines.append(f"light that fluctuates by {self.fluctuation:.3g} from frame to frame")
         if self.dead_time:

@@ -177,11 +177,14 @@ class ExposureTraining(ABC):
             camera.rails,
             levels=self.levels,
             shortest=camera.shortest_share / self.job.exposure.most_light,
+            contrast=camera.contrast,
         ).to(self.scenes.device)
 
     def fixed_masks(self, rails: Tensor) -> FixedMasks:
-        """Masks of rails (R or 1, 2 or 1, m, N), in the grey levels of the device."""
+        """Masks of rails (R or 1, 2 or 1, m, N), in the levels of the device, with its leak."""
         rails = self.law.quantise(rails, self.levels) if self.levels else rails
+        if self.camera.contrast is not None:
+            rails = self.law.leak(rails, self.camera.contrast)
         return FixedMasks(rails).to(self.scenes.device)
 
     def named_rails(self, matrix: np.ndarray | None = None) -> Tensor:

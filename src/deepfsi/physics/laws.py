@@ -87,6 +87,14 @@ class LightLaw(ABC):
         step = frame_peaks(rails) / (levels - 1)
         return (rails / step).round() * step
 
+    def leak(self, rails: Tensor, contrast: float) -> Tensor:
+        """Rails (..., 2 or 1, m, N) of a projector whose OFF pixels send 1 / contrast of the light.
+
+        A frame is ON at its peak. The leak is part of the dose: beyond it all frames are dimmed.
+        """
+        lit = rails + (rails.amax(dim=-1, keepdim=True) - rails) / contrast
+        return lit / lit.sum(dim=(-3, -2), keepdim=True).mean(dim=-1, keepdim=True).clamp(min=1)
+
     def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
         """Free numbers of masks (..., m, N) that begin like a start: parameters, and their scale.
 

@@ -53,6 +53,8 @@ class LearnedMasks(nn.Module):
         Grey levels, dark included; 0 for continuous masks.
     shortest : float
         Share of the exposure that a frame lasts at least, where masks have dwells.
+    contrast : float, optional
+        Of a projector, whose OFF pixels leak light; None for dark ones.
 
     Raises
     ------
@@ -67,6 +69,7 @@ class LearnedMasks(nn.Module):
         rails: RailsKind = "dual",
         levels: int = 0,
         shortest: float = 0.0,
+        contrast: float | None = None,
     ) -> None:
         super().__init__()
         check_light_law(light, rails)
@@ -77,6 +80,7 @@ class LearnedMasks(nn.Module):
         self.rails = rails
         self.levels = levels
         self.shortest = shortest
+        self.contrast = contrast
         for name, tensor in self.law.weights(start, rails).items():
             if isinstance(tensor, nn.Parameter):
                 self.register_parameter(name, tensor)
@@ -86,14 +90,16 @@ class LearnedMasks(nn.Module):
     def forward(self) -> Rails:
         """Rails of the masks, (..., m, N)."""
         rails = self.law.project(self._weights, self.rails, self.shortest)
-        if not self.levels:
+        if self.levels:
+            with torch.no_grad():
+                shown = Rails.of(self.law.quantise(rails.stacked, self.levels))
+            rails = rails.map(through, shown)
+        if self.contrast is None:
             return rails
-        with torch.no_grad():
-            shown = Rails.of(self.law.quantise(rails.stacked, self.levels))
-        return rails.map(through, shown)
+        return Rails.of(self.law.leak(rails.stacked, self.contrast))
 
     def matrix(self) -> Tensor:
-        """Their difference alone, (..., m, N), before it is rounded to grey levels."""
+        """Their difference alone, (..., m, N), before it is rounded to grey levels or leaks."""
         return self.law.matrix(self._weights, self.rails, self.shortest)
 
     def dim(self, factor: Tensor) -> None:
@@ -104,8 +110,9 @@ class LearnedMasks(nn.Module):
     @property
     def disjoint(self) -> bool:
         """True if the total is |M|, and its gradient that of |M|."""
-        # So it is where there are two rails of which each pixel is on one, and no rounding
-        return self.rails == "dual" and self.law.disjoint and not self.levels
+        # So it is where there are two rails of which each pixel is on one, and no rounding or leak
+        changed = self.levels or self.contrast is not None
+        return self.rails == "dual" and self.law.disjoint and not changed
 
     @property
     def _weights(self) -> dict[str, Tensor]:
