@@ -1,7 +1,7 @@
 """Reference of the command line, made from the commands themselves.
 
-The directive `commands` lists those under one heading of ``deepfsi --help``, with every command of
-their groups and every option; the directive `overview` makes a table of these commands.
+The directive `commands` lists those under one heading of ``deepfsi --help``: a table of all, then
+every command of their groups with every option.
 """
 
 import inspect
@@ -39,7 +39,7 @@ def overview(heading):
         for command, context in named(heading)
         if not isinstance(command, click.Group)
     ]
-    return table(["command", "what it does"], rows, "options")
+    return table(["command", "what it does"], rows)
 
 
 def below(group, name, above):
@@ -78,7 +78,7 @@ def tables(command):
         if name != FIRST:
             yield f"**{name}**"
         rows.sort(key=lambda each: each[2] != REQUIRED)
-        yield table(["option", "meaning", "default"], rows, "options")
+        yield table(["option", "meaning", "default"], rows)
 
 
 def row(parameter):
@@ -118,21 +118,10 @@ class Commands(Made):
 
     def text(self):
         """Markdown of the commands."""
-        return reference(self.arguments[0])
-
-
-class Overview(Made):
-    """The directive of the table; its argument is a heading."""
-
-    required_arguments = 1
-
-    def text(self):
-        """Markdown of the table."""
-        return overview(self.arguments[0])
+        return f"{overview(self.arguments[0])}\n\n{reference(self.arguments[0])}"
 
 
 def setup(app):
-    """Add the directives."""
+    """Add the directive."""
     app.add_directive("commands", Commands)
-    app.add_directive("overview", Overview)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
