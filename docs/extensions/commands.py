@@ -1,7 +1,7 @@
 """Reference of the command line, made from the commands themselves.
 
-The directive `commands` lists those under one heading of ``deepfsi --help``: a table of all, then
-every command of their groups with every option.
+The directive `commands` lists those under one heading of ``deepfsi --help``, with every command of
+their groups and every option; the directive `overview` makes a table of these commands.
 """
 
 import inspect
@@ -118,10 +118,21 @@ class Commands(Made):
 
     def text(self):
         """Markdown of the commands."""
-        return f"{overview(self.arguments[0])}\n\n{reference(self.arguments[0])}"
+        return reference(self.arguments[0])
+
+
+class Overview(Made):
+    """The directive of the table; its argument is a heading."""
+
+    required_arguments = 1
+
+    def text(self):
+        """Markdown of the table."""
+        return overview(self.arguments[0])
 
 
 def setup(app):
-    """Add the directive."""
+    """Add the directives."""
     app.add_directive("commands", Commands)
+    app.add_directive("overview", Overview)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -18,7 +18,7 @@ addEventListener("message", ({ data, source }) => {
 // On a narrow screen a wide figure moves sideways, and the cells of a table of sentences stand one below the other.
 addEventListener("load", () => {
   for (const image of document.querySelectorAll(".bd-article a > img"))
-    if (image.naturalWidth > 1.8 * image.naturalHeight) image.parentElement.classList.add("wide");
+    if (image.naturalWidth > 2 * image.naturalHeight) image.parentElement.classList.add("wide");
   for (const table of document.querySelectorAll(".bd-article table")) {
     const heads = [...table.querySelectorAll("thead th")], cells = [...table.querySelectorAll("td")];
     for (const cell of cells) cell.dataset.head = heads[cell.cellIndex]?.textContent.trim() ?? "";
