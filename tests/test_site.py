@@ -149,7 +149,7 @@ def test_every_name_of_the_package_is_on_its_page_with_an_example():
 def test_every_module_with_public_names_is_on_a_page():
     pages = [path.read_text() for path in (DOCS / "lookup/api").glob("*.md")]
     folders = [name for text in pages for name in modules.folders(text)]
-    listed = {path for folder in folders for path in modules.under(folder)}
+    listed = set(modules.listed(folders))
     every = (each.name for each in pkgutil.walk_packages(deepfsi.__path__, "deepfsi."))
     public = {name for name in every if not re.search(r"\.(_|cli)", name)}
     assert not {name for name in public - listed if modules.names(import_module(name))}

@@ -47,9 +47,9 @@ def folders(text):
     return " ".join(map(words, lines)).split()
 
 
-def listed(names):
+def listed(parts):
     """Modules of some folders that have public names."""
-    paths = [path for folder in names for path in under(folder)]
+    paths = [path for folder in parts for path in under(folder)]
     return [path for path in paths if names(import_module(path))]
 
 
