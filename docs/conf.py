@@ -31,18 +31,14 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "mathml",
-    "chart",
     "commands",
     "devices",
     "formats",
     "lessons",
     "links",
-    "measured",
-    "messages",
     "modules",
     "playable",
     "rooms",
-    "terms",
     "words",
 ]
 exclude_patterns = [
@@ -58,7 +54,7 @@ default_role = "py:obj"
 smartquotes = False
 highlight_language = "text"
 
-myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline"]
+myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
 
 autodoc_typehints = "none"
@@ -102,12 +98,16 @@ html_theme_options = {
     "navbar_align": "left",
     "show_nav_level": 1,
     "show_prev_next": True,
-    "secondary_sidebar_items": ["page-toc"],
+    "secondary_sidebar_items": {"**": ["page-toc"], "index": []},
     "footer_start": ["copyright"],
     "footer_end": [],
 }
 
 
 def setup(app):
-    """Add the setting of a quick build: modules are not listed, and no page to play is made."""
+    """Add the setting of a quick build: modules are not listed, and no page to play is made.
+
+    The notebook is in no list of pages.
+    """
     app.add_config_value("quick", False, "env")
+    app.connect("env-updated", lambda app, env: env.metadata["notebook/index"].update(orphan=True))

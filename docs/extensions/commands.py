@@ -39,7 +39,7 @@ def overview(heading):
         for command, context in named(heading)
         if not isinstance(command, click.Group)
     ]
-    return table(["command", "what it does"], rows, "options")
+    return table(["command", "what it does"], rows)
 
 
 def below(group, name, above):
@@ -78,7 +78,7 @@ def tables(command):
         if name != FIRST:
             yield f"**{name}**"
         rows.sort(key=lambda each: each[2] != REQUIRED)
-        yield table(["option", "meaning", "default"], rows, "options")
+        yield table(["option", "meaning", "default"], rows)
 
 
 def row(parameter):

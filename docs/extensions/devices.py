@@ -12,7 +12,7 @@ class Devices(Made):
 
     def text(self):
         """Markdown of the table."""
-        return table(HEADS, [row(device) for device in DEVICES.values()], "numbers")
+        return table(HEADS, [row(device) for device in DEVICES.values()])
 
 
 def row(device):

@@ -1,8 +1,7 @@
 """Tables of what files hold, made from the models that read and write them.
 
 The directive `fields` makes the section of one model: each field with its type, the values allowed,
-its default, and its meaning from the field's description or the docstring. Its heading is the
-model's name, unless the option `title` gives another.
+its default, and its meaning from the field's description or the docstring.
 """
 
 import ast
@@ -11,9 +10,7 @@ import itertools
 import json
 import re
 from importlib import import_module
-from typing import ClassVar
 
-from docutils.parsers.rst.directives import unchanged
 from markdown import Made, table
 from numpydoc.docscrape import NumpyDocString
 from pydantic import TypeAdapter
@@ -38,13 +35,13 @@ def model(path):
     return getattr(import_module(module), name)
 
 
-def section(path, title=None):
+def section(path):
     """Heading, summary and table of a model."""
     found = model(path)
     summary = inspect.cleandoc(found.__doc__).partition("\n\n")[0]
     lines = [(name, meaning, typed(kind, default)) for name, meaning, kind, default in rows(found)]
-    told = table(HEADS, lines, "fields")
-    return f"### {title or found.__name__}\n\n{summary}\n\n{told}"
+    told = table(HEADS, lines)
+    return f"### {found.__name__}\n\n{summary}\n\n{told}"
 
 
 HEADS = ["field", "meaning", "type"]
@@ -156,11 +153,10 @@ class Fields(Made):
     """The directive; its argument is the dotted path of a model."""
 
     required_arguments = 1
-    option_spec: ClassVar = {"title": unchanged}
 
     def text(self):
         """Markdown of the section."""
-        return section(self.arguments[0], self.options.get("title"))
+        return section(self.arguments[0])
 
 
 def setup(app):

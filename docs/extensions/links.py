@@ -1,14 +1,21 @@
-"""Links that work in the repository and on the site.
+"""Pages are plain Markdown in the repository; Sphinx reads them with what only the site has.
 
-Pages link to files outside `docs/` and to gallery scripts as they lie in the repository. The site
-has pages of these, to which the links are turned when a page is read.
+- Links to files outside `docs/` and to scripts lead to their pages on the site.
+- ``Fields: [deepfsi.camera.Camera](…)`` and ``Modules: [physics](…)`` become what is made of them.
+- Lines that begin with ``Source:`` are left out.
+- Directives stand in comments: ``<!-- index ! resume -->``.
+- A page that is one link to a file at the root of the repository becomes this file.
 """
 
 import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-WHOLE = re.compile(r"```\{include\} \.\./\.\./(\w+\.md)\n```")
+WHOLE = re.compile(r"\[\w+\]\(\.\./\.\./(\w+\.md)\)\n")
+SOURCE = re.compile(r"^Source: .*\n", re.M)
+MADE = re.compile(r"^(Fields|Modules): (.+)$", re.M)
+NAMES = "commands|devices|eval-rst|index|overview|playable|rooms|toctree"
+HIDDEN = re.compile(rf"^<!-- ({NAMES})\b ?(.*?)\s*-->$", re.M | re.S)
 HOMES = (
     (r"(?:\.\./)*CHANGELOG\.md", lambda path: "/lookup/changelog.md"),
     (
@@ -19,14 +26,24 @@ HOMES = (
         r"(?:\.\./)*(?:gallery/\w+|tutorial)/plot_\w+\.py",
         lambda path: f"/generated/{path.replace('../', '')[:-3]}.rst",
     ),
+    (
+        r"(?:\.\./)*(?:gallery|tutorial)",
+        lambda path: f"/generated/{path.replace('../', '')}/index.rst",
+    ),
 )
 
 
 def turned(text):
-    """Text of a Markdown page with its links turned to pages of the site."""
+    """Text of a Markdown page as the site reads it."""
     for there, home in HOMES:
         text = re.sub(rf"(?<=\]\(){there}(?=[#)])", lambda link, home=home: home(link[0]), text)
-    return text
+    text = MADE.sub(lambda line: f"```{{{line[1].lower()}}} {words(line[2])}\n```", text)
+    return HIDDEN.sub(r"```{\1} \2\n```", SOURCE.sub("", text))
+
+
+def words(line):
+    """Words of the links of a line."""
+    return " ".join(re.findall(r"\[(.+?)\]", line))
 
 
 def whole(name):
@@ -39,11 +56,12 @@ def whole(name):
 
 
 def turn(app, page, source):
-    """Turn the links of a page that Sphinx reads."""
-    source[0] = turned(WHOLE.sub(lambda found: whole(found[1]), source[0]))
+    """Turn a page that Sphinx reads."""
+    link = WHOLE.fullmatch(source[0])
+    source[0] = turned(whole(link[1]) if link else source[0])
 
 
 def setup(app):
-    """Turn links as pages are read."""
+    """Turn pages as they are read."""
     app.connect("source-read", turn)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -8,11 +8,10 @@ def cell(text):
     return " ".join(text.split()).replace("|", "\\|")
 
 
-def table(heads, rows, kind):
-    """Table of texts, in a box of the class that `site.css` lays out on narrow screens."""
+def table(heads, rows):
+    """Table of texts."""
     lines = [heads, ["---"] * len(heads), *([cell(each) for each in row] for row in rows)]
-    told = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    return f":::{{div}} {kind}\n{told}\n:::"
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 class Made(SphinxDirective):

@@ -2,8 +2,7 @@
 
 The directive `modules` lists each module that has public names; each has a page of its own, which
 is written before Sphinx reads pages. Names that the package itself gives stand on pages of their
-own, and are left out; the directive `names` lists those of one of these pages. Fields of a model
-become its attributes, from their descriptions.
+own, and are left out. Fields of a model become its attributes, from their descriptions.
 """
 
 import pkgutil
@@ -13,15 +12,13 @@ from inspect import getdoc, isclass, isfunction
 from pathlib import Path
 
 from formats import rows, typed
+from links import MADE, words
 from markdown import Made, table
 from pydantic import BaseModel
 
 import deepfsi
 
 HOME = "generated/api"
-OF_THE_PACKAGE = "lookup/api/package"
-NAMED = re.compile(r"^\.\. auto(?:class|function):: (\w+)$", re.M)
-LISTED = re.compile(r"^```\{modules\} (.+)$", re.M)
 
 
 def names(module):
@@ -44,9 +41,15 @@ def under(folder):
         yield each.name
 
 
-def listed(arguments):
+def folders(text):
+    """Folders whose modules a page lists."""
+    lines = [line for kind, line in MADE.findall(text) if kind == "Modules"]
+    return " ".join(map(words, lines)).split()
+
+
+def listed(parts):
     """Modules of some folders that have public names."""
-    paths = [path for folder in arguments.split() for path in under(folder)]
+    paths = [path for folder in parts for path in under(folder)]
     return [path for path in paths if names(import_module(path))]
 
 
@@ -69,7 +72,7 @@ def write_pages(app):
     pages = {}
     if not app.config.quick:
         for path in (Path(app.srcdir) / "lookup/api").glob("*.md"):
-            found = listed(" ".join(LISTED.findall(path.read_text())))
+            found = listed(folders(path.read_text()))
             pages |= {home / f"{each}.md": page(each) for each in found}
     for old in set(home.glob("*.md")) - set(pages):
         old.unlink()
@@ -136,30 +139,11 @@ class Modules(Made):
         """List of the modules, which lead to their pages; none in a quick build."""
         if self.config.quick:
             return ""
-        found = listed(self.arguments[0])
+        found = listed(self.arguments[0].split())
         rows = [(f"[`{each}`](/{HOME}/{each}.md)", summary(import_module(each))) for each in found]
         tree = "\n".join(f"{each.removeprefix('deepfsi.')} </{HOME}/{each}>" for each in found)
         hidden = f"```{{toctree}}\n:hidden:\n\n{tree}\n```"
-        return f"{hidden}\n\n{table(['module', 'what it holds'], rows, 'options')}"
-
-
-class Names(Made):
-    """The directive of the package's own names; its argument is the page that explains them."""
-
-    required_arguments = 1
-
-    def text(self):
-        """Table of the names; elsewhere with the anchors that they had on one page of all."""
-        home = f"{OF_THE_PACKAGE}/{self.arguments[0]}"
-        page = Path(self.env.srcdir) / f"{home}.md"
-        self.env.note_dependency(str(page))
-        found = NAMED.findall(page.read_text())
-        links = [f"{{py:obj}}`{name} <deepfsi.{name}>`" for name in found]
-        if self.env.docname != home:
-            anchors = [f'<span id="deepfsi.{name}"></span>' for name in found]
-            links = [anchor + link for anchor, link in zip(anchors, links, strict=True)]
-        told = [summary(getattr(deepfsi, name)) for name in found]
-        return table(["name", "what it is"], zip(links, told, strict=True), "options")
+        return f"{hidden}\n\n{table(['module', 'what it holds'], rows)}"
 
 
 def setup(app):
@@ -169,5 +153,4 @@ def setup(app):
     app.connect("autodoc-process-docstring", as_text, priority=400)
     app.connect("autodoc-process-signature", short)
     app.add_directive("modules", Modules)
-    app.add_directive("names", Names)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

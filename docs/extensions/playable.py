@@ -1,10 +1,10 @@
 """A page to play with, made while the site is built.
 
-The directive `playable` has commands as its content: it shows them, runs them in a folder of their
-own, and embeds the page that they write, whole. Its argument is the page's name. Without content it
-embeds the page that another makes.
+The directive `playable` embeds the page that its argument names. If a block of text of its page
+ends with the command that writes it, the commands of the block are run in a folder of their own.
 """
 
+import re
 import shlex
 import subprocess
 import sys
@@ -33,15 +33,16 @@ class Playable(Made):
     required_arguments = 1
 
     def text(self):
-        """The page in a frame, and commands below it; the commands alone in a quick build."""
+        """The page in a frame; nothing in a quick build."""
         name = self.arguments[0]
-        shown = "Made by\n\n```sh\n" + "\n".join(self.content) + "\n```" if self.content else ""
         if self.config.quick:
-            return shown
-        if self.content:
-            made(self.content, name, Path(self.env.app.outdir) / "play")
+            return ""
+        text = Path(self.env.doc2path(self.env.docname)).read_text()
+        block = re.search(rf"^```text\n((?:deepfsi .*\n)*deepfsi .* {name})\n```$", text, re.M)
+        if block:
+            made(block[1].splitlines(), name, Path(self.env.app.outdir) / "play")
         address = "../" * self.env.docname.count("/") + f"play/{name}"
-        return f"```{{raw}} html\n{FRAME.format(address=address)}\n```\n\n{shown}"
+        return f"```{{raw}} html\n{FRAME.format(address=address)}\n```"
 
 
 def setup(app):

@@ -36,7 +36,7 @@ def counted(house):
     modules = sum(not module.is_door for module in every)
     text = f"The package has {len(rows)} rooms, {modules} modules and {lines(every)} lines."
     heads = ["room", "modules", "lines", "exports", "imports from, how many names"]
-    return f"{text}\n\n{table(heads, rows, 'stacked')}"
+    return f"{text}\n\n{table(heads, rows)}"
 
 
 class Rooms(Made):

@@ -7,7 +7,7 @@ A number stays together with its error, its power of ten, its thousands, and a s
 
 import re
 
-CODE = re.compile(r'<pre>.*?</pre>|<div class="[^"]*messages.*?</div>', re.S)
+CODE = re.compile(r"<pre>.*?</pre>", re.S)
 LONG = re.compile(r'(?<=<span class="pre">)[^<]{20,}(?=</span>)')
 JOINT = re.compile(r"(?<=\w)[./_:=(]+(?=\w)")
 WORD = re.compile(r"(?:&#?\w+;|[^\s&])*-(?:&#?\w+;|[^\s&])*")

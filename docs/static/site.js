@@ -15,21 +15,13 @@ addEventListener("message", ({ data, source }) => {
   }
 });
 
-// Figures of several panels: a narrow screen shows the panels one below the other, each a part of the same picture.
-// The classes at-N of an image of the class `panels` say where the next panel begins, in thousandths of the width.
+// On a narrow screen a wide figure moves sideways, and the cells of a table of sentences stand one below the other.
 addEventListener("load", () => {
-  for (const image of document.querySelectorAll("img.panels")) {
-    const cuts = [...image.className.matchAll(/\bat-(\d+)/g)].map(([, place]) => place / 1000);
-    const parts = [0, ...cuts].map((from, place) => [from, [...cuts, 1][place] - from]);
-    for (const [from, share] of parts.reverse()) {
-      const panel = from ? image.cloneNode() : image;
-      if (from) {
-        panel.alt = "";
-        panel.classList.add("further");
-        image.after(panel);
-      }
-      panel.style.setProperty("--panel", (share * image.naturalWidth) / image.naturalHeight);
-      panel.style.objectPosition = `${(100 * from) / (1 - share)}% 0`;
-    }
+  for (const image of document.querySelectorAll(".bd-article a > img"))
+    if (image.naturalWidth > 2 * image.naturalHeight) image.parentElement.classList.add("wide");
+  for (const table of document.querySelectorAll(".bd-article table")) {
+    const heads = [...table.querySelectorAll("thead th")], cells = [...table.querySelectorAll("td")];
+    for (const cell of cells) cell.dataset.head = heads[cell.cellIndex]?.textContent.trim() ?? "";
+    table.classList.toggle("sentences", heads.length > 0 && cells.some((cell) => cell.textContent.length > 50));
   }
 });

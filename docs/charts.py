@@ -1,24 +1,25 @@
-"""A chart of a table, drawn while the site is built.
+"""Charts of the pages, drawn from the tables that stand in them: ``python docs/charts.py``.
 
-The argument of the directive `chart` is the label of a table of its page, `(label)=` above it;
-without an argument the table is the content. Where the heads or the first column are numbers, they
-are the axis and the others are lines; else each row is a group of bars. `show` names what to draw.
+The comment ``<!-- chart looks -->`` before a table of a page makes `docs/figures/chart-looks.svg`.
+Where the heads or the first column are numbers, they are the axis and the others are lines; else
+each row is a group of bars. Behind the name may stand settings in TOML: `show` (the lines that are
+drawn), `x`, `y` (words of the axes) and `log = true`.
 """
 
+import json
 import math
 import re
-from html import escape
+import tomllib
+from io import StringIO
 from pathlib import Path
-from typing import ClassVar
 
 import matplotlib
-from docutils.parsers.rst.directives import flag, unchanged, unchanged_required
-from markdown import Made
 from matplotlib.figure import Figure
-from measured import filled
 
 from deepfsi.report import style
 
+DOCS = Path(__file__).parent
+MARKED = re.compile(r"^<!-- chart ([\w-]+)(.*?)-->\n+((?:\|[^\n]*\n)+)", re.M | re.S)
 RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹−", "0123456789-")
 NUMBER = re.compile(r"\W*?([+−-]?\d+(?: \d{3})*(?:\.\d+)?(?:e\d+)?)( [·×] 10)?([⁰¹²³⁴⁵⁶⁷⁸⁹]+)?")
 INTERVAL = re.compile(r"(?:± ?(\d\.\d+)|\[(\S+), (\S+)\])")
@@ -62,17 +63,13 @@ def reach(text):
     return value, value - number(found[2]), number(found[3]) - value
 
 
-def read(lines):
-    """Cells of the first table in lines of Markdown: its heads, and its rows."""
-    first = next((place for place, line in enumerate(lines) if line.startswith("|")), len(lines))
-    rows = []
-    for line in lines[first:]:
-        if not line.startswith("|"):
-            break
-        rows.append([cell.strip().strip("*") for cell in line.strip("| \n").split("|")])
-    if len(rows) < 3:
-        raise ValueError("no table stands there")
-    return rows[0], [row + [""] * (len(rows[0]) - len(row)) for row in rows[2:]]
+def marked(text):
+    """Charts of a page: name, settings, heads and rows of the table."""
+    for name, settings, table in MARKED.findall(text):
+        lines = [line.strip("| ").split("|") for line in table.splitlines()]
+        heads, _, *rows = ([cell.strip(" *") for cell in line] for line in lines)
+        rows = [row + [""] * (len(heads) - len(row)) for row in rows]
+        yield name, tomllib.loads(settings), heads, rows
 
 
 def chosen(heads, rows, show):
@@ -105,7 +102,7 @@ def looks(names):
     return [taken[name] for name in names]
 
 
-def drawn(places, lines, x, y, scale="linear"):
+def drawn(places, lines, x, y, log=False):
     """Figure of lines with their intervals, or of bars."""
     bars = isinstance(places[0], str)
     columns = style.columns(lines, 4.4, style.STYLE["font.size"])
@@ -124,7 +121,7 @@ def drawn(places, lines, x, y, scale="linear"):
             ax.barh(at, values, wide, xerr=spread, error_kw={"elinewidth": 0.9}, **look)
         else:
             look |= {"ls": style.DESIGN_LINES[key], "marker": "o", "ms": 3.5}
-            least = 0 if scale == "log" else -math.inf  # a logarithmic axis has no place for 0
+            least = 0 if log else -math.inf  # a logarithmic axis has no place for 0
             kept = [k for k, value in enumerate(values) if value > least]
             part = [[each[k] for k in kept] for each in (places, values, *spread)]
             ax.errorbar(*part[:2], yerr=part[2:], elinewidth=0.9, capsize=2, **look)
@@ -134,7 +131,7 @@ def drawn(places, lines, x, y, scale="linear"):
         ax.set_xlabel(y)
     else:
         scaled(ax, [at for at in places if any(at in line.get_xdata() for line in ax.lines)])
-        ax.set(xlabel=x, ylabel=y, yscale=scale)
+        ax.set(xlabel=x, ylabel=y, yscale="log" if log else "linear")
         ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         ax.minorticks_off()
     ax.grid(axis="x" if bars else "both")
@@ -151,49 +148,32 @@ def scaled(ax, places):
     ax.set_xticks(ticks, [style.photons_text(tick) for tick in ticks])
 
 
-class Chart(Made):
-    """The directive."""
-
-    optional_arguments = 1
-    option_spec: ClassVar = {
-        "alt": unchanged_required,
-        "show": unchanged,
-        "x": unchanged,
-        "y": unchanged,
-        "log": flag,
-    }
-
-    def text(self):
-        """An image, and a link to its numbers."""
-        label, lines = "".join(self.arguments), list(self.content)
-        if label:
-            page = filled(Path(self.env.doc2path(self.env.docname)).read_text()).splitlines()
-            lines = page[page.index(f"({label})=") if f"({label})=" in page else len(page) :]
-        show = [name.strip() for name in self.options.get("show", "").split(";") if name.strip()]
-        try:
-            if not self.options.get("alt"):
-                raise ValueError("it needs the option alt, what one sees in words")
-            places, found = chosen(*read(lines), show)
-        except ValueError as fault:
-            raise self.error(f"chart {label}: {fault}") from None
-        return self.image(places, found, label)
-
-    def image(self, places, lines, label):
-        """Markdown of the image that is drawn into the site."""
-        x, y = self.options.get("x", style.BUDGET_AXIS), self.options.get("y", style.ACCURACY_AXIS)
-        name = f"{self.env.docname.replace('/', '-')}-{label or self.lineno}.svg"
-        path = Path(self.env.app.outdir) / "charts" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with matplotlib.rc_context({**style.STYLE, "font.family": "sans-serif"}):
-            figure = drawn(places, lines, x, y, "log" if "log" in self.options else "linear")
-            figure.savefig(path, facecolor="white", metadata={"Date": None})
-        address = "../" * self.env.docname.count("/") + f"charts/{name}"
-        image = f'<img class="chart" src="{address}" alt="{escape(self.options["alt"])}">'
-        numbers = f"\n\n*The numbers are in [the table](#{label}).*" if label else ""
-        return f"```{{raw}} html\n{image}\n```{numbers}"
+def charts():
+    """What each chart shows, by its name: places, lines, and words of the axes."""
+    found = {}
+    for page in [DOCS / "index.md", *sorted(DOCS.glob("[!_g]*/*.md"))]:
+        for name, settings, heads, rows in marked(page.read_text()):
+            if name in found:
+                raise ValueError(f"two charts have the name {name}")
+            places, lines = chosen(heads, rows, settings.pop("show", None))
+            words = {"x": style.BUDGET_AXIS, "y": style.ACCURACY_AXIS, **settings}
+            found[name] = {"places": places, "lines": lines, **words}
+    return found
 
 
-def setup(app):
-    """Add the directive."""
-    app.add_directive("chart", Chart)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}
+def main():
+    """Draw all; each file says in its description what it shows."""
+    for path in (DOCS / "figures").glob("chart-*.svg"):
+        path.unlink()
+    with matplotlib.rc_context({**style.STYLE, "font.family": "sans-serif"}):
+        for name, chart in charts().items():
+            told = {"Date": None, "Creator": None}
+            told["Description"] = json.dumps(chart, ensure_ascii=False)
+            file = StringIO()
+            drawn(**chart).savefig(file, format="svg", facecolor="white", metadata=told)
+            text = " ".join(file.getvalue().split())
+            (DOCS / f"figures/chart-{name}.svg").write_text(f"{text}\n")
+
+
+if __name__ == "__main__":
+    main()
