@@ -13,7 +13,7 @@ run: $(VENV)/package
 	$(BIN)/deepfsi compare --camera paper -o runs/paper
 	$(BIN)/deepfsi compare --camera dmd --designs impulse,raster,truncated-hadamard,pca,deepfsi,adaptive \
 	  -o runs/dmd
-	$(BIN)/deepfsi design --camera dmd --design adaptive --photons 1e4 --masks 16 --hold-out 287 \
+	$(BIN)/deepfsi design --camera dmd --design adaptive --photons 1e4 --masks 16 --cap 2 \
 	  -o runs/dmd/adaptive.safetensors
 	$(BIN)/deepfsi page runs/dmd/adaptive.safetensors -o runs/dmd/page.html
 

@@ -64,20 +64,15 @@ def foreign(text, numbers):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_pages_have_numbers_of_the_file(page):
-    assert not foreign(page.read_text(), NUMBERS)
+    """README has those of a run of `make run`, too."""
+    printed = (DOCS / "make-run.txt").read_text() if page.name == "README.md" else ""
+    assert not foreign(page.read_text(), {*NUMBERS, *re.findall(r"0\.\d{3}", printed)})
 
 
 def test_pages_to_understand_are_short():
     for page in (DOCS / "understand").glob("*.md"):
         words = page.read_text().split()
         assert sum(bool(re.search(r"\w", word)) for word in words) <= 1000, page
-
-
-def test_readme_says_of_100_what_masks_and_a_raster_scan_recognise():
-    groups = (("shared", "1e4"), ("looks", "1-1e4"), ("column", "raster-1e4"))
-    values = [float(GROUPS[group]["numbers"][name][0].split()[0]) for group, name in groups]
-    said = re.findall(r"recognises (\d+)", (ROOT / "README.md").read_text())
-    assert said == [f"{100 * value:.0f}" for value in values]
 
 
 def test_a_page_with_a_number_of_its_own_is_found():

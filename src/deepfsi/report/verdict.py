@@ -143,7 +143,7 @@ def _times(first: Point, other: Point, series: Series, *, images: int) -> str | 
             ratios = [photons / first.photons for photons in (low.low, best.photons, high.high)]
             if curve is mine:
                 ratios = [1 / ratio for ratio in reversed(ratios)]
-            if ratios[0] < 1:
+            if ratios[0] < 1.15:  # an interval that begins at 1 says nothing of how many times
                 return None
             return "{1} ({0} to {2})".format(*map(_ratio_text, ratios))
     return None

@@ -52,7 +52,7 @@ export class AdaptiveView {
 
   drawFrame(exposure, frame, count) {
     const { model } = this;
-    const { pattern, look } = frame ?? exposure.frames.at(-1);
+    const { pattern, look } = frame ?? exposure.frames[count - 1];
     $("h-device").textContent = !frame ? "Last mask" : look ? "On the device now" : "First mask";
     if (this.spectrum) plot($("mask"), [{ values: [...pattern], ink: colour("--pca"), steps: true }], [0, 1]);
     else paint($("mask"), model.image_shape, (i) => pattern[i]);

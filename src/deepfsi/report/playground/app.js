@@ -130,10 +130,10 @@ class Page {
   draw() {
     const { exposure, model, drawn, view } = this;
     const { frames } = exposure;
-    let count = frames.findIndex((frame) => frame.end > this.time + 1e-12);
-    if (count < 0) count = frames.length;
-    const now = frames[count] ?? null;
-    exposure.reach(now ? count + 1 : count);
+    exposure.reach(frames.filter((frame) => frame.begin <= this.time + 1e-12).length);
+    this.time = Math.min(this.time, exposure.end);
+    const count = frames.filter((frame) => frame.end <= this.time + 1e-12).length;
+    const now = this.time < exposure.end - 1e-9 ? frames[count] : null;
     const part = now ? (this.time - now.begin) / now.share : 0;
     const { counts } = exposure.after(count);
     if (now) now.places.forEach((place, i) => (counts[place] += Math.floor(now.counts[i] * part)));
@@ -186,8 +186,8 @@ class Page {
   verdict(count, top, chances) {
     const { exposure, model, label } = this;
     if (this.time === 0 && !this.playing) return "Nothing is exposed yet: press Expose.";
-    if (count < exposure.frames.length) {
-      const { stop } = exposure;
+    const { stop, rule } = exposure;
+    if (this.time < exposure.end - 1e-9) {
       const going = `The exposure goes on.${chances ? ` Likeliest so far: ${model.classes[top]}.` : ""}`;
       if (!stop || count < stop.count) return going;
       return `${going} It could have stopped ${this.stopWords(stop)}`;
@@ -197,7 +197,7 @@ class Page {
     const right = label === null ? "" : top === label ? ", which is right" : `, which is wrong: it is ${model.classes[label]}`;
     const dim = model.tooDim(exposure.photons) ? "Too little light for this design: its answer is hardly more than a guess. " : "";
     const answer = `${dim}Answer: ${name}${right}. Probability ${chanceText(chances[top])}.`;
-    const { stop, rule } = exposure;
+    if (exposure.end < exposure.length) return `${answer} It stopped ${this.stopWords(stop)}`;
     if (stop) return `${answer} It could have stopped ${this.stopWords(stop)}`;
     return rule && rule.threshold < 1 ? `${answer} It was never sure enough to stop earlier.` : answer;
   }
@@ -222,7 +222,7 @@ class Page {
   }
 
   play() {
-    if (this.time >= this.exposure.length - 1e-9) this.time = 0;
+    if (this.time >= this.exposure.end - 1e-9) this.time = 0;
     this.playing = true;
     let before = null;
     const tick = (now) => {
@@ -230,8 +230,8 @@ class Page {
       const passed = before === null ? 0 : (now - before) / 1000;
       before = now;
       this.time += (passed * Number($("speed").value) * this.exposure.length) / SECONDS;
-      if (this.time >= this.exposure.length) {
-        this.time = this.exposure.length;
+      if (this.time >= this.exposure.end) {
+        this.time = this.exposure.end;
         this.playing = false;
         this.drawn.count = null;
       }
@@ -248,8 +248,8 @@ class Page {
 
   step() {
     this.pause();
-    const { frames, length } = this.exposure;
-    if (this.time >= length - 1e-9) this.time = 0;
+    const { frames, end, length } = this.exposure;
+    if (this.time >= end - 1e-9) this.time = 0;
     else this.time = frames.find((frame) => frame.end > this.time + 1e-9)?.end ?? length;
     this.draw();
   }

@@ -47,6 +47,11 @@ export class Frames {
     this.rule = this.unlike ? null : model.rule(photons);
   }
 
+  /** When it ends: none of masks that are known before stops, the page says where it could have. */
+  get end() {
+    return this.length;
+  }
+
   /** Place the frames in time, one after another. */
   lay() {
     let end = 0;

@@ -54,10 +54,15 @@ export class LookExposure extends Frames {
     return this.scenes.length - 1;
   }
 
-  /** Take looks until there are so many. */
+  /** When it ends: where it is sure, or after all looks. */
+  get end() {
+    return this.stop ? this.stop.end : this.length;
+  }
+
+  /** Take looks until there are so many, or it stops. */
   reach(count) {
     const [counting, choosing] = this.random;
-    while (this.taken < count) {
+    while (this.taken < count && !this.stop) {
       const frame = this.frames[this.taken];
       frame.pattern = nextMask(this.state, frame.share, choosing.uniform());
       const expected = this.optics.expected(frame.pattern, this.scene, frame.share);
