@@ -6,7 +6,6 @@ import torch
 
 from conftest import generator
 from deepfsi.adaptive import (
-    MISFIT_BUDGETS,
     AdaptiveExposure,
     AdaptivePosterior,
     ScenePrior,
@@ -45,7 +44,7 @@ def test_a_scene_that_is_left_out_is_further_than_one_that_is_known(prior):
     settings = AdaptiveMasks(looks=LOOKS)
     exposure = AdaptiveExposure(prior, settings, (PIXELS,), torch.zeros(LOOKS))
     unknown = adaptive.LeftOutScenes(ordered, prior.labels, rows)
-    left_out, _ = adaptive.measure(exposure, [optics], unknown, generator(3))
+    left_out, _, _ = adaptive.measure(exposure, [optics], unknown, generator(3))
     away, _ = distances(prior, scenes, optics)
     assert left_out[0, 0, -1] > float(away.sum(dim=0).log().mean()) + 1
 
@@ -53,7 +52,7 @@ def test_a_scene_that_is_left_out_is_further_than_one_that_is_known(prior):
 def test_chances_are_those_of_the_measured_distribution():
     """Half at the median, a sixth one deviation above; between budgets, and the same beyond."""
     logs = np.stack([np.log([[1.0, 2], [1, 2], [4, 8]]), np.full((3, 2), 0.5)])
-    usual = adaptive.UsualMisfit(1e3 * np.array(MISFIT_BUDGETS), logs)
+    usual = adaptive.UsualMisfit(1e3 * np.array(adaptive.MISFIT_BUDGETS), logs)
     assert usual.chance(2.0, 1, 1e3) == pytest.approx(0.5)
     assert usual.chance(2.0 * np.exp(0.5), 1, 1e3) == pytest.approx(0.1587, abs=1e-4)
     assert usual.chance(2.0, 0, 1e3 * 10**0.5) == pytest.approx(0.5)

@@ -214,7 +214,7 @@ def test_exposures_of_the_page_are_as_often_right_as_those_of_the_package(
     answers = ask(
         opened(kind),
         "return given.scenes.map((x, i) => {"
-        "  const e = new LookExposure(model, Float64Array.from(x), 300, i + 1);"
+        "  const e = new LookExposure(model, Float64Array.from(x), 300, i + 1); e.rule = null;"
         "  e.reach(model.looks); const { chances } = e.answer(model.looks);"
         "  return chances.indexOf(Math.max(...chances)); })",
         scenes=tests.x_test.tolist(),
@@ -227,7 +227,7 @@ def test_exposures_of_the_page_are_as_often_right_as_those_of_the_package(
 
 
 def test_an_exposure_is_watched_look_by_look(opened):
-    browser = opened("one")
+    browser = opened("arms")
     said, states, scenes, strips = [], [], [], []
     for _ in range(LOOKS):
         browser.find_element(By.ID, "step").click()
@@ -245,16 +245,19 @@ def test_an_exposure_is_watched_look_by_look(opened):
     assert browser.find_element(By.ID, "verdict").text.startswith("Answer: ")
 
 
-def test_where_the_rule_of_the_design_would_have_stopped_is_said(opened):
-    stop, chances, said = ask(
+def test_an_exposure_ends_where_the_rule_of_the_design_stops_it(opened):
+    stop, chances, said, state = ask(
         opened("one", still=True),
         "document.getElementById('expose').click(); const { exposure } = page;"
         "const sure = [...exposure.answers.values()].map(a => Math.max(...a.chances));"
-        "return [exposure.stop, sure, document.getElementById('verdict').textContent]",
+        "const said = ['verdict', 'state'].map(id => document.getElementById(id).textContent);"
+        "return [exposure.stop, sure, ...said]",
     )
-    early = [number for number, sure in enumerate(chances[:-1], start=1) if sure > SURE]
-    assert [stop["count"]] == early[:1]
-    assert f"could have stopped after look {early[0]} of {LOOKS}" in said
+    early = [number for number, sure in enumerate(chances, start=1) if sure > SURE]
+    assert [stop["count"]] == early == [len(chances)]
+    assert early[0] < LOOKS
+    assert f"It stopped after look {early[0]} of {LOOKS}" in said
+    assert state.endswith("finished")
 
 
 def test_who_asks_for_less_motion_sees_the_end_at_once(opened):
@@ -267,6 +270,7 @@ def test_who_asks_for_less_motion_sees_the_end_at_once(opened):
 def test_a_seed_repeats_an_exposure(opened):
     body = (
         "return given.seeds.map(s => { const e = new LookExposure(model, page.scene, 1e3, s);"
+        "e.rule = null;"
         "e.reach(3); return e.frames.slice(0, 3).map(f => [f.counts, [...f.pattern]]); })"
     )
     first, again, other = ask(opened("one"), body, seeds=[3, 3, 4])

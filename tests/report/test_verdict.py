@@ -25,7 +25,7 @@ def curve(design, shift, half=0.01, budgets=BUDGETS, **fields):
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("shift", [1.5, 3, 8, 40])
+@pytest.mark.parametrize("shift", [3, 8, 40])
 def test_the_ratio_of_light_is_that_of_the_curves(shift):
     """Within the 20 % that a monotone cubic through points a decade apart is off."""
     said = verdict_of(some_results([*curve("deepfsi", 1), *curve("pca", shift)]))
@@ -70,12 +70,15 @@ LOW = {"budgets": (1e3,)}
          "cannot be told apart at 1000 photons"),
         ([curve("deepfsi", 1), curve("pca", 1e6)],
          "Learned masks (DeepFSI) are better than PCA at 10⁵ photons"),
+        ([curve("deepfsi", 1), curve("pca", 1.5)],  # its interval begins at 1
+         "Learned masks (DeepFSI) are better than PCA at 10⁴ photons"),
         ([curve("pca", 1), curve("raster", 9)], "times less light than raster scan"),
         ([curve("pca", 1)], "PCA reaches accuracy 0.945"),
         ([curve(*each, noise=noise) for noise in ("poisson", "gaussian")
           for each in (("deepfsi", 1), ("pca", 5))], "than PCA under photon noise"),
     ],
-    ids=["one budget", "one budget, wide", "never", "singular", "one design", "two noises"],
+    ids=["one budget", "one budget, wide", "never", "hardly", "singular", "one design",
+         "two noises"],
 )  # fmt: skip
 def test_titles(curves, title):
     assert verdict_of(some_results(itertools.chain(*curves))).title.endswith(title)

@@ -350,7 +350,13 @@ class ClickLooks(NamedTuple):
             clicked = torch.rand(len(light), generator=generator) < chance
             state.take(look, clicked)
             yield ClickStep(
-                running, look, state.chances, state.odds, clicked, clicks=chance, arriving=light
+                running,
+                look,
+                chances=state.chances,
+                odds=state.odds,
+                clicked=clicked,
+                clicks=chance,
+                arriving=light,
             )
 
     def run(self, x: Tensor, generator: torch.Generator) -> ClickRun:

@@ -593,9 +593,14 @@ class LeftOutScenes(NamedTuple):
 
 
 class LeftOutAnswers(NamedTuple):
-    """Answers to S training scenes, each left out of the prior, at budgets (B,).
+    """Answers to S training scenes, each left out of the prior.
 
-    Log odds (B, K, S, C) are those after each look, or those at the end (K = 1).
+    Attributes
+    ----------
+    budgets : array, shape (B,)
+    odds : tensor, shape (B, K, S, C)
+        Log odds of the classes after each look, or at the end (K = 1).
+    labels : tensor, shape (S,)
     """
 
     budgets: np.ndarray

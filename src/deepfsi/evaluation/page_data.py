@@ -96,7 +96,10 @@ def playable(
         "rules": rules,
         "scenes": _scenes(fresh, seed),
         "curve": [
-            {name: getattr(each, name) for name in ("photons", "accuracy", "low", "high")}
+            {
+                **{name: getattr(each, name) for name in ("photons", "accuracy", "low", "high")},
+                "used": each.score("mean_light") or 1.0,
+            }
             for each in results
         ],
         "test": {

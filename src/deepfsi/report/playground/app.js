@@ -104,9 +104,11 @@ class Page {
     $("photons").textContent = `${photonsText(photons)} photons`;
     $("light").setAttribute("aria-valuetext", $("photons").textContent);
     const share = accuracyAt(model.curve, photons);
+    const used = accuracyAt(model.curve, photons, "used");
+    const mean = Math.abs(used - 1) < 0.05 ? "" : ` (they take ${used.toFixed(1)} times it in the mean)`;
     const brightness = this.scene.reduce((a, b) => a + b, 0) / model.summed_reflectance;
     $("light-words").textContent =
-      `About ${percent(share)} of the test scenes are right with so much light. ` +
+      `About ${percent(share)} of ${model.test.images} test scenes are right with so much light${mean}. ` +
       `From this scene come ${photonsText(photons * brightness)} photons, ` +
       `${photonsText((photons * brightness) / model.pixels)} per ${this.spectrum ? "band" : "pixel"}.` +
       this.view.counted(this.scene, photons);

@@ -35,13 +35,13 @@ export function chanceText(chance) {
 const power = (exponent) =>
   `10${[...String(exponent)].map((digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]).join("")}`;
 
-/** Accuracy of the curve at a budget, on the line between its measured points. */
-export function accuracyAt(curve, photons) {
+/** Accuracy of the curve at a budget, or another of its numbers, on the line between its measured points. */
+export function accuracyAt(curve, photons, name = "accuracy") {
   const at = curve.findIndex((point) => point.photons >= photons);
-  if (at <= 0) return curve[at < 0 ? curve.length - 1 : 0].accuracy;
+  if (at <= 0) return curve[at < 0 ? curve.length - 1 : 0][name];
   const [before, after] = [curve[at - 1], curve[at]];
   const share = Math.log(photons / before.photons) / Math.log(after.photons / before.photons);
-  return before.accuracy + share * (after.accuracy - before.accuracy);
+  return before[name] + share * (after[name] - before[name]);
 }
 
 /** Mark the budget that a design was learned for, and name the line of guessing beside it. */
@@ -222,7 +222,7 @@ export function drawHistory(holder, exposure, count, top) {
   const at = across(stop.end);
   add("path", { class: "stop-line", d: `M${at} ${upper}V${bottom + 6}` });
   const anchor = at > (left + right) / 2 ? "end" : "start";
-  const words = `could stop: ${Math.round(stop.saved * 100)} % saved`;
+  const words = `${exposure.end < exposure.length ? "stopped" : "could stop"}: ${Math.round(stop.saved * 100)} % saved`;
   const x = at + (anchor === "end" ? -6 : 6);
   add("text", { class: "strong halo", x, y: y(0.5) + 4, "text-anchor": anchor }, words);
 }
