@@ -32,15 +32,7 @@ DARKEST = 1e-3
 
 
 def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generator) -> Tensor:
-    """Masks (b, N) of 0 and 1 to be shown next, for a share of the exposure.
-
-    Parameters
-    ----------
-    state : AdaptivePosterior
-    share : float
-    generator : torch.Generator
-        Of the scenes by which masks are compared.
-    """
+    """Masks (b, N) of 0 and 1 to be shown next, for a share of the exposure."""
     chosen = state.dictionary_masks()
     if chosen is not None:
         return chosen

@@ -102,35 +102,15 @@ ENDS_BY_PRICE = Message(
 
 
 class ClickLook(NamedTuple):
-    """A look at exposures, each for its own time.
+    """A look at exposures, each for its own time."""
 
-    Attributes
-    ----------
-    masks : tensor, shape (b, N)
-        Of 0 and 1.
-    dwells : tensor, shape (b,)
-        Share of the whole exposure.
-    worth : tensor, shape (b,)
-        Nats that it is expected to tell of the class for each click that it costs.
-    """
-
-    masks: Tensor
-    dwells: Tensor
-    worth: Tensor
+    masks: Tensor  # (b, N), of 0 and 1
+    dwells: Tensor  # (b,), share of the whole exposure
+    worth: Tensor  # (b,)
 
 
 class ClickPosterior(AdaptivePosterior):
-    """Posterior of the scene of exposures (b,) in each of whose looks a detector clicks or not.
-
-    Parameters
-    ----------
-    prior : ScenePrior
-        Of blurred scenes.
-    exposures : int
-        b.
-    optics : LookOptics
-        With the budget of a whole exposure.
-    """
+    """Posterior of the scene of exposures (b,) in each of whose looks a detector clicks or not."""
 
     def __init__(self, prior: ScenePrior, exposures: int, optics: LookOptics) -> None:
         super().__init__(prior, exposures, optics)
@@ -155,17 +135,7 @@ class ClickPosterior(AdaptivePosterior):
         self.end_look()
 
     def next_look(self, dwells: Tensor, costs: Tensor, generator: torch.Generator) -> ClickLook:
-        """The look that is worth most, of all masks and dwells that are compared.
-
-        Parameters
-        ----------
-        dwells : tensor, shape (L,)
-            Shares of the exposure that a look may have.
-        costs : tensor, shape (L,)
-            Clicks that such a look costs, were it dark for certain.
-        generator : torch.Generator
-            Of the scenes by which looks are compared.
-        """
+        """The look that is worth most, of all masks, dwells (L,) and their costs (L,) in clicks."""
         masks = click_candidates(self)  # (b, P, N)
         places, drawn = draw_places(self.weights, generator, SAMPLED_SCENES)
         mean, parts = self.prior.light(masks)  # (b, P), (b, P, d)
@@ -192,29 +162,15 @@ def _on(masks: Tensor) -> Tensor:
 
 
 def light_variance(mean: Tensor, parts: Tensor) -> Tensor:
-    """Variance (...) of the light of masks between scenes that are alike.
-
-    Parameters
-    ----------
-    mean : tensor, shape (...)
-        Light of the mean scene.
-    parts : tensor, shape (..., d)
-        Light of each component of the prior, between whose neighbours all of them vary alike.
-    """
+    """Variance (...) of light between scenes that are alike, from its mean and parts (..., d)."""
     return (VARIATION * mean.clamp(min=1e-4)).square() + parts.square().sum(dim=-1)
 
 
 def log_no_click(light: Tensor, variance: Tensor, gain: Tensor) -> Tensor:
-    """Logarithm of the probability that a detector stays dark, before light that varies.
+    """Log-probability (...) that a detector stays dark before light that varies.
 
-    Parameters
-    ----------
-    light : tensor, shape (...)
-        Summed reflectance behind a mask: the mean of a gamma distribution.
-    variance : tensor, broadcastable to light
-        Of this distribution.
-    gain : tensor, broadcastable to light
-        Photons of a unit of summed reflectance.
+    The light (...) has a gamma distribution of this mean and variance; `gain` is the photons of a
+    unit of summed reflectance.
     """
     light = light.clamp(min=1e-4)
     size = light * light / variance
@@ -224,12 +180,8 @@ def log_no_click(light: Tensor, variance: Tensor, gain: Tensor) -> Tensor:
 def click_information(chances: Tensor, members: Tensor) -> tuple[Tensor, Tensor]:
     """Nats (b, E) that a click or none tells of the class, and the probability (b, E) of a click.
 
-    Parameters
-    ----------
-    chances : tensor, shape (b, E, S)
-        Of a click in E looks at S scenes.
-    members : tensor, shape (b, S, C)
-        Weights of scenes in each class, all of them together 1.
+    From its probabilities (b, E, S) in E looks at S scenes, and the scenes' weights (b, S, C) in
+    classes, 1 together.
     """
     joint = chances @ members.to(chances.dtype)  # (b, E, C)
     clicks = joint.sum(dim=-1)
@@ -260,61 +212,32 @@ BRIGHT_PHOTONS = 20.0
 
 
 class ClickRun(NamedTuple):
-    """Exposures at their end.
+    """Exposures at their end."""
 
-    Attributes
-    ----------
-    chances : tensor, shape (b, C)
-    clicks, arriving, used : tensor, shape (b,)
-        Clicks and photons that are expected, and share of the budget that was used.
-    """
-
-    chances: Tensor
-    clicks: Tensor
-    arriving: Tensor
-    used: Tensor
+    chances: Tensor  # (b, C)
+    clicks: Tensor  # (b,)
+    arriving: Tensor  # (b,)
+    used: Tensor  # (b,)
 
 
 class ClickStep(NamedTuple):
-    """A look at those exposures that still go on.
+    """A look at those exposures that still go on."""
 
-    Attributes
-    ----------
-    rows : tensor, shape (r,)
-        Which of the exposures.
-    look : ClickLook
-    chances, odds : tensor, shape (r, C)
-        After the look.
-    clicked : tensor of bool, shape (r,)
-    clicks, arriving : tensor, shape (r,)
-        That are expected of it.
-    """
-
-    rows: Tensor
+    rows: Tensor  # (r,), which of the exposures
     look: ClickLook
-    chances: Tensor
-    odds: Tensor
-    clicked: Tensor
-    clicks: Tensor
-    arriving: Tensor
+    chances: Tensor  # (r, C)
+    odds: Tensor  # (r, C)
+    clicked: Tensor  # (r,)
+    clicks: Tensor  # (r,)
+    arriving: Tensor  # (r,)
 
 
 class ClickLooks(NamedTuple):
-    """Looks at scenes, one after another, to the end of their exposures.
-
-    Attributes
-    ----------
-    prior : ScenePrior
-        Of blurred scenes.
-    settings : AdaptiveMasks
-        With a price; with 0 no exposure ends before its looks or its light do.
-    photons : float
-        Budget Φ.
-    """
+    """Looks at scenes, one after another, to the end of their exposures."""
 
     prior: ScenePrior
     settings: AdaptiveMasks
-    photons: float
+    photons: float  # budget Φ
 
     def posterior(self, exposures: int) -> ClickPosterior:
         """Posterior of so many exposures before all looks."""
@@ -324,15 +247,7 @@ class ClickLooks(NamedTuple):
     def steps(
         self, state: ClickPosterior, x: Tensor, generator: torch.Generator
     ) -> Iterator[ClickStep]:
-        """Looks at scenes (b, N), from the state before all looks.
-
-        Parameters
-        ----------
-        state : ClickPosterior
-        x : tensor, shape (b, N)
-            Reflectance.
-        generator : torch.Generator
-        """
+        """Looks at scenes (b, N), from the state before all looks."""
         dwells = torch.tensor(DWELLS) / self.settings.looks
         costs = LOOK_COST + self.settings.light_price * self.photons * dwells
         running = torch.arange(len(x))
@@ -360,7 +275,7 @@ class ClickLooks(NamedTuple):
             )
 
     def run(self, x: Tensor, generator: torch.Generator) -> ClickRun:
-        """Exposures of scenes (b, N) at their end; parameters of `steps`."""
+        """Exposures of scenes (b, N) at their end."""
         state = self.posterior(len(x))
         chances = state.chances
         clicks, arriving, used = torch.zeros(3, len(x))
@@ -420,7 +335,7 @@ class ClickingExposure(AdaptiveExposure):
     def expose(
         self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
     ) -> PosteriorObservation:
-        """Exposures at their end; parameters of `observe`."""
+        """Exposures at their end."""
         looks = ClickLooks(self.prior, self.settings, photons)
         parts = [looks.run(some, generator) for some in rates.split(self.exposed_at_once)]
         chances = torch.cat([part.chances for part in parts])
@@ -462,13 +377,7 @@ def blurred(data: Dataset) -> Dataset:
 
 
 class ClickTraining(AdaptiveTraining):
-    """Adaptive masks of detectors that click: a prior of blurred scenes, and the price of a click.
-
-    Parameters
-    ----------
-    data : Dataset
-    settings : AdaptiveMasks
-    """
+    """Adaptive masks of detectors that click: a prior of blurred scenes, and a click's price."""
 
     def __init__(self, data: Dataset, settings: AdaptiveMasks) -> None:
         self.data = data
@@ -484,13 +393,6 @@ class ClickTraining(AdaptiveTraining):
         """The exposure of a job with its price, found with training scenes; answers to these.
 
         Each of them is left out of the prior.
-
-        Parameters
-        ----------
-        job : Job
-        optics : mapping
-            Fields of the camera.
-        report : Progress
         """
         generator = torch.Generator().manual_seed(job.seed)
         left_out = self.left_out(PRICING_SCENES, generator)
@@ -528,38 +430,17 @@ class ClickTraining(AdaptiveTraining):
 
 
 class PricedLooks(NamedTuple):
-    """All looks of exposures, from which any price follows: it says only where they end.
+    """All looks of exposures, from which any price follows: it says only where they end."""
 
-    Attributes
-    ----------
-    worth : tensor, shape (n, K)
-        Of each look; −∞ where there was none.
-    clicks, arriving : tensor, shape (n, K)
-        That are expected of it.
-    odds : tensor, shape (n, 1 + K, C)
-        Log odds of the classes before all looks, and after each.
-    dark : tensor of bool, shape (n, 1 + K)
-        True after looks none of which clicked.
-    """
-
-    worth: Tensor
-    clicks: Tensor
-    arriving: Tensor
-    odds: Tensor
-    dark: Tensor
+    worth: Tensor  # (n, K)
+    clicks: Tensor  # (n, K)
+    arriving: Tensor  # (n, K)
+    odds: Tensor  # (n, 1 + K, C), log odds of the classes before all looks, and after each
+    dark: Tensor  # (n, 1 + K), True after looks none of which clicked
 
     @classmethod
     def of(cls, steps: Iterable[ClickStep], size: tuple[int, int], classes: int) -> Self:
-        """Looks of one run, of n exposures and K looks at most.
-
-        Parameters
-        ----------
-        steps : iterable of ClickStep
-        size : tuple of int
-            n and K.
-        classes : int
-            C.
-        """
+        """Looks of one run, of n exposures and K looks at most."""
         worth = torch.full(size, -torch.inf)
         clicks, arriving = torch.zeros(2, *size)
         odds = torch.zeros(size[0], 1 + size[1], classes)
@@ -596,13 +477,7 @@ class PricedLooks(NamedTuple):
         return max(float(worth[affordable]), 0.0)
 
     def ends(self, price: float) -> tuple[Tensor, Tensor]:
-        """Log odds (n, C) where exposures end at a price, and photons (n, K) that arrive till then.
-
-        Parameters
-        ----------
-        price : float
-            Above 0.
-        """
+        """Log odds (n, C) where exposures end at a price, and photons (n, K) that arrive before."""
         going = self.least_worth > price
         rows = torch.arange(len(going))
         return self.odds[rows, going.sum(dim=1)], self.arriving * going

@@ -80,43 +80,19 @@ SAME_SHARE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class MaskTables:
-    """Tables of the counts of a look: n scenes behind each of P masks, in parts of masks.
+    """Tables of the counts of a look: n scenes behind each of P masks, in parts of masks."""
 
-    Attributes
-    ----------
-    share : float
-        Of the exposure, of a look.
-    by_count : array, shape (P, n)
-        U: what a count adds to the log-probability of a scene.
-    constant : array, shape (P, n)
-        V: what is taken off it, whatever is counted.
-    scales : sequence of array, shape (n, p)
-        2 √(expected counts + 3/8) of each part of the dictionary, less its mean.
-    noises : sequence of array, shape (p,)
-        Variance on this scale of counts of one scene, that of scenes near it included.
-    starts : sequence of int
-        Index of the first mask of each part.
-    members : array, shape (n, C + 1)
-        1 for the class of a scene, and for all together.
-    """
-
-    share: float
-    by_count: np.ndarray
-    constant: np.ndarray
-    scales: Sequence[np.ndarray]
-    noises: Sequence[np.ndarray]
-    starts: Sequence[int]
-    members: np.ndarray
+    share: float  # of the exposure, of a look
+    by_count: np.ndarray  # (P, n), U: what a count adds to the log-probability of a scene
+    constant: np.ndarray  # (P, n), V: what is taken off it, whatever is counted
+    scales: Sequence[np.ndarray]  # (n, p)
+    noises: Sequence[np.ndarray]  # (p,)
+    starts: Sequence[int]  # index of the first mask of each part
+    members: np.ndarray  # (n, C + 1), 1 for the class of a scene, and for all together
 
     @classmethod
     def of(cls, masks: Tensor, prior: ScenePrior, optics: LookOptics, share: float) -> "MaskTables":
-        """Tables of masks (P, N) for a share of the exposure.
-
-        Raises
-        ------
-        InputError
-            If they do not fit the memory.
-        """
+        """Tables of masks (P, N) for a share of the exposure."""
         many = len(masks)
         scenes = len(prior)
         check_memory(
@@ -174,15 +150,9 @@ def _parts(masks: int, scenes: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class MaskDictionary:
-    """Masks among which adaptive masks are chosen.
+    """Masks among which adaptive masks are chosen."""
 
-    Attributes
-    ----------
-    masks : tensor, shape (P, N)
-        Of 0 and 1, none twice, none without a mirror that is ON.
-    """
-
-    masks: Tensor
+    masks: Tensor  # (P, N), of 0 and 1, none twice, none without a mirror that is ON
     _tables: dict[str, tuple[ScenePrior, tuple[float, ...], MaskTables]] = field(
         default_factory=dict, repr=False
     )
@@ -233,24 +203,7 @@ class MaskDictionary:
 
 
 class DictionaryPosterior(AdaptivePosterior):
-    """Posterior of the scene in b exposures with masks of a dictionary, by tables.
-
-    Parameters
-    ----------
-    dictionary : MaskDictionary
-    prior : ScenePrior
-    exposures : int
-        b.
-    optics : LookOptics
-        Of one detector and one arm.
-    share : float
-        Of the exposure, of a look.
-
-    Raises
-    ------
-    InputError
-        If light is counted by several detectors or on two arms.
-    """
+    """Posterior of the scene in b exposures with masks of a dictionary, by tables."""
 
     def __init__(
         self,

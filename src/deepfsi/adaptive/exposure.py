@@ -79,13 +79,7 @@ POSTERIOR_ANSWERS = Message(
 
 
 def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
-    """Prior of the training scenes of a data set, or `InputError` if it does not fit the memory.
-
-    Parameters
-    ----------
-    data : Dataset
-    settings : AdaptiveMasks
-    """
+    """Prior of the training scenes of a data set, or `InputError` if it does not fit the memory."""
     scenes = len(data.x_train)
     needed = 4 * (
         scenes * (3 * data.pixels + settings.components) + PRIOR_COPIES * LIKELIHOODS_AT_ONCE
@@ -134,16 +128,7 @@ The light of an exposure varies by some 0.6 of its mean, so that the mean is kno
 def squared_distance(
     state: AdaptivePosterior, masks: Tensor, counts: Tensor, share: float
 ) -> Tensor:
-    """Squared distance (b,) of counts (b, Q) behind the next masks (b, N) from those expected.
-
-    Parameters
-    ----------
-    state : AdaptivePosterior
-    masks : tensor, shape (b, N)
-    counts : tensor, shape (b, Q)
-    share : float
-        Of the exposure.
-    """
+    """Squared distance (b,) of counts (b, Q) behind the next masks (b, N) from those expected."""
     mean, parts = state.prior.light(state.optics.readouts(masks))
     gain = state.gain * share
     dark = torch.as_tensor(state.optics.dark * share)
@@ -257,18 +242,7 @@ def _looks(
 class PosteriorObservation(Observation):
     """Knowledge of the class after a look with adaptive masks.
 
-    Attributes
-    ----------
-    features : tensor, shape (b, Q)
-        Counts of the look over the budget; 0 of exposures that stopped before.
-    chances : tensor, shape (b, C)
-        Probabilities of the classes.
-    counts : float
-        Counts of all looks so far, of all exposures, that are expected without dark ones.
-    used : float or None
-        Exposures' light together, over the budget; None where none stops before its end.
-    arriving : float or None
-        Photons that reach a detector that does not count each; None of counters.
+    Features (b, Q) are the counts of the look over the budget; 0 of exposures that stopped before.
     """
 
     _: KW_ONLY
@@ -279,49 +253,24 @@ class PosteriorObservation(Observation):
 
 
 class LookedAt(NamedTuple):
-    """One exposure look by look: masks and mean scenes (K, N) of the posterior, chances (K, C).
+    """One exposure look by look: masks and mean scenes (K, N) of the posterior, chances (K, C)."""
 
-    Attributes
-    ----------
-    masks, scenes : array, shape (K, N)
-        Scenes are the means of the posterior.
-    chances : array, shape (K, C)
-    """
-
-    masks: np.ndarray
-    scenes: np.ndarray
-    chances: np.ndarray
+    masks: np.ndarray  # (K, N)
+    scenes: np.ndarray  # (K, N)
+    chances: np.ndarray  # (K, C)
 
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveExposure(ExposureKind):
-    """Exposure of which each mask is made of the counts so far.
+    """Exposure of which each mask is made of the counts so far."""
 
-    Attributes
-    ----------
-    prior : ScenePrior
-        Of scenes: the training scenes, in components.
-    settings : AdaptiveMasks
-        Looks, and the share of the exposure that each takes.
-    shape : tuple of int
-        Of a scene.
-    counted : tensor, shape (K,)
-        Share of the budget that each look counts, in the mean over training scenes.
-    usual_misfit : UsualMisfit or None
-        How far counts of training scenes are from those expected; None of few training scenes.
-    optics : mapping or None
-        Fields of the camera that it was made for.
-    dictionary : MaskDictionary or None
-        Masks of which each look shows one; None where masks are made.
-    """
-
-    prior: ScenePrior
-    settings: AdaptiveMasks
+    prior: ScenePrior  # of scenes: the training scenes, in components
+    settings: AdaptiveMasks  # looks, and the share of the exposure that each takes
     shape: tuple[int, ...]
-    counted: Tensor
+    counted: Tensor  # (K,)
     usual_misfit: UsualMisfit | None = None
-    optics: Mapping[str, Any] | None = None
-    dictionary: MaskDictionary | None = None
+    optics: Mapping[str, Any] | None = None  # fields of the camera that it was made for
+    dictionary: MaskDictionary | None = None  # masks of which each look shows one
 
     makes_masks: ClassVar[bool] = True
     comparable: ClassVar[bool] = False
@@ -413,13 +362,7 @@ class AdaptiveExposure(ExposureKind):
         return exposures_at_once(self.prior)
 
     def optics_at(self, photons: float, camera: Camera | None = None) -> LookOptics:
-        """Optics of a look at a budget of a whole exposure, of another camera if one is given.
-
-        Raises
-        ------
-        InputError
-            If the camera shows no binary masks, or has read noise.
-        """
+        """Optics of a look at a budget of a whole exposure, of another camera if one is given."""
         return LookOptics.of(self.camera if camera is None else camera, self.shape, photons)
 
     def posterior(self, exposures: int, optics: LookOptics) -> AdaptivePosterior:
@@ -496,7 +439,7 @@ class AdaptiveExposure(ExposureKind):
     def light(
         self, front: Camera, rates: Tensor, seen: Observation, photons: float
     ) -> CountedLight:
-        """Light of exposures together; parameters of `observe`."""
+        """Light of exposures together."""
         assert isinstance(seen, PosteriorObservation)
         used = None if seen.used is None else seen.used * photons
         arriving = seen.counts if seen.arriving is None else seen.arriving
@@ -522,12 +465,7 @@ class AdaptiveExposure(ExposureKind):
         return replace(self, settings=self.settings.model_copy(update={"until": threshold}))
 
     def of_looks(self, looks: int) -> "AdaptiveExposure":
-        """The kind whose longest exposure ends after the first looks, all of one length.
-
-        Parameters
-        ----------
-        looks : int
-        """
+        """The kind whose longest exposure ends after the first looks, all of one length."""
         settings = self.settings
         cap = settings.cap * looks / settings.looks
         return replace(
@@ -562,19 +500,11 @@ class AdaptiveExposure(ExposureKind):
 
 
 class LeftOutScenes(NamedTuple):
-    """Training scenes, each of which is left out of the prior when it is exposed.
+    """Training scenes, each of which is left out of the prior when it is exposed."""
 
-    Attributes
-    ----------
-    scenes : tensor, shape (S, N)
-    labels : tensor, shape (S,)
-    places : tensor, shape (S,), or None
-        In the prior; None where centres of clusters stand for its scenes, which stay.
-    """
-
-    scenes: Tensor
-    labels: Tensor
-    places: Tensor | None
+    scenes: Tensor  # (S, N)
+    labels: Tensor  # (S,)
+    places: Tensor | None  # (S,)
 
     def leave(self, state: AdaptivePosterior) -> None:
         """Take each scene for impossible in the exposure of its row."""
@@ -593,19 +523,11 @@ class LeftOutScenes(NamedTuple):
 
 
 class LeftOutAnswers(NamedTuple):
-    """Answers to S training scenes, each left out of the prior.
+    """Answers to S training scenes, each left out of the prior."""
 
-    Attributes
-    ----------
-    budgets : array, shape (B,)
-    odds : tensor, shape (B, K, S, C)
-        Log odds of the classes after each look, or at the end (K = 1).
-    labels : tensor, shape (S,)
-    """
-
-    budgets: np.ndarray
-    odds: Tensor
-    labels: Tensor
+    budgets: np.ndarray  # (B,)
+    odds: Tensor  # (B, K, S, C), log odds of the classes after each look, or at the end (K = 1)
+    labels: Tensor  # (S,)
 
 
 class LongestExposures(NamedTuple):
@@ -645,13 +567,7 @@ class LongestExposures(NamedTuple):
 
 
 class AdaptiveTraining:
-    """Adaptive masks of jobs that differ in budget and seed: one prior of scenes, and no steps.
-
-    Parameters
-    ----------
-    data : Dataset
-    settings : AdaptiveMasks
-    """
+    """Adaptive masks of jobs that differ in budget and seed: one prior of scenes, and no steps."""
 
     def __init__(self, data: Dataset, settings: AdaptiveMasks) -> None:
         self.data = data
@@ -659,14 +575,7 @@ class AdaptiveTraining:
         self.prior = prior_of(data, settings)
 
     def left_out(self, count: int, generator: torch.Generator) -> LeftOutScenes:
-        """Some of the training scenes, drawn by lot.
-
-        Parameters
-        ----------
-        count : int
-            Scenes at most.
-        generator : torch.Generator
-        """
+        """Some of the training scenes, drawn by lot."""
         order = self.prior.order
         places = torch.randperm(len(order), generator=generator)[:count]
         rows = order[places.numpy()]
@@ -678,15 +587,7 @@ class AdaptiveTraining:
 
     @torch.no_grad()
     def longest(self, made: AdaptiveExposure, job: Job, report: Progress) -> "LongestExposures":
-        """Exposures that do not stop, by which a job's light is shared among scenes.
-
-        Parameters
-        ----------
-        made : AdaptiveExposure
-            With this prior.
-        job : Job
-        report : Progress
-        """
+        """Exposures that do not stop, by which a job's light is shared among scenes."""
         generator = torch.Generator().manual_seed(job.seed ^ 2**31)
         left_out = self.left_out(SHARING_SCENES, generator)
         size = len(left_out.scenes), self.settings.looks
@@ -704,12 +605,7 @@ class AdaptiveTraining:
 
     @torch.no_grad()
     def dictionary(self, job: Job) -> MaskDictionary | None:
-        """Masks that were made for training scenes, each left out of the prior; None if not asked.
-
-        Parameters
-        ----------
-        job : Job
-        """
+        """Masks made for training scenes, each left out of the prior; None if not asked for."""
         count = self.settings.dictionary
         if count is None:
             return None
@@ -728,14 +624,7 @@ class AdaptiveTraining:
     def finish(
         self, job: Job, dictionary: MaskDictionary | None = None
     ) -> tuple[Tensor, UsualMisfit | None, LeftOutAnswers]:
-        """Share of the budget (K,) that each look counts, misfit and answers, of left-out scenes.
-
-        Parameters
-        ----------
-        job : Job
-        dictionary : MaskDictionary, optional
-            Masks of which each look shows one.
-        """
+        """Share of the budget (K,) that each look counts, misfit and answers of left-out scenes."""
         settings = self.settings
         shape = self.data.image_shape
         exposure = AdaptiveExposure(

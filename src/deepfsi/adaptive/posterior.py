@@ -66,22 +66,7 @@ class ScenePrior:
     and the covariance is that of the scenes about their centres, times the square of
     `CENTRE_SPREAD`.
 
-    Parameters
-    ----------
-    x : array, shape (n, N)
-        Reflectance of the scenes.
-    labels : array, shape (n,)
-        Classes, 0 .. C-1.
-    classes : int
-        C.
-    components : int
-        Principal components that are kept, d at most N.
-    spread : float
-        0 or more.
-    seed : int
-        Of the scenes whose neighbours are sought, and of the clusters.
-    clusters : int, optional
-        Clusters of each class, at most as many as half of its scenes.
+    Shapes: x (n, N); labels (n,).
     """
 
     def __init__(
@@ -286,27 +271,13 @@ class ScenePrior:
 
 @dataclass(frozen=True, eq=False)
 class LookOptics:
-    """Optics of a look: one mirror device, one or several detectors, one arm or both.
+    """Optics of a look: one mirror device, one or several detectors, one arm or both."""
 
-    Parameters
-    ----------
-    photons : float
-        Budget Φ of a whole exposure.
-    dark : float or tensor, shape (arms * D,)
-        Dark counts of each detector, or of each readout, in a whole exposure.
-    arms : int
-        2 if the light of mirrors that are OFF is counted, too.
-    detectors : tensor, shape (N,), optional
-        Detector of each pixel, 0 .. D-1; one detector unless given.
-    fluctuation : float
-        Relative standard deviation of the light from look to look.
-    """
-
-    photons: float
-    dark: float | Tensor = 0.0
-    arms: int = 1
-    detectors: Tensor | None = None
-    fluctuation: float = 0.0
+    photons: float  # budget Φ of a whole exposure
+    dark: float | Tensor = 0.0  # (arms * D,)
+    arms: int = 1  # 2 if the light of mirrors that are OFF is counted, too
+    detectors: Tensor | None = None  # (N,), detector of each pixel, 0 .. D-1
+    fluctuation: float = 0.0  # relative standard deviation of the light from look to look
 
     @classmethod
     def of(cls, camera: Camera, image_shape: tuple[int, ...], photons: float) -> "LookOptics":
@@ -352,14 +323,7 @@ class LookOptics:
 
 
 def class_chances(weights: Tensor, sizes: Sequence[int]) -> Tensor:
-    """Class probabilities (b, C) of probabilities (b, n) of scenes that are sorted by class.
-
-    Parameters
-    ----------
-    weights : tensor, shape (b, n)
-    sizes : sequence of int
-        Scenes of each class.
-    """
+    """Class probabilities (b, C) of probabilities (b, n) of scenes that are sorted by class."""
     sums = torch.stack([part.sum(dim=1) for part in weights.split(list(sizes), dim=1)], dim=1)
     return sums / sums.sum(dim=1, keepdim=True)
 

@@ -25,31 +25,11 @@ LONGEST_MESSAGE = 4000
 
 
 class Message(str):
-    r"""Text that names settings: in Python as `bins`, on the command line as --bins.
+    r"""Text that names settings: in Python as `bins`, on the command line as --bins."""
 
-    Parameters
-    ----------
-    template : str
-        Text with a field, in braces, for each setting and each value. A setting may have a value
-        after a colon: ``{light:free-dwell}`` is ``light="free-dwell"``, or ``--light free-dwell``.
-        Without settings and values the template is the text.
-    setting : str or tuple of str
-        Settings it names, as Python does. If there is one, ``{setting}`` is that one, too.
-    values
-        Values of the other fields. Settings that a message or an error among them names are named
-        in the same way.
-
-    Examples
-    --------
-    >>> text = Message("{given} bins leave it: give fewer {bins}", setting="bins", given=64)
-    >>> print(text, text.write(lambda name, value: f"--{name}"), sep="\n")
-    64 bins leave it: give fewer `bins`
-    64 bins leave it: give fewer --bins
-    """
-
-    template: str
+    template: str  # text with a field, in braces, for each setting and each value
     settings: tuple[str, ...]
-    values: dict[str, Any]
+    values: dict[str, Any]  # values of the other fields
 
     def __new__(
         cls, template: str, /, *, setting: str | tuple[str, ...] = (), **values: Any
@@ -153,15 +133,7 @@ def join_messages(messages: Iterable[str]) -> Message:
 
 
 def closest_choice(name: str, allowed: Iterable[str]) -> str:
-    """Say what to write instead of an unknown name, as the end of an error message.
-
-    Parameters
-    ----------
-    name : str
-        Unknown.
-    allowed : iterable of str
-        Names that there are.
-    """
+    """Say what to write instead of an unknown name, as the end of an error message."""
     allowed = list(allowed)
     by_lower_case = {known.lower(): known for known in allowed}
     matches = get_close_matches(name.lower(), by_lower_case, n=1)
@@ -172,33 +144,14 @@ def closest_choice(name: str, allowed: Iterable[str]) -> str:
 
 
 def check_choice(what: str, name: str, known: Iterable[str]) -> None:
-    """Raise `InputError` with the closest known name unless a name is known.
-
-    Parameters
-    ----------
-    what : str
-        Kind of thing that the name is of, in a message.
-    name : str
-    known : iterable of str
-        Names that there are.
-    """
+    """Raise `InputError` with the closest known name unless a name is known."""
     if name not in (known := list(known)):
         advice = closest_choice(name, known)
         raise InputError("unknown {what} {name!r}: {advice}", what=what, name=name, advice=advice)
 
 
 def other_version(content: str | bytes, schema: int, again: str = "make it again") -> str:
-    """Say that an older or a newer package wrote a file, as its JSON has it, and what to do.
-
-    Parameters
-    ----------
-    content : str or bytes
-        JSON of the file. Where it says nothing of a version the answer is empty.
-    schema : int
-        Number of the file's schema in this version.
-    again : str
-        What to do with a file that is too old.
-    """
+    """Say that an older or a newer package wrote a file, as its JSON has it, and what to do."""
     from importlib.metadata import version
 
     try:
@@ -230,17 +183,7 @@ def _release(version: object) -> tuple[int, ...]:
 def as_input_error(
     file: str = "", advice: str = "", content: str | bytes = b"", schema: int = 1
 ) -> Iterator[None]:
-    """Turn pydantic's errors into one `InputError`.
-
-    Parameters
-    ----------
-    file, advice : str
-        What cannot be used, and what to do.
-    content : str or bytes
-        Of the file, JSON, which may say that another version wrote it.
-    schema : int
-        Number of the file's schema in this version.
-    """
+    """Turn pydantic's errors into one `InputError`."""
     from pydantic import ValidationError
 
     try:
@@ -264,14 +207,7 @@ def as_input_error(
 def field_errors(
     error: "ValidationError", name: "Callable[[ErrorDetails], str] | None" = None
 ) -> list[str]:
-    """Every bad field of pydantic's error, with what was given.
-
-    Parameters
-    ----------
-    error : ValidationError
-    name : callable, optional
-        Of a fault, the field and what was given as a message begins; that of Python unless given.
-    """
+    """Every bad field of pydantic's error, with what was given."""
     name = name or _given
     return [
         Message("{field}{words}", field=name(fault), words=_words(fault, error.title))

@@ -94,18 +94,7 @@ def open_regular(
     advice: str = "give a file that can be read",
     buffering: int = -1,
 ) -> Iterator[BufferedReader]:
-    """Open a regular file of so many bytes at most to read; `InputError` for anything else.
-
-    Parameters
-    ----------
-    path : path
-    largest : int
-        Bytes of the file at most.
-    advice : str
-        What to do instead, as the end of a message.
-    buffering : int
-        As of `open`.
-    """
+    """Open a regular file of so many bytes at most to read; `InputError` for anything else."""
     try:
         file = open(path, "rb", buffering, opener=_open_at_once)  # noqa: SIM115 - errors of what follows are not ours
     except FileNotFoundError:
@@ -128,13 +117,7 @@ def _open_at_once(path: str, flags: int) -> int:
 
 
 def read_regular(path: str | os.PathLike[str], largest: int, advice: str) -> bytes:
-    """Content of a file, by the rules of `open_regular`.
-
-    Parameters
-    ----------
-    path, largest, advice
-        As of `open_regular`.
-    """
+    """Content of a file, by the rules of `open_regular`."""
     with open_regular(path, largest, advice) as file:
         return file.read()
 
@@ -162,14 +145,6 @@ def read_text(
     """Text of a file of any editor, its lines ended by line feeds alone.
 
     A byte order mark says which of UTF-8, UTF-16 and UTF-32 it is. Text without one is UTF-8.
-
-    Parameters
-    ----------
-    path, largest, advice
-        As of `open_regular`.
-    other : str, optional
-        Encoding of text without a mark that is no UTF-8: `WINDOWS_ENCODING`, in which Excel saves
-        tables.
     """
     content = read_regular(path, largest, advice)
     found = next((mark for mark in BYTE_ORDER_MARKS if content.startswith(mark)), b"")
@@ -202,17 +177,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def check_unpacked(unpacked: float, packed: int, what: str, advice: str) -> None:
-    """Raise `InputError` for far more values, or bytes, than a file of so many bytes explains.
-
-    Parameters
-    ----------
-    unpacked : float
-        Values or bytes that a file would unpack to.
-    packed : int
-        Bytes of the file.
-    what, advice : str
-        What is read, and what to do instead, for a message.
-    """
+    """Raise `InputError` for far more values, or bytes, than a file of so many bytes explains."""
     limit = UNPACKED_SPARE + UNPACKED_RATIO * packed
     if unpacked > limit:
         raise InputError(
@@ -240,15 +205,7 @@ def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
 
 
 def check_ending(path: str | os.PathLike[str], ends: Sequence[str]) -> None:
-    """Raise `InputError` unless a name ends as files of its kind do.
-
-    Parameters
-    ----------
-    path : path
-        File to be written.
-    ends : sequence of str
-        Ends that are allowed, such as ``.csv``.
-    """
+    """Raise `InputError` unless a name ends as files of its kind do."""
     if Path(path).suffix.lower() not in ends:
         raise InputError(f"cannot write to {path}: end the name in {' or '.join(ends)}")
 
@@ -320,17 +277,7 @@ class GrowingFile(FileIO):
 
 
 def check_disk_space(path: str | os.PathLike[str], size: float, advice: str) -> None:
-    """Raise `InputError` where the disk of a file to be has no room for so many bytes.
-
-    Parameters
-    ----------
-    path : path
-        File or folder to be written.
-    size : float
-        Its bytes.
-    advice : str
-        What else to do, as the end of a message.
-    """
+    """Raise `InputError` where the disk of a file to be has no room for so many bytes."""
     import shutil
 
     above = next((each for each in Path(path).absolute().parents if each.exists()), None)

@@ -22,16 +22,6 @@ def plain_keywords(
 
     Keywords that are declared as ``**fields: Unpack[Fields]``, `Fields` a `TypedDict`, stand in
     `help` and in the signature by their names; an editor has them from the declaration itself.
-
-    Parameters
-    ----------
-    where : callable, optional
-        Says for an unknown keyword what to give in its place, None for the closest one.
-
-    Raises
-    ------
-    InputError
-        From the function, for a keyword that it does not have.
     """
 
     def decorate(call: Callable[_P, _R]) -> Callable[_P, _R]:

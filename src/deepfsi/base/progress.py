@@ -14,15 +14,7 @@ def _nothing(share: float, what: str) -> None:
 
 
 class Progress(NamedTuple):
-    """Where a task says how far it is.
-
-    Parameters
-    ----------
-    show : callable
-        Is told the share that is done, 0 to 1, and what is being done.
-    begin, end : float
-        Shares of the whole that `show` sees at the begin and the end of this task.
-    """
+    """Where a task says how far it is."""
 
     show: Callable[[float, str], None] = _nothing
     begin: float = 0.0
@@ -78,15 +70,7 @@ WHOLE_TASK = 1e7
 
 @contextmanager
 def terminal_bar(what: str, hidden: bool = False) -> Iterator[Progress]:
-    """Progress with the time left on standard error: a bar on a terminal, else a line at times.
-
-    Parameters
-    ----------
-    what : str
-        What is being done.
-    hidden : bool
-        True to show nothing.
-    """
+    """Progress with the time left on standard error: a bar on a terminal, else a line at times."""
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
@@ -152,15 +136,7 @@ def duration_text(seconds: float) -> str:
 
 @contextmanager
 def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
-    """The report of a task that was given one, else a bar where a terminal is attached.
-
-    Parameters
-    ----------
-    report : Progress, optional
-        Report that the task was given.
-    what : str
-        What is being done.
-    """
+    """The report of a task that was given one, else a bar where a terminal is attached."""
     if report is not None:
         yield report
         return

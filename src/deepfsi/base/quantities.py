@@ -58,54 +58,25 @@ def count_text(counts: float) -> str:
 
 
 def rate_text(mean: float, low: float, high: float) -> str:
-    """A rate with half the width of its interval: 0.565 ± 0.027.
-
-    Parameters
-    ----------
-    mean, low, high : float
-    """
+    """A rate with half the width of its interval: 0.565 ± 0.027."""
     return f"{mean:.3f} ± {(high - low) / 2:.3f}"
 
 
 def plural(number: int, what: str) -> str:
-    """A number of things: 1 exposure, 2 exposures.
-
-    Parameters
-    ----------
-    number : int
-    what : str
-        One of them.
-    """
+    """A number of things: 1 exposure, 2 exposures."""
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def short_name(name: str, width: int = NAME_WIDTH) -> str:
-    """Beginning of a long name, for a table.
-
-    Parameters
-    ----------
-    name : str
-    width : int
-        Characters at most.
-    """
+    """Beginning of a long name, for a table."""
     return name if len(name) <= width else f"{name[: width - 1]}…"
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text under heads.
-
-    Parameters
-    ----------
-    title : str
-    heads : sequence of str
-    rows : sequence of sequence of str
-    sentences : bool
-        True of sentences, which are broken into lines. Else the first column is words, and the
-        others stand at the right.
-    """
+    """Rows of text under heads."""
 
     title: str
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
-    sentences: bool = False
+    sentences: bool = False  # True of sentences, which are broken into lines

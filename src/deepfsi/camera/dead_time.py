@@ -70,18 +70,10 @@ class DeadTime(StrictModel):
 
 @dataclass(frozen=True)
 class CorrectionFactors:
-    """Factors of registered counts, of which arrivals are estimated.
+    """Factors of registered counts, of which arrivals are estimated."""
 
-    Attributes
-    ----------
-    arrivals : array
-        Arrivals for each count, in the shape of the rates.
-    variance : array
-        Variance of the arrivals for each count, of the same shape.
-    """
-
-    arrivals: np.ndarray
-    variance: np.ndarray
+    arrivals: np.ndarray  # arrivals for each count, in the shape of the rates
+    variance: np.ndarray  # variance of the arrivals for each count, of the same shape
 
 
 NO_DEAD_TIME = DeadTime(seconds=0.0)

@@ -23,24 +23,10 @@ DetectorSetting = str | Sequence[int] | np.ndarray
 
 
 class DetectorMap(StrictModel):
-    """Detectors of a device, or of each of its two arms.
+    """Detectors of a device, or of each of its two arms."""
 
-    Attributes
-    ----------
-    count : int
-        D, detectors of an arm.
-    cells : tuple of int, or None
-        Detector of each cell (N,), 0 .. D-1; None where that is not known, as before a calibration,
-        and of one detector that sees all.
-    shares : tuple of tuple of float, or None
-        Share of each detector in the light of each class of the training, (classes, D); None where
-        that is not known.
-    spread : tuple of float
-        Standard deviation of a scene's shares about those of its class, (D,).
-    """
-
-    count: int = Field(ge=1, le=MOST_DETECTORS)
-    cells: tuple[WholeNumber, ...] | None = None
+    count: int = Field(ge=1, le=MOST_DETECTORS)  # D, detectors of an arm
+    cells: tuple[WholeNumber, ...] | None = None  # detector of each cell (N,), 0 .. D-1
     shares: tuple[tuple[Share, ...], ...] | None = None
     spread: tuple[Amount, ...] = ()
 
@@ -54,26 +40,7 @@ class DetectorMap(StrictModel):
 
     @classmethod
     def of(cls, setting: DetectorSetting, image_shape: tuple[int, ...]) -> Self:
-        """Map of a camera's detectors on scenes.
-
-        Parameters
-        ----------
-        setting : str, sequence of int or array
-            ``"2x2"`` of an image, ``"4"`` of a spectrum, or the detector of each of N pixels.
-        image_shape : tuple of int
-            Shape of a scene, (H, W) or (B,).
-
-        Raises
-        ------
-        InputError
-            Where these detectors do not divide such scenes.
-
-        Examples
-        --------
-        >>> from deepfsi.camera import DetectorMap
-        >>> DetectorMap.of("1x2", (1, 4)).cells
-        (0, 0, 1, 1)
-        """
+        """Map of a camera's detectors on scenes."""
         if isinstance(setting, str):
             cells = _divided(setting, image_shape)
         else:

@@ -69,21 +69,7 @@ USUAL_LAYOUT = DmdLayout()
 
 @dataclass(frozen=True)
 class DmdGrid:
-    """Cells of a mask on a device: as large as fit, centred; mirrors beyond them are OFF.
-
-    Attributes
-    ----------
-    down, across : int
-        Cells.
-    height, width : int
-        Rows and columns of mirrors of a cell.
-    top, left : int
-        Rows and columns of mirrors before the first cell.
-    diamond : bool
-        True where odd rows lie half a column to the right.
-    layout : DmdLayout
-        Place and orientation of the cells, as they were asked for.
-    """
+    """Cells of a mask on a device: as large as fit, centred; mirrors beyond them are OFF."""
 
     down: int
     across: int
@@ -91,8 +77,8 @@ class DmdGrid:
     width: int
     top: int
     left: int
-    diamond: bool = False
-    layout: DmdLayout = USUAL_LAYOUT
+    diamond: bool = False  # True where odd rows lie half a column to the right
+    layout: DmdLayout = USUAL_LAYOUT  # place and orientation of the cells, as they were asked for
 
     @property
     def mirrors(self) -> int:
@@ -146,21 +132,7 @@ class DmdGrid:
 def find_grid(
     device: Device, image_shape: tuple[int, ...], layout: DmdLayout = USUAL_LAYOUT
 ) -> DmdGrid:
-    """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device.
-
-    Parameters
-    ----------
-    device : Device
-    image_shape : tuple of int
-        Rows and columns of a mask, or values of a spectrum.
-    layout : DmdLayout
-        Region that holds the cells, and how they lie in it.
-
-    Raises
-    ------
-    InputError
-        If the cells do not fit the device.
-    """
+    """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device."""
     # Cells are square unless the layout stretches them, or the mask has one axis: a spectrum's are
     # as tall as the region
     if len(image_shape) not in (1, 2) or min(image_shape) < 1:

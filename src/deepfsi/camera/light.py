@@ -54,18 +54,7 @@ def _checked(value: Any, what: str, example: str) -> float:
 
 
 def check_one_budget(photons: float | None, counts: float | None) -> float:
-    """Return the budget, told as photons or as counts.
-
-    Parameters
-    ----------
-    photons, counts : float or None
-        Budget Φ on the device, or mean counts of an exposure; one of them is None.
-
-    Raises
-    ------
-    InputError
-        If both or none are told, or a number is beyond `BUDGETS`.
-    """
+    """Return the budget, told as photons or as counts."""
     if photons is not None and counts is None:
         return check_budget(photons)
     if counts is None or photons is not None:

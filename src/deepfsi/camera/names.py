@@ -30,39 +30,16 @@ SummedReflectance = Annotated[float, Field(ge=1e-6, allow_inf_nan=False)]
 
 @dataclass(frozen=True)
 class LightLawFacts:
-    """Facts of a light law, whatever its masks are.
+    """Facts of a light law, whatever its masks are."""
 
-    Attributes
-    ----------
-    optics : str
-        What realises it, in words.
-    words : str
-        What it allows, and with which optics, for pages.
-    in_turn : bool
-        True if masks are shown one after another, so that an exposure may stop after a few.
-    one_device : bool
-        True if one micromirror device shows the masks.
-    lights_all : bool
-        True if learned masks reach pixels that never vary, too: the light of such a pixel is not
-        lost, but goes to another arm or another pixel.
-    arms : int
-        Arms of the device whose light is counted; on two, one frame serves both rails of a mask.
-    looks : bool
-        True if masks and dwells can be chosen while the exposure runs.
-    equal_times : bool
-        True if all frames are shown for the same time.
-    usual_rails, usual_readout : str
-        Fields of a camera that are not given.
-    """
-
-    optics: str
-    words: str
+    optics: str  # what realises it, in words
+    words: str  # what it allows, and with which optics, for pages
     in_turn: bool = True
-    one_device: bool = True
+    one_device: bool = True  # True if one micromirror device shows the masks
     lights_all: bool = False
-    arms: int = 1
-    looks: bool = False
-    equal_times: bool = False
+    arms: int = 1  # arms of the device whose light is counted
+    looks: bool = False  # True if masks and dwells can be chosen while the exposure runs
+    equal_times: bool = False  # True if all frames are shown for the same time
     usual_rails: RailsKind = "single"
     usual_readout: Readout = "difference"
 
@@ -108,15 +85,7 @@ LIGHT_LAWS: dict[str, LightLawFacts] = {
 
 
 def check_light_law(light: str, rails: str) -> None:
-    """Raise `InputError` unless a light law exists and can be had with these rails.
-
-    Parameters
-    ----------
-    light : str
-        A light law, one of `LIGHT_LAWS`.
-    rails : {"dual", "single"}
-        Rails of each mask.
-    """
+    """Raise `InputError` unless a light law exists and can be had with these rails."""
     check_choice("light law", light, LIGHT_LAWS)
     check_choice("rails", rails, get_args(RailsKind))
     if LIGHT_LAWS[light].arms == 2 and rails == "single":
@@ -128,46 +97,21 @@ def check_light_law(light: str, rails: str) -> None:
 
 @dataclass(frozen=True)
 class NoiseFacts:
-    """Facts of a noise, whatever it is drawn of.
+    """Facts of a noise, whatever it is drawn of."""
 
-    Attributes
-    ----------
-    title : str
-        Name for headings and sentences.
-    shot : bool
-        True if its mean and its variance grow with the light as those of photons.
-    photons : bool
-        True if its mean is the rate and its variance grows with the light, or is 0: dwells can be
-        chosen under it.
-    counting : bool
-        True if whole counts are drawn, whose mean is known.
-    dark, read_noise, gates : bool
-        True if it has dark counts, a `sigma`, or gates in which a detector clicks at most once.
-    dead_time, fluctuates : bool
-        False if counts are never corrected for a dead time, or have light that fluctuates.
-    steady : bool
-        False if the light fluctuates from frame to frame, as a camera says.
-    usual_sigma : float
-        `sigma` of a camera where it is not given, counts rms per readout.
-    trains_as : str, optional
-        Noise that is trained under in its place.
-    stands_for : str, optional
-        Noise whose smooth stand-in it is.
-    """
-
-    title: str
-    shot: bool = False
+    title: str  # name for headings and sentences
+    shot: bool = False  # True if its mean and its variance grow with the light as those of photons
     photons: bool = False
-    counting: bool = False
+    counting: bool = False  # True if whole counts are drawn, whose mean is known
     dark: bool = False
     read_noise: bool = False
     gates: bool = False
     dead_time: bool = True
     fluctuates: bool = True
-    steady: bool = True
-    usual_sigma: float = 1.0
-    trains_as: NoiseName | None = None
-    stands_for: NoiseName | None = None
+    steady: bool = True  # False if the light fluctuates from frame to frame, as a camera says
+    usual_sigma: float = 1.0  # `sigma` of a camera where it is not given, counts rms per readout
+    trains_as: NoiseName | None = None  # noise that is trained under in its place
+    stands_for: NoiseName | None = None  # noise whose smooth stand-in it is
 
     @property
     def read_noise_alone(self) -> bool:
@@ -204,13 +148,7 @@ NOISES: dict[str, NoiseFacts] = {
 
 
 def find_noise(noise: Any) -> NoiseFacts:
-    """Facts of a noise of a name; of one's own, nothing is known but what it is called.
-
-    Parameters
-    ----------
-    noise : str or callable
-        Name, import path, or the function itself.
-    """
+    """Facts of a noise of a name; of one's own, nothing is known but what it is called."""
     name = noise_name(noise)
     return NOISES.get(name) or NoiseFacts(f"{name} noise")
 

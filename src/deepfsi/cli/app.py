@@ -32,14 +32,7 @@ def _print_help(ctx: click.Context, version: bool = False) -> None:
 
 
 class Group(click.Group):
-    """Commands under headings, each with its whole sentence, none of it cut.
-
-    Parameters
-    ----------
-    name, help : str
-    headings : mapping
-        Commands by name under each heading, as `commands.toml` has them.
-    """
+    """Commands under headings, each with its whole sentence, none of it cut."""
 
     def __init__(self, name: str, help: str, headings: Mapping[str, Mapping[str, Any]]) -> None:
         super().__init__(

@@ -53,13 +53,7 @@ class Command(StrictModel):
 
     @abstractmethod
     def run(self, terminal: Terminal) -> Outcome:
-        """Do the work.
-
-        Parameters
-        ----------
-        terminal : Terminal
-            Where progress is shown, and what is found before the end is said.
-        """
+        """Do the work."""
 
     def explicit(self, fields: Iterable[str]) -> dict[str, Any]:
         """Those of these fields that stand on the command line, by name."""
@@ -74,24 +68,12 @@ class Command(StrictModel):
 
 @dataclass(frozen=True)
 class Parameter:
-    """An argument or an option of a command.
+    """An argument or an option of a command."""
 
-    Parameters
-    ----------
-    key : str
-        Name of its value.
-    field : FieldInfo
-        That declares it.
-    heading : str
-        In the help.
-    source : OptionsOf, optional
-        Of a field that stands in a model of a lower room.
-    """
-
-    key: str
+    key: str  # name of its value
     field: FieldInfo
     heading: str = FIRST
-    source: OptionsOf | None = None
+    source: OptionsOf | None = None  # of a field that stands in a model of a lower room
 
     @property
     def is_argument(self) -> bool:
@@ -248,12 +230,7 @@ JSON = Parameter(
 
 
 def read_parameters(command: type[Command]) -> list[Parameter]:
-    """Arguments and options of a command in the order of its help.
-
-    Parameters
-    ----------
-    command : type of Command
-    """
+    """Arguments and options of a command in the order of its help."""
     first: list[Parameter] = []
     own: list[Parameter] = []
     others: list[Parameter] = []
@@ -269,14 +246,7 @@ def read_parameters(command: type[Command]) -> list[Parameter]:
 
 
 class ClickCommand(click.Command):
-    """A command as `click` runs it.
-
-    Parameters
-    ----------
-    command : type of Command
-    summary : str
-        First sentence of its help.
-    """
+    """A command as `click` runs it."""
 
     def __init__(self, command: type[Command], name: str, summary: str) -> None:
         self.command = command

@@ -102,13 +102,7 @@ class DataExport(Command):
 
 
 def pictures_written(written: list[Path], folder: Path) -> Outcome:
-    """Pictures that a command wrote to a folder.
-
-    Parameters
-    ----------
-    written : list of Path
-    folder : Path
-    """
+    """Pictures that a command wrote to a folder."""
     return Outcome(
         {"folder": str(folder), "pictures": [str(path) for path in written]},
         [f"{len(written)} pictures: {folder}"],

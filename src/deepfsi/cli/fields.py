@@ -48,53 +48,27 @@ TABLE_FILES = (".csv", ".parquet")
 
 
 def option(words: str, default: Any = None, **more: Any) -> Any:
-    """Field of an option of one command: ``until: float | None = option("confidence …")``.
-
-    Parameters
-    ----------
-    words : str
-        Help.
-    default
-        Value that holds where none is given.
-    **more
-        Other parameters of pydantic's `Field`, such as bounds, or the `alias` that is its name.
-    """
+    """Field of an option of one command: ``until: float | None = option("confidence …")``."""
     return Field(default, description=words, **more)
 
 
 def required(words: str, **more: Any) -> Any:
-    """Field of an option that must be given; parameters as of `option`."""
+    """Field of an option that must be given."""
     return option(words, ..., **more)
 
 
 def flag(words: str) -> Any:
-    """Field of an option without a value; parameters as of `option`."""
+    """Field of an option without a value."""
     return option(words, False)
 
 
 def argument(words: str, metavar: str = "", default: Any = ...) -> Any:
-    """Field of a value that stands without a name on the command line.
-
-    Parameters
-    ----------
-    words : str
-        Help.
-    metavar : str
-        Name in the usage, where it is not that of the field.
-    default
-        Value that holds where none is given.
-    """
+    """Field of a value that stands without a name on the command line."""
     return Field(default, description=words, json_schema_extra={"argument": metavar})
 
 
 def hidden(words: str) -> Any:
-    """Field of an option that no help lists, since another took its place.
-
-    Parameters
-    ----------
-    words : str
-        What it is.
-    """
+    """Field of an option that no help lists, since another took its place."""
     return Field(None, description=words, json_schema_extra={"hidden": True})
 
 
@@ -108,15 +82,7 @@ class Written:
 
 @dataclass(frozen=True)
 class OptionsOf:
-    """Options made from fields of models, for a command's `dict` of those that were given, as text.
-
-    Parameters
-    ----------
-    fields : mapping
-        Heading in the help and field of each option, by its name.
-    axes : bool
-        True if an option takes several values, separated by commas.
-    """
+    """Options made from fields of models, for a command's `dict` of those that were given."""
 
     fields: Mapping[str, tuple[str, FieldInfo]]
     axes: bool = False
@@ -124,18 +90,10 @@ class OptionsOf:
 
 @dataclass(frozen=True)
 class Output:
-    """Where a command writes, checked before its work.
-
-    Parameters
-    ----------
-    endings : tuple of str
-        Of a file's name. Of a folder there are none.
-    new : bool
-        True of a folder that may not be there, or is empty.
-    """
+    """Where a command writes, checked before its work."""
 
     endings: tuple[str, ...] = ()
-    new: bool = False
+    new: bool = False  # True of a folder that may not be there, or is empty
 
     def check(self, path: Path, force: bool) -> None:
         """Raise `InputError` unless this can be written there; `force` lets it replace a file."""
@@ -148,15 +106,7 @@ class Output:
 
 
 def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
-    """Options of the settings of a job: its camera, its exposure and its training.
-
-    Parameters
-    ----------
-    axes : bool
-        True if they take several values.
-    leave : iterable of str
-        Options that the command does not have.
-    """
+    """Options of the settings of a job: its camera, its exposure and its training."""
     names = {field: option for option, field in SETTING_ALIASES.items()}
     fields = {name: (FIRST, Job.model_fields[name]) for name in JOB_FIELDS}
     for table, model in (("camera", Camera), ("training", Training)):
@@ -174,13 +124,7 @@ def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
 
 
 def run_options(*names: str) -> OptionsOf:
-    """Options of the camera of a run, and some of its fields.
-
-    Parameters
-    ----------
-    *names : str
-        Fields of a camera.
-    """
+    """Options of the camera of a run, and some of its fields."""
     fields = {"camera": Job.model_fields["camera"]}
     fields |= {name: Camera.model_fields[name] for name in names}
     return OptionsOf({name: ("Camera", field) for name, field in fields.items()})
@@ -208,19 +152,7 @@ def _source(name: str) -> str:
 
 
 def check_file(path: Path, endings: tuple[str, ...], force: bool, made: Path | None = None) -> None:
-    """Raise `InputError` unless a file can be written to a path.
-
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    endings : tuple of str
-        One of which its name must have.
-    force : bool
-        True to replace a file.
-    made : Path, optional
-        Folder that the command makes.
-    """
+    """Raise `InputError` unless a file can be written to a path."""
     if path.is_dir():
         raise InputError(f"{path} is a folder: give a file name ending in {' or '.join(endings)}")
     check_ending(path, endings)
@@ -273,15 +205,7 @@ def check_design_file(path: Path) -> Path:
 
 
 def check_sigma(options: Mapping[str, Any], noises: Iterable[str]) -> None:
-    """Raise `InputError` if read noise is given and none of these noises has any.
-
-    Parameters
-    ----------
-    options : mapping
-        Those that were given.
-    noises : iterable of str
-        Names of the noises that are in force.
-    """
+    """Raise `InputError` if read noise is given and none of these noises has any."""
     # a stand-in is of what it stands for
     named = [noise for noise in dict.fromkeys(noises) if not find_noise(noise).stands_for]
     if "sigma" in options and not any(find_noise(noise).read_noise for noise in named):
@@ -315,16 +239,7 @@ def number(text: str) -> float:
 
 
 def parse_option(option: str, read: Callable[[str], T], text: str) -> T:
-    """Value of an option that a command has of a model, or `InputError` that names it.
-
-    Parameters
-    ----------
-    option : str
-        Its name.
-    read : callable
-        Raises `ValueError` for texts that it does not take.
-    text : str
-    """
+    """Value of an option that a command has of a model, or `InputError` that names it."""
     try:
         return read(text)
     except ValueError as error:

@@ -496,17 +496,7 @@ def read_recipe(source: str) -> dict[str, Any]:
 def recipe_settings(
     options: Mapping[str, Any], chosen: Mapping[str, Any], base: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Settings of the recipe that the options of a command ask for.
-
-    Parameters
-    ----------
-    options : mapping
-        Those of a job that were given, as text: axes.
-    chosen : mapping
-        Fields of the recipe itself that were given.
-    base : mapping
-        Settings that hold where no option overrides them.
-    """
+    """Settings of the recipe that the options of a command ask for."""
     if "masks" in options and "ratios" in chosen:
         raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
     given = dict(chosen)
@@ -563,14 +553,7 @@ def _checked(
 
 
 def results_outcome(results: "Results", folder: Path) -> Outcome:
-    """Write the results of trials and their page, and say them.
-
-    Parameters
-    ----------
-    results : Results
-    folder : Path
-        Of the records.
-    """
+    """Write the results of trials and their page, and say them."""
     from deepfsi.report import (
         comparison_lines,
         leader_differences,

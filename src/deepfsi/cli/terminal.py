@@ -16,39 +16,17 @@ JSON_SCHEMA = 1
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a command: as a dict for scripts, and in lines for a reader.
+    """Result of a command: as a dict for scripts, and in lines for a reader."""
 
-    Parameters
-    ----------
-    content : mapping
-        JSON types.
-    lines : iterable of str or Table
-        May be a generator, which does not run where JSON is asked for.
-    failed : bool
-        True if something that was checked is not as it should be: exit code 1.
-    refusal : str
-        Why what was found cannot be used, which ends the command as an `InputError`.
-    schema : str
-        Name of the content, where it is not that of the command.
-    """
-
-    content: Mapping[str, Any]
+    content: Mapping[str, Any]  # JSON types
     lines: Iterable[str | Table] = ()
-    failed: bool = False
+    failed: bool = False  # True if something that was checked is not as it should be: exit code 1
     refusal: str = ""
-    schema: str = ""
+    schema: str = ""  # name of the content, where it is not that of the command
 
 
 class Terminal:
-    """Where a command runs: it shows progress, says and asks.
-
-    Parameters
-    ----------
-    as_json : bool
-        True if nothing is printed but JSON.
-    command_line : str
-        Command as it was typed, for records and pages.
-    """
+    """Where a command runs: it shows progress, says and asks."""
 
     def __init__(self, as_json: bool = False, command_line: str = "") -> None:
         self.as_json = as_json

@@ -119,24 +119,7 @@ def as_test_part(
     classes: Sequence[str] = (),
     values: Sequence[str] = (),
 ) -> Dataset:
-    """Make a data set of test scenes alone, for a design that was trained on others.
-
-    Parameters
-    ----------
-    x : array, shape (n, H, W) or (n, N)
-        Scenes, as of `from_arrays`.
-    y : array, shape (n,) or (n, q)
-        Names of the classes, or their numbers from 0; or values.
-    image_shape : tuple of int
-        Of a scene of the design.
-    classes, values : sequence of str
-        Names of its classes, or of its values.
-
-    Raises
-    ------
-    InputError
-        If the arrays do not fit each other, or hold other classes or values.
-    """
+    """Data set of test scenes (n, H, W) or (n, N) alone, for a design trained on others."""
     name = "arrays"
     pixels = np.asarray(x)
     if pixels.ndim == 2 and pixels.shape[1] == prod(image_shape):
@@ -165,20 +148,10 @@ def as_test_part(
 
 
 class _Targets(NamedTuple):
-    """Classes or values of the training part and, if there is one, of the test part.
+    """Classes or values of the training part and, if there is one, of the test part."""
 
-    Attributes
-    ----------
-    y : array
-        Classes (n,) int64, or values (n, q) float32.
-    y_test : array or None
-        Those of the test part.
-    classes, values : tuple of str
-        Names of the classes, or of the values; the other is empty.
-    """
-
-    y: Truth
-    y_test: Truth | None
+    y: Truth  # classes (n,) int64, or values (n, q) float32
+    y_test: Truth | None  # those of the test part
     classes: tuple[str, ...] = ()
     values: tuple[str, ...] = ()
 
@@ -196,22 +169,7 @@ def split_arrays(
     white: float | None = None,
     levels: ValueRange | None = None,
 ) -> Dataset:
-    """Data set of arrays, whose test part is drawn where there is none.
-
-    Parameters
-    ----------
-    train, test : pair of arrays
-        Scenes and labels or values, as of `from_arrays`.
-    classes, values, name, seed, rescale
-        As of `from_arrays`.
-    described : str, optional
-        Changes made to the scenes, for `Dataset.preprocessing`; unless given, it tells their
-        levels.
-    white : float, optional
-        As of `load_dataset`.
-    levels : ValueRange, optional
-        Of the scenes; measured unless given.
-    """
+    """Data set of arrays, whose test part is drawn where there is none."""
     check_seed(seed)
     x_test, y_test = test
     if (x_test is None) != (y_test is None):
@@ -475,19 +433,7 @@ def assemble(
     values: tuple[str, ...] = (),
     wavelengths: npt.NDArray[np.float64] | None = None,
 ) -> Dataset:
-    """Data set of scenes that are ready but for rescaling, which is done in place.
-
-    Parameters
-    ----------
-    name, classes, values, wavelengths
-        As of `Dataset`.
-    train, test : pair of arrays
-        Reflectance, (n, H, W) or (n, N), and classes, (n,), or values, (n, q).
-    described : str
-        Changes made to the scenes.
-    rescale : (float, float) or None
-        As of `from_arrays`.
-    """
+    """Data set of scenes that are ready but for rescaling, which is done in place."""
     low, high = (0.0, 1.0) if rescale is None else rescale
     if not 0 <= low < high <= 1:
         raise InputError(f"rescale ({low}, {high}): give low and high with 0 <= low < high <= 1")
@@ -518,16 +464,7 @@ def assemble(
 def draw_fifth(
     count: int, classes: npt.NDArray[np.integer] | None, seed: int
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Indices of the scenes to train on, in random order, and of a fifth of them to test on.
-
-    Parameters
-    ----------
-    count : int
-        Number of scenes n.
-    classes : array of int, shape (n,), or None
-        Of which each class gives its share.
-    seed : int
-    """
+    """Indices to train on, in random order, and of a fifth to test on; of each of classes (n,)."""
     from sklearn.model_selection import train_test_split
 
     train, test = train_test_split(
@@ -539,17 +476,7 @@ def draw_fifth(
 def draw_stratified(
     labels: npt.ArrayLike, count: int, seed: int, name: str
 ) -> npt.NDArray[np.intp]:
-    """Sorted indices of scenes drawn so that each class has as nearly its share as can be.
-
-    Parameters
-    ----------
-    labels : array, shape (n,)
-    count : int
-        Scenes to draw.
-    seed : int
-    name : str
-        Of the data set, for messages.
-    """
+    """Sorted indices of scenes; each class of labels (n,) has as nearly its share as can be."""
     check_seed(seed)
     labels = np.asarray(labels)
     values, numbers, sizes = np.unique(labels, return_inverse=True, return_counts=True)

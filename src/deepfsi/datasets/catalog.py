@@ -72,43 +72,19 @@ PASSES = 12
 
 @dataclass
 class NamedDataset(ABC):
-    """A data set that has a name.
-
-    Attributes
-    ----------
-    name : str
-        As `load_dataset` takes it.
-    images, pixels : int
-        Scenes, and pixels N of one.
-    classes : tuple of str
-        Their names.
-    folder : str
-        Name of the folder of its files.
-    hashes : dict of str
-        Hash of each file, "algorithm:hex".
-    mirrors : tuple of str
-        Addresses of folders that have the files.
-    options : tuple of str
-        Options of `load_dataset` that it takes, and not every source does.
-    ends : (float, float)
-        Reflectance of black and white, unless another is asked for.
-    shape : (int, int) or None
-        Size to which other pictures are brought to be scenes of it; None for their own.
-    bilinear : bool
-        Whether that is done bilinearly.
-    """
+    """A data set that has a name."""
 
     name: str
     images: int
     pixels: int
     classes: tuple[str, ...]
-    folder: str = ""
-    hashes: dict[str, str] = field(default_factory=dict)
-    mirrors: tuple[str, ...] = ()
+    folder: str = ""  # name of the folder of its files
+    hashes: dict[str, str] = field(default_factory=dict)  # hash of each file, "algorithm:hex"
+    mirrors: tuple[str, ...] = ()  # addresses of folders that have the files
     options: ClassVar[tuple[str, ...]] = ()
-    ends: ClassVar[Ends] = (0.0, 1.0)
+    ends: ClassVar[Ends] = (0.0, 1.0)  # reflectance of black and white, unless another is asked for
     shape: ClassVar[PictureSize | None] = None
-    bilinear: ClassVar[bool] = False
+    bilinear: ClassVar[bool] = False  # whether that is done bilinearly
 
     def __post_init__(self) -> None:
         self.classes = tuple(self.classes)
@@ -448,19 +424,10 @@ def restore_high_bytes(
 ) -> npt.NDArray[np.uint16]:
     """The cube (H, W, B) with the high bytes 13 that became 10.
 
-    Parameters
-    ----------
-    cube : array of uint16, shape (H, W, B)
-    low : int
-        High byte that stands for itself and for the one above it by 3.
-
-    Notes
-    -----
     Spectra of a scene are nearly combinations of a few. Each band is predicted from the components
     of all other bands, fitted to pixels whose value is sure; of the two values that a byte may
-    stand for, 768 apart, the nearer one is taken. On other pairs of bytes, which are not damaged
-    and were made so, one value in 1300 to 22 000 is chosen wrongly, nearly all of them in the first
-    band. A low byte that changed is wrong by 3, a tenth of the noise, and stays.
+    stand for, 768 apart, the nearer one is taken. On sound bytes one value in 1300 to 22 000 is
+    chosen wrongly, nearly all in the first band.
     """
     lower = cube.reshape(-1, cube.shape[2]).astype(float)
     unsure = _high_bytes(cube).reshape(lower.shape) == low
@@ -532,11 +499,6 @@ def download(name: str) -> Path:
     What ``$DEEPFSI_DATA`` holds is used. Otherwise the files that the cache lacks are downloaded
     into it, each from the first mirror that gives it undamaged. Of names that cannot be downloaded,
     this finds the files that are here.
-
-    Returns
-    -------
-    Path
-        Their folder.
     """
     check_choice("data set", name, DATASETS)
     return DATASETS[name].download()
@@ -553,11 +515,5 @@ def check(name: str) -> list[FileCheck]:
 
 
 def load_indian_pines() -> SpectralImage:
-    """Whole image of Indian Pines, for maps and overviews.
-
-    Raises
-    ------
-    InputError
-        If its files are missing, cannot be read, or hold other values.
-    """
+    """Whole image of Indian Pines, for maps and overviews."""
     return cast(IndianPines, DATASETS["indian-pines"]).scene()

@@ -82,47 +82,21 @@ DEPTHS: dict[Family, str] = {"byte": "8 bits", "integer": "more than 8 bits", "f
 
 @dataclass
 class Tally:
-    """Count of pictures that were read, and their range.
+    """Count of pictures that were read, and their range."""
 
-    Attributes
-    ----------
-    count : int
-        Pictures that were read.
-    coloured, transparent, several : int
-        Of them those in colour, with transparency, and the first of several in one file.
-    turned, gammas : int
-        Those turned as EXIF says, and those with a gamma of their own.
-    written : int
-        Those that `write_pictures` wrote, as reflectance.
-    packed : int
-        Bytes of their files.
-    sizes : set of (int, int)
-        Heights and widths.
-    family : {"byte", "integer", "float"} or None
-        Type of the values; None before the first.
-    first : str
-        Name of the first, for messages.
-    bad : tuple of str
-        Names of those that could not be read, and were left out.
-    kept : list of int
-        Which of all pictures were read.
-    low, high : float
-        Smallest and largest value, before any averaging.
-    """
-
-    count: int = 0
+    count: int = 0  # pictures that were read
     coloured: int = 0
     transparent: int = 0
     several: int = 0
     turned: int = 0
     gammas: int = 0
-    written: int = 0
-    packed: int = 0
-    sizes: set[PictureSize] = field(default_factory=set)
-    family: Family | None = None
-    first: str = ""
-    bad: tuple[str, ...] = ()
-    kept: list[int] = field(default_factory=list)
+    written: int = 0  # those that `write_pictures` wrote, as reflectance
+    packed: int = 0  # bytes of their files
+    sizes: set[PictureSize] = field(default_factory=set)  # heights and widths
+    family: Family | None = None  # type of the values
+    first: str = ""  # name of the first, for messages
+    bad: tuple[str, ...] = ()  # names of those that could not be read, and were left out
+    kept: list[int] = field(default_factory=list)  # which of all pictures were read
     low: float = math.inf
     high: float = -math.inf
 
@@ -207,15 +181,7 @@ def _values(image: "PillowImage", where: str) -> npt.NDArray[Any]:
 
 
 def check_grey_levels(image: "PillowImage", where: str) -> None:
-    """Raise `InputError` for levels that Pillow gives otherwise than the file means them.
-
-    Parameters
-    ----------
-    image : Image
-        Of Pillow's.
-    where : str
-        Its file, for a message.
-    """
+    """Raise `InputError` for levels that Pillow gives otherwise than the file means them."""
     tags = getattr(image, "tag_v2", {})
     wide = image.mode in ("I", "F") or image.mode.startswith("I;16")
     if wide and tags.get(PHOTOMETRIC_TAG) == 0:  # Pillow inverts bytes alone

@@ -33,42 +33,18 @@ NAME_HEADS = ("name", "scene")
 
 
 class Display(NamedTuple):
-    """Pictures to be shown one after another.
+    """Pictures to be shown one after another."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Names of their files.
-    labels : tuple of str or None
-        Class of each, if there is a folder for each class.
-    x : array, shape (S, H, W)
-        Reflectance in [0, 1].
-    levels : ValueRange
-        Range of the values, and their white.
-    preprocessing : str
-        Changes made to the pictures, in words.
-    written : int
-        Those that `write_pictures` wrote.
-    """
-
-    names: tuple[str, ...]
-    labels: tuple[str, ...] | None
-    x: Reflectance
-    levels: ValueRange
-    preprocessing: str
-    written: int
+    names: tuple[str, ...]  # names of their files
+    labels: tuple[str, ...] | None  # class of each, if there is a folder for each class
+    x: Reflectance  # (S, H, W), reflectance in [0, 1]
+    levels: ValueRange  # range of the values, and their white
+    preprocessing: str  # changes made to the pictures, in words
+    written: int  # those that `write_pictures` wrote
 
 
 def array_display(pictures: npt.ArrayLike, white: float | None = None) -> Display:
-    """Pictures (n, H, W), or spectra (n, B), of an array; floats are scenes as a design has them.
-
-    Parameters
-    ----------
-    pictures : array
-        Whole numbers, from 0 to a white; or floats, reflectance in [0, 1].
-    white : float, optional
-        As for `read_display`.
-    """
+    """Pictures (n, H, W), or spectra (n, B), of an array; floats are scenes in [0, 1]."""
     check_unmasked(pictures, "pictures")
     values = np.asarray(pictures)
     if not values.size:
@@ -179,24 +155,7 @@ def read_scene_list(path: Path) -> list[ListedScene]:
 def write_display(
     data: Dataset, folder: str | os.PathLike[str], per_class: int, seed: int = 0
 ) -> list[Path]:
-    """Write test scenes as pictures, a sub-folder for each class.
-
-    Parameters
-    ----------
-    data : Dataset
-        Of images.
-    folder : path
-        A new one.
-    per_class : int
-        Pictures of each class.
-    seed : int
-        Draws them.
-
-    Returns
-    -------
-    list of Path
-        Their files.
-    """
+    """Write test scenes as pictures, a sub-folder for each class."""
     if len(data.image_shape) != 2:
         raise InputError(f"{data.name}: scenes of shape {data.image_shape} are no images")
     rng = np.random.default_rng(seed)

@@ -41,25 +41,13 @@ Family = Literal["truth", "byte", "integer", "float"]
 
 
 class ValueRange(NamedTuple):
-    """Range of the values of a source.
+    """Range of the values of a source."""
 
-    Attributes
-    ----------
-    kind : str
-        Type of the values: "uint16", "8-bit".
-    low, high : float
-        Smallest and largest.
-    white : float
-        Value that is reflectance 1.
-    chosen : bool
-        True if `white` is no property of the type: other scenes need to be told it.
-    """
-
-    kind: str
+    kind: str  # type of the values: "uint16", "8-bit"
     low: float
     high: float
-    white: float
-    chosen: bool
+    white: float  # value that is reflectance 1
+    chosen: bool  # True if `white` is no property of the type: other scenes need to be told it
 
     @property
     def chosen_white(self) -> float | None:
@@ -76,15 +64,7 @@ class ValueRange(NamedTuple):
 
 
 def measure_levels(parts: Mapping[str, AnyArray], white: float | None = None) -> ValueRange:
-    """Range of the values of scenes of one type, and their white.
-
-    Parameters
-    ----------
-    parts : mapping of arrays
-        Scenes to train on and, if there are any, to test on, by their names in messages.
-    white : float, optional
-        Value that is reflectance 1, of integers wider than a byte.
-    """
+    """Range of the values of scenes of one type, and their white."""
     families = {family_of(part.dtype, what) for what, part in parts.items()}
     if len(families) > 1:
         types = " and ".join(f"{what} {part.dtype}" for what, part in parts.items())
@@ -97,22 +77,7 @@ def measure_levels(parts: Mapping[str, AnyArray], white: float | None = None) ->
 def levels_of(
     reach: Mapping[str, tuple[float, float]], family: Family, kind: str, white: float | None
 ) -> ValueRange:
-    """Levels of values that reach so far.
-
-    Parameters
-    ----------
-    reach : mapping of (float, float)
-        Smallest and largest value of each part, by its name in messages.
-    family, kind : str
-        Their rule for white, and their type in words.
-    white : float or None
-        As of `measure_levels`.
-
-    Raises
-    ------
-    InputError
-        If they cannot be reflectances.
-    """
+    """Levels of values that reach so far."""
     for what, (low, high) in reach.items():
         if not (np.isfinite(low) and np.isfinite(high)):
             raise InputError(f"{what} holds NaN or infinite values; remove those scenes")
@@ -158,30 +123,11 @@ def reflectance(values: AnyArray, levels: ValueRange) -> npt.NDArray[np.float32]
 
 
 class StoredScenes:
-    """Scenes in the type that they came in, which are reflectance where they are read.
+    """Scenes (n, ...) in the type that they came in, which are reflectance where they are read.
 
     They stand for the float32 array of their reflectance, which may be too large for the memory:
     `len`, `shape` and `dtype` are those of that array, a slice is a view, and rows by index or by
     truth values, and ``numpy.asarray``, are float32 arrays. Sums and means are taken in float64.
-
-    Parameters
-    ----------
-    values : array, shape (n, ...)
-        In memory or mapped from a file, of any type. It is not copied, and must not be changed.
-    levels : ValueRange
-        Of the values.
-    rows : array of int, optional
-        Scenes that are meant, in their order; all unless given.
-    ends : (float, float)
-        What reflectance 0 and 1 are mapped to.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> x = np.array([[0, 51], [255, 102]], np.uint8)
-    >>> stored = StoredScenes(x, measure_levels({"x": x}))
-    >>> stored.shape, stored[1].tolist(), len(stored[:1])
-    ((2, 2), [1.0, 0.4000000059604645], 1)
     """
 
     dtype = np.dtype(np.float32)

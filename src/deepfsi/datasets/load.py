@@ -26,24 +26,12 @@ from deepfsi.datasets.variants import one_class
 
 
 class FileKind(NamedTuple):
-    """Files of one kind that hold a data set.
-
-    Attributes
-    ----------
-    what : str
-        In words, for messages.
-    endings : tuple of str
-        Of their names, in small letters; `FOLDER` for a folder.
-    options : tuple of str
-        Options of `load_dataset` that they take, and not every source does.
-    load : callable
-        Reads one with the options.
-    """
+    """Files of one kind that hold a data set."""
 
     what: str
-    endings: tuple[str, ...]
-    options: tuple[str, ...]
-    load: Callable[[Path, LoadOptions], Dataset]
+    endings: tuple[str, ...]  # of their names, in small letters
+    options: tuple[str, ...]  # options of `load_dataset` that they take, and not every source does
+    load: Callable[[Path, LoadOptions], Dataset]  # reads one with the options
 
 
 def _load_cube(path: Path, options: LoadOptions) -> Dataset:
@@ -278,15 +266,6 @@ def prepare_display(
     """Pictures made scenes as those of a data set were, but for the view of a camera.
 
     Pictures that `write_pictures` wrote are mapped already.
-
-    Parameters
-    ----------
-    pictures : Path or array
-        As of `read_display`, or of `array_display`.
-    origin : Origin
-        Of the data set.
-    skip_bad : bool
-        Leave damaged pictures out.
     """
     named = DATASETS.get(origin.data)
     if isinstance(pictures, Path):

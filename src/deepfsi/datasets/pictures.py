@@ -102,17 +102,7 @@ def load_pictures(path: Path, options: LoadOptions) -> Dataset:
 def dataset_of_pictures(
     listing: Listing, name: str, options: LoadOptions, bilinear: bool = False
 ) -> Dataset:
-    """Data set of listed images.
-
-    Parameters
-    ----------
-    listing : Listing
-    name : str
-        Of the data set.
-    options : LoadOptions
-    bilinear : bool
-        As of `decode_pictures`.
-    """
+    """Data set of listed images."""
     shape = as_shape(options.size)
     images = options.images
     train, *test = listing.parts
@@ -178,16 +168,7 @@ class NameList(NamedTuple):
 
 
 def read_list(path: Path, is_heading: Callable[[tuple[str, ...]], bool], advice: str) -> NameList:
-    """Read a list of text.
-
-    Parameters
-    ----------
-    path : Path
-    is_heading : callable
-        True for the cells of a first row that names the columns.
-    advice : str
-        What to give instead, as the end of a message.
-    """
+    """Read a list of text."""
     text = read_rows(path, MAX_FILE, advice)
     rows = [
         ListRow(line, name, tuple(cells))
@@ -453,26 +434,7 @@ def decode_pictures(
     bilinear: bool = False,
     skip_bad: bool | None = None,
 ) -> tuple[npt.NDArray[Any], Tally]:
-    """Grey images (n, H, W), all of one shape, and a tally of what they were.
-
-    Parameters
-    ----------
-    pictures : list of Picture
-    shape : (int, int) or None
-        Height and width to which they are brought; where none is given they have one size.
-    bilinear : bool
-        Bring them to it bilinearly, and not by averaging over areas.
-    skip_bad : bool, optional
-        Leave damaged ones out; or else name them, all at once. Unless given, the message offers no
-        way to leave them out.
-
-    Returns
-    -------
-    array
-        uint8, or else float32 in their own values; of many large ones a file.
-    Tally
-        Among others, which of them were read.
-    """
+    """Grey images (n, H, W), all of one shape, and a tally of what they were."""
     from PIL import Image
 
     if shape is not None:

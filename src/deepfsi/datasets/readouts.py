@@ -45,28 +45,13 @@ Numbers = npt.NDArray[np.float64]
 
 
 class Variables(NamedTuple):
-    """Names of the variables, or of the columns, of a table of readouts.
-
-    Attributes
-    ----------
-    values : str or None
-        Of the readouts; of columns a pattern such as ``mode*``. The only array, or all other
-        columns, unless given.
-    label : str or None
-        Of the class; a folder's files are classes unless given.
-    picture : str or None
-        Of the picture that was shown.
-    order : str or None
-        Of the place or time of recording, which rises over all files.
-    monitors : tuple of str
-        Of the monitors of the light; of columns patterns.
-    """
+    """Names of the variables, or of the columns, of a table of readouts."""
 
     values: str | None = None
     label: str | None = None
-    picture: str | None = None
-    order: str | None = None
-    monitors: tuple[str, ...] = ()
+    picture: str | None = None  # of the picture that was shown
+    order: str | None = None  # of the place or time of recording, which rises over all files
+    monitors: tuple[str, ...] = ()  # of the monitors of the light
 
 
 NO_VARIABLES = Variables()
@@ -74,37 +59,17 @@ NO_VARIABLES = Variables()
 
 @dataclass(frozen=True, eq=False)
 class MeasuredReadouts:
-    """Recordings of labelled scenes, each of k readouts, in the order of their files.
+    """Recordings of labelled scenes, each of k readouts, in the order of their files."""
 
-    Attributes
-    ----------
-    name : str
-        Name in tables and records.
-    values : array, shape (n, k)
-        Readouts in the detector's own unit.
-    y : array, shape (n,)
-        Class of each, 0 .. C-1.
-    classes : tuple of str
-        Their C names.
-    file, position : array, shape (n,)
-        Number of its file, in natural order of names, and its position in that, or in `order`.
-    ordered : bool
-        True if `position` rises with the time of recording over all files.
-    picture : array, shape (n,), or None
-        Number of the picture that was shown.
-    monitors : dict of array, shape (n, q)
-        Monitors of the light, by name.
-    """
-
-    name: str
-    values: Numbers
-    y: Labels
-    classes: tuple[str, ...]
-    file: Labels
-    position: Numbers
-    ordered: bool
-    picture: Labels | None = None
-    monitors: dict[str, Numbers] = field(default_factory=dict)
+    name: str  # name in tables and records
+    values: Numbers  # (n, k), readouts in the detector's own unit
+    y: Labels  # (n,), class of each, 0 .. C-1
+    classes: tuple[str, ...]  # their C names
+    file: Labels  # (n,)
+    position: Numbers  # (n,)
+    ordered: bool  # True if `position` rises with the time of recording over all files
+    picture: Labels | None = None  # (n,), number of the picture that was shown
+    monitors: dict[str, Numbers] = field(default_factory=dict)  # (n, q)
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -176,16 +141,7 @@ class _Block(NamedTuple):
 def read_readouts(
     source: str | Path, variables: Variables = NO_VARIABLES, name: str | None = None
 ) -> MeasuredReadouts:
-    """Recordings of a file (.mat, .npz, .h5, .csv, .parquet), or of all such files of a folder.
-
-    Parameters
-    ----------
-    source : path
-    variables : Variables
-        Names of the variables or of the columns.
-    name : str, optional
-        Name in tables and records; that of the file or folder unless given.
-    """
+    """Recordings of a file (.mat, .npz, .h5, .csv, .parquet), or of all such files of a folder."""
     files = _files(Path(source).expanduser())
     blocks = [_read(file, variables, alone=len(files) == 1) for file in files]
     widths = {block.values.shape[1]: file for file, block in zip(files, blocks, strict=True)}

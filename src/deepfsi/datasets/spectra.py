@@ -56,32 +56,14 @@ MAX_VALUES = 2**30
 
 @dataclass(frozen=True, eq=False)
 class SpectralImage:
-    """A hyperspectral image with a label for some of its pixels.
+    """A hyperspectral image with a label for some of its pixels."""
 
-    Attributes
-    ----------
-    name : str
-        Name in tables and records.
-    cube : array, shape (H, W, B)
-        Value of each pixel in each band, integers or floats. Floats in [0, 1] are reflectance; any
-        other cube is mapped linearly from its lowest and highest value to [0, 1].
-    labels : array of int, shape (H, W)
-        Class of each pixel, 0 where it has none.
-    classes : sequence of str or None
-        Names of the classes 1, 2, ..; by default the labels themselves. Those without a pixel are
-        left out.
-    wavelengths : array, shape (B,), or None
-        Centre of each band in nm.
-    origin : str
-        Kind of the values, in a few words, for `Dataset.preprocessing`.
-    """
-
-    name: str
-    cube: npt.NDArray[np.generic]
-    labels: npt.NDArray[np.integer]
+    name: str  # name in tables and records
+    cube: npt.NDArray[np.generic]  # (H, W, B), value of each pixel in each band, integers or floats
+    labels: npt.NDArray[np.integer]  # (H, W), class of each pixel, 0 where it has none
     classes: Sequence[str] | None = None
-    wavelengths: npt.NDArray[np.float64] | None = None
-    origin: str = "Spectra"
+    wavelengths: npt.NDArray[np.float64] | None = None  # (B,), centre of each band in nm
+    origin: str = "Spectra"  # kind of the values, in a few words, for `Dataset.preprocessing`
 
     def __post_init__(self) -> None:
         cube = self.cube
@@ -146,22 +128,7 @@ class SpectralImage:
         return np.clip(spectra, 0, 1, out=spectra)
 
     def parts(self, split: str = "random", seed: int = 0) -> tuple[Mask, Mask]:
-        """Divide the labelled pixels into a training and a test part, where they are in (H, W).
-
-        Parameters
-        ----------
-        split : {"random", "blocks"}
-            ``"random"``: a stratified fifth is for testing. ``"blocks"``: so are the pixels of
-            about a fifth of the 9x9 blocks into which the image is cut: of thirty draws the one
-            with the most classes in both parts. Training pixels that touch a test pixel are left
-            out. A class that lies in one block is not tested.
-        seed : int
-
-        Raises
-        ------
-        InputError
-            If the split is unknown or the classes are too small for it.
-        """
+        """Divide the labelled pixels into a training and a test part, where they are in (H, W)."""
         check_seed(seed)
         check_choice("split", split, PIXEL_SPLITS)
         counts = np.unique(self.labels[self.labels != 0], return_counts=True)[1]
@@ -226,17 +193,7 @@ class SpectralImage:
         bands: int | None = None,
         rescale: Ends | None = None,
     ) -> Dataset:
-        """Make a data set of the labelled pixels.
-
-        Parameters
-        ----------
-        split, seed
-            As of `parts`; the seed also draws the order of the training scenes.
-        bands : int, optional
-            As of `scenes`.
-        rescale : (float, float), optional
-            Low and high, to which [0, 1] is mapped.
-        """
+        """Make a data set of the labelled pixels."""
         spectra = self.scenes(bands)
         y = np.searchsorted(np.unique(self.labels[self.labels != 0]), self.labels.ravel())
         train, test = (np.flatnonzero(part) for part in self.parts(split, seed))
@@ -286,19 +243,7 @@ def read_cube(
     classes: Sequence[str] | None = None,
     origin: str = "Spectra",
 ) -> SpectralImage:
-    """Read a cube and its label map.
-
-    Parameters
-    ----------
-    path : Path
-        ``.mat``, ``.npy`` or ENVI's ``.hdr`` file of the cube.
-    labels : Path, optional
-        That of the label map; unless given the one beside it with ``_gt`` added to its name.
-    variables : pair of str or None
-        Names of the variables in ``.mat`` files; unless given those of 3 and of 2 dimensions.
-    name, classes, origin
-        As of `SpectralImage`; unless given the file's name, and the classes of an ENVI label map.
-    """
+    """Read a cube and its label map."""
     labels = _find_labels(path) if labels is None else labels
     cube = _read(path, 3, variables[0])
     label_map = _read(labels, 2, variables[1])
@@ -408,23 +353,11 @@ def _plain_header(path: Path) -> Iterator[tuple[Path, str | None]]:
 
 
 def by_header(values: npt.NDArray[Any], header: Mapping[str, Any]) -> _Array:
-    """Cube (height, width, bands) as its ENVI header says that it is to be read.
+    """Cube (height, width, bands) of stored values of this shape, as its ENVI header says.
 
     Bands that the header calls bad are left out, numbers become radiance by gain and offset and
     reflectance by the scale factor, and pixels with the data ignore value in any band are without
     data.
-
-    Parameters
-    ----------
-    values : array, shape (H, W, B)
-        Values as they are stored.
-    header : mapping
-        Fields of the header: words, or lists of words.
-
-    Raises
-    ------
-    ValueError
-        If a field does not fit the cube, or leaves nothing of it.
     """
     notes = []
     if header.get("file compression") not in (None, "0"):

@@ -67,17 +67,7 @@ def check_files(data_set: str, hashes: Mapping[str, str]) -> list[FileCheck]:
 
 
 def download_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...]) -> Path:
-    """Folder of the files of a data set, downloaded where they are missing, all undamaged.
-
-    Parameters
-    ----------
-    name : str
-        Of the data set's folder.
-    hashes : mapping
-        Of each file, "algorithm:hex".
-    mirrors : tuple of str
-        Addresses of folders, each tried after the one before it.
-    """
+    """Folder of the files of a data set, downloaded where they are missing, all undamaged."""
     folder = find_folder(name, hashes)
     if folder is not None and folder != cache_folder(name):
         for file, ok, detail in check_files(name, hashes):
@@ -100,20 +90,7 @@ def download_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...
 
 
 def fetch(url: str, expected: str | None, path: Path) -> str:
-    """Bring the file of an address to a path, unless it is there undamaged; say why it could not.
-
-    Parameters
-    ----------
-    url : str
-    expected : str or None
-        Its hash, "algorithm:hex"; without one the file may not be there yet.
-    path : Path
-
-    Returns
-    -------
-    str
-        Reason of the failure; empty if there is none.
-    """
+    """Bring the file of an address to a path, unless it is there undamaged, or say why not."""
     import pooch
 
     pooch.get_logger().setLevel("WARNING")
@@ -153,17 +130,7 @@ def hash_array(values: npt.NDArray[Any]) -> str:
 
 
 def kept_array(path: Path, expected: str, make: Callable[[], npt.NDArray[Any]]) -> npt.NDArray[Any]:
-    """Array that takes long to make, from a file if that holds it, else made and kept there.
-
-    Parameters
-    ----------
-    path : Path
-        ``.npy`` file.
-    expected : str
-        `hash_array` of the array. What is made and has another one is not kept.
-    make : callable
-        Makes it.
-    """
+    """Array that takes long to make, from a file if that holds it, else made and kept there."""
     with suppress(InputError):  # there is none, or it is damaged
         if hash_array(values := read_npy(path)) == expected:
             return values

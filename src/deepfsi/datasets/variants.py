@@ -28,27 +28,7 @@ DISPLACED = 6 / 32
 
 
 def one_class(data: Dataset, normal: str, seed: int = 0) -> Dataset:
-    """Data set of one class against anomalies.
-
-    Parameters
-    ----------
-    data : Dataset
-        With classes.
-    normal : str
-        Class whose scenes are normal.
-    seed : int
-        Draws the anomalies of the training part, as many as it has normal scenes.
-
-    Returns
-    -------
-    Dataset
-        Its classes are `normal` and ``"anomaly"``; all test scenes stay.
-
-    Raises
-    ------
-    InputError
-        If there is no such class, or it is the only one, or scenes have values.
-    """
+    """Data set of one class against anomalies."""
     if not data.classes:
         raise InputError(
             "{name} has values and no classes: leave {normal} out", setting="normal", name=data.name
@@ -124,12 +104,6 @@ def ambient(data: Dataset, share: float) -> Dataset:
     nothing else but its noise: so this is light whose mean is known and subtracted. Every scene is
     dimmed by one factor, so that reflectance stays in [0, 1]. A budget is then of all the light:
     (1 + share) times that of the scene.
-
-    Parameters
-    ----------
-    data : Dataset
-    share : float
-        Stray light over the scenes' mean light, 0 or more.
     """
     if not (math.isfinite(share) and share >= 0):
         raise InputError(f"ambient light {share!r} is not allowed: give a share, 0 or more")
@@ -143,16 +117,7 @@ def ambient(data: Dataset, share: float) -> Dataset:
 
 
 def jitter(data: Dataset, shift: float, turn: float = 0.0, *, seed: int = 0) -> Dataset:
-    """Scenes displaced at random, each by itself, training and test scenes alike.
-
-    Parameters
-    ----------
-    data : Dataset
-        Of images.
-    shift, turn : float
-        Standard deviations of the displacement, pixels, and of the angle, degrees; 0 or more.
-    seed : int
-    """
+    """Scenes displaced at random, each by itself, training and test scenes alike."""
     if len(data.image_shape) != 2:
         raise InputError(f"{data.name} has scenes of {data.image_shape}: jitter is for images")
     if not (math.isfinite(shift) and math.isfinite(turn) and min(shift, turn) >= 0):

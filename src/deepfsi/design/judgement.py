@@ -15,61 +15,26 @@ from deepfsi.designfile import ConsistencyResult, SceneReadouts, ViewResult, Vie
 
 @dataclass(frozen=True, eq=False)
 class RunCounts:
-    """Counts of S scenes, with R exposures of each.
+    """Counts of S scenes, with R exposures of each."""
 
-    Attributes
-    ----------
-    signal : array, shape (S, R, rails, m, D)
-        Counts less the background.
-    budgets : array, shape (S,)
-        Budget Φ of an exposure of each scene.
-    often : array of int, shape (S,)
-        Sound exposures of each scene.
-    sums : array, shape (S, rails, m, D)
-        Signal of the sound exposures of each scene together.
-    noise : array, shape (S, rails, m, D)
-        Their variance beyond that of Poisson counts.
-    """
-
-    signal: np.ndarray
-    budgets: np.ndarray
-    often: np.ndarray
-    sums: np.ndarray
-    noise: np.ndarray
+    signal: np.ndarray  # (S, R, rails, m, D), counts less the background
+    budgets: np.ndarray  # (S,), budget Φ of an exposure of each scene
+    often: np.ndarray  # (S,), sound exposures of each scene
+    sums: np.ndarray  # (S, rails, m, D), signal of the sound exposures of each scene together
+    noise: np.ndarray  # (S, rails, m, D), their variance beyond that of Poisson counts
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """Answers to counts, and what the tests of these say.
+    """Answers to counts, and what the tests of these say."""
 
-    Attributes
-    ----------
-    chances : array, shape (S, R, C)
-        Probabilities of the classes of each exposure.
-    consistency : ConsistencyResult or None
-        Of the scenes with sound exposures; None of a design without a distribution.
-    view : ViewResult or None
-        None of a design without a model of its scenes, and of clicks.
-    """
-
-    chances: np.ndarray
-    consistency: ConsistencyResult | None
-    view: ViewResult | None
+    chances: np.ndarray  # (S, R, C), probabilities of the classes of each exposure
+    consistency: ConsistencyResult | None  # of the scenes with sound exposures
+    view: ViewResult | None  # None of a design without a model of its scenes, and of clicks
 
 
 def judge(design: Design, counts: RunCounts) -> Judgement:
-    """Answer the counts of a run by a design as its patterns realise it, and test them.
-
-    Parameters
-    ----------
-    design : Design
-    counts : RunCounts
-
-    Raises
-    ------
-    InputError
-        As of `Design.classify` and `Design.consistency`.
-    """
+    """Answer the counts of a run by a design as its patterns realise it, and test them."""
     consistency = None
     if design.distribution is not None:
         some = counts.often > 0

@@ -27,19 +27,7 @@ class ReadoutClasses(NamedTuple):
 
 
 def classify_readouts(design: "Design", values: np.ndarray) -> ReadoutClasses:
-    """Classify new readouts (n, k), in the unit of those of the training.
-
-    Parameters
-    ----------
-    design : Design
-        That was learned on measured readouts.
-    values : array, shape (n, k)
-
-    Raises
-    ------
-    InputError
-        If readouts have another shape.
-    """
+    """Classify new readouts (n, k), in the unit of those of the training."""
     if values.ndim != 2 or values.shape[1] != design.masks:
         raise InputError(
             f"readouts of shape {values.shape} do not fit: give {design.masks} for each recording"

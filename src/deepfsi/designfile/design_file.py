@@ -55,46 +55,16 @@ class DesignFile:
 
     Sizes: m masks of N cells, on 2 rails or 1; D detectors; k features, which the networks read; q
     dwells of a look; K looks; C classes.
-
-    Attributes
-    ----------
-    header : MaskHeader or AdaptiveHeader
-    arrays : dict of str to array
-        By their names in the file; some of them where only some were read.
-    path : Path, optional
-        Where it was read.
-    text : str, optional
-        The header as it was read, JSON.
-
-    Examples
-    --------
-    >>> from deepfsi.designfile import DesignFile, find_design
-    >>> file = DesignFile.read(find_design("dmd-mnist"))
-    >>> file.masks, file.header.classes[:3]
-    (24, ('0', '1', '2'))
     """
 
     header: DesignHeader
-    arrays: Mapping[str, np.ndarray]
-    path: Path | None = None
-    text: str | None = None
+    arrays: Mapping[str, np.ndarray]  # by their names in the file
+    path: Path | None = None  # where it was read
+    text: str | None = None  # the header as it was read, JSON
 
     @classmethod
     def read(cls, path: str | os.PathLike[str], arrays: Container[str] | None = None) -> Self:
-        """Read a design file, or a part of one.
-
-        Parameters
-        ----------
-        path : str or path
-        arrays : container of str, optional
-            Names of the arrays that are read; all unless given, and only then is the file compared
-            with its header throughout.
-
-        Raises
-        ------
-        InputError
-            If the file is missing, damaged, truncated, not a design, or of a newer schema.
-        """
+        """Read a design file, or a part of one."""
         if not Path(path).exists():
             raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
         text = ""
@@ -332,20 +302,7 @@ class DesignFile:
         return counts.swapaxes(0, 1).ravel()
 
     def inputs(self, features: np.ndarray, dwell: np.ndarray | None = None) -> np.ndarray:
-        """Standardised features, and relative dwells where they are chosen, float32.
-
-        Parameters
-        ----------
-        features : array, shape (k,)
-            Of all looks so far, over the budget of the whole exposure; of nested masks those of
-            the first ones.
-        dwell : array, shape (q,), optional
-            Share of the exposure that each frame had so far.
-
-        Returns
-        -------
-        array, shape (k,) or (k + q,)
-        """
+        """Standardised features (k,), and relative dwells (q,) where they are chosen, float32."""
         mean = self.arrays["mean"]
         std = self.arrays["std"]
         if dwell is None:
@@ -357,17 +314,7 @@ class DesignFile:
         return np.concatenate([scaled, relative / np.float32(3)])
 
     def next_dwell(self, inputs: np.ndarray, look: int, shortest: float = 0.0) -> np.ndarray:
-        """Dwells (q,) of a look: shares of the exposure, float64, of 1 / K together.
-
-        Parameters
-        ----------
-        inputs : array, shape (k + q,)
-            As from `inputs`, of the looks before.
-        look : int
-            From 0.
-        shortest : float
-            Shortest dwell of the device, if longer than the design's own.
-        """
+        """Dwells (q,) of a look, from inputs (k + q,): shares of the exposure, 1 / K together."""
         looks = self.looks
         weight, bias = self.chooser[0]
         left = np.float32(1 - look / looks.looks)  # the last input
@@ -387,15 +334,7 @@ class DesignFile:
         return dwell
 
     def chances(self, inputs: np.ndarray, photons: float) -> np.ndarray:
-        """Calibrated probabilities (C,) of the classes, float64.
-
-        Parameters
-        ----------
-        inputs : array, shape (k,) or (k + q,)
-            As from `inputs`.
-        photons : float
-            Budget Φ of the whole exposure.
-        """
+        """Calibrated probabilities (C,) of the classes, float64, from inputs (k,) or (k + q,)."""
         entry = self.mask_header.exposure
         conditioned = inputs
         if isinstance(entry, ConditionedEntry):
@@ -417,14 +356,7 @@ class DesignFile:
 
 
 def damaged_design(path: str | os.PathLike[str], header: str = "") -> InputError:
-    """Error for a file that is no whole design, or one of another version.
-
-    Parameters
-    ----------
-    path : str or path
-    header : str
-        Its header as far as it was read, JSON, which may say which version wrote it.
-    """
+    """Error for a file that is no whole design, or one of another version."""
     if words := other_version(header, DESIGN_SCHEMA, "make it again with `deepfsi design`"):
         return InputError(f"{path} {words}")
     return InputError(

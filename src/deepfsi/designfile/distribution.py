@@ -65,25 +65,12 @@ SMALLEST_STATISTIC = 1e-12
 
 @dataclass(frozen=True)
 class ConsistencyResult:
-    """Consistency of exposures with the training of a design.
+    """Consistency of exposures with the training of a design."""
 
-    Attributes
-    ----------
-    exposures : array, shape (...)
-        p-value of each exposure.
-    whole : float
-        p-value of all of them together.
-    alike : float
-        p-value of how little they differ from each other; 1 for one exposure, and where their
-        patterns differ by more than photon noise.
-    brightness : float
-        All counts over those that the mean scene has at these budgets.
-    """
-
-    exposures: np.ndarray
-    whole: float
-    alike: float
-    brightness: float
+    exposures: np.ndarray  # (...), p-value of each exposure
+    whole: float  # p-value of all of them together
+    alike: float  # p-value of how little they differ from each other
+    brightness: float  # all counts over those that the mean scene has at these budgets
 
     @property
     def unsure(self) -> np.ndarray:
@@ -133,18 +120,10 @@ class ConsistencyResult:
 
 @dataclass(frozen=True)
 class FrameLight:
-    """Light of the frames of simulated exposures, where it fluctuates.
+    """Light of the frames of simulated exposures, where it fluctuates."""
 
-    Attributes
-    ----------
-    fluctuation : float
-        Relative standard deviation from frame to frame.
-    frame : array, shape (rails, m)
-        Number of the frame in which each readout is counted.
-    """
-
-    fluctuation: float
-    frame: np.ndarray
+    fluctuation: float  # relative standard deviation from frame to frame
+    frame: np.ndarray  # (rails, m), number of the frame in which each readout is counted
 
     def counts(self, expected: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Counts of exposures (n, rails, m) that expect so many; readouts of a frame share it."""
@@ -159,24 +138,12 @@ class FrameLight:
 
 @dataclass(frozen=True)
 class ReadoutCounts:
-    """Counts of n exposures in R readouts that are lit.
+    """Counts of n exposures in R readouts that are lit."""
 
-    Attributes
-    ----------
-    counts : array, shape (n, R)
-        Photons, less the background.
-    expected : array, shape (n,)
-        Counts of the mean scene in all readouts, where each has its usual time.
-    dark : array, shape (n, R)
-        Background that was subtracted.
-    weights : array, shape (n, R)
-        How long each readout was counted over its usual time; 0 of one that was not.
-    """
-
-    counts: np.ndarray
-    expected: np.ndarray
-    dark: np.ndarray
-    weights: np.ndarray
+    counts: np.ndarray  # (n, R), photons, less the background
+    expected: np.ndarray  # (n,)
+    dark: np.ndarray  # (n, R), background that was subtracted
+    weights: np.ndarray  # (n, R), how long each readout was counted over its usual time
 
     def rows(self, index: np.ndarray | slice) -> "ReadoutCounts":
         """Some of the exposures."""
@@ -185,30 +152,14 @@ class ReadoutCounts:
 
 @dataclass(frozen=True)
 class ReadoutModel:
-    """Mean and covariance of the R readouts of scenes.
+    """Mean and covariance of the R readouts of scenes."""
 
-    Attributes
-    ----------
-    total : float
-        All counts of the mean scene over the budget.
-    share : array, shape (R,)
-        What each readout has of them; above 0.
-    spread : float
-        Standard deviation of the brightness.
-    directions : array, shape (k, R)
-        Patterns of one standard deviation each, along the principal axes of their covariance.
-    rest : array, shape (R,)
-        Variance of the patterns beyond these.
-    fluctuation : float
-        Relative standard deviation of the light from frame to frame.
-    """
-
-    total: float
-    share: np.ndarray
-    spread: float
-    directions: np.ndarray
-    rest: np.ndarray
-    fluctuation: float = 0.0
+    total: float  # all counts of the mean scene over the budget
+    share: np.ndarray  # (R,), what each readout has of them
+    spread: float  # standard deviation of the brightness
+    directions: np.ndarray  # (k, R)
+    rest: np.ndarray  # (R,), variance of the patterns beyond these
+    fluctuation: float = 0.0  # relative standard deviation of the light from frame to frame
 
     @classmethod
     def fit(cls, rates: np.ndarray, fluctuation: float = 0.0) -> "ReadoutModel":
@@ -270,37 +221,15 @@ class ReadoutModel:
 
 @dataclass(frozen=True)
 class ReadoutDistribution:
-    """Distribution of the readouts of training scenes, and the tails of the two statistics.
+    """Distribution of the readouts of training scenes, and the tails of the two statistics."""
 
-    Attributes
-    ----------
-    mean : array, shape (rails, m)
-        Share of the budget that each readout counts, in the mean over scenes. Where dwells are
-        chosen, (1, R): those of equal dwells, and at the end of all mirrors ON.
-    spread : array, shape ()
-        Standard deviation of the brightness.
-    directions : array, shape (k, rails, m)
-        Patterns of one standard deviation each, along the principal axes of their covariance.
-    rest : array, shape (rails, m)
-        Variance of the patterns beyond these.
-    tails : array, shape ([K,] 2, 2, counts, chances)
-        After each look; of all scenes and of the class that fits worst; of brightness and pattern;
-        at each of `TAIL_COUNTS`: logarithm of the value that is exceeded with each of
-        `TAIL_CHANCES`.
-    pairs : array, shape (counts, chances)
-        The same of the likeness of two scenes, in the class whose scenes are most alike; of no
-        counts where dwells are chosen, and it is not tested.
-    fluctuation : array, shape ()
-        Relative standard deviation of the light from frame to frame.
-    """
-
-    mean: np.ndarray
-    spread: np.ndarray
-    directions: np.ndarray
-    rest: np.ndarray
-    tails: np.ndarray
-    pairs: np.ndarray
-    fluctuation: np.ndarray = field(default_factory=lambda: np.array(0.0, np.float32))
+    mean: np.ndarray  # (rails, m)
+    spread: np.ndarray  # (), standard deviation of the brightness
+    directions: np.ndarray  # (k, rails, m)
+    rest: np.ndarray  # (rails, m), variance of the patterns beyond these
+    tails: np.ndarray  # ([K,] 2, 2, counts, chances), after each look
+    pairs: np.ndarray  # (counts, chances)
+    fluctuation: np.ndarray = field(default_factory=lambda: np.array(0.0, np.float32))  # ()
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
@@ -312,22 +241,7 @@ class ReadoutDistribution:
     def restored(
         cls, arrays: dict[str, np.ndarray], readouts: tuple[int, int], looks: int
     ) -> "ReadoutDistribution":
-        """Distribution from the arrays of a file.
-
-        Parameters
-        ----------
-        arrays : dict of str to array
-            Fields by name.
-        readouts : tuple of int
-            (rails, m) of the masks; (1, R) where dwells are chosen.
-        looks : int
-            K of several looks, 0 of fixed dwells.
-
-        Raises
-        ------
-        ValueError
-            If the arrays are no distribution of such readouts.
-        """
+        """Distribution from the arrays of a file."""
         levels = len(TAIL_COUNTS), len(TAIL_CHANCES)
         shapes = {
             "mean": readouts,
@@ -380,18 +294,10 @@ class ReadoutDistribution:
         background: ArrayLike,
         weights: ArrayLike = 1.0,
     ) -> ConsistencyResult:
-        """Test exposures of different scenes.
+        """Test counts (..., rails, m) of exposures of different scenes, at budgets (...).
 
-        Parameters
-        ----------
-        counts : array, shape (..., rails, m)
-            Photons of each readout, less what is no scene's.
-        photons : array, shape (...)
-            Budget of each exposure.
-        background : array, broadcastable to counts
-            Counts that were subtracted from each readout.
-        weights : array, broadcastable to counts
-            How long each readout was counted, over the time that the mean has it for.
+        `background` is what was subtracted from each readout; `weights` how long it was counted
+        over its usual time.
         """
         model = self._model
         every = np.asarray(counts, dtype=float)

@@ -40,102 +40,46 @@ DesignInfo = Annotated[dict[str, Any], AfterValidator(_check_info)]
 
 
 class MlpEntry(StrictModel, strict=True):
-    """Entry of the header for an `Mlp`: its parameters of the same names.
-
-    Attributes
-    ----------
-    hidden : tuple of int
-        Widths of the hidden layers.
-    dropout : float
-        Share of hidden units left out in a step of training.
-    """
+    """Entry of the header for an `Mlp`: its parameters of the same names."""
 
     kind: Literal["mlp"]
-    hidden: Widths
-    dropout: float = Field(ge=0, lt=1)
+    hidden: Widths  # widths of the hidden layers
+    dropout: float = Field(ge=0, lt=1)  # share of hidden units left out in a step of training
     patches: ClassVar = 1
 
 
 class VitEntry(StrictModel, strict=True):
-    """Entry of the header for a `Vit`: its parameters of the same names.
-
-    Attributes
-    ----------
-    patches : int
-        Patches of an image.
-    width : int
-        Numbers that stand for a patch.
-    depth : int
-        Transformer blocks.
-    heads : int
-        Attention heads of a block.
-    hidden : int
-        Hidden units of a block's feed-forward network.
-    """
+    """Entry of the header for a `Vit`: its parameters of the same names."""
 
     kind: Literal["vit"]
-    patches: Count
-    width: Count
+    patches: Count  # patches of an image
+    width: Count  # numbers that stand for a patch
     depth: int = Field(ge=1, le=MOST_LAYERS)
-    heads: Count
-    hidden: Count
+    heads: Count  # attention heads of a block
+    hidden: Count  # hidden units of a block's feed-forward network
 
 
 class CustomEntry(StrictModel, strict=True):
-    """Entry of the header for an `OwnClassifier`: its parameters of the same names.
-
-    Attributes
-    ----------
-    factory : str
-        module:name of the function or class that makes the module; empty of one given as an object.
-    arguments : dict
-        Its keyword arguments.
-    """
+    """Entry of the header for an `OwnClassifier`: its parameters of the same names."""
 
     kind: Literal["own"]
     factory: str = Field(pattern=f"^({IMPORT_PATH})?$")
-    arguments: dict[str, Any]
+    arguments: dict[str, Any]  # its keyword arguments
     patches: ClassVar = 1
 
 
 class MaskHeader(StrictModel, strict=True, populate_by_name=True):
-    """Header of a design whose masks are known before an exposure.
-
-    Attributes
-    ----------
-    name : str
-        Which design, such as deepfsi.
-    light : str
-        Light law that the rails obey.
-    summed_reflectance : float
-        s, the training scenes' mean summed reflectance: λ = Φ x / s.
-    image_shape : tuple of int
-        Rows and columns of a scene, or values of a spectrum.
-    classes : tuple of str
-        Names, in the order of the classifier's outputs; none of a design that estimates values.
-    values : tuple of str
-        Names of these, likewise.
-    info : dict
-        Provenance: settings of the training, data and their hash, versions, device, seconds.
-    schema_number : int
-        `DESIGN_SCHEMA`; "schema" in the file.
-    deepfsi : str
-        Version of the package that wrote it.
-    readout : str
-        What is read of two rails, of `detection.Detection`.
-    exposure, classifier
-        Kind and sizes: what rebuilds them, with the tensors.
-    """
+    """Header of a design whose masks are known before an exposure."""
 
     schema_number: Literal[1] = Field(DESIGN_SCHEMA, alias="schema")
-    deepfsi: str = version("deepfsi")
-    name: Annotated[str, AfterValidator(check_design)]
-    light: LightLawName
-    readout: Readout
+    deepfsi: str = version("deepfsi")  # version of the package that wrote it
+    name: Annotated[str, AfterValidator(check_design)]  # which design, such as deepfsi
+    light: LightLawName  # light law that the rails obey
+    readout: Readout  # what is read of two rails, of `detection.Detection`
     summed_reflectance: SummedReflectance
-    image_shape: tuple[Count, ...]
-    classes: tuple[str, ...]
-    values: tuple[str, ...] = ()
+    image_shape: tuple[Count, ...]  # rows and columns of a scene, or values of a spectrum
+    classes: tuple[str, ...]  # names, in the order of the classifier's outputs
+    values: tuple[str, ...] = ()  # names of these, likewise
     exposure: ExposureEntry
     classifier: Annotated[MlpEntry | VitEntry | CustomEntry, Field(discriminator="kind")]
     info: DesignInfo
@@ -157,18 +101,12 @@ class MaskHeader(StrictModel, strict=True, populate_by_name=True):
 
 
 class AdaptiveHeader(StrictModel, populate_by_name=True):
-    """Header of a design that makes each mask while the camera looks.
-
-    Attributes
-    ----------
-    settings : AdaptiveMasks
-        Looks, and the share of the exposure that each takes.
-    """
+    """Header of a design that makes each mask while the camera looks."""
 
     schema_number: Literal[1] = Field(DESIGN_SCHEMA, alias="schema")
     deepfsi: str = version("deepfsi")
     name: Literal["adaptive"] = "adaptive"
-    settings: AdaptiveMasks
+    settings: AdaptiveMasks  # looks, and the share of the exposure that each takes
     image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
     info: DesignInfo

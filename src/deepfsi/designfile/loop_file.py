@@ -77,22 +77,7 @@ def loop_bytes(design: DesignFile) -> bytes:
 
 
 def read_loop(path: Path, rails: np.ndarray, **facts: Any) -> DesignFile:
-    """Design of a loop's file, as far as its networks need it.
-
-    Parameters
-    ----------
-    path : Path
-    rails : array, shape (2 or 1, m, N)
-        What the patterns beside it realise.
-    facts
-        `light`, `image_shape` and `summed_reflectance`, of the header, and `detectors` (N,), the
-        detector of each cell or None.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged, or of other patterns.
-    """
+    """Design of a loop's file, as its networks need it, beside patterns of rails (2 or 1, m, N)."""
     again = "export the patterns again"
     try:
         text, tensors = read_tensors(path, LOOP_KEY, again)

@@ -71,15 +71,7 @@ def trained_on(info: Mapping[str, Any]) -> TrainedOn | None:
 
 
 def scene_hashes(scenes: np.ndarray, image_shape: tuple[int, ...]) -> tuple[str, ...]:
-    """Short hash, in hex, of each scene, rounded to levels.
-
-    Parameters
-    ----------
-    scenes : array, shape (n, ...)
-        Reflectance, as a design sees it.
-    image_shape : tuple of int
-        Rows and columns of a scene, or values of a spectrum.
-    """
+    """Short hash, in hex, of each of scenes (n, ...), rounded to levels."""
     # Rounded as `write_pictures` does, so that a scene keeps its hash when it is written as a
     # picture and read again
     most = IMAGE_LEVELS if len(image_shape) == 2 else FINE_LEVELS
@@ -134,20 +126,7 @@ def _numbers(hashes: Iterable[str]) -> np.ndarray:
 def was_trained_on(
     training: TrainingScenes | None, hashes: Iterable[str | None]
 ) -> list[bool | None]:
-    """Tell scenes of the training from others.
-
-    Parameters
-    ----------
-    training : TrainingScenes or None
-        Of the design, if its file holds them.
-    hashes : iterable of str or None
-        Of scenes, as from `scene_hashes`; None of one that has none.
-
-    Returns
-    -------
-    list of bool or None
-        True for each scene that was trained on; None where that is not known.
-    """
+    """Tell scenes of the training from others."""
     scenes = list(hashes)
     if training is None:
         return [None] * len(scenes)
@@ -161,12 +140,6 @@ def new_scenes(training: TrainingScenes | None, data: Dataset) -> tuple[Dataset,
 
     Where the design was trained on all of them they stay, and the words say so. The test part of a
     `hold_out` stays as it is: it is known to be of the training.
-
-    Parameters
-    ----------
-    training : TrainingScenes or None
-        Of the design, if its file holds them.
-    data : Dataset
     """
     if training is None or data.held_out:
         return data, None
@@ -188,15 +161,7 @@ NO_MEASURE = "no number here says how good the design is"
 def trained_budgets(
     info: Mapping[str, Any], exposure: ExposureEntry | None = None
 ) -> tuple[float, float] | None:
-    """Lowest and highest budget of a training; None if its design does not say.
-
-    Parameters
-    ----------
-    info : mapping
-        Of the design.
-    exposure : ExposureEntry, optional
-        Its entry, which has a range of budgets or none.
-    """
+    """Lowest and highest budget of a training; None if its design does not say."""
     facts = {**info.get("job", {}), **({} if exposure is None else exposure.model_dump())}
     if "photons" not in facts:
         return None
@@ -218,15 +183,7 @@ def click_gates(info: Mapping[str, Any]) -> int | None:
 
 
 def check_masks(info: Mapping[str, Any], what: str) -> None:
-    """Raise `InputError` where a design reads measured readouts, whose masks are not known.
-
-    Parameters
-    ----------
-    info : mapping
-        Of the design.
-    what : str
-        What needs its masks.
-    """
+    """Raise `InputError` where a design reads measured readouts, whose masks are not known."""
     if READOUTS in info:
         raise InputError(
             f"{what} needs masks, and those of measured readouts are not known: use "

@@ -41,46 +41,22 @@ ShortText = Annotated[str, Field(max_length=200, pattern="^[^\x00-\x1f\x7f-\x9f]
 
 
 class PublishedDesign(StrictModel):
-    """A published design, as an index tells it.
+    """A published design, as an index tells it."""
 
-    Attributes
-    ----------
-    sha256 : str
-        Of the file NAME.safetensors, in hex.
-    recognises : str
-        What it tells apart, in words.
-    data : str
-        Data set that it was trained on.
-    photons : float
-        Budget Φ of its training.
-    accuracy, low, high : float
-        On the test scenes at that budget, with its 95 % interval, which the card explains.
-    recipe : str
-        SHA-256 of the settings that it was made with.
-    """
-
-    sha256: _Hash
-    recognises: ShortText
-    data: ShortText
-    photons: Positive
+    sha256: _Hash  # of the file NAME.safetensors, in hex
+    recognises: ShortText  # what it tells apart, in words
+    data: ShortText  # data set that it was trained on
+    photons: Positive  # budget Φ of its training
     accuracy: Share
     low: Share
     high: Share
-    recipe: _Hash
+    recipe: _Hash  # SHA-256 of the settings that it was made with
 
 
 class CollectionIndex(StrictModel):
-    """Index of a collection, the file `designs.json`.
+    """Index of a collection, the file `designs.json`."""
 
-    Attributes
-    ----------
-    schema_version : int
-        Version of the format.
-    designs : dict of str to Published
-        By name.
-    """
-
-    schema_version: Literal[1] = 1
+    schema_version: Literal[1] = 1  # version of the format
     designs: dict[DesignName, PublishedDesign] = Field({})
 
     @classmethod
@@ -99,16 +75,6 @@ def find_design(given: str | os.PathLike[str]) -> Path:
     folder or at the address that the environment variable `DEEPFSI_DESIGNS` gives (`http`, `https`,
     `file`), and then among the designs that come with the package. Files of an address are kept in
     the user's cache.
-
-    Parameters
-    ----------
-    given : str or path
-
-    Raises
-    ------
-    InputError
-        If no such name is in the collections, one cannot be reached, or the file's hash is not
-        that of the index.
     """
     name = os.fspath(given)
     path = Path(given)

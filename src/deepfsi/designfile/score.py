@@ -36,19 +36,11 @@ class RightAnswers:
 
 @dataclass(frozen=True)
 class Score:
-    """Right answers to labelled scenes. Those to new ones alone measure the design.
-
-    Parameters
-    ----------
-    new, trained_on : RightAnswers
-        To scenes that the design was not trained on, and to those that it was.
-    unknown : RightAnswers
-        To scenes of which that is not known.
-    """
+    """Right answers to labelled scenes. Those to new ones alone measure the design."""
 
     new: RightAnswers
     trained_on: RightAnswers
-    unknown: RightAnswers
+    unknown: RightAnswers  # to scenes of which that is not known
 
     @classmethod
     def of(cls, scenes: Iterable[tuple[bool | None, int, int]]) -> "Score":

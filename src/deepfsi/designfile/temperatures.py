@@ -22,17 +22,7 @@ BOUNDS_SLACK = 1e-6
 
 
 def calibration_budgets(low: float, high: float) -> np.ndarray:
-    """Budgets that calibrate a design, two a decade.
-
-    Parameters
-    ----------
-    low, high : float
-        Budgets of its training.
-
-    Returns
-    -------
-    array, shape (B,)
-    """
+    """Budgets that calibrate a design, two a decade."""
     low = low / CALIBRATION_REACH
     high = high * CALIBRATION_REACH
     return np.geomspace(low, high, 1 + int(np.ceil(2 * np.log10(high / low) - 1e-9)))
@@ -40,18 +30,10 @@ def calibration_budgets(low: float, high: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Temperatures:
-    """Temperatures of a design over budgets and stops.
+    """Temperatures of a design over budgets and stops."""
 
-    Attributes
-    ----------
-    logs : array, shape (K, B)
-        log τ after each number of masks or looks, rising, at each budget.
-    budgets : array, shape (B,)
-        Of whole exposures, rising in equal ratios.
-    """
-
-    logs: np.ndarray
-    budgets: np.ndarray
+    logs: np.ndarray  # (K, B), log τ after each number of masks or looks, rising, at each budget
+    budgets: np.ndarray  # (B,), of whole exposures, rising in equal ratios
 
     @classmethod
     def restored(cls, arrays: Mapping[str, np.ndarray], stops: int) -> "Temperatures":
@@ -82,15 +64,7 @@ class Temperatures:
         return Temperatures(self.logs[:stops], self.budgets * factor)
 
     def after(self, stop: float, photons: float) -> float:
-        """Temperature τ of one exposure.
-
-        Parameters
-        ----------
-        stop : float
-            Number of the stop, from 1; between two of them log τ is interpolated.
-        photons : float
-            Budget of the whole exposure.
-        """
+        """Temperature τ of one exposure."""
         logs = [np.interp(np.log(photons), np.log(self.budgets), row) for row in self.logs]
         log = np.interp(stop, np.arange(1, len(logs) + 1), logs)
         return float(np.exp(log) * max(self.budgets[0] / photons, 1.0))

@@ -160,24 +160,12 @@ def _shift(down: float, across: float) -> Callable[[np.ndarray], np.ndarray]:
 
 @dataclass(frozen=True)
 class SceneModel:
-    """Scenes of the training: the mean of each class, and how scenes lie about it.
+    """Scenes of the training: the mean of each class, and how scenes lie about it."""
 
-    Attributes
-    ----------
-    means : array, shape (C, N)
-        Mean scene of each class, reflectance.
-    axes : array, shape (d, N)
-        Principal axes of one standard deviation each, of all classes together.
-    rest : array, shape (N,)
-        Variance of each pixel beyond these.
-    shares : array, shape (C,)
-        Of each class in the training.
-    """
-
-    means: np.ndarray
-    axes: np.ndarray
-    rest: np.ndarray
-    shares: np.ndarray
+    means: np.ndarray  # (C, N), mean scene of each class, reflectance
+    axes: np.ndarray  # (d, N)
+    rest: np.ndarray  # (N,), variance of each pixel beyond these
+    shares: np.ndarray  # (C,), of each class in the training
 
     @staticmethod
     def are_enough(sizes: np.ndarray) -> bool:
@@ -235,28 +223,14 @@ class SceneModel:
 
 @dataclass(frozen=True)
 class SceneReadouts:
-    """Counts of one scene, readout by readout.
+    """Counts of one scene, readout by readout."""
 
-    Attributes
-    ----------
-    masks : array, shape (k, N)
-        Counts that each pixel of reflectance 1 gives to each readout.
-    counts : array, shape (k,)
-        Photons, less what is no scene's.
-    noise : array, shape (k,)
-        Variance beyond that of the scene's own photons.
-    inputs : array, shape (k,)
-        Detector that counted each.
-    frames, dwells : array, shape (k,), optional
-        Frame that was shown, where two may be exchanged, and for what share of the exposure.
-    """
-
-    masks: np.ndarray
-    counts: np.ndarray
-    noise: np.ndarray
-    inputs: np.ndarray
-    frames: np.ndarray | None = None
-    dwells: np.ndarray | None = None
+    masks: np.ndarray  # (k, N), counts that each pixel of reflectance 1 gives to each readout
+    counts: np.ndarray  # (k,), photons, less what is no scene's
+    noise: np.ndarray  # (k,), variance beyond that of the scene's own photons
+    inputs: np.ndarray  # (k,), detector that counted each
+    frames: np.ndarray | None = None  # (k,)
+    dwells: np.ndarray | None = None  # (k,)
 
     @classmethod
     def join(cls, looks: "list[SceneReadouts]") -> "SceneReadouts":
@@ -267,29 +241,14 @@ class SceneReadouts:
 
 @dataclass(frozen=True)
 class ViewResult:
-    """Evidence of a run for each fault of the view.
-
-    Attributes
-    ----------
-    scenes : int
-    faults : tuple of str
-        In words: "the picture on the device is ...".
-    odds : array, shape (V,)
-        Logarithm of the likelihood with each fault, over that without.
-    before : array, shape (V,)
-        Logarithm of the chance of each, of those that are looked for.
-    alike : float
-        As `odds`, at least 0, if all scenes were one and the same, seen soundly.
-    ever : bool
-        True if the run was refused after fewer scenes already.
-    """
+    """Evidence of a run for each fault of the view."""
 
     scenes: int
-    faults: tuple[str, ...]
-    odds: np.ndarray
-    before: np.ndarray
-    alike: float = 0.0
-    ever: bool = False
+    faults: tuple[str, ...]  # in words: "the picture on the device is ..."
+    odds: np.ndarray  # (V,), logarithm of the likelihood with each fault, over that without
+    before: np.ndarray  # (V,), logarithm of the chance of each, of those that are looked for
+    alike: float = 0.0  # as `odds`, at least 0, if all scenes were one and the same, seen soundly
+    ever: bool = False  # True if the run was refused after fewer scenes already
 
     @property
     @np.errstate(under="ignore")
@@ -369,16 +328,7 @@ class ViewResult:
 
 
 class ViewTest:
-    """Test of a run, scene after scene.
-
-    Parameters
-    ----------
-    model : SceneModel
-    image_shape : tuple of int
-    frames : int
-        Frames that are loaded once and shown to every scene, of which two may be exchanged; 0 of
-        masks that are made for each scene.
-    """
+    """Test of a run, scene after scene."""
 
     def __init__(self, model: SceneModel, image_shape: tuple[int, ...], frames: int = 0) -> None:
         faults = (*orientation_faults(image_shape), *view_faults(image_shape))

@@ -155,21 +155,7 @@ def _answering(design: Design, front: Any, x: Tensor) -> Guess:
 def camera_for(
     design: Design, camera: CameraSource = None, **settings: Unpack[CameraSettings]
 ) -> Camera:
-    """Camera of a test, the design's own unless given.
-
-    Parameters
-    ----------
-    design : Design
-    camera : Camera, str, path or mapping, optional
-    settings
-        Fields in place of the camera's own, such as the noise.
-
-    Raises
-    ------
-    InputError
-        If a setting is none of a camera, or the design's noise is code of its maker's, which a file
-        must not run: it is to be given.
-    """
+    """Camera of a test, the design's own unless given."""
     base = design.camera if camera is None else Camera.load(camera)
     if "noise" not in settings and camera is None and base.noise_name not in get_args(NoiseName):
         raise InputError(
@@ -201,21 +187,7 @@ def expose_scenes(
     kind: type[AnyAnswers],
     report: Progress,
 ) -> list[AnyAnswers]:
-    """Answers to the test scenes of a data set at each budget.
-
-    Parameters
-    ----------
-    data : Dataset
-    answer_of : callable
-        Gives for scenes (b, N) what exposes them once: its answers are those of `kind`, in their
-        order.
-    conditions : Conditions
-    shares : tensor, shape (m,)
-        Of the budget that each mask counts.
-    kind : type
-        Of the answers.
-    report : Progress
-    """
+    """Answers to the test scenes at each budget, of which masks count shares (m,)."""
     budgets = conditions.budgets
     generators = [torch.Generator(shares.device).manual_seed(conditions.seed) for _ in budgets]
     outputs: list[list[list[np.ndarray]]] = [[] for _ in budgets]
@@ -282,14 +254,7 @@ def check_data(design: Design, data: Dataset) -> None:
 
 
 def check_draws(draws: object, seed: object) -> None:
-    """Raise `InputError` unless so many noise draws can be had from that seed.
-
-    Parameters
-    ----------
-    draws : object
-        Noise draws of each scene.
-    seed : object
-    """
+    """Raise `InputError` unless so many noise draws can be had from that seed."""
     whole = int, np.integer
     if not isinstance(seed, whole) or not 0 <= seed < 2**63:
         raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")

@@ -44,16 +44,6 @@ def linear_bound(
     """Root mean squared error (q,) of the best linear estimator of the values of test scenes.
 
     None of exposures whose dwells or places are drawn, and of a noise of a user's own.
-
-    Parameters
-    ----------
-    design : Design
-    scanner : Scanner
-        Of the design, with the noise of the test.
-    data : Dataset
-        With values.
-    photons : float
-        Budget Φ.
     """
     if not (_fixed(design) and scanner.noise.has_moments):
         return None
@@ -137,19 +127,7 @@ def _fixed(design: Design) -> bool:
 def information_rate(light: np.ndarray, chances: np.ndarray) -> np.ndarray:
     """Rate (...) at which counts of a short look tell of the class, nats for each unit of light.
 
-    Parameters
-    ----------
-    light : array, shape (..., k, C)
-        Mean rate of each of k readouts for scenes of each class, 0 or more.
-    chances : array, shape (C,)
-        Probabilities of the classes before the look.
-
-    Examples
-    --------
-    >>> import numpy
-    >>> halves = numpy.array([[1.0, 0.0], [0.0, 1.0]])  # each class lights a detector of its own
-    >>> float(information_rate(halves, numpy.array([0.5, 0.5])).round(4))  # a photon says all
-    0.6931
+    Shapes: light (..., k, C); chances (C,).
     """
     rates = np.asarray(light, float)
     mean = rates @ chances

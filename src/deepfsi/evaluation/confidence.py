@@ -28,51 +28,23 @@ LEAST_CLASS_SHARE = 1e-6
 
 
 class Exposed(NamedTuple):
-    """Scenes of known classes, and the design that answers them.
-
-    Attributes
-    ----------
-    design : Design
-    front
-        Of the design, as of `Design.front_end`.
-    x : array, shape (n, N)
-        Scenes.
-    labels : array, shape (n,)
-        Their classes.
-    """
+    """Scenes of known classes, and the design that answers them."""
 
     design: Design
-    front: Any
-    x: np.ndarray
-    labels: np.ndarray
+    front: Any  # of the design, as of `Design.front_end`
+    x: np.ndarray  # (n, N)
+    labels: np.ndarray  # (n,)
 
 
 @dataclass(frozen=True)
 class CalibrationScenes:
-    """Scenes by which a design is calibrated.
+    """Scenes by which a design is calibrated."""
 
-    Attributes
-    ----------
-    parts : sequence of Exposed
-        Scenes that the design itself answers; or each fold of its training scenes, answered by a
-        design of the same settings that was trained without them.
-    stops : int
-        K, answers of an exposure.
-    draws : int
-        Exposures of each scene.
-    shares : array, shape (C,), or None
-        Shares of the classes that any temperature leaves as they are; None where logits of no light
-        are those of equal ones.
-    doubt : float
-        Scenes that are added to these, like them and each of any class alike. Few scenes may all be
-        answered rightly, and no finite τ would be the best (Platt 1999 has one such scene).
-    """
-
-    parts: Sequence[Exposed]
-    stops: int
-    draws: int = 1
-    shares: np.ndarray | None = None
-    doubt: float = 0.0
+    parts: Sequence[Exposed]  # scenes that the design itself answers
+    stops: int  # K, answers of an exposure
+    draws: int = 1  # exposures of each scene
+    shares: np.ndarray | None = None  # (C,)
+    doubt: float = 0.0  # scenes that are added to these, like them and each of any class alike
 
     @property
     def labels(self) -> np.ndarray:
@@ -111,29 +83,14 @@ class LeftOutTest:
     """Answers to scenes that a training left out, at its budget, after a whole exposure.
 
     Only the temperatures were fitted to these scenes. A design keeps this in its `info`.
-
-    Attributes
-    ----------
-    scenes : int
-        that were left out, and answered
-    accuracy : float
-        share of their exposures that are answered rightly
-    log_loss : float
-        mean −ln of the probability of the true class, in nats, with temperatures
-    uncalibrated_log_loss : float
-        the same without them
-    guessing : float
-        the same of an answer that gives each class its share of the training scenes
-    error : float
-        standard error of the difference of `log_loss` and `guessing`, over scenes
     """
 
-    scenes: int
-    accuracy: float
-    log_loss: float
-    uncalibrated_log_loss: float
-    guessing: float
-    error: float
+    scenes: int  # that were left out, and answered
+    accuracy: float  # share of their exposures that are answered rightly
+    log_loss: float  # mean −ln of the probability of the true class, in nats, with temperatures
+    uncalibrated_log_loss: float  # the same without them
+    guessing: float  # the same of an answer that gives each class its share of the training scenes
+    error: float  # standard error of the difference of `log_loss` and `guessing`, over scenes
 
     @property
     def guesses(self) -> bool:
@@ -152,16 +109,6 @@ def fit_temperatures(
 
     A network may be surer of scenes that it was trained on than it is right on others. So by these
     it becomes less sure only, never surer than it is.
-
-    Parameters
-    ----------
-    scenes : CalibrationScenes
-    budgets : array, shape (B,)
-        Φ, of whole exposures.
-    trained_on : bool
-        Whether the design was trained on these scenes.
-    seed : int
-        Of the noise.
     """
     stops = scenes.stops
     fitted = np.unique(np.rint(np.geomspace(1, stops, CALIBRATED_STOPS)).astype(int)) - 1
@@ -185,20 +132,7 @@ def measure_left_out(
     *,
     seed: int,
 ) -> LeftOutTest:
-    """Test of the answers to scenes that a training left out.
-
-    Parameters
-    ----------
-    scenes : CalibrationScenes
-    temperatures : Temperatures
-        Of the design.
-    photons : float
-        Budget Φ.
-    guess : array, shape (C,)
-        Probabilities that guessing gives.
-    seed : int
-        Of the noise.
-    """
+    """Test of the answers to scenes that a training left out, beside guesses (C,)."""
     last = scenes.stops - 1
     [logits] = scenes.logits(photons, seed, [last])
     losses = scenes.losses(logits, float(stop_temperatures(temperatures, photons)[last]))
@@ -224,23 +158,9 @@ def logits_at_stops(
     seed: int,
     places: Sequence[int] | None = None,
 ) -> np.ndarray:
-    """Logits (K, E, C) of exposures at some stops, or all; draws of a scene follow one another.
+    """Logits (K, E, C) of exposures of scenes (n, N) at some stops, or all.
 
-    Parameters
-    ----------
-    design : Design
-    front
-        As of `Exposed`.
-    x : array, shape (n, N)
-        Scenes.
-    photons : float
-        Budget Φ.
-    draws : int
-        Exposures of each scene.
-    seed : int
-        Of the noise.
-    places : sequence of int, optional
-        Stops, from 0.
+    Draws of a scene follow one another.
     """
     exposure = design.exposure
     generator = torch.Generator(exposure.device).manual_seed(seed)

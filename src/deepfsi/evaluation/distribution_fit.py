@@ -41,15 +41,7 @@ IN_TAIL = 10
 
 
 def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
-    """Places of the training scenes, of `count`, that are looked at.
-
-    Parameters
-    ----------
-    count : int
-    readouts : int
-        Of each scene.
-    seed : int
-    """
+    """Places of the training scenes, of `count`, that are looked at."""
     most = min(max(MOST_NUMBERS // readouts, LEAST_SCENES), MOST_SCENES)
     return np.random.default_rng(seed).permutation(count)[:most]
 
@@ -62,21 +54,10 @@ def find_distribution(
     expose: Expose | None = None,
     light: FrameLight | None = None,
 ) -> ReadoutDistribution | None:
-    """Distribution of the readouts of training scenes, or None where there are too few scenes.
+    """Distribution of readouts of training scenes, or None where there are too few scenes.
 
-    Parameters
-    ----------
-    rates : tensor, shape (n, rails, m)
-        Expected counts for a budget of one photon.
-    labels : array, shape (n,)
-        Classes: too few scenes of one are too few, as they do not tell how others of it look.
-    classes : int
-        C.
-    seed : int
-    expose : callable, optional
-        Exposures of several looks; each readout is counted for its usual time without it.
-    light : FrameLight, optional
-        Of the frames; steady unless given. `expose` has it, too.
+    Rates (n, rails, m) are for a budget of one photon. Too few scenes of one of the labels (n,) are
+    too few.
     """
     fluctuation = 0.0 if light is None else light.fluctuation
     every = rates.double().cpu().numpy()

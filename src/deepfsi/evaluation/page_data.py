@@ -46,25 +46,7 @@ LARGEST_SHORT = 2**16 - 1
 def playable(
     design: Design, data: Dataset, *, draws: int = 1, seed: int = 0, report: Progress = SILENT
 ) -> dict[str, Any]:
-    """Payload of a page: JSON types only.
-
-    Parameters
-    ----------
-    design : Design
-    data : Dataset
-        Of its training.
-    draws : int
-        Noise draws of each scene by which the accuracy is measured.
-    seed : int
-        Of the noise, and of the scenes that the page has.
-    report : Progress
-        Where to say how far it is.
-
-    Raises
-    ------
-    InputError
-        If no page can play the design, or the data does not fit it.
-    """
+    """Payload of a page: JSON types only."""
     check_playable(design)
     check_data(design, data)
     fresh, _ = new_scenes(design.training_scenes, data)
@@ -114,14 +96,7 @@ def playable(
 
 
 def of_page(design: Design, seed: int = 0) -> Design:
-    """The design as a page plays it: it knows some of its scenes, and stops for shared light alone.
-
-    Parameters
-    ----------
-    design : Design
-    seed : int
-        Of the choice of scenes.
-    """
+    """The design as a page plays it: with some of its scenes, and a stop for shared light alone."""
     return replace(design, exposure=design.prior_exposure.few(COEFFICIENTS, seed))
 
 

@@ -44,12 +44,7 @@ STOPPED_COVER = "test images and noise draws, for this one trained design (image
 
 @dataclass(frozen=True)
 class MeanEstimate:
-    """Mean over images and noise draws with its 95 % interval.
-
-    Attributes
-    ----------
-    mean, low, high : float
-    """
+    """Mean over images and noise draws with its 95 % interval."""
 
     mean: float
     low: float
@@ -70,16 +65,7 @@ class StoppingRule(StopRule):
     def classify(
         self, design: Design, counts: ArrayLike, photons: float
     ) -> tuple[np.ndarray, bool]:
-        """Classify an exposure of a nested design that goes on, and say whether it may stop.
-
-        Parameters
-        ----------
-        design : Design
-        counts : array, shape (2, k) or (k,)
-            Of the first k masks; two rows of signed ones.
-        photons : float
-            Budget of the whole exposure.
-        """
+        """Classify the counts (2, k) or (k,) of the first k masks, and say if it may stop."""
         read = np.asarray(counts, dtype=np.float32)
         shown = read.shape[-1] if read.ndim else 0
         if shown not in self.after:
@@ -103,18 +89,7 @@ class StoppingRule(StopRule):
 
 
 def with_rule(design: Design, rule: StoppingRule) -> Design:
-    """The design with a rule of when an exposure stops.
-
-    Parameters
-    ----------
-    design : Design
-    rule : StoppingRule
-
-    Raises
-    ------
-    InputError
-        If the design is of one look.
-    """
+    """The design with a rule of when an exposure stops."""
     # the design says after what
     numbers = {"threshold": rule.threshold, "photons": rule.photons}
     exposure = design.exposure.stopping_at(rule.threshold)
@@ -122,24 +97,7 @@ def with_rule(design: Design, rule: StoppingRule) -> Design:
 
 
 def share_light(design: Design, scenes: CalibrationScenes, photons: float, *, seed: int) -> Design:
-    """The design whose exposures end so that scenes take the budget in the mean.
-
-    Parameters
-    ----------
-    design : Design
-        Nested or of several looks, whose whole exposures take more.
-    scenes : CalibrationScenes
-        That its training left out.
-    photons : float
-        Budget Φ, the mean of all exposures.
-    seed : int
-        Of the noise.
-
-    Raises
-    ------
-    InputError
-        If its first stop alone takes more than the budget.
-    """
+    """The design whose exposures end so that scenes take the budget in the mean."""
     exposures = []
     with torch.no_grad():
         for part in scenes.parts:
@@ -180,60 +138,27 @@ def rule_of(design: Design) -> StoppingRule | None:
 
 @dataclass(frozen=True)
 class Stopped:
-    """One design at one budget, its exposures stopped early.
+    """One design at one budget, its exposures stopped early."""
 
-    Attributes
-    ----------
-    photons : float
-        Budget Φ of the whole exposure.
-    rule : StoppingRule
-    used : MeanEstimate
-        Share of the budget that exposures take: of looks, share of their time.
-    whole, stopped, difference : MeanEstimate
-        Accuracy of whole exposures, of stopped ones, and the second less the first, paired.
-    stops : list of float
-        Share of exposures that end after each of `rule.after`.
-    confidence : float
-        Mean confidence of the answers given.
-    calibration_error, uncalibrated_error : float
-        Mean distance of confidence and accuracy over groups of the answers given, with
-        temperatures and without.
-    log_loss, uncalibrated_log_loss : float
-        Mean −ln of the probability of the true class, over whole exposures and all shorter ones.
-    reliability : list of dict
-        `confidence` and `accuracy` of each group.
-    rejection : list of dict
-        `accepted`, the share of answers kept, the surest first, and their accuracy: `stopped`, and
-        `whole` where exposures do not stop early.
-    curve : list of dict
-        `threshold`, `used` and `accuracy` for every threshold tried.
-    validation : dict
-        `used`, `whole` and `stopped` on the scenes on which the threshold was chosen.
-    images, draws : int
-        Test scenes, and independent noise draws of each.
-    covers : str
-        What the intervals cover.
-    """
-
-    photons: float
+    photons: float  # budget Φ of the whole exposure
     rule: StoppingRule
-    used: MeanEstimate
+    used: MeanEstimate  # share of the budget that exposures take: of looks, share of their time
     whole: MeanEstimate
     stopped: MeanEstimate
     difference: MeanEstimate
-    stops: list[float]
-    confidence: float
+    stops: list[float]  # share of exposures that end after each of `rule.after`
+    confidence: float  # mean confidence of the answers given
     calibration_error: float
     uncalibrated_error: float
     log_loss: float
     uncalibrated_log_loss: float
-    reliability: list[dict[str, float]]
+    reliability: list[dict[str, float]]  # `confidence` and `accuracy` of each group
     rejection: list[dict[str, float]]
-    curve: list[dict[str, float]]
+    curve: list[dict[str, float]]  # `threshold`, `used` and `accuracy` for every threshold tried
     validation: dict[str, float]
     images: int
     draws: int
-    covers: str = STOPPED_COVER
+    covers: str = STOPPED_COVER  # what the intervals cover
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""

@@ -104,7 +104,7 @@ class ConditionedExposure(MaskExposure):
     def observe(
         self, front: Scanner, rates: Tensor, photons: float, generator: torch.Generator
     ) -> Iterator[Observation]:
-        """Exposures at each number of masks that is a stop; parameters as of the base class."""
+        """Exposures at each number of masks that is a stop."""
         features = self.read(front, rates * photons, generator, photons)
         for masks in range(self.fewest_masks, features.shape[-1] // self.width + 1):
             yield Observation(features[..., : masks * self.width])
@@ -115,7 +115,7 @@ class ConditionedExposure(MaskExposure):
         return masks - (self.nested or masks)
 
     def as_shown(self, rails: Rails, dimmed: float) -> Self:
-        """The kind as patterns realise it; parameters as of the base class."""
+        """The kind as patterns realise it."""
         return replace(super().as_shown(rails, dimmed), used=self.used / dimmed)
 
     def first(self, masks: int) -> tuple[Self, float]:
@@ -127,7 +127,7 @@ class ConditionedExposure(MaskExposure):
         return replace(part, used=self.used * share), share
 
     def expected(self, rates: Tensor, seen: Observation) -> Tensor:
-        """Photons (..., rails, m · D) of the masks shown; parameters as of the base class."""
+        """Photons (..., rails, m · D) of the masks shown."""
         shown = seen.features.shape[-1] // self.width
         return rates[..., : shown * self.detection.count]
 

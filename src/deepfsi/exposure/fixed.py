@@ -31,16 +31,10 @@ DIMMINGS = 30
 
 @dataclass(frozen=True, eq=False)
 class FixedExposure(MaskExposure):
-    """Exposure of which all masks are needed, each with its own dwell.
-
-    Parameters
-    ----------
-    optics : TrainedMasks
-        Its masks, with the statistics of their features.
-    """
+    """Exposure of which all masks are needed, each with its own dwell."""
 
     _: KW_ONLY
-    optics: TrainedMasks = UNTRAINED
+    optics: TrainedMasks = UNTRAINED  # its masks, with the statistics of their features
     kind = "fixed"
 
     def entry(self) -> FixedEntry:

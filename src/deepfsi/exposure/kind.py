@@ -49,19 +49,10 @@ EXPOSED_AT_ONCE = 1024
 
 @dataclass(frozen=True)
 class Observation:
-    """Readouts of an exposure so far.
+    """Readouts of an exposure so far."""
 
-    Attributes
-    ----------
-    features : tensor, shape (..., k)
-        What is read of the first masks over the budget (`Detection`), of all looks together.
-    dwell : tensor, shape (..., q), or None
-        Share of the whole exposure that each frame had, where dwells are chosen; they sum to 1
-        after the last look, also where a whole exposure takes several budgets.
-    """
-
-    features: Tensor
-    dwell: Tensor | None = None
+    features: Tensor  # (..., k)
+    dwell: Tensor | None = None  # (..., q)
 
     def rows(self, rows: Tensor) -> "Observation":
         """Some of n exposures, by their places."""
@@ -84,18 +75,11 @@ class Observation:
 
 
 class Answer(NamedTuple):
-    """Answer to exposures.
+    """Answer to exposures."""
 
-    Attributes
-    ----------
-    logits, chances : tensor, shape (..., C)
-    classes : tensor, shape (...)
-        That logits may tell apart where rounded chances do not.
-    """
-
-    logits: Tensor
-    chances: Tensor
-    classes: Tensor
+    logits: Tensor  # (..., C)
+    chances: Tensor  # (..., C)
+    classes: Tensor  # (...), that logits may tell apart where rounded chances do not
 
 
 LIGHT_ROUNDING = 1e-9
@@ -103,35 +87,15 @@ LIGHT_ROUNDING = 1e-9
 
 
 class Stops(NamedTuple):
-    """Where an exposure may stop.
+    """Where an exposure may stop."""
 
-    Attributes
-    ----------
-    after : tuple of int, length K
-        Numbers of masks, or of looks.
-    used : array, shape (K,)
-        Share of the budget that is taken then.
-    """
-
-    after: tuple[int, ...]
-    used: np.ndarray
+    after: tuple[int, ...]  # numbers of masks, or of looks
+    used: np.ndarray  # (K,), share of the budget that is taken then
 
     def threshold(self, confidence: np.ndarray, light: float) -> float:
-        """Confidence above which exposures stop so that they take a share of the light at most.
+        """Highest confidence above which exposures stop and take a share of the light at most.
 
-        The highest such one: the mean over these exposures does not fall as it rises.
-
-        Parameters
-        ----------
-        confidence : array, shape (E, K)
-            Of exposures after each stop.
-        light : float
-            Share of the budget that they are to take in the mean.
-
-        Raises
-        ------
-        InputError
-            If they take more even where all stop at once.
+        From the confidence (E, K) of exposures after each stop.
         """
 
         def taken(threshold: float) -> float:
@@ -156,23 +120,9 @@ class Stops(NamedTuple):
     ) -> "list[CappedRule]":
         """Rules that take the light, one for each number of stops that takes `least` or more.
 
-        Exposures that are never sure take light from others: it may be better to end them sooner.
-
-        Parameters
-        ----------
-        confidence : array, shape (E, K)
-            Of exposures after each stop.
-        wrong : array of bool, shape (E, K)
-            True where the answer then is.
-        light : float
-            Share of the budget that they are to take in the mean, at most.
-        least : float
-            That the longest exposure may take, at the least; not less than `light`.
-
-        Raises
-        ------
-        InputError
-            If they take more even where all stop at once.
+        From the confidence (E, K) of exposures after each stop, and whether the answer is wrong (E,
+        K). Exposures that are never sure take light from others: it may be better to end them
+        sooner.
         """
         every = np.arange(len(confidence))
         rules = []
@@ -188,44 +138,24 @@ class Stops(NamedTuple):
 
     @staticmethod
     def ends(confidence: np.ndarray, threshold: float) -> np.ndarray:
-        """Stop (E,), from 0, at which exposures end: the first where they are sure, or the last.
-
-        Parameters
-        ----------
-        confidence : array, shape (E, K)
-            Of exposures after each stop.
-        threshold : float
-            Confidence above which they stop.
-        """
+        """Stop (E,), from 0, at which exposures of confidence (E, K) end: once sure, or last."""
         enough = confidence > threshold
         enough[:, -1] = True
         return enough.argmax(axis=1)
 
     @classmethod
     def going(cls, confidence: np.ndarray, threshold: float) -> np.ndarray:
-        """True where an exposure (E, K) takes a part; parameters of `ends`."""
+        """True where an exposure (E, K) takes a part."""
         return np.arange(confidence.shape[1]) <= cls.ends(confidence, threshold)[:, None]
 
 
 class CappedRule(NamedTuple):
-    """Where exposures end; the least is that of fewest wrong answers, of equals the shortest.
+    """Where exposures end; the least is that of fewest wrong answers, of equals the shortest."""
 
-    Attributes
-    ----------
-    wrong : float
-        Share of the answers that are.
-    stops : int
-        Number of stops that the longest exposure has.
-    cap : float
-        Share of the budget that it takes.
-    threshold : float
-        Confidence above which others end.
-    """
-
-    wrong: float
-    stops: int
-    cap: float
-    threshold: float
+    wrong: float  # share of the answers that are
+    stops: int  # number of stops that the longest exposure has
+    cap: float  # share of the budget that it takes
+    threshold: float  # confidence above which others end
 
 
 @dataclass(frozen=True)
@@ -271,45 +201,24 @@ class Dwells:
 
 
 class CountedLight(NamedTuple):
-    """Light of exposures together.
-
-    Attributes
-    ----------
-    counts, photons : float
-        Counts that are expected, and photons that arrive.
-    used : float or None
-        Light on the coding device, of exposures that stop; None where none does.
-    """
+    """Light of exposures together."""
 
     counts: float
     photons: float
-    used: float | None = None
+    used: float | None = None  # light on the coding device, of exposures that stop
 
 
 @dataclass(frozen=True, eq=False)
 class StoppableExposures:
-    """Exposures of n scenes as they are at each stop, so that each may end at one of its own.
-
-    Attributes
-    ----------
-    kind : MaskExposure
-    front : Scanner
-    rates : tensor, shape (n, rails, m · D)
-    photons : float
-        Budget Φ.
-    observations : list of Observation, length K
-    answers : list of Answer, length K
-    confidence : array, shape (n, K)
-        Of the answers, float64: rounded to 32 bits it is 1 long before the end in bright light.
-    """
+    """Exposures of n scenes as they are at each stop, so that each may end at one of its own."""
 
     kind: "MaskExposure"
     front: Scanner
-    rates: Tensor
-    photons: float
+    rates: Tensor  # (n, rails, m · D)
+    photons: float  # budget Φ
     observations: list[Observation]
     answers: list[Answer]
-    confidence: np.ndarray
+    confidence: np.ndarray  # (n, K)
 
     def answer(self, ends: np.ndarray) -> Answer:
         """Answers to exposures that end at stops (n,), from 0."""
@@ -423,13 +332,7 @@ class ExposureKind(ABC):
 
     @abstractmethod
     def front_end(self, camera: Camera | None) -> Any:
-        """Front end that exposes scenes, with the noise of a camera; the plain one unless given.
-
-        Raises
-        ------
-        InputError
-            If the kind cannot be tested under the noise of the camera.
-        """
+        """Front end that exposes scenes, with the noise of a camera; the plain one unless given."""
 
     @abstractmethod
     def rates(self, front: Any, scenes: Tensor) -> Tensor:
@@ -439,30 +342,18 @@ class ExposureKind(ABC):
     def observe(
         self, front: Any, rates: Tensor, photons: float, generator: torch.Generator
     ) -> Iterator[Observation]:
-        """Exposures at each stop: after each number of masks that do, or after each look.
-
-        Parameters
-        ----------
-        front
-            As from `front_end`.
-        rates : tensor
-            As from `rates`.
-        photons : float
-            Budget Φ.
-        generator : torch.Generator
-            Of the noise.
-        """
+        """Exposures at each stop: after each number of masks that do, or after each look."""
 
     def expose(
         self, front: Any, rates: Tensor, photons: float, generator: torch.Generator
     ) -> Observation:
-        """Exposures at their end; parameters of `observe`."""
+        """Exposures at their end."""
         *_, seen = self.observe(front, rates, photons, generator)
         return seen
 
     @abstractmethod
     def light(self, front: Any, rates: Tensor, seen: Observation, photons: float) -> CountedLight:
-        """Light of exposures together; parameters of `observe`."""
+        """Light of exposures together."""
 
     @abstractmethod
     def answer(self, seen: Observation, photons: Tensor | float, network: "ReadsCounts") -> Answer:
@@ -476,15 +367,7 @@ class ExposureKind(ABC):
         generator: torch.Generator,
         network: "ReadsCounts",
     ) -> tuple[Answer, CountedLight]:
-        """Answers to exposures at their end, and their light together.
-
-        Parameters
-        ----------
-        front, rates, photons, generator
-            Of `observe`.
-        network : ReadsCounts
-            What reads their counts.
-        """
+        """Answers to exposures at their end, and their light together."""
         seen = self.expose(front, rates, photons, generator)
         return self.answer(seen, photons, network), self.light(front, rates, seen, photons)
 
@@ -496,30 +379,18 @@ class ExposureKind(ABC):
         generator: torch.Generator,
         network: "ReadsCounts",
     ) -> Iterator[tuple[Answer, CountedLight]]:
-        """Answers and light of scenes (n, N), some at a time; other parameters as of `test`."""
+        """Answers and light of scenes (n, N), some at a time."""
         for some in scenes.split(EXPOSED_AT_ONCE):
             yield self.test(front, self.rates(front, some), photons, generator, network=network)
 
     @property
     @abstractmethod
     def stops(self) -> Stops:
-        """Where an exposure may stop.
-
-        Raises
-        ------
-        InputError
-            If it may stop nowhere before its end, or that saves nothing.
-        """
+        """Where an exposure may stop."""
 
     @abstractmethod
     def first(self, masks: int) -> tuple["ExposureKind", float]:
-        """The kind of the first masks alone, and the share of the light law that is theirs.
-
-        Raises
-        ------
-        InputError
-            If so few masks cannot be classified alone.
-        """
+        """The kind of the first masks alone, and the share of the light law that is theirs."""
 
     def stopping_at(self, threshold: float) -> "ExposureKind":
         """The kind whose exposures stop at a probability, or `InputError` where it is of one look.
@@ -550,18 +421,10 @@ class ReadsCounts(Protocol):
 
 
 class Clicks(NamedTuple):
-    """Clicks of detectors that fire at most once a gate.
+    """Clicks of detectors that fire at most once a gate."""
 
-    Attributes
-    ----------
-    gates : int
-        Clicks of a readout at most.
-    photons : float
-        Budget of the training, for which clicks are read.
-    """
-
-    gates: int
-    photons: float
+    gates: int  # clicks of a readout at most
+    photons: float  # budget of the training, for which clicks are read
 
     @classmethod
     def of(cls, info: Mapping[str, Any]) -> "Clicks | None":
@@ -572,35 +435,16 @@ class Clicks(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TrainedMasks:
-    """Masks after a training, and what is read of them in the mean over its scenes.
+    """Masks after a training, and what is read of them in the mean over its scenes."""
 
-    Attributes
-    ----------
-    rails : Rails
-        `plus` and `minus` (m, N), shares of each pixel's photons; `stacked` (2 or 1, m, N).
-    light : str
-        Light law that the rails obey.
-    image_shape : tuple of int
-    detection : Detection
-        Detectors on parts of the device, and what is read of two rails.
-    summed_reflectance : float
-        s, the training scenes' mean summed reflectance; λ = Φ x / s.
-    mean, std : tensor, shape (k,)
-        Of the features y / Φ; k = m of one detector that reads the difference of two rails.
-    shares : tensor, shape (k,)
-        Share of the budget that is counted for each feature.
-    clicks : Clicks or None
-        Of detectors that click.
-    """
-
-    rails: Rails
-    light: LightLawName
+    rails: Rails  # `plus` and `minus` (m, N), shares of each pixel's photons
+    light: LightLawName  # light law that the rails obey
     image_shape: tuple[int, ...]
-    detection: Detection
-    summed_reflectance: float
-    mean: Tensor
-    std: Tensor
-    shares: Tensor
+    detection: Detection  # detectors on parts of the device, and what is read of two rails
+    summed_reflectance: float  # s, the training scenes' mean summed reflectance
+    mean: Tensor  # (k,)
+    std: Tensor  # (k,)
+    shares: Tensor  # (k,), share of the budget that is counted for each feature
     clicks: Clicks | None = None
 
     def to(self, device: str | torch.device) -> "TrainedMasks":
@@ -773,13 +617,7 @@ class MaskExposure(ExposureKind):
         )
 
     def first(self, masks: int) -> tuple[Self, float]:
-        """The kind of the first masks alone, and the share of the light law that is theirs.
-
-        Raises
-        ------
-        InputError
-            If so few masks cannot be classified alone.
-        """
+        """The kind of the first masks alone, and the share of the light law that is theirs."""
         fewest = self.fewest_masks
         most = self.count
         if not fewest <= masks <= most:
@@ -861,7 +699,7 @@ class MaskExposure(ExposureKind):
     def observe(
         self, front: Scanner, rates: Tensor, photons: float, generator: torch.Generator
     ) -> Iterator[Observation]:
-        """Exposures of all masks, the one stop; parameters as of the base class."""
+        """Exposures of all masks, the one stop."""
         rates = self.placed(rates, generator)
         yield Observation(self.read(front, rates * photons, generator, photons))
 
@@ -876,7 +714,7 @@ class MaskExposure(ExposureKind):
     def light(
         self, front: Scanner, rates: Tensor, seen: Observation, photons: float
     ) -> CountedLight:
-        """Light of exposures together; parameters of `observe`."""
+        """Light of exposures together."""
         arriving = photons * self.expected(rates, seen)
         return CountedLight(float(front.noise.mean(arriving).sum()), float(arriving.sum()))
 
@@ -948,7 +786,7 @@ class MaskExposure(ExposureKind):
         generator: torch.Generator,
         network: ReadsCounts,
     ) -> StoppableExposures:
-        """Exposures and answers at each stop; parameters of `test`."""
+        """Exposures and answers at each stop."""
         seen = list(self.observe(front, rates, photons, generator))
         answers = []
         sure = []
@@ -1000,19 +838,6 @@ class MaskExposure(ExposureKind):
     ) -> tuple[Tensor, Counting | None]:
         """Readouts (n, rails, m · D) that counts are compared in, and how they are exposed.
 
-        Parameters
-        ----------
-        rates : tensor, shape (n, rails, m · D)
-            As from `rates`, of the training scenes.
-        lit : tensor, shape (n,)
-            Light of the scenes for a budget of one photon.
-        light : FrameLight, optional
-            Of the frames; steady unless given.
-
-        Returns
-        -------
-        tensor
-        callable or None
-            None where each readout is counted for its usual time.
+        `lit` (n,) is the light of the scenes for a budget of one photon.
         """
         return rates, None

@@ -60,31 +60,16 @@ class LooksExposure(MaskExposure):
     """Exposure of several looks, whose dwells a network chooses from the counts so far.
 
     The masks' rails, and the statistics of their features, are those of equal dwells, 1 / q.
-
-    Attributes
-    ----------
-    dwells : Dwells
-    network : Mlp
-        From k + q + 1 inputs to q outputs.
-    looks : int
-        K.
-    shortest : float
-        Shortest dwell of a frame that is shown, a share of the whole exposure.
-    optics : TrainedMasks
-    cap : float
-        Light of a whole exposure over the budget, which above 1 is the mean of all exposures.
-    until : float
-        Probability of a class above which an exposure ends; 1 for never.
     """
 
     dwells: Dwells
-    network: Mlp
-    looks: int
-    shortest: float = 0.0
+    network: Mlp  # from k + q + 1 inputs to q outputs
+    looks: int  # K
+    shortest: float = 0.0  # shortest dwell of a frame that is shown, a share of the whole exposure
     _: KW_ONLY
     optics: TrainedMasks = UNTRAINED
     cap: float = 1.0
-    until: float = 1.0
+    until: float = 1.0  # probability of a class above which an exposure ends
     kind = "adaptive"
     chooses: ClassVar[bool] = True
     refusals: ClassVar[dict[Use, str]] = {
@@ -143,7 +128,7 @@ class LooksExposure(MaskExposure):
         return features + self.dwells.count
 
     def front_end(self, camera: Camera | None) -> Scanner:
-        """The scanner with the noise of a camera; parameters as of the base class."""
+        """The scanner with the noise of a camera."""
         scanner = super().front_end(camera)
         if faults := Looks(looks=self.looks).test_faults([scanner.noise.name]):
             raise InputError(faults[0])
@@ -152,7 +137,7 @@ class LooksExposure(MaskExposure):
     def observe(
         self, front: Scanner, rates: Tensor, photons: float, generator: torch.Generator
     ) -> Iterator[Observation]:
-        """Exposures after each look; parameters as of the base class."""
+        """Exposures after each look."""
 
         def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
             share = self.dwells.scaled(torch.ones_like(rates), dwell)
@@ -162,7 +147,7 @@ class LooksExposure(MaskExposure):
         return self.expose_live(show, mean, self.optics.std)
 
     def expected(self, rates: Tensor, seen: Observation) -> Tensor:
-        """Photons of an exposure that are expected; parameters as of the base class."""
+        """Photons of an exposure that are expected."""
         assert seen.dwell is not None
         return self.dwells.scaled(rates, seen.dwell)
 
@@ -193,7 +178,7 @@ class LooksExposure(MaskExposure):
     def usual_readouts(
         self, rates: Tensor, lit: Tensor, light: FrameLight | None = None
     ) -> tuple[Tensor, Counting | None]:
-        """Readouts of all rails and of all mirrors ON; parameters as of the base class."""
+        """Readouts of all rails and of all mirrors ON."""
 
         def expose(photons: float, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
             every = torch.zeros_like(rates)

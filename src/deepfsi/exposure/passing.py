@@ -42,17 +42,10 @@ class PassingExposure(MaskExposure):
     """Exposure of a scene that passes a pattern, in each exposure at another place.
 
     The masks' rails are those of the transit without jitter.
-
-    Attributes
-    ----------
-    transit : ScenePath
-    pattern : tensor, shape (H, P), or None
-        From the end of the training on.
-    optics : TrainedMasks
     """
 
     transit: ScenePath
-    pattern: Tensor | None = None
+    pattern: Tensor | None = None  # (H, P), from the end of the training on
     _: KW_ONLY
     optics: TrainedMasks = UNTRAINED
     kind = "passing"

@@ -47,29 +47,14 @@ LEAST_POWER = 1e-20
 
 @dataclass(frozen=True, eq=False)
 class JobGroup:
-    """Jobs that train side by side, R of them, and what they train with.
-
-    Attributes
-    ----------
-    training_set : TrainingSet
-    jobs : sequence of Job
-        Those of one seed one after another.
-    noise : TrainingNoise
-        Of all jobs.
-    matrix : array, shape (m, N), optional
-        A user's own, for ``design="custom"``.
-    masks : FixedMasks or LearnedMasks, optional
-        That were learned before, of a control group.
-    start : array, shape (m, N), optional
-        That learned masks start from, in place of a named design's.
-    """
+    """Jobs that train side by side, R of them, and what they train with."""
 
     training_set: TrainingSet
-    jobs: Sequence[Job]
+    jobs: Sequence[Job]  # those of one seed one after another
     noise: TrainingNoise
-    matrix: np.ndarray | None = None
-    masks: FixedMasks | LearnedMasks | None = None
-    start: np.ndarray | None = None
+    matrix: np.ndarray | None = None  # (m, N), a user's own, for ``design="custom"``
+    masks: FixedMasks | LearnedMasks | None = None  # that were learned before, of a control group
+    start: np.ndarray | None = None  # (m, N)
 
     @classmethod
     def of(
@@ -79,7 +64,7 @@ class JobGroup:
         matrix: np.ndarray | None = None,
         start: np.ndarray | None = None,
     ) -> "JobGroup":
-        """Group with the noise that its jobs ask for; parameters as of the class."""
+        """Group with the noise that its jobs ask for."""
         job = jobs[0]
         own = job.camera.noise if job.training.noise is None else job.training.noise
         cap = job.exposure.most_light  # a whole exposure is so many times as long
@@ -104,35 +89,11 @@ class FeatureStatistics(NamedTuple):
 
 
 class ExposureTraining(ABC):
-    """Masks of R jobs side by side in a training, and what classifiers get of a step's scenes.
+    """Masks of R jobs side by side in a training, and what classifiers get of a step's scenes."""
 
-    Parameters
-    ----------
-    group : JobGroup
-
-    Attributes
-    ----------
-    jobs, noise, training_set
-        Of the group.
-    masks : FixedMasks or LearnedMasks
-        Of R replicas, or of one where all share them.
-    learns : bool
-        Whether they are learned.
-    choose : Replicas
-        Networks beside the classifiers, one for each job; none of most kinds.
-    exposures : list of MaskExposure
-        Of each job, but for what they keep of masks that have learned.
-    input_count : int
-        Inputs of a classifier.
-    tokens : int
-        Parts of an image that are exposed by themselves.
-    counts : tensor, shape (R,), or None
-        Expected counts of a step, in the mean over its scenes, of jobs that ask for few.
-    """
-
-    masks: FixedMasks | LearnedMasks
+    masks: FixedMasks | LearnedMasks  # of R replicas, or of one where all share them
     exposures: Sequence[MaskExposure]
-    counts: Tensor | None = None
+    counts: Tensor | None = None  # (R,)
 
     def __init__(self, group: JobGroup) -> None:
         self.jobs = group.jobs
@@ -228,13 +189,9 @@ class ExposureTraining(ABC):
     ) -> FeatureStatistics:
         """Statistics of features over all scenes.
 
-        Parameters
-        ----------
-        exposures : pair of tensors, shape (R or 1, k)
-            Noise of each feature in the mean over exposures, over that of the one for which the
-            noise is, and how often it is read; unless all exposures are alike.
-        means : tensor, shape (n, R or 1, k)
-            Products of the scenes with the masks, where they are known.
+        Exposures differ in the noise and in the readings (R or 1, k) of each feature, unless all
+        are alike; the means (n, R or 1, k) are products of the scenes with the masks, where they
+        are known.
         """
         noise = self.noise
         detection = self.detection

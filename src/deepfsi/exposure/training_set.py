@@ -38,15 +38,7 @@ Matrices = dict[tuple[str, int, int, tuple[int, ...] | None], np.ndarray]
 
 
 class TrainingSet:
-    """A data set on a device, with what several trainings on it share.
-
-    Parameters
-    ----------
-    data : Dataset
-    device : str or torch.device
-    matrices : dict, optional
-        Sensing matrices that were made before, which is added to.
-    """
+    """A data set on a device, with what several trainings on it share."""
 
     def __init__(
         self, data: Dataset, device: str | torch.device = "auto", matrices: Matrices | None = None
@@ -148,12 +140,7 @@ READ_VALUES = 2**24
 
 
 class _ReadScenes:
-    """Scenes (n, N) that are read where they are needed, used as a tensor of all would be.
-
-    Parameters
-    ----------
-    stored : StoredScenes
-    """
+    """Scenes (n, N) that are read where they are needed, used as a tensor of all would be."""
 
     device = torch.device("cpu")
     nbytes = 0
@@ -187,25 +174,13 @@ class _ReadScenes:
 
 @dataclass(frozen=True, eq=False)
 class _CentredScenes:
-    """Pixels (n + 1, P) of scenes that are read where they are needed, less their mean.
+    """Pixels (n + 1, P) of scenes that are read where they are needed, less their mean."""
 
-    Attributes
-    ----------
-    scenes : _ReadScenes, shape (n, N)
-    mean : tensor, shape (N,)
-        Which is the last row.
-    pixels : tensor, shape (N,)
-        True for those that are kept.
-    kind : torch.dtype
-    detection : Detection
-        Of these pixels, which are arranged by it.
-    """
-
-    scenes: _ReadScenes
-    mean: Tensor
-    pixels: Tensor
+    scenes: _ReadScenes  # (n, N)
+    mean: Tensor  # (N,), which is the last row
+    pixels: Tensor  # (N,), True for those that are kept
     kind: torch.dtype
-    detection: Detection
+    detection: Detection  # of these pixels, which are arranged by it
 
     device = _ReadScenes.device
 
@@ -250,13 +225,7 @@ and with 40 and 128 eight tenths as long (`benchmarks/networks.py`).
 
 
 def dtypes(job: Job, device: torch.device) -> tuple[torch.dtype, torch.dtype]:
-    """Types of the products of a job's masks and of its networks.
-
-    Parameters
-    ----------
-    job : Job
-    device : torch.device
-    """
+    """Types of the products of a job's masks and of its networks."""
     return product_dtype(job.mask_job(), device), network_dtype(job, device)
 
 
@@ -268,13 +237,7 @@ def product_dtype(job: Job, device: torch.device) -> torch.dtype:
 
 
 def network_dtype(job: Job, device: torch.device) -> torch.dtype:
-    """Type of the products of the networks in training: bfloat16 for wide ones on a processor.
-
-    Parameters
-    ----------
-    job : Job
-    device : torch.device
-    """
+    """Type of the products of the networks in training: bfloat16 for wide ones on a processor."""
     wide = max(job.training.hidden, default=0) >= BFLOAT16_WIDTH
     if not job.exposure.allow_bf16_networks(device.type, wide) or job.training.is_custom:
         return torch.float32

@@ -51,55 +51,23 @@ class Code:
     """All that the name of a design implies; nobody else compares names.
 
     Its class says what its masks are: here a formula.
-
-    Attributes
-    ----------
-    label, title : str
-        The paper's abbreviation, and a name for tables and figures.
-    make : callable or None
-        Its matrix; None of one that is learned, adaptive, or a user's own.
-    most : callable
-        Largest number of masks, of a scene's shape and the number of classes.
-    complete : bool
-        It has the largest number of masks, and no other.
-    rails : {"single", "dual"} or None
-        Rails that it must have: it has no negative entries by definition, or needs them.
-    every_pixel : bool
-        It has a detector for each pixel: light law `column`, and no device.
-    scaled : bool
-        Its scale is what defines it, so that no light law changes it.
-    specific : bool
-        Feature-specific, that is, made from training data (drawn as a circle, others as a square).
-    seeded : bool
-        Its matrix is drawn from the seed.
-    of_classes : bool
-        It is made of the classes of scenes, which those with values have not.
-    learned : bool
-        Masks are optimised together with the classifier.
-    learned_under : str or None
-        Noise under which its masks are learned first, before a classifier of theirs alone.
-    adaptive : bool
-        Each next mask is made from the counts so far: it has no matrix before, and shows one mask
-        a look.
-    is_custom : bool
-        Its matrix is the user's.
     """
 
     label: str
     title: str
     make: Make | None = None
-    most: Most = _pixels
-    complete: bool = False
+    most: Most = _pixels  # largest number of masks, of a scene's shape and the number of classes
+    complete: bool = False  # it has the largest number of masks, and no other
     rails: RailsKind | None = None
-    every_pixel: bool = False
-    scaled: bool = False
+    every_pixel: bool = False  # it has a detector for each pixel: light law `column`, and no device
+    scaled: bool = False  # its scale is what defines it, so that no light law changes it
     specific: ClassVar[bool] = False
-    seeded: ClassVar[bool] = False
+    seeded: ClassVar[bool] = False  # its matrix is drawn from the seed
     of_classes: ClassVar[bool] = False
-    learned: ClassVar[bool] = False
+    learned: ClassVar[bool] = False  # masks are optimised together with the classifier
     learned_under: ClassVar[str | None] = None
     adaptive: ClassVar[bool] = False
-    is_custom: ClassVar[bool] = False
+    is_custom: ClassVar[bool] = False  # its matrix is the user's
 
     @property
     def learns_masks(self) -> bool:
@@ -245,16 +213,7 @@ def check_design(name: str) -> str:
 
 
 def mask_count(ratio: float, pixels: float) -> int:
-    """Number of masks at a compression ratio m / N, max(1, round(ratio · N)).
-
-    Parameters
-    ----------
-    ratio : float
-        Above 0 and at most 1.
-    pixels : float
-        N of the scene, before any Hadamard padding; under several detectors those that each sees,
-        N / D.
-    """
+    """Number of masks at a compression ratio m / N, max(1, round(ratio · N))."""
     if not 0 < ratio <= 1:
         raise InputError(f"compression ratio {ratio!r} is not allowed: give 0 < ratio ≤ 1")
     return max(1, round(ratio * pixels))
@@ -304,19 +263,6 @@ def formula_masks(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
     "hadamard-natural" is `scipy.linalg.hadamard(N)`, "hadamard-sequency" and "hadamard-walsh" are
     its rows by their sign changes, and "hadamard" is that of `hadamard_masks`. A row of the matrix
     is a mask, its pixels row by row.
-
-    Parameters
-    ----------
-    name : str
-        One of `FORMULAS`.
-    image_shape : tuple of int
-        Rows and columns of a mask, or values of a spectrum.
-
-    Raises
-    ------
-    InputError
-        For another name, more than `MOST_FORMULA_PIXELS`, or pixels (of "hadamard", sides) that are
-        no power of two.
     """
     check_choice(Message("{masks}", setting="masks"), name, FORMULAS)
     pixels = int(np.prod(image_shape))
@@ -342,14 +288,6 @@ def hadamard_masks(image_shape: tuple[int, ...], masks: int) -> np.ndarray:
 
     For images these are 2-D sequencies (i, j) in the order of (i + j, max(i, j), i), so that at
     most one mask lacks its transpose; for spectra 1-D sequencies.
-
-    Parameters
-    ----------
-    image_shape : tuple of int
-        Shape of a scene. Sides that are no power of two are padded; the padding is dark and carries
-        no light.
-    masks : int
-        How many.
     """
     padded = padded_shape(image_shape)
     axes = [sequency_hadamard(side)[:, :own] for side, own in zip(padded, image_shape, strict=True)]

@@ -191,15 +191,7 @@ class FixedEntry(_Entry):
 
 
 class _SharingEntry(LaterFields, _Entry):
-    """Entry of an exposure that may end when a class is sure.
-
-    Attributes
-    ----------
-    cap : float
-        Light of a whole exposure over the budget, which above 1 is the mean of all exposures.
-    until : float
-        Probability of a class above which an exposure ends; 1 for never.
-    """
+    """Entry of an exposure that may end when a class is sure."""
 
     LATER: ClassVar = ("cap", "until")
 
@@ -298,30 +290,14 @@ class Nested(_Conditioned, _Sharing):
 
 
 class ConditionedEntry(_SharingEntry):
-    """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
+    """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs."""
 
-    Attributes
-    ----------
-    photons : float
-        Lowest budget of the training.
-    span : float
-        Highest over lowest.
-    masks : int
-        m, of the whole sequence.
-    nested : int
-        Smallest number of first masks that can be classified alone; 0 if only all can.
-    width : int
-        Features of each mask.
-    used : float
-        Share of the light law that the masks take within the whole sequence.
-    """
-
-    photons: Positive
-    span: Annotated[float, Field(ge=1, allow_inf_nan=False)]
-    masks: Count
-    nested: WholeNumber = 0
-    width: Count = 1
-    used: Positive = 1.0
+    photons: Positive  # lowest budget of the training
+    span: Annotated[float, Field(ge=1, allow_inf_nan=False)]  # highest over lowest
+    masks: Count  # m, of the whole sequence
+    nested: WholeNumber = 0  # smallest number of first masks that can be classified alone
+    width: Count = 1  # features of each mask
+    used: Positive = 1.0  # share of the light law that the masks take within the whole sequence
     kind: Literal["conditioned"] = "conditioned"
 
     def count_stops(self, masks: int) -> int:
@@ -407,20 +383,10 @@ class Looks(_Sharing):
 
 
 class LooksEntry(_SharingEntry):
-    """Exposure of several looks, whose dwells a network chooses from the counts so far.
+    """Exposure of several looks, whose dwells a network chooses from the counts so far."""
 
-    Attributes
-    ----------
-    looks : int
-        K, each 1 / K of the whole exposure.
-    hidden : tuple of int
-        Widths of the hidden layers of the network that chooses dwells.
-    shortest : float
-        Shortest dwell of a frame, a share of the exposure.
-    """
-
-    looks: Annotated[int, Field(ge=2, le=64)]
-    hidden: Widths
+    looks: Annotated[int, Field(ge=2, le=64)]  # K, each 1 / K of the whole exposure
+    hidden: Widths  # widths of the hidden layers of the network that chooses dwells
     shortest: Annotated[float, Field(ge=0, lt=1)]
     kind: Literal["adaptive"] = "adaptive"
 
@@ -491,25 +457,7 @@ class Patches(Exposure):
 
 
 def cut_patches(scenes: Any, image_shape: tuple[int, ...], side: int) -> Any:
-    """Patches of images, row by row.
-
-    Parameters
-    ----------
-    scenes : array or tensor, shape (..., H · W)
-    image_shape : tuple of int
-        H and W.
-    side : int
-        Of a patch, pixels.
-
-    Returns
-    -------
-    array or tensor, shape (..., P, side²)
-
-    Raises
-    ------
-    InputError
-        If a rest stays.
-    """
+    """Patches (..., P, side²) of images (..., H · W), row by row."""
     height, width = image_shape
     if height % side or width % side:
         raise InputError(
@@ -522,13 +470,7 @@ def cut_patches(scenes: Any, image_shape: tuple[int, ...], side: int) -> Any:
 
 
 class PatchesEntry(_Entry):
-    """Exposure of fixed dwells, with a detector for each patch of an image.
-
-    Attributes
-    ----------
-    side : int
-        Of a patch, pixels.
-    """
+    """Exposure of fixed dwells, with a detector for each patch of an image."""
 
     side: Count
     kind: Literal["patches"] = "patches"
@@ -658,27 +600,13 @@ class Passing(Exposure):
 
 
 class PassingEntry(_Entry):
-    """Scenes that pass a pattern, which is a tensor of the file.
+    """Scenes that pass a pattern, which is a tensor of the file."""
 
-    Attributes
-    ----------
-    shape : tuple of int
-        Rows and columns of a scene.
-    bins : int
-        Time bins of a transit.
-    speed : float
-        Pixels a bin.
-    jitter : float
-        Standard deviation of the place of an exposure, pixels.
-    speed_jitter : float
-        Standard deviation of its speed over the mean one.
-    """
-
-    shape: tuple[Count, Count]
-    bins: Count
-    speed: Positive
-    jitter: Amount
-    speed_jitter: Amount
+    shape: tuple[Count, Count]  # rows and columns of a scene
+    bins: Count  # time bins of a transit
+    speed: Positive  # pixels a bin
+    jitter: Amount  # standard deviation of the place of an exposure, pixels
+    speed_jitter: Amount  # standard deviation of its speed over the mean one
     kind: Literal["passing"] = "passing"
 
 
@@ -749,14 +677,7 @@ What a look tells of how far the scene is from those of the prior is not kept fo
 
 
 class AdaptiveMasks(LaterFields, UserModel):
-    """Exposure with adaptive masks: how a design that makes each next mask looks at a scene.
-
-    Examples
-    --------
-    >>> from deepfsi.jobs import AdaptiveMasks
-    >>> AdaptiveMasks(looks=3, growth=4).shares
-    [0.14285714285714285, 0.2857142857142857, 0.5714285714285714]
-    """
+    """Exposure with adaptive masks: how a design that makes each next mask looks at a scene."""
 
     LATER: ClassVar = ("cap", "price", "light_price", "dictionary")
 

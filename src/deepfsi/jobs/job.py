@@ -482,19 +482,7 @@ def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def usual_mask_count(settings: Mapping[str, Any], data: Dataset) -> int:
-    """Number of masks of a design that has no choice of it.
-
-    Parameters
-    ----------
-    settings : mapping
-        Fields of `Job`, with a camera.
-    data : Dataset
-
-    Raises
-    ------
-    InputError
-        If the design has a choice.
-    """
+    """Number of masks of a design that has no choice of it."""
     exposure = find_exposure(settings.get("exposure", {}))
     if exposure.fixed_mask_count:
         return exposure.fixed_mask_count
@@ -513,21 +501,7 @@ def usual_mask_count(settings: Mapping[str, Any], data: Dataset) -> int:
 
 
 def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
-    """Job of its fields: its light is a budget, that of its camera, or counts.
-
-    Parameters
-    ----------
-    settings : mapping
-        Fields of `Job`.
-    counts : float, optional
-        Mean counts of an exposure: with `photons` masks learn to count no more of them; without,
-        they stand for the budget of the job, until a training says what it is.
-
-    Raises
-    ------
-    InputError
-        In one line that names the field which cannot be used.
-    """
+    """Job of its fields: its light is a budget, that of its camera, or counts."""
     within = counts is not None and settings.get("photons") is not None
     if within:
         training = _training_of(settings)

@@ -39,35 +39,14 @@ def _divide_scene(image_shape: tuple[int, ...], detectors: DetectorMap) -> Itera
 def count_allowed(
     name: str, data: Dataset, detectors: DetectorMap = ONE_DETECTOR
 ) -> tuple[int, int]:
-    """Smallest and largest number of masks that a design can have, that of the largest tile.
-
-    Parameters
-    ----------
-    name : str
-        One of `DESIGNS`.
-    data : Dataset
-        Scenes as the masks see them.
-    detectors : DetectorMap
-        Which detector sees each pixel.
-    """
+    """Smallest and largest number of masks that a design can have, that of the largest tile."""
     shapes = {tile.shape for tile in _divide_scene(data.image_shape, detectors)}
     ranges = [DESIGNS[name].counts(shape, len(data.classes)) for shape in shapes]
     return max(low for low, _ in ranges), max(high for _, high in ranges)
 
 
 def check_count(name: str, masks: int, data: Dataset, detectors: DetectorMap = ONE_DETECTOR) -> int:
-    """Return a mask count, or raise `InputError` if the design cannot have it on this data.
-
-    Parameters
-    ----------
-    name : str
-        One of `DESIGNS`.
-    masks : int
-    data : Dataset
-        Scenes as the masks see them.
-    detectors : DetectorMap
-        Which detector sees each pixel.
-    """
+    """Return a mask count, or raise `InputError` if the design cannot have it on this data."""
     low, high = count_allowed(name, data, detectors)
     whole = not isinstance(masks, bool) and float(masks).is_integer()
     if not whole or not low <= masks <= high:
@@ -85,24 +64,6 @@ def sensing_matrix(
     """Sensing matrix (m, N) of a fixed design, float64, signed; each detector sees its tile of it.
 
     Where a tile can have fewer masks, the others are dark there.
-
-    Parameters
-    ----------
-    name : str
-        One of `DESIGNS` that has a fixed matrix.
-    masks : int
-        m.
-    data : Dataset
-        Scenes whose pixels, and whose training part, the matrix is made of.
-    seed : int
-        Of a design that is drawn.
-    detectors : DetectorMap
-        Which detector sees each pixel.
-
-    Raises
-    ------
-    InputError
-        If the design cannot have so many masks on this data.
     """
     masks = check_count(name, masks, data, detectors)
     code = DESIGNS[name]

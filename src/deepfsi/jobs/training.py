@@ -33,20 +33,10 @@ MLP = "mlp"
 
 @dataclass(frozen=True)
 class ClassifierFacts:
-    """Facts of a classifier: the settings of a training that are its own, and its inputs.
+    """Facts of a classifier: the settings of a training that are its own, and its inputs."""
 
-    Attributes
-    ----------
-    settings : tuple of str
-        Settings of `Training` that are of this classifier.
-    sizes : tuple of str
-        Its arguments, whole numbers of 1 or more.
-    reads_patches : bool
-        Whether it reads the features of all patches of an image, and nothing else.
-    """
-
-    settings: tuple[str, ...] = ()
-    sizes: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()  # settings of `Training` that are of this classifier
+    sizes: tuple[str, ...] = ()  # its arguments, whole numbers of 1 or more
     reads_patches: bool = False
 
 
@@ -61,12 +51,7 @@ CUSTOM_CLASSIFIER = ClassifierFacts(settings=("classifier_arguments",))
 
 
 def find_classifier(name: str) -> ClassifierFacts:
-    """Facts of a classifier that settings or a design file name; those of a user's own, else.
-
-    Parameters
-    ----------
-    name : str
-    """
+    """Facts of a classifier that settings or a design file name; those of a user's own, else."""
     return CLASSIFIERS.get(name, CUSTOM_CLASSIFIER)
 
 
@@ -94,22 +79,7 @@ Precision = Literal["auto", "float32", "bfloat16"]
 def describe_classifier(
     given: Any, arguments: Mapping[str, Any] | None = None
 ) -> tuple[str, dict[str, Any]]:
-    """Name of a classifier in settings and in design files, and its factory's arguments.
-
-    Parameters
-    ----------
-    given : str, module or callable
-        A name, the import path of a factory, a torch module, a factory, or a partial of one.
-    arguments : mapping, optional
-        Keyword arguments of the factory, besides the numbers of its inputs and classes.
-
-    Returns
-    -------
-    name : str
-        An import path where there is one, else `UNNAMED_PLUGIN`.
-    arguments : dict
-        Those of a partial among them.
-    """
+    """Name of a classifier in settings and in design files, and its factory's arguments."""
     every = dict(arguments or {})
     if isinstance(given, partial):
         if given.args:

@@ -73,15 +73,7 @@ one of the candidates, but for 4 of 784 mirrors of one mask. This leaves a facto
 
 
 class AdaptiveLooks:
-    """Looks of a design of adaptive masks; attributes are those of `LookChooser`.
-
-    Parameters
-    ----------
-    design : Design
-        Of adaptive masks.
-    manifest : Manifest
-        Patterns of its first mask, whose frame is loaded anew for each look, or of its dictionary.
-    """
+    """Looks of a design of adaptive masks; attributes are those of `LookChooser`."""
 
     def __init__(self, design: Design, manifest: Manifest) -> None:
         exposure = design.prior_exposure
@@ -104,20 +96,7 @@ class AdaptiveLooks:
 
     @classmethod
     def read(cls, folder: Path, manifest: Manifest) -> "AdaptiveLooks":
-        """Looks of a folder of patterns of a first mask, or of a dictionary, and its design.
-
-        Parameters
-        ----------
-        folder : path
-            Of the patterns.
-        manifest : Manifest
-            Of these.
-
-        Raises
-        ------
-        InputError
-            If files are damaged, or the design is not the one whose masks are beside it.
-        """
+        """Looks of a folder of patterns of a first mask, or of a dictionary, and its design."""
         if hash_file(folder / Patterns.DESIGN) != manifest.design_sha256:
             raise InputError(
                 f"{folder / Patterns.DESIGN} is not the design whose masks are beside it: "

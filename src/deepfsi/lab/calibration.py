@@ -21,30 +21,7 @@ from deepfsi.lab.looks import open_looks
 
 
 def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
-    """Fit the camera's view to a counted run of the spots, and write it to a folder.
-
-    Parameters
-    ----------
-    folder : path
-        Of the run.
-    spots : path
-        Pictures that were shown.
-    out : path
-        Folder of the calibration.
-
-    Returns
-    -------
-    Calibration
-    path
-        Its file.
-    path or None
-        File of the cells that each detector sees, of several.
-
-    Raises
-    ------
-    InputError
-        If files do not fit, or the counts tell no view.
-    """
+    """Fit the camera's view to a counted run of the spots, and write it to a folder."""
     run = read_run(folder)
     display = read_display(spots)
     counts = _photons(folder)
@@ -62,20 +39,7 @@ def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, 
 
 
 def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
-    """Place of scenes on the device, from a counted run of the reference target.
-
-    Parameters
-    ----------
-    folder : path
-        Of the run, recorded or live.
-    report : Progress
-        Told of the share that is done.
-
-    Raises
-    ------
-    InputError
-        If files do not fit, or no scene had light.
-    """
+    """Place of scenes on the device, from a counted run of the reference target."""
     if not is_live(folder):
         return find_reference(_photons(folder), read_run(folder).patterns, report)
     counts = LiveCounts.read(folder)

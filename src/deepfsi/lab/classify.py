@@ -64,42 +64,19 @@ CLICKS = (
 
 @dataclass(frozen=True)
 class ClassifiedScene:
-    """Class of a scene from its exposures.
-
-    Parameters
-    ----------
-    name : str
-    label : str or None
-        Class that it is known to be of.
-    predicted, probability : str and float, or None
-        Class of the mean probabilities of its exposures, and that mean; None without a sound one.
-    exposures : int
-        That are sound.
-    guesses : tuple of str
-        Class of each.
-    photons : float or None
-        Budget of an exposure.
-    faults : tuple of Fault
-        Of the scene, and of the whole recording.
-    consistency : float or None
-        p-value of its counts; None where they were not tested.
-    unsure : bool or None
-        True if they do not look like those of the training.
-    trained_on : bool or None
-        True if the design was; None where it is not known.
-    """
+    """Class of a scene from its exposures."""
 
     name: str
-    label: str | None = None
+    label: str | None = None  # class that it is known to be of
     predicted: str | None = None
     probability: float | None = None
     exposures: int = 0
-    guesses: tuple[str, ...] = ()
-    photons: float | None = None
-    faults: tuple[Fault, ...] = ()
-    consistency: float | None = None
-    unsure: bool | None = None
-    trained_on: bool | None = None
+    guesses: tuple[str, ...] = ()  # class of each
+    photons: float | None = None  # budget of an exposure
+    faults: tuple[Fault, ...] = ()  # of the scene, and of the whole recording
+    consistency: float | None = None  # p-value of its counts
+    unsure: bool | None = None  # True if they do not look like those of the training
+    trained_on: bool | None = None  # True if the design was
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
@@ -125,33 +102,14 @@ class ClassifiedScene:
 
 @dataclass(frozen=True)
 class ClassifiedRun:
-    """Classes of the scenes of a run or a table.
-
-    Parameters
-    ----------
-    design : str
-        Its name.
-    masks : int
-        Their number.
-    classes : tuple of str
-        Those that the design tells apart.
-    scenes : tuple of ClassifiedScene
-    remarks : tuple of str
-        On the tests of the counts, for a reader.
-    faults : tuple of Fault
-        Of the markers and the light.
-    consistency : ConsistencyResult or None
-        With the training; None where it was not tested.
-    view : ViewResult or None
-        Of the camera; None where it was not tested.
-    """
+    """Classes of the scenes of a run or a table."""
 
     design: str
     masks: int
-    classes: tuple[str, ...]
+    classes: tuple[str, ...]  # those that the design tells apart
     scenes: tuple[ClassifiedScene, ...]
-    remarks: tuple[str, ...]
-    faults: tuple[Fault, ...] = ()
+    remarks: tuple[str, ...]  # on the tests of the counts, for a reader
+    faults: tuple[Fault, ...] = ()  # of the markers and the light
     consistency: ConsistencyResult | None = None
     view: ViewResult | None = None
 

@@ -44,22 +44,7 @@ class DesignData(NamedTuple):
 
 
 def open_design(path: Path, *, trust: bool = False, static: bool = False) -> "Design":
-    """Open a design file, or what a folder of patterns realises of the design in it.
-
-    Parameters
-    ----------
-    path : path
-        Design file, or folder of patterns.
-    trust : bool
-        Run the factory of a classifier of one's own.
-    static : bool
-        Refuse a design that makes its masks while it looks, as a folder of patterns does anyway.
-
-    Raises
-    ------
-    InputError
-        If there is no design, or none that can be used.
-    """
+    """Open a design file, or what a folder of patterns realises of the design in it."""
     from deepfsi.design import load_design
 
     folder = path.is_dir()
@@ -76,23 +61,7 @@ def data_of(
     size: tuple[int, int] | None = None,
     view: Path | None = None,
 ) -> DesignData:
-    """Load the data to test a design on: what is given, else what it was trained on.
-
-    Parameters
-    ----------
-    design : Design
-    data : str, optional
-        Name or path of other data.
-    size : (int, int), optional
-        Of their images; that of the training unless given.
-    view : path, optional
-        Folder of a calibration, as whose camera sees them.
-
-    Raises
-    ------
-    InputError
-        If the design remembers no data, or they cannot be loaded.
-    """
+    """Load the data to test a design on: what is given, else what it was trained on."""
     training = trained_on(design.info)
     known = training.origin if training else None
     if data is None and known is None:
@@ -121,19 +90,7 @@ def data_of(
 
 
 def data_of_file(file: Path, size: tuple[int, int] | None = None) -> Dataset:
-    """Data that a design file was trained on, without torch.
-
-    Parameters
-    ----------
-    file : path
-    size : (int, int), optional
-        Of their images; that of the training unless given.
-
-    Raises
-    ------
-    InputError
-        If the design remembers no data, or they cannot be loaded.
-    """
+    """Data that a design file was trained on, without torch."""
     training = trained_on(DesignFile.read(file, ()).header.info)
     if training is None or training.origin is None:
         raise InputError(

@@ -17,20 +17,7 @@ from deepfsi.hardware.virtual import CAMERAS, VirtualCamera
 
 
 def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) -> Camera:
-    """Camera of a design, with other settings; the preset `dmd` where none is known.
-
-    Parameters
-    ----------
-    source : path
-        Design file, folder of its patterns, or of a run.
-    settings : mapping
-        Fields of a camera, and another camera as ``camera``.
-
-    Raises
-    ------
-    InputError
-        If a setting is not allowed.
-    """
+    """Camera of a design, with other settings; the preset `dmd` where none is known."""
     folders = (source, source / "patterns") if source.is_dir() else ()
     files = (folder / Patterns.DESIGN for folder in folders)
     file = next((file for file in files if file.is_file()), source)
@@ -44,22 +31,7 @@ def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) 
 def virtual_camera(
     name: str | None, source: Path, settings: Mapping[str, Any] = MappingProxyType({})
 ) -> VirtualCamera:
-    """Virtual camera of a run of a design.
-
-    Parameters
-    ----------
-    name : str, optional
-        Name of a virtual camera, or a TOML file; as the design's camera is described unless given.
-        Where that has neither an exposure time, gates nor a fluctuation it is no laboratory's, and
-        a photomultiplier is taken.
-    source, settings : path and mapping
-        Design file or folder, and fields of its camera.
-
-    Raises
-    ------
-    InputError
-        If the camera is none, or a setting is not allowed.
-    """
+    """Virtual camera of a run of a design."""
     if name is not None:
         return VirtualCamera.load(name)
     camera = camera_of(source, {"camera": settings.get("camera")})
@@ -80,18 +52,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
 
 
 def open_looks(folder: Path) -> LookChooser:
-    """Looks of a folder of patterns; only adaptive masks need torch.
-
-    Parameters
-    ----------
-    folder : path
-        Patterns of a design of several looks, or of the first of adaptive masks.
-
-    Raises
-    ------
-    InputError
-        If files are damaged, or the patterns are of fixed dwells.
-    """
+    """Looks of a folder of patterns; only adaptive masks need torch."""
     patterns = read_patterns(folder)
     looks = patterns.manifest.looks
     if looks is None or not looks.adaptive:

@@ -30,20 +30,11 @@ USUAL_CELLS = (32, 32)
 
 @dataclass(frozen=True)
 class PlannedLosses:
-    """Losses of light, and what was assumed of the camera and its masks for want of a number.
-
-    Attributes
-    ----------
-    losses : LightLosses
-    camera : Camera
-        With what was assumed.
-    assumed : tuple of str
-        One line each.
-    """
+    """Losses of light, and what was assumed of the camera and its masks for want of a number."""
 
     losses: LightLosses
     camera: Camera
-    assumed: tuple[str, ...]
+    assumed: tuple[str, ...]  # one line each
 
 
 def plan_losses(
@@ -54,26 +45,7 @@ def plan_losses(
     efficiency: float = 1.0,
     decision_s: float = 0.0,
 ) -> PlannedLosses:
-    """Where a camera loses light, with the masks of a design or with ones half of which is ON.
-
-    Parameters
-    ----------
-    file : path, optional
-        Design file, whose masks' own throughput is taken.
-    settings : mapping
-        Fields of a camera, and a camera as ``camera``; that of the design unless given.
-    masks : int, optional
-        Number of masks without a design.
-    efficiency : float
-        Share of photons that a detector sees.
-    decision_s : float
-        Time to choose what is shown next, seconds, once a look.
-
-    Raises
-    ------
-    InputError
-        If the camera or the design cannot be used, or no device shows the masks.
-    """
+    """Where a camera loses light, with the masks of a design or with ones half of which is ON."""
     assumed: list[str] = []
     design = None if file is None else DesignFile.read(file)
     if design is not None and masks is not None:

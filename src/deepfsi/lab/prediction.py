@@ -39,27 +39,13 @@ class Predicted:
 
 @dataclass(frozen=True)
 class Predictions:
-    """Classes of pictures, each from one exposure that was simulated.
-
-    Parameters
-    ----------
-    photons : float
-        Budget.
-    noise : str
-    preprocessing : str
-        What was done to the pictures, in words.
-    remarks : tuple of str
-        On the budget, where it is too little for the design.
-    classes : tuple of str
-        Those that the design tells apart.
-    pictures : tuple of Predicted
-    """
+    """Classes of pictures, each from one exposure that was simulated."""
 
     photons: float
     noise: str
-    preprocessing: str
-    remarks: tuple[str, ...]
-    classes: tuple[str, ...]
+    preprocessing: str  # what was done to the pictures, in words
+    remarks: tuple[str, ...]  # on the budget, where it is too little for the design
+    classes: tuple[str, ...]  # those that the design tells apart
     pictures: tuple[Predicted, ...]
 
     @property

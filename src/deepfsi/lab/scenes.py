@@ -23,15 +23,7 @@ def _design_of(patterns: Path) -> DesignHeader | None:
 
 
 def displayed(source: Path, patterns: Path) -> "Display":
-    """Pictures of scenes, with the white of the patterns' design where their type has none.
-
-    Parameters
-    ----------
-    source : path
-        The pictures.
-    patterns : path
-        Folder of the patterns.
-    """
+    """Pictures of scenes, with the white of the patterns' design where their type has none."""
     images = read_display(source)
     if not images.levels.chosen or (design := _design_of(patterns)) is None:
         return images
@@ -63,17 +55,7 @@ def picture_hashes(
 
 
 def scenes_of(images: "Display", source: Path, patterns: Path) -> tuple[Scene, ...]:
-    """Scenes of pictures, with their names, the classes of their folders and their hashes.
-
-    Parameters
-    ----------
-    images : Display
-        The pictures as they are shown.
-    source : path
-        Where they are from.
-    patterns : path
-        Folder of the patterns.
-    """
+    """Scenes of pictures, with their names, the classes of their folders and their hashes."""
     count = len(images.names)
     labels = images.labels or [None] * count
     hashes = picture_hashes(source, patterns) or [None] * count
@@ -84,20 +66,7 @@ def scenes_of(images: "Display", source: Path, patterns: Path) -> tuple[Scene, .
 
 
 def listed_scenes(source: Path, patterns: Path) -> tuple[Scene, ...]:
-    """Scenes that someone shows to a camera.
-
-    Parameters
-    ----------
-    source : path
-        List of names, one picture, or folder of pictures.
-    patterns : path
-        Folder of the patterns.
-
-    Raises
-    ------
-    InputError
-        If there is no such list, or it is none.
-    """
+    """Scenes that someone shows to a camera."""
     suffix = source.suffix.lower()
     if suffix in (".txt", ".csv") and not source.exists():
         raise InputError(f"there is nothing at {source}: give a list of scenes, or their pictures")

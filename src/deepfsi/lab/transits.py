@@ -230,30 +230,6 @@ def classify_transits(
 
     A transit is a rise of the rate above a threshold with a stated number of false alarms. Its
     place is where its photons are likeliest those of the mean trace of the training.
-
-    Parameters
-    ----------
-    design : Design
-        Of scenes that pass a pattern.
-    file : str or path
-        PTU file; markers in it are not read.
-    bin_s : float
-        Length of a bin, seconds.
-    photons : float, optional
-        Budget Φ of a transit, counts; that of the training unless given.
-    background : float, optional
-        Counts/s without a scene; from the record's stretches without transits unless given.
-    false_alarms : float
-        Expected false alarms in the whole record, at most.
-    counter_input : int
-        Input of the counter, from 0.
-    report : Report
-
-    Raises
-    ------
-    InputError
-        If the design is of another exposure, the file is damaged, or it does not tell its
-        background.
     """
     from deepfsi.networks import check_classes
     from deepfsi.physics import library_defaults

@@ -19,39 +19,17 @@ LEAST_TRUE_CHANCE = np.finfo(np.float32).eps
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Answers:
-    """Answers of one design at one budget: E exposures, so many draws of each of n scenes.
+    """Answers of one design at one budget: E exposures, so many draws of each of n scenes."""
 
-    Attributes
-    ----------
-    photons : float
-        Budget Φ.
-    noise : str
-        Of the test.
-    covers : str
-        What an interval over images covers.
-    draws : int
-        Independent noise draws of each scene.
-    counts, arriving : float
-        What the detectors count, and photons that reach them, in the mean over exposures.
-    used : float or None
-        Light of exposures that stop early over the budget, in the same mean; None where none does.
-    shares : list of float, length m
-        Share of the budget that each mask's rails count together, in the training mean.
-    truth : array, shape (n,) or (n, q)
-        Class of each scene, or its values.
-    scenes : array, shape (E,)
-        Scene of each exposure, a place in `truth`. Draws of a scene stand in their order.
-    """
-
-    photons: float
+    photons: float  # budget Φ
     noise: str
-    covers: str
-    draws: int
+    covers: str  # what an interval over images covers
+    draws: int  # independent noise draws of each scene
     counts: float
     arriving: float
     shares: list[float]
-    truth: np.ndarray
-    scenes: np.ndarray
+    truth: np.ndarray  # (n,), class of each scene, or its values
+    scenes: np.ndarray  # (E,)
     used: float | None = None
 
     def by_scene(self, values: np.ndarray) -> np.ndarray:
@@ -62,18 +40,10 @@ class Answers:
 
 @dataclass(frozen=True, eq=False)
 class ClassAnswers(Answers):
-    """Answers that are classes.
+    """Answers that are classes."""
 
-    Attributes
-    ----------
-    classes : array, shape (E,)
-        Most probable class, which rounded probabilities may not tell from another.
-    chances : array, shape (E, C)
-        Probability of each class.
-    """
-
-    classes: np.ndarray
-    chances: np.ndarray
+    classes: np.ndarray  # (E,)
+    chances: np.ndarray  # (E, C), probability of each class
 
     @cached_property
     def true(self) -> np.ndarray:
@@ -123,18 +93,9 @@ class ClassAnswers(Answers):
 
 @dataclass(frozen=True, eq=False)
 class ValueAnswers(Answers):
-    """Answers that are estimates of values.
+    """Answers that are estimates of values."""
 
-    Attributes
-    ----------
-    estimates : array, shape (E, q)
-        In the unit of each value.
-    names : tuple of str, length q
-    bound : list of float or None
-        Root mean squared error of the best linear estimator of the same counts, of each value.
-    """
-
-    estimates: np.ndarray
+    estimates: np.ndarray  # (E, q), in the unit of each value
     names: tuple[str, ...] = ()
     bound: list[float] | None = None
 

@@ -20,14 +20,7 @@ def score_text(result: Result | Estimates) -> str:
 
 
 def details_text(result: Result | Estimates, classes: Sequence[str]) -> str:
-    """Test of each class in words, or of each value.
-
-    Parameters
-    ----------
-    result : Result or Estimates
-    classes : sequence of str
-        Names of the classes.
-    """
+    """Test of each class in words, or of each value."""
     if isinstance(result, Estimates):
         errors = ", ".join(map(" ".join, zip(result.values, _answers(result, ()), strict=True)))
         return f"root mean squared error (of the best linear estimator): {errors}"
@@ -46,19 +39,7 @@ def results_lines(
     classes: Sequence[str] = (),
     bounds: Sequence[Result] = (),
 ) -> Iterator[str | Table]:
-    """Tests of a design in a table, its mistakes, and what the numbers mean.
-
-    Parameters
-    ----------
-    tests : sequence of Result or Estimates
-        At several budgets.
-    title : str
-        Of the table.
-    classes : sequence of str
-        Names of the classes that results are of.
-    bounds : sequence of Result
-        Of the ideal observer of the same counts.
-    """
+    """Tests of a design in a table, its mistakes, and what the numbers mean."""
     results = sorted(tests, key=lambda r: r.photons)
     values = results[0].values if isinstance(results[0], Estimates) else []
     clicks = any(result.clicks for result in results)
@@ -162,24 +143,10 @@ def _worst(result: Result, classes: Sequence[str]) -> str:
 
 
 def error_text(rmse: float, bound: float | None) -> str:
-    """A root mean squared error, and in brackets a bound where there is one: 0.052 (0.071).
-
-    Parameters
-    ----------
-    rmse : float
-    bound : float, optional
-        That of the best linear estimator.
-    """
+    """A root mean squared error, and in brackets a bound where there is one: 0.052 (0.071)."""
     return f"{rmse:.3g}" if bound is None else f"{rmse:.3g} ({bound:.3g})"
 
 
 def worst_text(rate: float, name: str) -> str:
-    """Accuracy of the worst class with its name: 0.083 (oak).
-
-    Parameters
-    ----------
-    rate : float
-    name : str
-        Of the class.
-    """
+    """Accuracy of the worst class with its name: 0.083 (oak)."""
     return f"{rate:.3f} ({short_name(name)})"

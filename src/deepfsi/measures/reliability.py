@@ -11,15 +11,7 @@ BINS = 15
 def confidence_groups(
     confidence: np.ndarray, right: np.ndarray
 ) -> list[tuple[float, float, float]]:
-    """Confidence, accuracy and weight of answers in `BINS` groups, the least sure first.
-
-    Parameters
-    ----------
-    confidence : array, shape (E,)
-        Probability of each answer.
-    right : array, shape (E,)
-        Whether it is right.
-    """
+    """Confidence, accuracy and weight of E answers in `BINS` groups, the least sure first."""
     order = np.argsort(confidence, kind="stable")
     return [
         (float(confidence[part].mean()), float(right[part].mean()), len(part) / len(order))
@@ -33,31 +25,15 @@ def calibration_error(groups: Sequence[tuple[float, float, float]]) -> float:
 
 
 def confidence_error(confidence: np.ndarray, right: np.ndarray) -> float:
-    """Expected calibration error of answers.
-
-    Parameters
-    ----------
-    confidence : array, shape (E,)
-        Probability of each answer.
-    right : array, shape (E,)
-        Whether it is right.
-    """
+    """Expected calibration error of E answers, by their confidence and which are right."""
     return calibration_error(confidence_groups(confidence, right))
 
 
 def chance_error(confidence: np.ndarray, draws: int = 200, seed: int = 0) -> float:
-    """Calibration error that exactly calibrated answers show, in the mean over draws.
+    """Calibration error that exactly calibrated answers of confidence (E,) show, in the mean.
 
     Groups are finite: each answer is right with the probability that it says, and yet the accuracy
     of a group differs from its confidence.
-
-    Parameters
-    ----------
-    confidence : array, shape (E,)
-        Probability of each answer.
-    draws : int
-    seed : int
-        Of the draws.
     """
     rng = np.random.default_rng(seed)
     errors = [

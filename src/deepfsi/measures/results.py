@@ -14,21 +14,9 @@ from deepfsi.measures.table import MEASURES, Measure
 
 @dataclass(frozen=True)
 class AnswerTest:
-    """A test of answers of either kind, with all measures of `MEASURES` that are of that kind.
+    """A test of answers of either kind, with all measures of `MEASURES` that are of that kind."""
 
-    Attributes
-    ----------
-    photons : float
-        Budget Φ.
-    noise : str
-        Of this test.
-    further : dict
-        Measures that have no field of their own, by their key. In `as_dict` they follow the others.
-    image_terms : dict
-        Numbers of the test images whose mean is a measure, by name. Not in `as_dict`.
-    """
-
-    photons: float
+    photons: float  # budget Φ
     noise: str
     kind: ClassVar[type[Answers]]
     further: dict[str, float | None] = field(default_factory=dict, repr=False, kw_only=True)
@@ -206,57 +194,17 @@ class ResultList(list[Result]):
 
 @dataclass(frozen=True)
 class Estimates(AnswerTest):
-    """A design that estimates q values, at one budget.
-
-    Attributes
-    ----------
-    photons : float
-        Budget Φ.
-    noise : str
-        Of this test.
-    r2, low, high : float
-        R², 1 − mean squared error over variance, in the mean over values, and its 95 % interval.
-    covers : str
-        What the intervals cover.
-    images, draws : int
-        Scenes, and independent noise draws of each.
-    values : list of str
-        Names of the values.
-    r2_each : list of float
-        R² of each value.
-    rmse, rmse_low, rmse_high : list of float
-        Root mean squared error of each value, in its own unit, and its 95 % interval.
-    bound : list of float or None
-        That of the best linear estimator of the same counts (`evaluation.linear_bound`), which no
-        estimator is below where values and readouts are jointly normal; None of exposures that have
-        none.
-    counts, arriving, throughput, photons_per_mask
-        As of `Result`.
-    further, image_terms
-        As of `AnswerTest`.
-
-    Examples
-    --------
-    >>> import deepfsi
-    >>> digits = deepfsi.load_dataset("digits")
-    >>> light = digits.x_train.mean(axis=1), digits.x_test.mean(axis=1)  # float: a value
-    >>> data = deepfsi.from_arrays(digits.x_train, light[0], digits.x_test, light[1])
-    >>> few = deepfsi.Training(epochs=2)
-    >>> design = deepfsi.learn(data, photons=1e6, masks=4, design="pca", training=few)
-    >>> [result] = deepfsi.evaluate(design, data, 1e6, draws=1)
-    >>> len(result.rmse)
-    1
-    """
+    """A design that estimates q values, at one budget."""
 
     kind = ValueAnswers
     r2: float
     low: float
     high: float
-    covers: str
+    covers: str  # what the intervals cover
     images: int
     draws: int
-    values: list[str]
-    r2_each: list[float]
+    values: list[str]  # names of the values
+    r2_each: list[float]  # R² of each value
     rmse: list[float]
     rmse_low: list[float]
     rmse_high: list[float]
@@ -290,14 +238,7 @@ def lit_masks(rails_or_matrix: np.ndarray) -> int:
 
 
 def lit_text(masks: int, lit: float) -> str:
-    """Number of masks asked and lit: 24 asked, 16 lit: 8 have no time under this budget.
-
-    Parameters
-    ----------
-    masks : int
-    lit : float
-        How many of them have light, in the mean.
-    """
+    """Number of masks asked and lit: 24 asked, 16 lit: 8 have no time under this budget."""
     dark = masks - lit
     have = "has" if dark == 1 else "have"
     return f"{masks} asked, {lit:.3g} lit: {dark:.3g} {have} no time under this budget"

@@ -23,50 +23,19 @@ from deepfsi.measures.reliability import confidence_error
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """A measure of answers.
+    """A measure of answers."""
 
-    Attributes
-    ----------
-    key : str
-        Its name in results, records and their tables.
-    title : str
-        In words.
-    of : type
-        Kind of answers that have it.
-    compute : callable or None
-        Gives the measure of such answers, or None where these have none; None where it is the mean
-        of the interval.
-    interval : callable or None
-        Gives mean and 95 % interval of numbers of images, (S, n) or (n,) of S trainings and n
-        images, and the truth (n,) of these.
-    ends : (str, str)
-        Names of the ends of that interval in results and records.
-    terms : str
-        Name in records of those numbers of images.
-    terms_of : callable or None
-        Gives the numbers (n,) of answers; None where they are those of a measure before this one.
-        There are none where the answers do not have the measure, as an area of three classes.
-    column : str
-        Head of its column in tables of tests, and of points if it is `averaged`; none if empty.
-    legend : str
-        Line below tables of tests that says what the column is, where its head does not.
-    averaged : bool
-        Whether points of a comparison hold its mean over trials.
-    chooses : bool
-        Whether numbers of masks may be chosen by it, so that tables of records have it.
-    """
-
-    key: str
+    key: str  # its name in results, records and their tables
     title: str
-    of: type[Answers]
+    of: type[Answers]  # kind of answers that have it
     compute: Callable[[Any], float | None] | None = None
     interval: Callable[[np.ndarray, np.ndarray], Interval] | None = None
-    ends: tuple[str, str] = ("", "")
-    terms: str = ""
-    terms_of: Callable[[Any], np.ndarray] | None = None
+    ends: tuple[str, str] = ("", "")  # names of the ends of that interval in results and records
+    terms: str = ""  # name in records of those numbers of images
+    terms_of: Callable[[Any], np.ndarray] | None = None  # gives the numbers (n,) of answers
     column: str = ""
     legend: str = ""
-    averaged: bool = False
+    averaged: bool = False  # whether points of a comparison hold its mean over trials
     chooses: bool = False
 
     @property
@@ -87,24 +56,12 @@ class Measure:
 
 @dataclass(frozen=True, kw_only=True)
 class MainMeasure(Measure):
-    """A measure that data sets are judged by: `Dataset.measure` is its title.
-
-    Attributes
-    ----------
-    axis : str
-        Of a figure.
-    meaning : str
-        What it is, with its unit.
-    guessing : str
-        What guessing gives.
-    task : str
-        What a network does with the photon counts of scenes, with a place for these.
-    """
+    """A measure that data sets are judged by: `Dataset.measure` is its title."""
 
     axis: str
-    meaning: str
-    guessing: str
-    task: str
+    meaning: str  # what it is, with its unit
+    guessing: str  # what guessing gives
+    task: str  # what a network does with the photon counts of scenes, with a place for these
 
 
 def _explained_interval(terms: np.ndarray, truth: np.ndarray) -> Interval:

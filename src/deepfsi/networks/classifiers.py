@@ -29,21 +29,11 @@ class Classifier(nn.Module, ABC):
 
 
 class Sizes(NamedTuple):
-    """Sizes of a classifier that its data decide.
+    """Sizes of a classifier that its data decide."""
 
-    Attributes
-    ----------
-    inputs : int
-        m, features of a scene, or of each of its parts.
-    classes : int
-        C, outputs.
-    parts : int
-        Parts of a scene that are exposed by themselves, such as patches.
-    """
-
-    inputs: int
-    classes: int
-    parts: int
+    inputs: int  # m, features of a scene, or of each of its parts
+    classes: int  # C, outputs
+    parts: int  # parts of a scene that are exposed by themselves, such as patches
 
 
 class _NamedClassifier(Classifier):
@@ -52,15 +42,7 @@ class _NamedClassifier(Classifier):
     @classmethod
     @abstractmethod
     def of_settings(cls, settings: Training, sizes: Sizes, generator: torch.Generator) -> Self:
-        """Untrained classifier of a training.
-
-        Parameters
-        ----------
-        settings : Training
-        sizes : Sizes
-        generator : torch.Generator
-            For the initial weights.
-        """
+        """Untrained classifier of a training."""
 
 
 class Mlp(_NamedClassifier):
@@ -161,25 +143,6 @@ class Vit(_NamedClassifier):
     Each patch's features are embedded by one linear layer and get a learned position; `depth`
     layers of attention over the patches follow (normalised first, as deep ones train best), then
     the mean over patches and a linear layer. There is no dropout.
-
-    Parameters
-    ----------
-    inputs : int
-        m, features of a patch.
-    patches : int
-        P.
-    classes : int
-        C.
-    width : int
-        Numbers that stand for a patch.
-    depth : int
-        Layers of attention.
-    heads : int
-        Of each layer.
-    hidden : int
-        Units of its feed-forward network.
-    generator : torch.Generator, optional
-        For the initial weights.
     """
 
     def __init__(
@@ -254,16 +217,7 @@ def restore_network(kind: type[Network], weights: Mapping[str, Tensor], **sizes:
 
 
 class Replicas(nn.Module):
-    """Networks of one shape that learn side by side, each from its own features.
-
-    Parameters
-    ----------
-    networks : sequence of nn.Module
-    stacked : bool
-        Whether layers are multiplied as one, of `Mlp` alone.
-    dtype : torch.dtype
-        Of the products.
-    """
+    """Networks of one shape that learn side by side, each from its own features."""
 
     def __init__(
         self, networks: Sequence[nn.Module], stacked: bool, dtype: torch.dtype = torch.float32

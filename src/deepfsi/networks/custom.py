@@ -114,23 +114,7 @@ class OwnClassifier(Classifier):
 def make_custom(
     given: Given, arguments: Mapping[str, Any], inputs: int, classes: int, seed: int = 0
 ) -> OwnClassifier:
-    """Classifier for so many inputs and classes, tried on zeros.
-
-    Parameters
-    ----------
-    given : nn.Module, callable or str
-        A module, a factory or its import path.
-    arguments : mapping
-        Of the factory.
-    inputs, classes : int
-    seed : int
-        Of torch's global generator while it is made.
-
-    Raises
-    ------
-    InputError
-        If it cannot be made, or gives other than logits.
-    """
+    """Classifier for so many inputs and classes, tried on zeros."""
     name, every = describe_classifier(given, arguments)
     factory = given.func if isinstance(given, functools.partial) else given
     factory = load_plugin(factory) if isinstance(factory, str) else factory
@@ -201,20 +185,7 @@ def seeded(seed: int) -> Iterator[None]:
 def rebuilt(
     known: nn.Module, classifier: "Given | None", inputs: int, classes: int
 ) -> OwnClassifier:
-    """Classifier with a user's code and the weights of one that was read from a file.
-
-    Parameters
-    ----------
-    known : nn.Module
-        That was read.
-    classifier : nn.Module, callable or str
-    inputs, classes : int
-
-    Raises
-    ------
-    InputError
-        If it is not the one that the weights are of.
-    """
+    """Classifier with a user's code and the weights of one that was read from a file."""
     if not isinstance(known, OwnClassifier):
         raise InputError("this design has a classifier of the package's own: give none")
     if not classifier:

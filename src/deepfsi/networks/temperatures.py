@@ -8,14 +8,7 @@ from deepfsi.designfile import Temperatures
 
 
 def temperatures_at(fitted: Temperatures, place: Tensor | int, photons: Tensor) -> Tensor:
-    """Temperatures (..., 1) at places among the stops, from 0, and at budgets (..., 1).
-
-    Parameters
-    ----------
-    fitted : Temperatures
-    place : tensor, shape (..., 1), or int
-    photons : tensor, shape (..., 1)
-    """
+    """Temperatures (..., 1) at places among the stops, from 0, and at budgets (..., 1)."""
     start = np.log(fitted.budgets[0])
     step = np.log(fitted.budgets[1] / fitted.budgets[0])
     level = (photons.log() - start) / step
@@ -26,14 +19,7 @@ def temperatures_at(fitted: Temperatures, place: Tensor | int, photons: Tensor) 
 
 
 def stop_temperatures(fitted: Temperatures, photons: float) -> np.ndarray:
-    """Temperatures (K,) after each number of masks or looks at a budget.
-
-    Parameters
-    ----------
-    fitted : Temperatures
-    photons : float
-        Budget Φ.
-    """
+    """Temperatures (K,) after each number of masks or looks at a budget."""
     places = torch.arange(len(fitted.logs))
     budget = torch.tensor([photons], dtype=torch.double)
     every = temperatures_at(fitted, places[:, None], budget.expand(len(places), 1))

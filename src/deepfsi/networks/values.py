@@ -12,15 +12,7 @@ from deepfsi.datasets import Dataset
 
 
 def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:
-    """Raise `InputError` where a design estimates values and `what` is of classes.
-
-    Parameters
-    ----------
-    values : Values, tuple of str or None
-        That the design estimates.
-    what : str
-        What needs classes.
-    """
+    """Raise `InputError` where a design estimates values and `what` is of classes."""
     if values:
         names = values if isinstance(values, tuple) else values.names
         raise InputError(
@@ -31,17 +23,11 @@ def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Names of q values, and their mean and standard deviation in the training, (q,) each.
-
-    Attributes
-    ----------
-    names : tuple of str
-    mean, std : tensor, shape (q,)
-    """
+    """Names of q values, and their mean and standard deviation in the training, (q,) each."""
 
     names: tuple[str, ...]
-    mean: Tensor
-    std: Tensor
+    mean: Tensor  # (q,)
+    std: Tensor  # (q,)
 
     @classmethod
     def of(cls, data: Dataset) -> "Values | None":

@@ -28,20 +28,7 @@ log r is r² e⁻ʳ / (1 − e⁻ʳ), highest at a share of 0.80, and 0.73 of th
 
 
 def full_gates(share: float, photons: float) -> str | None:
-    """Remark on clicks in nearly all gates.
-
-    Parameters
-    ----------
-    share : float
-        Of the gates that click.
-    photons : float
-        Budget Φ.
-
-    Returns
-    -------
-    str or None
-        None where the share is not so high.
-    """
+    """Remark on clicks in nearly all gates."""
     if share <= MOST_CLICKS:
         return None
     return Message(
@@ -58,16 +45,8 @@ def to_training_light(
 ) -> tuple[Tensor, Tensor]:
     """Gain and offset (..., k) that make of clicks those at the light of the training.
 
-    Parameters
-    ----------
-    ratio : tensor, shape (..., 1), or float
-        q, the light over that of the training.
-    mean : tensor, shape (k,)
-        Clicks of one rail, or their difference of two, in the mean over training scenes.
-    photons : tensor, shape (k,)
-        Photons of both rails in the same mean.
-    gates : int
-        G.
+    `ratio` (..., 1) is the light over that of the training; `mean` (k,) and `photons` (k,) are
+    clicks and photons in the mean over training scenes.
     """
     both = photons / gates
     apart = 2 * torch.asinh(mean / gates * (both / 2).exp() / 2)

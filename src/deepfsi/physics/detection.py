@@ -24,20 +24,11 @@ from deepfsi.physics.rails import Rails
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Which detector sees each pixel, and what is read of two rails.
-
-    Attributes
-    ----------
-    readout : {"difference", "both"}
-    count : int
-        D, number of detectors.
-    labels : tensor, shape (N,), or None
-        Detector of each pixel, 0 .. D-1; None where one detector sees all.
-    """
+    """Which detector sees each pixel, and what is read of two rails."""
 
     readout: Readout = "difference"
-    count: int = 1
-    labels: Tensor | None = None
+    count: int = 1  # D, number of detectors
+    labels: Tensor | None = None  # (N,), detector of each pixel, 0 .. D-1
 
     @classmethod
     def of(cls, camera: Camera, image_shape: tuple[int, ...]) -> "Detection":
@@ -146,22 +137,11 @@ SINGLE_DETECTION = Detection()
 
 
 class Readouts(NamedTuple):
-    """Rails of masks as detectors read them, the positive ones first.
+    """Rails of masks as detectors read them, the positive ones first."""
 
-    Attributes
-    ----------
-    active : tensor, shape (2, ..., k)
-        Which are not dark by construction, and are read out.
-    time : tensor, shape (2, ..., k)
-        Share of the exposure that each takes: the peak of its frame, the shortest in which one
-        device can pass its light. Two rails that share pixels are two arms, and see them at once.
-    frame : tensor, shape (2, ..., k)
-        Number of the frame in which each is read, below 2 k.
-    """
-
-    active: Tensor
-    time: Tensor
-    frame: Tensor
+    active: Tensor  # (2, ..., k), which are not dark by construction, and are read out
+    time: Tensor  # (2, ..., k)
+    frame: Tensor  # (2, ..., k), number of the frame in which each is read, below 2 k
 
     def lasting(self, share: Tensor, detection: Detection) -> "Readouts":
         """Readouts of frames that last a share (B, ..., rails, m · D) of their usual time."""

@@ -181,12 +181,6 @@ class Column(LightLaw):
     """Optics that split each pixel's light among all readouts: max_j Σ_i |M_ij| ≤ 1.
 
     The only law is that no photon is counted twice. Source: the paper, arXiv 2508.01981.
-
-    Examples
-    --------
-    >>> Column().fit(torch.tensor([[1.0, -1.0], [1.0, 0.0]]))[0]  # the positive rail
-    tensor([[0.5000, 0.0000],
-            [0.5000, 0.0000]])
     """
 
     name = "column"
@@ -233,11 +227,6 @@ class EqualDwell(LightLaw):
     A frame is a rail of a mask that is not dark; learned masks have as many frames as rails. Each
     is shown for 1/F of the exposure, and a mirror that is ON sends its light as long. Source:
     docs/understand/physics.md, as of the others of one device.
-
-    Examples
-    --------
-    >>> float(EqualDwell().fit(torch.tensor([[3.0, 0.0], [0.0, 1.0]]), "single").max())
-    0.5
     """
 
     name = "equal-dwell"
@@ -268,11 +257,6 @@ class FreeDwell(LightLaw):
 
     A mirror that is always ON sends its light for the whole dwell of its frame, so that the peak of
     a frame is the shortest dwell that it can have, and dwells sum to the exposure.
-
-    Examples
-    --------
-    >>> FreeDwell().fit(torch.tensor([[3.0, 0.0], [0.0, 1.0]]), "single").amax(dim=-1)
-    tensor([[0.7500, 0.2500]])
     """
 
     name = "free-dwell"
@@ -309,12 +293,6 @@ class TwoArm(LightLaw):
 
     What one arm does not get, the other does: a mask that is shown for the time t has M± = (t ± M)
     / 2, and no light is lost.
-
-    Examples
-    --------
-    >>> TwoArm().fit(torch.tensor([[1.0, -1.0, 0.0]])).squeeze(1)
-    tensor([[1.0000, 0.0000, 0.5000],
-            [0.0000, 1.0000, 0.5000]])
     """
 
     name = "two-arm"
@@ -388,12 +366,6 @@ class Dose(LightLaw):
     What is limited is the light that falls on the scene. A pixel may get more than its mean share,
     as what another does not get is not lost; so photons of a pixel may be counted more often than
     `column` allows. Source: docs/understand/physics.md.
-
-    Examples
-    --------
-    >>> Dose().fit(torch.tensor([[1.0, -1.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0]]))[0]  # positive rail
-    tensor([[1., 0., 0., 0.],
-            [2., 0., 0., 0.]])
     """
 
     name = "dose"
@@ -442,13 +414,7 @@ LAW_CLASSES: dict[str, type[LightLaw]] = {
 
 
 def light_law(name: str) -> LightLaw:
-    """Light law of a name; `InputError` if there is none.
-
-    Parameters
-    ----------
-    name : str
-        One of `LIGHT_LAWS`.
-    """
+    """Light law of a name; `InputError` if there is none."""
     check_light_law(name, "dual")
     return LAW_CLASSES[name]()
 
@@ -510,13 +476,7 @@ def _softmax_dwells(dwell: Tensor, shortest: float, pattern: Tensor | None = Non
 
 
 def through(continuous: Tensor, shown: Tensor) -> Tensor:
-    """Second tensor, exactly, with the gradient of the first (straight through).
-
-    Parameters
-    ----------
-    continuous, shown : tensor
-        Before and after a rounding.
-    """
+    """Second tensor, exactly, with the gradient of the first (straight through)."""
     return _Through.apply(continuous, shown)  # type: ignore[no-untyped-call]
 
 

@@ -12,13 +12,7 @@ from deepfsi.physics.rails import Rails
 
 
 class FixedMasks(nn.Module):
-    """Masks that do not learn; `forward` gives their rails.
-
-    Parameters
-    ----------
-    rails : tensor, shape (..., 2 or 1, m, N)
-        M⁺ and M⁻, or the one rail.
-    """
+    """Masks that do not learn; `forward` gives their rails (..., 2 or 1, m, N)."""
 
     difference: Tensor
     total: Tensor | None

@@ -31,22 +31,12 @@ NoiseFunction = Callable[[Tensor, Random], Tensor]
 
 
 class Expectation(NamedTuple):
-    """Expected light of the readouts of features.
+    """Expected light of the readouts of features."""
 
-    Attributes
-    ----------
-    mean, total : tensor, shape (..., k)
-        r⁺ − r⁻ and r⁺ + r⁻ in units of `gain` counts, so that r± = (total ± mean) / 2.
-    read : Readouts
-        Rails that are read out, and for how long.
-    gain : float or tensor
-        Counts of a unit.
-    """
-
-    mean: Tensor
-    total: Tensor
-    read: Readouts
-    gain: Tensor | float = 1.0
+    mean: Tensor  # (..., k)
+    total: Tensor  # (..., k)
+    read: Readouts  # rails that are read out, and for how long
+    gain: Tensor | float = 1.0  # counts of a unit
 
 
 class Noise(ABC):
@@ -185,13 +175,7 @@ class Noise(ABC):
 
 @dataclass(frozen=True)
 class NoNoise(Noise):
-    """Counts as they are expected, y = r.
-
-    Examples
-    --------
-    >>> NoNoise().draw(torch.tensor([3.0]))
-    tensor([3.])
-    """
+    """Counts as they are expected, y = r."""
 
     name = "none"
     draws_rails = of_light = False
@@ -218,17 +202,6 @@ class Gaussian(Noise):
     """Read noise alone, y = r + σ ε.
 
     Source: AGN of the paper, arXiv 2508.01981.
-
-    Parameters
-    ----------
-    sigma : float
-        σ, counts rms per readout: a feature of two lit rails has the variance 2 σ².
-
-    Examples
-    --------
-    >>> y = Gaussian(2.0).draw(torch.full((10_000,), 5.0), torch.manual_seed(0))
-    >>> round(float(y.std()))
-    2
     """
 
     sigma: float | Tensor = 1.0
@@ -255,12 +228,6 @@ class MlGauss(Noise):
     Its mean and variance are those of photons, and it has a gradient in the rate. For the
     difference of two rails one ε serves both, of the variance r⁺ + r⁻. Source: MLGauss of the
     paper, arXiv 2508.01981.
-
-    Examples
-    --------
-    >>> y = MlGauss().draw(torch.full((10_000,), 9.0), torch.manual_seed(0))
-    >>> round(float(y.std()))
-    3
     """
 
     name = "ml_gauss"
@@ -290,11 +257,6 @@ class Poisson(Noise):
     Mean and variance are the rate. Above `POISSON_LIMIT` it is the rounded Gaussian limit. Counts
     have no gradient; `gradient` gives them that of their mean and variance. Source: PN of the
     paper, arXiv 2508.01981, and docs/notebook/gradients.md.
-
-    Examples
-    --------
-    >>> Poisson().draw(torch.tensor([0.0, 1e4]), torch.manual_seed(0))[0]
-    tensor(0.)
     """
 
     name = "poisson"
@@ -317,23 +279,10 @@ class CameraNoise(Noise):
     subtracted. One detector has D of them in a whole exposure, and a frame its share d = D t of
     these by its time t. The variance of a readout is r + d + σ². Source: the linear camera of the
     standard EMVA 1288, in units of counts.
-
-    Parameters
-    ----------
-    sigma : float
-        σ, counts rms per readout.
-    dark : float
-        D, expected dark counts of a detector in a whole exposure.
-
-    Examples
-    --------
-    >>> y = CameraNoise(dark=75.0)(torch.full((10_000,), 25.0), torch.manual_seed(0))
-    >>> round(float(y.mean())), round(float(y.std()))
-    (25, 10)
     """
 
-    sigma: float | Tensor = 1.0
-    dark: float | Tensor = 0.0
+    sigma: float | Tensor = 1.0  # σ, counts rms per readout
+    dark: float | Tensor = 0.0  # D, expected dark counts of a detector in a whole exposure
     name = "camera"
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
@@ -360,19 +309,9 @@ class Click(Noise):
     clicks are no photons: their mean G p, with p = 1 − exp(−r / G), is less than the rate, their
     variance is G p (1 − p), and a frame gives G of them at most. Source: A. Kirmani et al.,
     First-photon imaging, Science 343, 58 (2014).
-
-    Parameters
-    ----------
-    gates : int
-        G, gates of a frame.
-
-    Examples
-    --------
-    >>> Click(gates=3).draw(torch.tensor([0.0, 1e3]))
-    tensor([0., 3.])
     """
 
-    gates: int = 1
+    gates: int = 1  # G, gates of a frame
     name = "click"
     unbiased = False
 
@@ -412,22 +351,10 @@ class CustomNoise(Noise):
 
     Masks train through it where its draws have a gradient in the rates. Nothing is known of its
     mean and variance.
-
-    Parameters
-    ----------
-    function : callable
-        Counts of expected counts (..., m), drawn with a generator.
-    path : str
-        Import path by which it was given, if it was.
-
-    Examples
-    --------
-    >>> CustomNoise(lambda rates, generator: rates / (1 + rates / 1000)).draw(torch.tensor([1e3]))
-    tensor([500.])
     """
 
-    function: NoiseFunction
-    path: str = ""
+    function: NoiseFunction  # counts of expected counts (..., m), drawn with a generator
+    path: str = ""  # import path by which it was given, if it was
     unbiased = has_moments = False
 
     @property
@@ -473,23 +400,10 @@ class Fluctuation(Noise):
     for all detectors, and for both rails where two arms see them at once: then a feature has the
     variance of the other noise and σ² (r⁺ − r⁻)²; of frames one after another, σ² (r⁺² + r⁻²).
     1 + ε is log-normal, so that no light is negative. Source: DeepFSI, docs/notebook/flicker.md.
-
-    Parameters
-    ----------
-    inner : Noise
-        Of the counts that this light gives.
-    fluctuation : float
-        σ, relative to the mean light.
-
-    Examples
-    --------
-    >>> y = Fluctuation(Poisson(), 0.1).draw(torch.full((10_000,), 1e4), torch.manual_seed(0))
-    >>> round(float(y.mean()), -2), round(float(y.std()), -2)  # √(1e4 + (0.1 · 1e4)²)
-    (10000.0, 1000.0)
     """
 
-    inner: Noise
-    fluctuation: float = 0.0
+    inner: Noise  # of the counts that this light gives
+    fluctuation: float = 0.0  # σ, relative to the mean light
     has_moments = False  # readouts of one frame are correlated
 
     def __post_init__(self) -> None:
@@ -579,21 +493,7 @@ NOISE_CLASSES: dict[str, type[Noise]] = {
 
 
 def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
-    """Noise of a name, an import path or a function.
-
-    Parameters
-    ----------
-    setting : str or callable
-        A `Noise` is itself.
-    numbers
-        By the names of a camera's fields, such as `sigma`, but `dark` in counts of an exposure; a
-        noise takes those that it has.
-
-    Raises
-    ------
-    InputError
-        For an unknown name, impossible dark counts, or dark counts of a noise that has none.
-    """
+    """Noise of a name, an import path or a function."""
     if isinstance(setting, Noise):
         noise = setting
     elif not isinstance(setting, str):
@@ -618,29 +518,17 @@ def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
 
 
 def noise_of(camera: Camera, noise: str | NoiseFunction | None = None) -> Noise:
-    """Noise of a camera's counts, or another one with the camera's numbers.
-
-    Parameters
-    ----------
-    camera : Camera
-    noise : str or callable, optional
-        What a training has in place of the camera's noise.
-    """
+    """Noise of a camera's counts, or another one with the camera's numbers."""
     setting = camera.noise if noise is None else noise
     dark = camera.dark_counts if find_noise(setting).dark else 0.0
     return make_noise(setting, **{**dict(camera), "dark": dark})
 
 
 def attach_gradient(counts: Tensor, mean: Tensor, total: Tensor) -> Tensor:
-    """Let drawn counts follow what their mean and variance depend on, as those of `MlGauss` do.
+    """Let counts (..., m) follow what their mean and variance depend on, as those of `MlGauss` do.
 
     These are the derivatives of μ + √L ε at the ε that gives y. The gradient of the mean of any
     f(y) is right where f is at most quadratic.
-
-    Parameters
-    ----------
-    counts, mean, total : tensor, shape (..., m)
-        y, their means μ and their variances L.
     """
     # For one rail, where it is f′(k) (1 + k/r) / 2, its mean is that of [f′(k) + f′(k + 1)] / 2,
     # because E[k g(k)] = r E[g(k + 1)]: the trapezoid rule for what is exact,

@@ -18,15 +18,9 @@ from deepfsi.camera import RailsKind
 
 @dataclass(frozen=True, eq=False)
 class Rails:
-    """Rails of masks (..., m, N), leading axes replicas, as their difference and total.
+    """Rails of masks (..., m, N), leading axes replicas, as their difference and total."""
 
-    Parameters
-    ----------
-    difference, total : tensor, shape (..., m, N)
-        M⁺ − M⁻ and M⁺ + M⁻; of one rail there is no total.
-    """
-
-    difference: Tensor
+    difference: Tensor  # (..., m, N)
     _total: Tensor | None = None
     # The rails that these are of: the two sums alone give M⁺ and M⁻ back but for rounding
     _stacked: Tensor | None = None

@@ -212,16 +212,9 @@ def _flat(photons: Any, pixels: int) -> Tensor:
 
 
 def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
-    """Product of scenes with masks, as one: (..., *lead, m · parts).
+    """Product of scenes (..., N) with masks (*lead, m, N): (..., *lead, m · parts).
 
     It is multiplied in the type of the scenes, and has the wider of theirs and the masks'.
-
-    Parameters
-    ----------
-    photons : tensor, shape (..., N)
-    masks : tensor, shape (*lead, m, N)
-    parts : int
-        Detectors, of scenes and masks that are arranged: the product of each part.
     """
     low = masks.flatten(0, -2).to(photons.dtype)
     if parts == 1:
@@ -234,15 +227,7 @@ def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
 
 
 def project_rails(photons: Tensor, rails: Rails, parts: int = 1) -> tuple[Tensor, Tensor]:
-    """Products of scenes with difference and total of rails, which of one rail are one tensor.
-
-    Parameters
-    ----------
-    photons, parts
-        As of `project`, as are the products.
-    rails : Rails
-        Of masks (*lead, m, N).
-    """
+    """Products of scenes with difference and total of rails, which of one rail are one tensor."""
     if rails.count == 1:
         mean = project(photons, rails.difference, parts)
         return mean, mean

@@ -17,11 +17,6 @@ def library_defaults(grad: bool | None = None) -> Iterator[None]:
     That is their autocast, types, devices and errors. What stays as the program set it: threads,
     deterministic algorithms, flushing of denormals, and the state of the global generator, which
     nothing here draws from.
-
-    Parameters
-    ----------
-    grad : bool, optional
-        Whether gradients are recorded; as around the call unless given.
     """
     with ExitStack() as stack:
         stack.enter_context(np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"))
@@ -47,25 +42,7 @@ def library_defaults(grad: bool | None = None) -> Iterator[None]:
 
 
 def torch_device(given: Any) -> torch.device:
-    """Device that torch computes on.
-
-    Parameters
-    ----------
-    given : str or torch.device
-        ``"cpu"``, ``"cuda"``, one of several GPUs such as ``"cuda:1"``, ``"mps"`` of an Apple
-        processor, or ``"auto"``, a GPU of CUDA if there is one, else the processor.
-
-    Raises
-    ------
-    InputError
-        If there is no such device, or not here.
-
-    Examples
-    --------
-    >>> from deepfsi.physics import torch_device
-    >>> torch_device("cpu")
-    device(type='cpu')
-    """
+    """Device that torch computes on."""
     gpus = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if given == "auto":
         return torch.device("cuda" if gpus else "cpu")

@@ -24,24 +24,12 @@ Normal = Callable[[int], Tensor]
 
 @dataclass
 class TrainingNoise:
-    """Noise of the features x D of R trainings.
+    """Noise of the features x D of R trainings."""
 
-    Attributes
-    ----------
-    kind : Noise
-        With numbers (R, 1) of each training.
-    gain : tensor, shape (R, 1)
-        Counts of one fully reflecting pixel, Φ / s.
-    generators : list of torch.Generator
-        One for each training, since what a Poisson draw takes from its generator depends on rates.
-    unit : tensor, shape (R, 1)
-        Standard deviation of photon noise where x S is 1.
-    """
-
-    kind: Noise
-    gain: Tensor
+    kind: Noise  # with numbers (R, 1) of each training
+    gain: Tensor  # (R, 1), counts of one fully reflecting pixel, Φ / s
     generators: list[torch.Generator]
-    unit: Tensor = field(init=False)
+    unit: Tensor = field(init=False)  # (R, 1), standard deviation of photon noise where x S is 1
 
     def __post_init__(self) -> None:
         self.unit = self.gain.rsqrt()
@@ -71,23 +59,13 @@ class TrainingNoise:
         )
 
     def features(self, mean: Tensor, total: Tensor, read: Readouts, normal: Normal) -> Tensor:
-        """Noisy features (B, R, k).
-
-        Parameters
-        ----------
-        mean, total : tensor, shape (B, R, k)
-            Products x D and x S of scenes with difference and total of the rails.
-        read : Readouts
-            Of the rails, (2, R or 1, k), or (2, B, R, k) where scenes have dwells of their own.
-        normal : callable
-            Draws of a noise that does not count.
-        """
+        """Noisy features (B, R, k)."""
         if self.kind.draws_rails:
             return self.counted(mean, total, read)
         return mean + self.deviation(mean, total, read) * normal(mean.shape[-1])
 
     def counted(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
-        """Features (B, R, k) from counts of two rails; parameters as of `features`."""
+        """Features (B, R, k) from counts of two rails."""
         whole = [tensor if tensor.ndim == 4 else tensor.unsqueeze(1) for tensor in read]
         counts = []
         with torch.set_grad_enabled(not self.kind.unbiased and torch.is_grad_enabled()):
@@ -176,20 +154,7 @@ class TrainingNoise:
 
 
 class SeedStream:
-    """Draws of the jobs of one seed, the same for all of them: R_i of all R.
-
-    Parameters
-    ----------
-    seed : int
-    replicas : slice
-        Of these jobs among all.
-    noise : TrainingNoise
-        Of these jobs.
-    labels : tensor, shape (n,) or (n, q)
-        Of all scenes.
-    batch : int
-        B, scenes of a step.
-    """
+    """Draws of the jobs of one seed, the same for all of them; labels (n,) or (n, q)."""
 
     order: Tensor
     """Places (steps, B) of an epoch's scenes."""
@@ -260,18 +225,7 @@ class SeedStream:
 
 
 class Draws:
-    """Scenes and random numbers of the steps of R jobs; those of one seed share theirs.
-
-    Parameters
-    ----------
-    seeds : sequence of int
-        Of each job, those of one seed one after another.
-    noise : TrainingNoise
-        Of all jobs.
-    labels : tensor, shape (n,) or (n, q)
-    batch : int
-        B, scenes of a step.
-    """
+    """Scenes and random numbers of steps of R jobs, shared by those of a seed."""
 
     def __init__(
         self, seeds: Sequence[int], noise: TrainingNoise, labels: Tensor, batch: int
@@ -312,20 +266,8 @@ def ml_gauss_features(
     """Features (B, *lead, k) of centred scenes under MLGauss noise, in a step of training.
 
     With x̄ the mean scene and x_c = x − x̄ these are x_c D + √(x S) ε: what `Scanner` gives, less
-    the constant x̄ D.
-
-    Parameters
-    ----------
-    scenes : tensor, shape (B + 1, N)
-        x_c, and x̄ as the last row.
-    masks : tensor, shape (*lead, m, N) or (2, *lead, m, N)
-        As `Rails.combined`, or the difference alone of rails that are disjoint.
-    epsilon : tensor, shape (B, *lead, k)
-        Standard normal numbers, times the deviation of photon noise where x S is 1.
-    disjoint : bool
-        Whether the total of the rails is the size of their difference.
-    parts : int
-        Detectors, of scenes and masks that are arranged.
+    the constant x̄ D. Scenes (B + 1, N) are x_c, with x̄ as the last row; masks (*lead, m, N) or
+    (2, *lead, m, N); ε (B, *lead, k).
     """
     form = disjoint, parts
     return _MlGaussFeatures.apply(scenes, masks, epsilon, form)  # type: ignore[no-untyped-call]

@@ -30,26 +30,12 @@ SLOWEST = 0.01
 
 @dataclass(frozen=True)
 class ScenePath:
-    """Path of scenes along a pattern, and its jitter.
+    """Path of scenes along a pattern, and its jitter."""
 
-    Parameters
-    ----------
-    shape : tuple of int
-        H and W of a scene.
-    width : int
-        P, columns of the pattern.
-    bins : int
-        T.
-    speed : float
-        v, pixels a bin.
-    jitter, speed_jitter : float
-        Standard deviations of the place, in pixels, and of the speed over its mean.
-    """
-
-    shape: tuple[int, int]
-    width: int
-    bins: int
-    speed: float
+    shape: tuple[int, int]  # H and W of a scene
+    width: int  # P, columns of the pattern
+    bins: int  # T
+    speed: float  # v, pixels a bin
     jitter: float = 0.0
     speed_jitter: float = 0.0
 
@@ -121,15 +107,9 @@ class ScenePath:
 
 
 class FixedPattern(FixedMasks):
-    """A pattern that does not learn; `forward` gives rails of its nominal matrix.
+    """A pattern that does not learn; `forward` gives rails of its nominal matrix."""
 
-    Parameters
-    ----------
-    pattern : tensor, shape (R, H, P)
-    transit : ScenePath
-    """
-
-    pattern: Tensor
+    pattern: Tensor  # (R, H, P)
 
     def __init__(self, pattern: Tensor, transit: ScenePath) -> None:
         super().__init__(transit.matrix(pattern).unsqueeze(-3))
@@ -138,17 +118,9 @@ class FixedPattern(FixedMasks):
 
 
 class LearnedPattern(LearnedMasks):
-    """A pattern that learns, in [0, 1].
+    """A pattern that learns, in [0, 1], from logits (R, H, P).
 
     Grey levels have the gradient of the continuous pattern, as those of `LearnedMasks`.
-
-    Parameters
-    ----------
-    start : tensor, shape (R, H, P)
-        Logits.
-    transit : ScenePath
-    levels : int
-        Grey levels; 0 for a continuous pattern.
     """
 
     def __init__(self, start: Tensor, transit: ScenePath, levels: int = 0) -> None:
@@ -173,14 +145,7 @@ class LearnedPattern(LearnedMasks):
 
 
 def in_levels(pattern: Tensor, levels: int) -> Tensor:
-    """A pattern in grey levels from dark to open, or `InputError` if there are too few of them.
-
-    Parameters
-    ----------
-    pattern : tensor, shape (..., H, P)
-    levels : int
-        2 or more, dark included.
-    """
+    """A pattern (..., H, P) in grey levels from dark to open; `InputError` if these are too few."""
     check_levels(levels)
     steps = levels - 1
     return (pattern * steps).round() / steps

@@ -33,12 +33,6 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
     Error bars are the points' intervals. Circles are feature-specific designs, squares others.
     Where all were tested at one budget, each design has a line of its own, the most accurate on
     top.
-
-    Parameters
-    ----------
-    results : Results
-    top : float
-        End of the axis of accuracy, above the highest point.
     """
     panels = noises(results)
     chosen = [point for point in results.points if point.best]
@@ -111,16 +105,7 @@ def _ranking_axes(
 
 
 def marker_key(figure: Figure, points: Iterable[Measured], *words: str) -> None:
-    """Say below a figure what circles, squares and bars are, and what else its words say.
-
-    Parameters
-    ----------
-    figure : Figure
-    points : iterable of Point
-        All that it shows.
-    *words : str
-        More lines of the key; empty ones are left out.
-    """
+    """Say below a figure what circles, squares and bars are, and what else its words say."""
     look: dict[str, Any] = {"color": style.MUTED, "linestyle": "none"}
     markers = {point.specific: _marker(point) for point in points}
     kinds = {True: "masks made from training data", False: "other masks"}
@@ -178,25 +163,7 @@ def accuracy_axes(
     filled: Callable[[Measured], bool] | None = None,
     top: float = 1.0,
 ) -> None:
-    """Draw accuracies over a quantity, one line for each series, named at the right edge.
-
-    Parameters
-    ----------
-    ax : Axes
-    points : iterable of Point
-    axes : tuple of str
-        Fields that tell series apart, the design first.
-    across : callable
-        Point → the quantity.
-    chance : float
-        Accuracy of guessing.
-    span : (float, float), optional
-        First and last value of the quantity; those of the points unless given.
-    filled : callable, optional
-        Point → whether its marker is filled; else those of a design's first series are.
-    top : float
-        End of the axis of accuracy.
-    """
+    """Draw accuracies over a quantity, one line for each series, named at the right edge."""
     series = Series(points, axes)
     groups = series.groups
     names = series.figure_names()
@@ -300,32 +267,16 @@ def _marker(point: Measured) -> str:
 
 
 class ReadoutTest(NamedTuple):
-    """Accuracies of classifiers of measured readouts on one test.
+    """Accuracies of classifiers of measured readouts on one test."""
 
-    Attributes
-    ----------
-    name : str
-        What was tested on.
-    network, ridge : Interval, optional
-        Accuracy of the network, and of kernel ridge; None where it was not tested.
-    """
-
-    name: str
+    name: str  # what was tested on
     network: Interval | None
     ridge: Interval | None
 
 
 @style.styled
 def readouts_figure(title: str, tests: Sequence[ReadoutTest], chance: float) -> Figure:
-    """Accuracies with their 95 % intervals, a row for each test, and that of guessing.
-
-    Parameters
-    ----------
-    title : str
-    tests : sequence of ReadoutTest
-    chance : float
-        Accuracy of guessing.
-    """
+    """Accuracies with their 95 % intervals, a row for each test, and that of guessing."""
     size = (0.72 * style.PAGE_WIDTH, 0.5 * len(tests) + 1.3)
     figure = Figure(figsize=size, layout="constrained")
     ax = figure.subplots()

@@ -61,16 +61,7 @@ def write_report(folder: str | os.PathLike[str]) -> Path:
 
 
 def _page_text(results: Results, designs: Path, figures: Figures) -> str:
-    """Text of the page.
-
-    Parameters
-    ----------
-    results : Results
-    designs : path
-        Folder of the design files, of which some or all may be missing.
-    figures : Figures
-        To which those of the page are added.
-    """
+    """Text of the page."""
     data = results.data
     points = results.points
     learned = list(_learned_masks(results, designs, figures))
@@ -374,20 +365,7 @@ def _count_panels(results: Results, figures: Figures) -> Iterator[tuple[str, lis
 
 
 def _best_table(results: Results, noise: str) -> PagePart:
-    """Chosen mask counts under a noise: a row for each series, a column for each budget.
-
-    Parameters
-    ----------
-    results : Results
-    noise : str
-        Its name.
-
-    Returns
-    -------
-    dict
-        The `heading`; the `budgets`; `rows` of a series' name, its first point, and its point at
-        each budget or None; the `leaders` by budget, which cannot be told apart.
-    """
+    """Chosen mask counts under a noise: a row for each series, a column for each budget."""
     points = _chosen(results, noise)
     series = Series.of(results, points)
     budgets = sorted({p.photons for p in points})
@@ -488,12 +466,7 @@ def _mask_panel(point: Point, file: Path, number: str, figures: Figures) -> Page
 
 
 def comparison_lines(results: Results) -> Iterator[str | Table]:
-    """A comparison for a terminal: a row for each design, a column for each budget, the verdict.
-
-    Parameters
-    ----------
-    results : Results
-    """
+    """A comparison for a terminal: a row for each design, a column for each budget, the verdict."""
     tables = {noise: _best_table(results, noise) for noise in noises(results)}
     budgets = sorted({photons for table in tables.values() for photons in table["budgets"]})
     several = len(tables) > 1

@@ -46,13 +46,8 @@ def peak_value(rails_or_matrix: np.ndarray) -> float:
 def brightest_masks(rails_or_matrix: np.ndarray, count: int) -> np.ndarray:
     """Index of the masks that count most photons from a uniform scene, brightest first.
 
-    Masks without light are none of them, unless all are dark.
-
-    Parameters
-    ----------
-    rails_or_matrix : array, shape (2 or 1, m, N) or (m, N)
-    count : int
-        How many, at most.
+    Of rails (2 or 1, m, N) or a matrix (m, N). Masks without light are none of them, unless all are
+    dark.
     """
     array = np.asarray(rails_or_matrix)
     light = np.abs(array).sum(axis=-1)
@@ -81,21 +76,9 @@ def masks_figure(
 ) -> Figure:
     """Masks of one design, those that count most photons first: images, or curves for spectra.
 
-    Above each mask stands its number, from 1 in the order in which masks are shown. The scale ends
-    at the peak, the largest |M_ij|; it begins at 0, of signed masks at −peak.
-
-    Parameters
-    ----------
-    rails_or_matrix : array, shape (2 or 1, m, N) or (m, N)
-    image_shape : tuple of int
-        Rows and columns of a mask, or its bands.
-    title : str
-    count : int
-        Masks that are drawn, at most.
-    dwells : array, shape (m,), optional
-        Share of the exposure for which each mask is shown.
-    parts : array, shape (N,), optional
-        Detector that sees each pixel.
+    Of rails (2 or 1, m, N) or a matrix (m, N), with dwells (m,). Above each mask stands its number,
+    from 1 in the order in which masks are shown. The scale ends at the peak, the largest |M_ij|; it
+    begins at 0, of signed masks at −peak. `parts` (N,) is the detector that sees each pixel.
     """
     matrix = signed(rails_or_matrix)
     chosen = brightest_masks(rails_or_matrix, count)
@@ -134,15 +117,7 @@ def masks_figure(
 
 
 def design_figure(design: "Design", count: int) -> Figure:
-    """Masks of a design, with its light, its dwells and what its detectors see.
-
-    Parameters
-    ----------
-    design : Design
-        Of masks that are known before.
-    count : int
-        Masks that are drawn, at most.
-    """
+    """Masks of a design, with its light, its dwells and what its detectors see."""
     exposure = design.mask_exposure
     dwells = exposure.mask_dwells()
     labels = design.detection.labels
@@ -175,15 +150,7 @@ def _percent(share: float) -> str:
 
 
 def mask_axes(ax: Axes, mask: np.ndarray, scale: ScalarMappable) -> None:
-    """Draw a mask as an image.
-
-    Parameters
-    ----------
-    ax : Axes
-    mask : array, shape (height, width)
-    scale : ScalarMappable
-        Its colours.
-    """
+    """Draw a mask (height, width) as an image."""
     finer = _finer(mask.shape)
     low, high = scale.get_clim()
     image = mask.repeat(finer, axis=0).repeat(finer, axis=1)
@@ -251,19 +218,9 @@ def values_figure(rails_or_matrix: np.ndarray) -> Figure:
 
 @style.styled
 def looks_figure(design: "Design", scene: np.ndarray, label: str, photons: float) -> Figure:
-    """Looks at a scene with adaptive masks: each mask, and the scene and class as known after it.
+    """Looks at a scene (N,) with adaptive masks: each mask, and scene and class as known after it.
 
     Drawn are the first look, the last, and some between.
-
-    Parameters
-    ----------
-    design : Design
-    scene : array, shape (N,)
-        Reflectance.
-    label : str
-        Its class.
-    photons : float
-        Budget Φ.
     """
     masks, scenes, chances = design.looks_at(scene, photons)  # (K, N), (K, N) and (K, C)
     classes = design.classes

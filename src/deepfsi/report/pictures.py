@@ -19,16 +19,9 @@ _MOST_LETTERS = 16
 
 @styled
 def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
-    """Least-squares pictures from the counts of an acquisition, on one scale.
+    """Least-squares pictures (S, down, across), or spectra (S, bands), of counts, on one scale.
 
     The scale ends at the brightest cell, and begins at 0 or at the darkest cell below it.
-
-    Parameters
-    ----------
-    pictures : array, shape (S, down, across) or (S, bands)
-        NaN where a scene was lost; at most the first 48 are drawn.
-    names : sequence of str
-        Of the scenes.
     """
     if len(pictures) != len(names) or len(pictures) == 0:
         raise InputError(f"{len(pictures)} pictures and {len(names)} names: give one name of each")
@@ -75,18 +68,9 @@ _TONES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 
 @styled
 def rail_light_figure(sums: np.ndarray, fine: np.ndarray, names: Sequence[str]) -> Figure:
-    """Rail sums over their mean, in the order in which they were shown, and by how fine masks are.
+    """Rail sums (runs, m) over their mean, as they were shown, and by how fine masks are.
 
-    A band shows 95 % of Poisson's.
-
-    Parameters
-    ----------
-    sums : array, shape (runs, m)
-        Counts of a mask and its inverse together.
-    fine : array, shape (m, axes)
-        Edges of a mask along each axis.
-    names : sequence of str
-        Of the runs.
+    `fine` (m, axes) are the edges of a mask along each axis. A band shows 95 % of Poisson's.
     """
     relative = sums / sums.mean(axis=1, keepdims=True)
     figure = Figure(figsize=(PAGE_WIDTH, 3.1), layout="constrained")

@@ -32,17 +32,7 @@ _ABBREVIATION = re.compile(rf"(?<![\w&-])({'|'.join(ABBREVIATIONS)})(?![\w])")
 
 
 def render(template: str, folder: Path = _TEMPLATES, /, **values: Any) -> str:
-    """Text of a page.
-
-    Parameters
-    ----------
-    template : str
-        Name of its file.
-    folder : path
-        Where it lies, if not among those of this room, which it may use.
-    **values
-        What it is filled with; every value is escaped.
-    """
+    """Text of a page."""
     environment = Environment(
         loader=FileSystemLoader([folder, _TEMPLATES]),
         autoescape=True,
@@ -117,14 +107,7 @@ def english_list(words: list[str]) -> str:
 
 
 def flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """Yield settings that are set as name and value, nested names joined with a dot.
-
-    Parameters
-    ----------
-    tree : mapping
-    above : str
-        Names that it lies below, with a dot at the end.
-    """
+    """Yield settings that are set as name and value, nested names joined with a dot."""
     for name, value in tree.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{above}{name}.")

@@ -20,19 +20,7 @@ SeriesKey = tuple[str, ...]
 
 
 class Series:
-    """Points by the fields that tell their series apart, in the order in which they appear.
-
-    Parameters
-    ----------
-    points : iterable of Point
-    axes : tuple of str
-        The fields, the design first.
-
-    Attributes
-    ----------
-    groups : dict
-        Points of each series by its key, the values of the fields.
-    """
+    """Points by the fields that tell their series apart, in the order in which they appear."""
 
     def __init__(self, points: Iterable[Measured], axes: tuple[str, ...]) -> None:
         self.axes = axes

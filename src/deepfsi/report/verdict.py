@@ -32,24 +32,12 @@ def uneven_point(points: Sequence[Point]) -> Point | None:
 
 @dataclass(frozen=True)
 class ComparisonVerdict:
-    """The verdict of a comparison.
+    """The verdict of a comparison."""
 
-    Attributes
-    ----------
-    title : str
-        For a heading: "Learned masks (DeepFSI) need 3 (2 to 4) times less light than PCA".
-    text : str
-        The same with its numbers, a sentence.
-    photons : float
-        Budget at which the designs differ most, of those tested.
-    best : Point
-        Of the most accurate design there; impulse imaging only if alone.
-    """
-
-    title: str
-    text: str
-    photons: float
-    best: Point
+    title: str  # for a heading: "Learned masks (DeepFSI) need 3 (2 to 4) times less light than PCA"
+    text: str  # the same with its numbers, a sentence
+    photons: float  # budget at which the designs differ most, of those tested
+    best: Point  # of the most accurate design there
 
 
 def verdict_of(results: Results) -> ComparisonVerdict:

@@ -54,14 +54,7 @@ Batch = list[Trial]
 class BatchTrainer:
     """Trains and tests trials of one data set, here or in the process that it is sent to.
 
-    Parameters
-    ----------
-    data : Dataset
-    held_out : int
-        Training scenes that are kept for validation.
-    device : str or torch.device
-    matrix : array, shape (m, N), optional
-        One's own masks.
+    `matrix` (m, N) holds one's own masks.
     """
 
     def __init__(

@@ -57,38 +57,17 @@ _Curve = dict[float, Point]
 
 @dataclass(frozen=True)
 class Forecast:
-    """Cost of a sweep.
-
-    Attributes
-    ----------
-    trials, done : int
-        Trials in all, and of them done already.
-    batches : int
-        Batches that the others train in.
-    workers : int
-        Processes that train.
-    operations : float
-        Floating-point operations of the products of scenes with masks that are left.
-    seconds : float
-        Expected on this machine for what is left, if other programs go on to load it as they did
-        while it was timed.
-    seconds_free : float
-        The same on this machine without other programs.
-    others : float
-        Cores that other programs kept busy, in the mean while it was timed.
-    cores : int
-        Of this machine, for this process.
-    """
+    """Cost of a sweep."""
 
     trials: int
     done: int
-    batches: int
-    workers: int
+    batches: int  # batches that the others train in
+    workers: int  # processes that train
     operations: float
     seconds: float
-    seconds_free: float
-    others: float
-    cores: int
+    seconds_free: float  # the same on this machine without other programs
+    others: float  # cores that other programs kept busy, in the mean while it was timed
+    cores: int  # of this machine, for this process
 
     def lines(self) -> list[str]:
         """Say what is left, and how long it takes here."""
@@ -116,16 +95,6 @@ def forecast_cost(
     What only needs other tests of a design that is there is not counted, nor are the products of
     all scenes that fixed designs take once. Every kind of training is timed with its fewest and its
     most masks, on a few scenes and the threads of one worker; what lies between is interpolated.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    data : Dataset
-    folder : path
-    device : {"auto", "cpu", "cuda"} or torch.device
-    workers : int, optional
-        Processes; as many as are fastest unless given.
-    report : Progress
     """
     from deepfsi.sweeps.batch import BatchTrainer
 
@@ -187,17 +156,7 @@ def _fold_cost(
 
 
 def slowdown(others: float, workers: int, cores: int) -> float:
-    """Times that processes take as long as on a free machine, where they share it with others.
-
-    Parameters
-    ----------
-    others : float
-        Cores that other programs keep busy.
-    workers : int
-        Processes of ours.
-    cores : int
-        Cores that all share.
-    """
+    """Times that processes take as long as on a free machine, where they share it with others."""
     return max(1.0, (others + workers) / cores)
 
 
@@ -447,15 +406,7 @@ def _axis_of(need: Mapping[str, Any], axis: str) -> str:
 
 
 def check_plan(recipe: Recipe, data: Dataset, target: float) -> None:
-    """Raise `InputError` for what cannot be planned.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    data : Dataset
-    target : float
-        Accuracy.
-    """
+    """Raise `InputError` for what cannot be planned."""
     if data.measure != "accuracy":
         raise InputError(
             f"a plan is of accuracies, and answers to {data.name} are measured by {data.measure}: "

@@ -46,44 +46,22 @@ _LEARNING_SHARE = 0.7
 
 
 class DataTerms(StrictModel):
-    """Whose data a design was trained on.
+    """Whose data a design was trained on."""
 
-    Attributes
-    ----------
-    citation : str
-        What to cite.
-    licence : str
-        Terms of use, in words.
-    """
-
-    citation: str
-    licence: str
+    citation: str  # what to cite
+    licence: str  # terms of use, in words
 
 
 class DesignRecipe(StrictModel):
-    """A published design before it is made.
+    """A published design before it is made."""
 
-    Attributes
-    ----------
-    recognises : str
-        What it tells apart, in words.
-    data : str
-        Name or path of the data set.
-    rescale, split, size : optional
-        As `load_dataset` takes them.
-    note : str
-        What its card says besides.
-    settings : dict
-        Single settings of a job, as options of `deepfsi design` are.
-    """
-
-    recognises: ShortText
-    data: ShortText
+    recognises: ShortText  # what it tells apart, in words
+    data: ShortText  # name or path of the data set
     rescale: tuple[float, float] | None = None
     split: str | None = None
     size: tuple[int, int] | None = None
-    note: str = ""
-    settings: dict[str, Any]
+    note: str = ""  # what its card says besides
+    settings: dict[str, Any]  # single settings of a job, as options of `deepfsi design` are
 
     @property
     def job(self) -> Job:
@@ -107,18 +85,10 @@ class DesignRecipe(StrictModel):
 
 
 class Collection(StrictModel):
-    """Designs to be made, and whose data they are trained on: a list in a TOML file.
-
-    Attributes
-    ----------
-    designs : dict of str to DesignRecipe
-        By name.
-    data : dict of str to DataTerms
-        By the data of the designs.
-    """
+    """Designs to be made, and whose data they are trained on: a list in a TOML file."""
 
     designs: dict[DesignName, DesignRecipe] = Field(min_length=1)
-    data: dict[str, DataTerms]
+    data: dict[str, DataTerms]  # by the data of the designs
 
     @model_validator(mode="after")
     def _sound(self) -> "Collection":
@@ -143,20 +113,11 @@ class Collection(StrictModel):
 
 
 class CollectionEntry(NamedTuple):
-    """A design of a collection that is in its folder.
-
-    Attributes
-    ----------
-    name : str
-    entry : PublishedDesign
-        Of the index.
-    there : bool
-        Whether it was there already.
-    """
+    """A design of a collection that is in its folder."""
 
     name: str
     entry: PublishedDesign
-    there: bool
+    there: bool  # whether it was there already
 
 
 def make_collection(
@@ -170,23 +131,6 @@ def make_collection(
     """Make what a folder lacks of a collection, design by design, each whole or not at all.
 
     A design is made again where its recipe has changed, or its file is not the one of the index.
-
-    Parameters
-    ----------
-    collection : Collection
-    folder : path
-        Made if need be.
-    names : list of str, optional
-        Designs to be made; all unless given.
-    command : str
-        Command that makes the list, for the cards.
-    bar : callable
-        Gives the progress of a design by its name.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, or a data set is not at hand. Designs made before remain.
     """
     names = list(collection.designs) if names is None else names
     if not names:

@@ -105,18 +105,7 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
     there is none; designs of one rail on two arms; the signed Hadamard basis on a single rail;
     several detectors under the law of other optics, `column`.
 
-    Parameters
-    ----------
-    recipe : Recipe
-    data : Dataset
-        All of it, or one fold.
-    matrix : array, shape (m, N), optional
-        One's own masks, of the design "custom".
-
-    Raises
-    ------
-    InputError
-        If anything that is asked cannot be had; all of it is named.
+    Shapes: matrix (m, N).
     """
     plan = _Plan(recipe, data, matrix)
     if faults := [*_scene_faults(recipe, data), *plan.faults(), *_cap_faults(recipe)]:
@@ -151,22 +140,7 @@ def check_settings(
     load: Callable[[Recipe], Dataset],
     matrix: np.ndarray | None = None,
 ) -> tuple[Recipe, Dataset]:
-    """Recipe of settings, and its data.
-
-    Parameters
-    ----------
-    settings : mapping
-        Fields of a recipe.
-    load : callable
-        Recipe → its data, or `InputError`.
-    matrix : array, shape (m, N), optional
-        One's own masks; the design "custom" is then among those of the recipe.
-
-    Raises
-    ------
-    InputError
-        If anything is wrong; all of it is named.
-    """
+    """Recipe of settings, and its data; `matrix` (m, N) holds one's own masks."""
     draft = draft_recipe(settings)
     recipe = draft.recipe
     faults = draft.faults
@@ -190,16 +164,7 @@ def check_settings(
 
 
 def with_adaptive(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> Recipe:
-    """The recipe with adaptive masks too, where they can be had and do not take long.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        As `check_settings` gives it.
-    data : Dataset
-    matrix : array, shape (m, N), optional
-        One's own masks.
-    """
+    """The recipe with adaptive masks too, where they can be had and do not take long."""
     scenes = len(data.x_train) + len(data.x_test)
     if data.measure != "accuracy" or scenes > ADAPTIVE_SCENES or recipe.test_noise:
         return recipe
@@ -356,15 +321,7 @@ class _Plan:
 
 
 def check_used(recipe: Recipe, options: Iterable[str]) -> None:
-    """Raise `InputError` where an option says nothing of any design of a recipe.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    options : iterable of str
-        Names of single settings that were given, as of `jobs.find_table`. What a recipe's file has
-        for other designs than are compared is no fault.
-    """
+    """Raise `InputError` where an option says nothing of any design of a recipe."""
     codes = [DESIGNS[design] for design in recipe.designs]
     adaptive = all(code.adaptive for code in codes)
     grey = any(str(levels) != "2" for levels in recipe.camera.get("levels", ()))

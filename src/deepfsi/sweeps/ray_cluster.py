@@ -54,35 +54,6 @@ def run_on_ray(
 
     Stopping early cancels the rest, and stops a cluster that was started here. Where every node
     that could run a task has gone, it waits for one to come.
-
-    Parameters
-    ----------
-    work : callable
-        (shared, task) → result.
-    shared
-        Sent once to each node.
-    tasks : iterable
-        Each is taken when there is room for it.
-    address : str
-        ``"host:port"`` of a cluster, ``"local"`` to start one here, or ``"auto"``: that of the
-        environment, else a local one.
-    cpus, gpus : float
-        Share of the cluster that each task takes.
-    retries : int
-        How often a task that was lost, as with its node, is done again.
-
-    Yields
-    ------
-    index : int
-        Place of a task among `tasks`.
-    result
-        What `work` returned for it.
-
-    Raises
-    ------
-    InputError
-        If Ray is missing, no cluster answers, no task can ask for so much, or one was lost for
-        good.
     """
     if importlib.util.find_spec("ray") is None:
         raise InputError("Ray is not installed: pip install ray")

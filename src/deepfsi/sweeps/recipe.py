@@ -136,20 +136,11 @@ def _variant(point: Settings, axes: _Axes) -> str:
 
 
 class CameraVariant(NamedTuple):
-    """One camera of a recipe.
-
-    Attributes
-    ----------
-    camera : Camera
-    detectors : str
-        As the recipe names them.
-    variant : str
-        Which of several, by the fields that no point of the results has as its own.
-    """
+    """One camera of a recipe."""
 
     camera: Camera
-    detectors: str
-    variant: str
+    detectors: str  # as the recipe names them
+    variant: str  # which of several, by the fields that no point of the results has as its own
 
 
 def _cameras(axes: _Axes) -> list[CameraVariant]:
@@ -412,20 +403,11 @@ class Recipe(UserModel):
 
 
 class _RecipeDraft(NamedTuple):
-    """Recipe of what is sound of settings.
-
-    Attributes
-    ----------
-    recipe : Recipe
-    faults : list of str
-        Everything that is wrong.
-    lost : set of str
-        Fields that have their defaults because all that was given for them is wrong.
-    """
+    """Recipe of what is sound of settings."""
 
     recipe: Recipe
-    faults: list[str]
-    lost: set[str]
+    faults: list[str]  # everything that is wrong
+    lost: set[str]  # fields that have their defaults because all that was given for them is wrong
 
 
 def draft_recipe(settings: Mapping[str, Any]) -> _RecipeDraft:
@@ -484,26 +466,7 @@ def _sound_axes(table: str, axes: Settings) -> Settings:
 
 
 def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:
-    """Settings of each recipe of a file.
-
-    Parameters
-    ----------
-    file : mapping
-        As TOML gives it.
-    quick : bool
-        The coarse versions.
-
-    Returns
-    -------
-    dict
-        Settings by the name of the part; a file without parts has one recipe, named "".
-
-    Raises
-    ------
-    InputError
-        If `parts` or `quick` are something else than tables, or nothing says what a coarse version
-        is.
-    """
+    """Settings of each recipe of a file."""
     common = {name: value for name, value in file.items() if name not in ("parts", "quick")}
     coarse = _table(file, "quick")
     tables = _table(file, "parts") or {"": {}}
@@ -521,28 +484,7 @@ def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:
 
 
 def only(file: Mapping[str, Any], part: str | None = None, quick: bool = False) -> Settings:
-    """Settings of one recipe of a file.
-
-    Parameters
-    ----------
-    file : mapping
-        As TOML gives it.
-    part : str, optional
-        Its name, where the file has several.
-    quick : bool
-        The coarse version.
-
-    Returns
-    -------
-    dict
-        Fields of a `Recipe`.
-
-    Raises
-    ------
-    InputError
-        If the file has several parts and none is named, no parts and one is named, no such part, or
-        no coarse version.
-    """
+    """Settings of one recipe of a file."""
     recipes = parts(file, quick)
     if part is None and "" not in recipes:
         raise InputError(

@@ -54,20 +54,11 @@ _LARGEST_RECORD = 2**26
 
 
 class FinishedTrial(NamedTuple):
-    """A trial that was trained, tested, or both.
-
-    Attributes
-    ----------
-    trial : Trial
-    record : mapping, optional
-        None where the training diverged.
-    design : bytes, optional
-        Its design file; None where it was not trained now, or diverged.
-    """
+    """A trial that was trained, tested, or both."""
 
     trial: Trial
-    record: Record | None
-    design: bytes | None
+    record: Record | None  # None where the training diverged
+    design: bytes | None  # its design file
 
 
 @dataclass(frozen=True)
@@ -250,19 +241,7 @@ def record_rows(records: Sequence[Record]) -> list[dict[str, Any]]:
 
 
 def write_table(records: Sequence[Record], path: Path) -> Path:
-    """Write records as one table.
-
-    Parameters
-    ----------
-    records : sequence of mapping
-    path : path
-        It ends in .csv or .parquet, else `InputError` is raised.
-
-    Returns
-    -------
-    path
-        The same.
-    """
+    """Write records as one table."""
     import polars
 
     check_ending(path, (".csv", ".parquet"))

@@ -273,18 +273,7 @@ class Results(_Stored):
 
 
 def write_results(path: Path, results: Results) -> Path:
-    """Write results as JSON, whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-    results : Results
-
-    Returns
-    -------
-    path
-        The same.
-    """
+    """Write results as JSON, whole or not at all."""
     return write_atomically(path, json.dumps(results.as_dict(), indent=1).encode())
 
 

@@ -34,16 +34,7 @@ if TYPE_CHECKING:
 def check_kept(
     folder: Path, recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
 ) -> None:
-    """Raise `InputError` if results in a folder would be lost to those of a recipe.
-
-    Parameters
-    ----------
-    folder : path
-    recipe : Recipe
-    data : Dataset
-    matrix : array, shape (m, N), optional
-        One's own masks.
-    """
+    """Raise `InputError` if results in a folder would be lost to those of a recipe."""
     file = folder / "results.json"
     if not file.is_file():
         return
@@ -148,32 +139,7 @@ def run_trials(
     workers: Workers = THIS_PROCESS,
     report: Progress = SILENT,
 ) -> list[Record]:
-    """Train and test what a folder does not hold yet of trials.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        Of one recipe on `data`, so that all hold out as many scenes.
-    data : Dataset
-    folder : path
-        Where records and designs are kept; it is made if need be.
-    matrix : array, shape (m, N), optional
-        One's own masks, of the design "custom".
-    device : {"auto", "cpu", "cuda"} or torch.device
-    workers : Workers
-        Processes, or a Ray cluster, that train.
-    report : Progress
-
-    Returns
-    -------
-    list of mapping
-        Record of each trial.
-
-    Raises
-    ------
-    InputError
-        If a training diverged; the others are done.
-    """
+    """Train and test what a folder does not hold yet of trials."""
     from deepfsi.sweeps.batch import BatchTrainer
 
     trainer = BatchTrainer(data, trials[0].validation, device, matrix)
@@ -182,14 +148,7 @@ def run_trials(
 
 @dataclass(frozen=True)
 class SweepRun:
-    """Work on trials of one data set, in a folder that other processes may share.
-
-    Attributes
-    ----------
-    trainer : BatchTrainer
-    folder : path
-    workers : Workers
-    """
+    """Work on trials of one data set, in a folder that other processes may share."""
 
     trainer: "BatchTrainer"
     folder: Path

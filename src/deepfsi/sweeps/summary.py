@@ -45,18 +45,10 @@ _ONE_TRAINING = "of one training"
 
 
 class FoldRecords(NamedTuple):
-    """Records of one fold of a data set, or of the whole where it has no folds.
-
-    Attributes
-    ----------
-    data : Dataset
-        The fold.
-    records : sequence of mapping
-        Of the same trials in the same order on each fold.
-    """
+    """Records of one fold of a data set, or of the whole where it has no folds."""
 
     data: Dataset
-    records: Sequence[Record]
+    records: Sequence[Record]  # of the same trials in the same order on each fold
 
 
 def summarise_records(
@@ -70,18 +62,6 @@ def summarise_records(
     """Results of a recipe: trials averaged, mask counts chosen on validation data.
 
     Folds count as if one test had seen all scenes.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    data : Dataset
-        All of it.
-    folds : sequence of FoldRecords
-        One where the data has no folds.
-    command : str
-        Command that made the records.
-    seconds : float
-        Time that it took.
     """
     held_out = recipe.held_out(folds[0].data)
     scenes = _pooled(data, [fold.data for fold in folds])
@@ -125,14 +105,7 @@ def summarise_records(
 
 
 def provenance_of(records: Sequence[Record], seconds: float) -> Provenance:
-    """Versions and devices behind records, finished now.
-
-    Parameters
-    ----------
-    records : sequence of mapping
-    seconds : float
-        Time that they took.
-    """
+    """Versions and devices behind records, finished now."""
     return Provenance(
         **{name: version(name) for name in ("deepfsi", "torch", "numpy")},
         python=platform.python_version(),

@@ -40,20 +40,10 @@ class Resources(StrictModel):
 
 @dataclass(frozen=True)
 class Workers:
-    """Processes that train.
+    """Processes that train."""
 
-    Attributes
-    ----------
-    count : int, optional
-        Processes on this machine; None for as many as are fastest.
-    ray : str, optional
-        Address of a Ray cluster in place of them, or "auto".
-    resources : Resources
-        Share of the cluster that each batch takes.
-    """
-
-    count: int | None = 1
-    ray: str | None = None
+    count: int | None = 1  # processes on this machine
+    ray: str | None = None  # address of a Ray cluster in place of them, or "auto"
     resources: Resources = field(default_factory=Resources)
 
 
@@ -87,31 +77,7 @@ def processes(
     workers: int,
     watch: Callable[[dict[int, float]], None] = lambda shares: None,
 ) -> Generator[_Result, None, None]:
-    """Results of tasks as they finish, each done by one of several processes.
-
-    Parameters
-    ----------
-    work : callable
-        (shared, task) → result; a function of a module, so that processes find it.
-    shared
-        Sent once to each process.
-    tasks : iterable
-        Each is taken when a process is free.
-    workers : int
-        Number of processes; each has its share of the cores.
-    watch : callable
-        Is told twice a second how far tasks are: shares from 0 to 1 by their index.
-
-    Yields
-    ------
-    object
-        Result of a task.
-
-    Raises
-    ------
-    InputError
-        If a process was killed.
-    """
+    """Results of tasks as they finish, each done by one of several processes."""
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
     shares = spawn.RawArray("d", workers)

@@ -92,14 +92,7 @@ def design_of(
 
 
 def designs_of(exposure: ExposureTraining, classifiers: Sequence[nn.Module]) -> list[Design]:
-    """Designs of jobs that train side by side, of masks that are fixed.
-
-    Parameters
-    ----------
-    exposure : ExposureTraining
-    classifiers : sequence of modules
-        One of each job.
-    """
+    """Designs of jobs that train side by side, of masks that are fixed."""
     training_set = exposure.training_set
     with torch.no_grad():
         trained = exposure.finish()

@@ -58,16 +58,7 @@ def characterise(
     designs: Sequence[Design],
     left_out: Sequence[tuple[Dataset, Sequence[Design]]] = (),
 ) -> None:
-    """Give designs that were trained together what simulated exposures tell of them.
-
-    Parameters
-    ----------
-    training_set : TrainingSet
-    jobs : sequence of Job
-    designs : sequence of Design
-    left_out : sequence of (Dataset, designs)
-        Folds of the training scenes, and the designs of the same jobs that were trained on each.
-    """
+    """Give designs that were trained together what simulated exposures tell of them."""
     first = designs[0]
     scenes = training_set.full
     for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
@@ -115,16 +106,6 @@ def find_temperatures(
 
     Those are the scenes that the data holds out; else those of folds that designs of the same job
     were trained without; else scenes of the training, which give no test.
-
-    Parameters
-    ----------
-    design : Design
-    job : Job
-        That it was trained for.
-    data : Dataset
-        That it was trained on.
-    left_out : sequence of (Dataset, Design)
-        Folds of the training scenes, and designs that were trained on each.
     """
     budgets = calibration_budgets(job.photons, job.exposure.highest(job.photons))
     scenes = _calibration_scenes(design, job, data, left_out)
@@ -138,7 +119,7 @@ def find_temperatures(
 def _calibration_scenes(
     design: Design, job: Job, data: Dataset, left_out: Sequence[tuple[Dataset, Design]]
 ) -> CalibrationScenes:
-    """Scenes that calibrate a design; parameters as of `find_temperatures`."""
+    """Scenes that calibrate a design."""
     stops = design.mask_exposure.count_stops
     if left_out and not data.held_out:
         parts = [
@@ -291,21 +272,11 @@ def provenance(
 
 
 def brightness(x: np.ndarray, labels: np.ndarray) -> dict[str, float] | None:
-    """By how much scenes differ in summed reflectance; None where a class is all dark.
+    """By how much scenes (n, N) differ in summed reflectance; None where a class is all dark.
 
-    Parameters
-    ----------
-    x : array, shape (n, N)
-        Scenes, in [0, 1].
-    labels : array, shape (n,)
-        Class of each.
-
-    Returns
-    -------
-    dict
-        `low` and `high`, the dimmest and the brightest scene over the mean one; `between`, the
-        brightest class over the dimmest; `within`, the largest standard deviation of a class over
-        its mean.
+    `low` and `high` are the dimmest and the brightest scene over the mean one; `between`, the
+    brightest class over the dimmest; `within`, the largest standard deviation of a class over its
+    mean.
     """
     sums = x.sum(axis=1, dtype=np.float64)
     groups = [sums[labels == label] for label in np.unique(labels)]
@@ -325,20 +296,9 @@ def detector_shares(
 ) -> dict[str, list[Any]] | None:
     """Share of each detector in the light of each class; None where a class is all dark.
 
-    Parameters
-    ----------
-    x : array, shape (n, N)
-        Scenes, in [0, 1].
-    labels : array, shape (n,)
-        Class of each.
-    detectors : array of int, shape (N,)
-        Detector of each pixel, 0 .. D-1.
-
-    Returns
-    -------
-    dict
-        `shares` of classes (C, D), and `spread` (D,), the standard deviation of single scenes
-        about them, in the class where it is largest.
+    `shares` (C, D) of classes, and `spread` (D,), the standard deviation of single scenes about
+    them, in the class where it is largest. Of scenes (n, N), labels (n,), and the detector (N,) of
+    each pixel.
     """
     light = np.stack(
         [x[:, detectors == d].sum(axis=1, dtype=np.float64) for d in range(detectors.max() + 1)], 1

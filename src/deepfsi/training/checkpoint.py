@@ -55,32 +55,16 @@ Arrays = dict[str, np.ndarray]
 
 @dataclass
 class LoopState:
-    """All that the steps of a loop change.
-
-    Attributes
-    ----------
-    modules : sequence of modules
-        That learn.
-    optimiser, schedule
-        As torch has them.
-    draws : Draws
-    generators : sequence of torch.Generator
-        Besides those of the draws.
-    total : int
-        Steps in all.
-    cost : CountsCost, optional
-    step : int
-        Steps that were done.
-    """
+    """All that the steps of a loop change."""
 
     modules: Sequence[nn.Module]
     optimiser: torch.optim.Optimizer
     schedule: torch.optim.lr_scheduler.LRScheduler
     draws: Draws
-    generators: Sequence[torch.Generator]
-    total: int
+    generators: Sequence[torch.Generator]  # besides those of the draws
+    total: int  # steps in all
     cost: CountsCost | None = None
-    step: int = 0
+    step: int = 0  # steps that were done
 
     def __post_init__(self) -> None:
         self.generators = [*(stream.generator for stream in self.draws.streams), *self.generators]
@@ -153,17 +137,7 @@ class _Header(BaseModel):
 
 
 class Checkpoint:
-    """Where a training keeps its state while it runs, a file or nowhere.
-
-    Parameters
-    ----------
-    path : Path, optional
-        File; none keeps nothing.
-    key : str
-        Hash of all that the bits of the training depend on.
-    title : str
-        Words on the training.
-    """
+    """Where a training keeps its state while it runs, a file or nowhere."""
 
     def __init__(self, path: Path | None = None, key: str = "", title: str = "") -> None:
         self.path = path
@@ -186,16 +160,7 @@ class Checkpoint:
         counts: float | None = None,
         start: np.ndarray | None = None,
     ) -> "Checkpoint":
-        """Checkpoint of jobs that train together, read if its file is there.
-
-        Parameters
-        ----------
-        path : path, optional
-        training_set : TrainingSet
-        jobs : sequence of Job
-        matrix, counts, start
-            As of `learn`, the start as a matrix.
-        """
+        """Checkpoint of jobs that train together, read if its file is there."""
         if path is None:
             return cls()
         job = jobs[0]

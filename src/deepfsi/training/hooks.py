@@ -63,31 +63,14 @@ class Epoch:
 
 @dataclass
 class LoopHooks:
-    """Hooks of a user in the loops of a training.
-
-    Attributes
-    ----------
-    callback : callable, optional
-        Called with an `Epoch` of each design after each epoch; true ends the training there.
-    patience : int, optional
-        Epochs without a lower validation loss, in the mean over designs, after which a training
-        ends. The weights of the best epoch are kept.
-    optimiser : callable, optional
-        Gives a torch optimiser of groups of parameters with their ``lr`` and ``weight_decay``.
-    schedule : callable, optional
-        Gives a torch schedule of an optimiser and the number of steps; it is stepped in each.
-    lengths : list of int
-        Epochs of each loop that has ended.
-    history : list of list of Epoch
-        Of the last loop, for each design.
-    """
+    """Hooks of a user in the loops of a training."""
 
     callback: Callable[[Epoch], bool | None] | None = None
     patience: int | None = None
     optimiser: Callable[[list[dict[str, Any]]], torch.optim.Optimizer] | None = None
     schedule: Callable[[torch.optim.Optimizer, int], LRScheduler] | None = None
-    lengths: list[int] = field(default_factory=list)
-    history: list[list[Epoch]] = field(default_factory=list)
+    lengths: list[int] = field(default_factory=list)  # epochs of each loop that has ended
+    history: list[list[Epoch]] = field(default_factory=list)  # of the last loop, for each design
     _most: tuple[int, ...] = ()  # epochs of each loop at most
 
     def __post_init__(self) -> None:
@@ -144,19 +127,7 @@ def check_made(name: str, made: Any, kind: type[Made]) -> Made:
 
 
 class LoopWatch:
-    """Epochs of one loop, in which R designs are trained side by side.
-
-    Parameters
-    ----------
-    hooks : LoopHooks
-    exposure : ExposureTraining
-    state : LoopState
-    loss : SceneLoss
-    networks : sequence of modules
-        Classifiers, one for each design, and networks beside them.
-    most : int, optional
-        Epochs after which the loop ends.
-    """
+    """Epochs of one loop, in which R designs are trained side by side."""
 
     def __init__(
         self,

@@ -229,25 +229,7 @@ def train(
 ) -> Sequence[Design]:
     """Train designs side by side that differ in budget, sigma and seed only, in their order.
 
-    Parameters
-    ----------
-    training_set : TrainingSet
-    jobs : sequence of Job
-        That agree in `companions`, those of one seed one after another.
-    matrix : array, shape (m, N), optional
-        Of ``design="custom"``.
-    report : Progress
-    checkpoint : Checkpoint
-        Whoever keeps the designs removes it.
-    start : array, shape (m, N), optional
-        That learned masks start from.
-    hooks : LoopHooks, optional
-        What a user adds to the loop.
-
-    Returns
-    -------
-    sequence of designs
-        One for each job.
+    Shapes: matrix (m, N); start (m, N).
     """
     began = time.perf_counter()
     hooks = hooks or LoopHooks()
@@ -302,14 +284,7 @@ def train_for_counts(
 
 
 def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
-    """Key that jobs trained together share: all but budget, sigma and seed.
-
-    Parameters
-    ----------
-    job : Job
-    device : torch.device
-        That they train on.
-    """
+    """Key that jobs trained together share: all but budget, sigma and seed."""
     # a module of a user's own may draw from torch's global generator: one after another
     alone = job.training.is_custom or not job.exposure.side_by_side
     apart: Any = set() if alone else {"photons": True, "seed": True, "camera": {"sigma"}}
@@ -497,15 +472,7 @@ def _counting_exposure(
 
 
 def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 1) -> None:
-    """Raise `InputError` where training jobs together would take more memory than is free.
-
-    Parameters
-    ----------
-    training_set : TrainingSet
-    jobs : sequence of Job
-    processes : int
-        That train such jobs at a time.
-    """
+    """Raise `InputError` where training jobs together would take more memory than is free."""
     scenes, pixels = training_set.full.shape
     held = training_set.full.nbytes
     check_memory(
@@ -528,13 +495,7 @@ def memory_for(device: torch.device) -> float:
 
 
 def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
-    """Bytes that training jobs together takes at most, scenes included, by the tensors alive.
-
-    Parameters
-    ----------
-    training_set : TrainingSet
-    jobs : sequence of Job
-    """
+    """Bytes that training jobs together takes at most, scenes included, by the tensors alive."""
     job = jobs[0]
     scene = training_set.full.shape[1]
     count = len(training_set.labels)

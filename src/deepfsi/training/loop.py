@@ -43,24 +43,7 @@ def optimise(
     checkpoint: Checkpoint = NO_CHECKPOINT,
     hooks: LoopHooks | None = None,
 ) -> list[Classifier]:
-    """Train classifiers of jobs side by side, with masks that learn and choosers of dwells.
-
-    Parameters
-    ----------
-    exposure : ExposureTraining
-        Masks of R jobs, as `build_training` gives them. They are trained in place, as are the
-        networks beside the classifiers.
-    report : Progress
-    checkpoint : Checkpoint
-        Where the state of the loop is kept, from which it may be resumed.
-    hooks : LoopHooks, optional
-        Who is told of epochs, and other ways to step.
-
-    Returns
-    -------
-    list of modules
-        Classifier of each job.
-    """
+    """Train classifiers of jobs side by side, with masks that learn and choosers of dwells."""
     hooks = hooks or LoopHooks()
     job = exposure.job
     settings = job.training
@@ -136,14 +119,7 @@ def optimise(
 
 
 def batch_of(settings: Training, count: int) -> int:
-    """Scenes of a step.
-
-    Parameters
-    ----------
-    settings : Training
-    count : int
-        Scenes in all.
-    """
+    """Scenes of a step."""
     return min(settings.batch or min(max(count // 100, 32), 500), count)
 
 

@@ -108,24 +108,12 @@ class OrderTest:
 
 @dataclass(frozen=True)
 class ReadoutsResult:
-    """Accuracy of classifiers of measured readouts, and of whatever else tells the class.
-
-    Attributes
-    ----------
-    recordings, readouts : int
-        Of how many the readouts are, and how many each has.
-    classes : tuple of str
-    chance : float
-        Share of the commonest class.
-    splits : tuple of SplitTest
-    monitors : tuple of MonitorTest
-    order : OrderTest
-    """
+    """Accuracy of classifiers of measured readouts, and of whatever else tells the class."""
 
     recordings: int
     readouts: int
     classes: tuple[str, ...]
-    chance: float
+    chance: float  # share of the commonest class
     splits: tuple[SplitTest, ...]
     monitors: tuple[MonitorTest, ...]
     order: OrderTest
@@ -232,19 +220,6 @@ def learn_readouts(
 
     It holds the offset and the gain of each readout, and no masks: `classify_readouts` reads new
     ones in the detector's unit.
-
-    Parameters
-    ----------
-    readouts : MeasuredReadouts
-    split : str
-        Which of its splits.
-    training : mapping, optional
-        Fields of `Training`, in place of those of `READOUTS_TRAINING`.
-    seed : int
-        Of split and training.
-    device : str
-        As of `learn`.
-    report : Progress
     """
     made = learn(
         readouts.dataset(split, seed),
@@ -266,16 +241,7 @@ def learn_readouts(
 def measure_readouts(
     readouts: MeasuredReadouts, designs: Mapping[str, Design], seed: int = 0
 ) -> ReadoutsResult:
-    """Test designs of `learn_readouts`, and what else tells the class.
-
-    Parameters
-    ----------
-    readouts : MeasuredReadouts
-    designs : mapping of str to Design
-        Of each split.
-    seed : int
-        Of the splits.
-    """
+    """Test designs of `learn_readouts`, and what else tells the class."""
     splits = []
     for split, design in designs.items():
         test = readouts.test_part(split, seed)

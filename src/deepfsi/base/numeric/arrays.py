@@ -87,27 +87,7 @@ def read_array(
     usual: str = "",
     advice: str = "",
 ) -> npt.NDArray[Any]:
-    """Array of a ``.npy`` file, or a variable of a ``.mat`` or HDF5 file.
-
-    Parameters
-    ----------
-    path : Path
-    dimensions : sequence of int
-        Numbers of dimensions that a variable may have.
-    variable : str
-        Its name; empty for the only one, or of several for the one of the name `usual`.
-    largest : int
-        Values of the array at most.
-    usual : str
-        Name that is taken where none is given.
-    advice : str
-        What to do where there is no such variable; to name one unless given.
-
-    Returns
-    -------
-    array
-        Real numbers.
-    """
+    """Array of a ``.npy`` file, or a variable of a ``.mat`` or HDF5 file."""
     if path.suffix.lower() not in VARIABLE_ENDINGS:
         return read_npy(path, largest)
     found = list_variables(path, dimensions)
@@ -126,14 +106,7 @@ def read_array(
 def read_npz(
     path: Path, advice: str = "write plain arrays of numbers or strings with numpy.savez"
 ) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of a ``.npz`` file by their names, all of them in memory.
-
-    Parameters
-    ----------
-    path : Path
-    advice : str
-        What to do instead, as the end of a message.
-    """
+    """Arrays of a ``.npz`` file by their names, all of them in memory."""
     with open_zip(path, advice) as archive:
         entries = archive.infolist()
         size = sum(entry.file_size for entry in entries)
@@ -168,14 +141,7 @@ def _of_npy(content: bytes, where: str, advice: str) -> npt.NDArray[Any]:
 
 
 def read_npy(path: Path, largest: int = 2**30) -> npt.NDArray[Any]:
-    """Array of a ``.npy`` file, or `InputError` if it holds something else than real numbers.
-
-    Parameters
-    ----------
-    path : Path
-    largest : int
-        Values of the array at most.
-    """
+    """Array of a ``.npy`` file, or `InputError` if it holds something else than real numbers."""
     with open_regular(path, LARGEST_ARRAY_FILE, "give a .npy file"):
         try:
             # mapped, so that no more is read than the file holds
@@ -199,18 +165,7 @@ def _native(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def check_size(what: str, shape: Sequence[int], itemsize: int, largest: int) -> None:
-    """Raise `InputError` for an array that is larger than its reader allows, or than the memory.
-
-    Parameters
-    ----------
-    what : str
-        File, or variable of a file, for a message.
-    shape : sequence of int
-    itemsize : int
-        Bytes of a value.
-    largest : int
-        Values at most.
-    """
+    """Raise `InputError` for an array that is larger than its reader allows, or than the memory."""
     size = float(np.prod(shape, dtype=float))
     if size > largest:
         raise InputError(f"{what} has the shape {tuple(shape)}: give {largest} values or fewer")
@@ -218,20 +173,7 @@ def check_size(what: str, shape: Sequence[int], itemsize: int, largest: int) -> 
 
 
 def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of the numeric variables in a file, by name.
-
-    Parameters
-    ----------
-    path : Path
-        ``.mat`` file, or HDF5 file, in which a name is a path such as ``run/counts``.
-    dimensions : sequence of int
-        Numbers of dimensions that the variables have.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, or an HDF5 file and h5py is not installed.
-    """
+    """Shapes of the numeric variables in a file, by name."""
     if _in_hdf5(path):
         with _open_hdf5(path) as found:
             shapes = {name: _matlab_shape(path, held.shape) for name, held in found.items()}
@@ -260,18 +202,7 @@ def _others(path: Path) -> str:
 
 
 def read_variable(path: Path, name: str, shape: tuple[int, ...], largest: int) -> npt.NDArray[Any]:
-    """Variable of a ``.mat`` or HDF5 file.
-
-    Parameters
-    ----------
-    path : Path
-    name : str
-        Of the variable.
-    shape : tuple of int
-        As `list_variables` gives it.
-    largest : int
-        Values of the variable at most.
-    """
+    """Variable of a ``.mat`` or HDF5 file."""
     from scipy.io import loadmat
 
     check_size(f"{path}: {name}", shape, DOUBLE, largest)
@@ -416,14 +347,7 @@ ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 @contextmanager
 def open_zip(path: Path, advice: str) -> Iterator[zipfile.ZipFile]:
-    """Open a zip file, or raise `InputError` if it is none or a bomb.
-
-    Parameters
-    ----------
-    path : Path
-    advice : str
-        What to do instead, as the end of a message.
-    """
+    """Open a zip file, or raise `InputError` if it is none or a bomb."""
     with open_regular(path, LARGEST_ARRAY_FILE, advice) as file:
         try:
             archive = zipfile.ZipFile(file)
@@ -442,18 +366,7 @@ def open_zip(path: Path, advice: str) -> Iterator[zipfile.ZipFile]:
 def read_zip_entry(
     archive: zipfile.ZipFile, info: zipfile.ZipInfo, *, where: str, largest: int, advice: str
 ) -> bytes:
-    """Content of an entry of a zip file.
-
-    Parameters
-    ----------
-    archive : ZipFile
-    info : ZipInfo
-        The entry.
-    where, advice : str
-        What is read, and what to do instead, for a message.
-    largest : int
-        Bytes of the entry at most.
-    """
+    """Content of an entry of a zip file."""
     if info.flag_bits & 1:
         raise InputError(f"{where} is encrypted; pack it again without a password")
     if info.compress_type not in ZIP_METHODS:
@@ -482,18 +395,7 @@ class DamagedError(Exception):
 def read_tensors(
     path: str | os.PathLike[str], key: str, advice: str, wanted: Container[str] | None = None
 ) -> tuple[str, dict[str, np.ndarray]]:
-    """Text of a key in a file's header and its tensors, all or those wanted.
-
-    Parameters
-    ----------
-    path : path
-    key : str
-        Of the text in the header.
-    advice : str
-        What to do instead, as the end of a message.
-    wanted : container of str, optional
-        Names of the tensors that are read; all unless given.
-    """
+    """Text of a key in a file's header and its tensors, all or those wanted."""
     with open_regular(path, LARGEST_TENSORS, advice):
         try:
             with safe_open(Path(path), framework="numpy") as file:
@@ -510,15 +412,7 @@ def free_memory() -> float:
 
 
 def check_memory(needed: float, free: float, what: str, advice: str) -> None:
-    """Raise `InputError` where something would not fit.
-
-    Parameters
-    ----------
-    needed, free : float
-        Bytes.
-    what, advice : str
-        What needs them, and what to do instead, for a message.
-    """
+    """Raise `InputError` where something would not fit."""
     if needed > free:
         raise InputError(
             "{what} need {needed_gb:.3g} GB of memory, and {free_gb:.3g} GB are free: {advice}",
@@ -530,14 +424,7 @@ def check_memory(needed: float, free: float, what: str, advice: str) -> None:
 
 
 def npy_header(kind: str, shape: tuple[int, ...]) -> bytes:
-    """Header of an array's .npy file, as `numpy.save` writes it.
-
-    Parameters
-    ----------
-    kind : str
-        Type of the values, such as ``<f4``.
-    shape : tuple of int
-    """
+    """Header of an array's .npy file, as `numpy.save` writes it."""
     header = io.BytesIO()
     content = {"descr": kind, "fortran_order": False, "shape": shape}
     np.lib.format.write_array_header_1_0(header, content)

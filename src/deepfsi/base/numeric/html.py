@@ -42,14 +42,7 @@ FOOT = 36
 
 
 def confusion_table(confusion: Sequence[Sequence[int]], classes: Sequence[str]) -> str:
-    """Table of the share of each answer for each true class; of many, of the frequent mistakes.
-
-    Parameters
-    ----------
-    confusion : sequence of sequence of int, shape (C, C)
-        Scenes of each true class with each answer.
-    classes : sequence of str
-    """
+    """Table of the shares of answers (C, C) for each true class; of many, of frequent mistakes."""
     names = [escape(name) for name in classes]
     if len(names) > MOST_CLASSES:
         rows = [
@@ -76,14 +69,7 @@ def _percent(share: float) -> str:
 
 
 def mask_picture(matrix: np.ndarray, shape: tuple[int, ...]) -> str:
-    """Picture of the first masks (m, N) of images, or of all bands of masks of spectra.
-
-    Parameters
-    ----------
-    matrix : array, shape (m, N)
-    shape : tuple of int
-        Of a scene, (H, W), or (N,) of a spectrum.
-    """
+    """Picture of the first masks (m, N) of images, or of all bands of masks of spectra."""
     from PIL import Image
 
     shown = matrix[:MOST_MASKS].reshape(-1, *shape)
@@ -144,13 +130,7 @@ def accuracy_curve(points: Sequence[tuple[float, float, float, float]]) -> str:
 
 
 def loss_curve(epochs: Sequence[tuple[int, float, float | None]]) -> str:
-    """Curves of the loss of a training over its epochs.
-
-    Parameters
-    ----------
-    epochs : sequence of (int, float, float or None)
-        Number of an epoch, its loss, and the loss of held-out scenes where there are any.
-    """
+    """Curves of the loss of a training over its epochs."""
     first = epochs[0][0]
     span = epochs[-1][0] - first or 1
     highest = max(loss for _, *losses in epochs for loss in losses if loss is not None) or 1.0

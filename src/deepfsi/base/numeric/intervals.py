@@ -28,12 +28,7 @@ wrong do: among few images with an error the true spread may not show."""
 
 
 class Interval(NamedTuple):
-    """A mean and its 95 % interval.
-
-    Attributes
-    ----------
-    mean, low, high : float
-    """
+    """A mean and its 95 % interval."""
 
     mean: float
     low: float
@@ -46,15 +41,8 @@ class Interval(NamedTuple):
 
 
 def accuracy_interval(right: np.ndarray) -> Interval:
-    """Accuracy with its interval, which lies in [0, 1].
+    """Accuracy of S trainings on n images (S, n) or (n,), with its interval in [0, 1].
 
-    Parameters
-    ----------
-    right : array, shape (S, n) or (n,)
-        Share of the noise draws of each of n images that a training answers right.
-
-    Notes
-    -----
     Over images it is Wilson's score interval at an effective number of images: with the mean of
     several draws as one value, images vary less than right and wrong do. Of one draw and one
     training it is Wilson's.
@@ -65,24 +53,12 @@ def accuracy_interval(right: np.ndarray) -> Interval:
 
 
 def balanced_interval(right: np.ndarray, labels: np.ndarray) -> Interval:
-    """Mean of the classes' accuracies with its interval.
+    """Mean of the classes' accuracies with its interval, of shares (S, n) or (n,) and labels (n,).
 
-    Every class counts alike, whatever its number of images; classes without any are left out.
-
-    Parameters
-    ----------
-    right : array, shape (S, n) or (n,)
-        As of `accuracy`.
-    labels : array, shape (n,)
-        Class of each image.
-
-    Notes
-    -----
-    The interval combines those of the classes (the method of variance estimates recovery): the
-    squared distances of their lower ends from their rates add up to that of the mean's lower end
-    times the number of classes, and those of the upper ends likewise. So a class of one image,
-    right or wrong, still has its say in the width. It covers the truth in 95 of 100 tests of 40
-    images a class, and in 90 to 97 where classes have one to three.
+    Every class counts alike, whatever its number of images; classes without any are left out. The
+    interval combines those of the classes (the method of variance estimates recovery). It covers
+    the truth in 95 of 100 tests of 40 images a class, and in 90 to 97 where classes have one to
+    three.
     """
     values = np.atleast_2d(right)
     each = values.mean(axis=0)
@@ -149,14 +125,7 @@ def seeds_error(terms: np.ndarray, off: float = 1.0) -> float:
 
 
 def wilson(accuracy: float, images: int) -> tuple[float, float]:
-    """95 % interval of a mean over images, each of which counts as one trial.
-
-    Parameters
-    ----------
-    accuracy : float
-        The mean.
-    images : int
-    """
+    """95 % interval of a mean over images, each of which counts as one trial."""
     # in closed form: scipy's binomtest, which gives it too, tests a hypothesis first
     return _wilson(round(accuracy * images) / images, images)
 
@@ -223,22 +192,11 @@ class AccuracyTrials(Protocol):
 
 @dataclass(frozen=True)
 class Difference:
-    """A difference with its standard error.
-
-    Attributes
-    ----------
-    mean : float
-    error : float
-        Standard error; infinite where one trial cannot give one.
-    freedom : float
-        Degrees of freedom of the error, infinite for a normal one.
-    seeds_error, seeds_freedom : float
-        What training seeds add where `error` is over test images.
-    """
+    """A difference with its standard error."""
 
     mean: float
     error: float
-    freedom: float = math.inf
+    freedom: float = math.inf  # degrees of freedom of the error, infinite for a normal one
     seeds_error: float = 0.0
     seeds_freedom: float = math.inf
 
@@ -270,14 +228,7 @@ class Difference:
 
 
 def signed_text(value: float, digits: int = 3) -> str:
-    """Number with its sign, the minus as wide as the plus.
-
-    Parameters
-    ----------
-    value : float
-    digits : int
-        After the point.
-    """
+    """Number with its sign, the minus as wide as the plus."""
     return f"{value:+.{digits}f}".replace("-", "−")
 
 
@@ -326,10 +277,6 @@ def accuracy_difference(first: AccuracyTrials, second: AccuracyTrials) -> Differ
     Of trials that keep no values of images those of one seed are paired, and the error is that over
     seeds; of a single such trial it combines the two intervals over images as if these were
     independent.
-
-    Parameters
-    ----------
-    first, second : AccuracyTrials
     """
     if first.terms and second.terms:
         rows = [
@@ -345,19 +292,7 @@ def accuracy_difference(first: AccuracyTrials, second: AccuracyTrials) -> Differ
 
 
 def all_above(differences: Iterable[Difference], limit: float = 0.0) -> bool | None:
-    """Test that all differences are above a limit.
-
-    Parameters
-    ----------
-    differences : iterable of Difference
-    limit : float
-
-    Returns
-    -------
-    bool or None
-        True if every 95 % interval is. False if one lies below it, by an interval widened for as
-        many comparisons as there are differences (Bonferroni). Else None.
-    """
+    """Test that all differences are above a limit."""
     every = list(differences)
     wide = 1 - (1 - CONFIDENCE) / max(len(every), 1)
     if any(each.interval(wide)[1] < limit for each in every):
@@ -371,19 +306,7 @@ CURVE_BUDGETS = 1000
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where a curve of accuracy over photons meets a target.
-
-    Attributes
-    ----------
-    photons : float or None
-        Best estimate; None if the curve does not meet the target within the tried budgets.
-    low, high : float or None
-        Its 95 % interval. An end beyond the tried budgets is None; where all of the interval is,
-        the other end is the budget that it lies beyond.
-    found : str
-        Whether the estimate is within the tried budgets, the target is reached at the lowest
-        already (below), or not even at the highest (beyond).
-    """
+    """Where a curve of accuracy over photons meets a target."""
 
     photons: float | None
     low: float | None
@@ -394,26 +317,12 @@ class Crossing:
 def find_crossing(
     photons: Sequence[float], accuracies: Sequence[Sequence[float]], images: int, target: float
 ) -> Crossing:
-    """Photons at which the accuracy reaches a target.
+    """Photons at which the accuracy reaches a target, of budgets (B,) that rise.
 
-    Parameters
-    ----------
-    photons : sequence of float, shape (B,)
-        Budgets that were tried, rising.
-    accuracies : sequence of sequence of float
-        Of the trials at each budget.
-    images : int
-        Test images of a trial.
-    target : float
-        Accuracy.
-
-    Notes
-    -----
-    Accuracy does not fall with more photons, so that the tried ones are brought to order (isotonic
-    regression) and joined by a monotone cubic over the logarithm of the budget. The interval holds
-    all budgets at which the curve's own one holds the target: that of the test images (Wilson) and
-    of training seeds (Student, with one variance for all budgets; none where each has one trial),
-    added in squares, about any shape that the curve may plausibly have between tried budgets.
+    The tried accuracies are made to rise with the budget (isotonic regression) and joined by a
+    monotone cubic over its logarithm. The interval holds all budgets at which the curve's own one
+    holds the target: that of the test images (Wilson) and of training seeds (Student, with one
+    variance for all budgets), added in squares.
     """
     from scipy.interpolate import PchipInterpolator
     from sklearn.isotonic import IsotonicRegression
@@ -486,21 +395,10 @@ def _half_widths(
 
 
 def auc_terms(scores: np.ndarray, positive: np.ndarray) -> np.ndarray:
-    """Terms (n,) of images whose mean is the area under the ROC curve, and varies as it does.
+    """Terms (n,) of images whose mean is the area under the ROC curve, of scores (n, d).
 
-    The area is the probability that a positive image scores higher than another one, ties half.
-
-    Parameters
-    ----------
-    scores : array, shape (n, d)
-        Of d exposures of each image.
-    positive : array, shape (n,), bool
-        Which images are positive; some are, and some are not.
-
-    Notes
-    -----
-    The variance over n of the terms is that of E. R. DeLong, D. M. DeLong and D. L. Clarke-Pearson
-    (Biometrics 44, 837, 1988), with the mean of an image's exposures as one observation.
+    The area is the probability that a positive image scores higher than another one, ties half. The
+    variance of the terms is that of DeLong, DeLong and Clarke-Pearson (Biometrics 44, 837, 1988).
     """
     from scipy.stats import rankdata
 
@@ -524,13 +422,6 @@ def auc(terms: np.ndarray, positive: np.ndarray) -> Interval:
 
     Over images the interval is symmetric in log(A / (1 − A)). Of an area of 1 or 0 it ends where
     three images in a hundred of the rarer kind would be, at 3 / n (the rule of three).
-
-    Parameters
-    ----------
-    terms : array, shape (S, n) or (n,)
-        As `auc_terms` gives them, of each training.
-    positive : array, shape (n,), bool
-        Which images are positive.
     """
     rows = np.atleast_2d(terms)
     each = rows.mean(axis=0)

@@ -76,18 +76,9 @@ SEPARATOR_LINES = 1000
 
 @dataclass(frozen=True)
 class NumberTable:
-    """Numbers in rows and columns, and columns of words beside them.
+    """Numbers in rows and columns, and columns of words beside them."""
 
-    Attributes
-    ----------
-    values : array, shape (rows, columns), float64
-    names : tuple of str
-        Of the columns; empty where they have none.
-    words : dict
-        From the name of a column of words to those of each row.
-    """
-
-    values: np.ndarray
+    values: np.ndarray  # (rows, columns)
     names: tuple[str, ...] = ()
     words: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -98,20 +89,7 @@ def is_table(source: str | Path) -> bool:
 
 
 def read_table(source: str | Path, words: Sequence[str] = ()) -> NumberTable:
-    """Read a table.
-
-    Parameters
-    ----------
-    source : str or path
-        A file, or FILE:VARIABLE of one that holds several arrays.
-    words : sequence of str
-        Names of columns that hold words; the others hold numbers.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, it holds no table, or a cell holds no finite number.
-    """
+    """Read a table."""
     path, columns = _read(source)
     if isinstance(columns, np.ndarray):
         return NumberTable(_finite(columns.astype(np.float64), path))
@@ -139,20 +117,7 @@ def read_table(source: str | Path, words: Sequence[str] = ()) -> NumberTable:
 def read_whole_numbers(
     source: str | Path, choose: Callable[[tuple[str, ...], int], Sequence[int]]
 ) -> np.ndarray:
-    """Whole numbers of some columns, exact to 64 bits, (rows, columns) int64.
-
-    Parameters
-    ----------
-    source : str or path
-        A file as of `read_table`.
-    choose : callable
-        Chooses columns by their names, of which there may be none, and their number.
-
-    Raises
-    ------
-    InputError
-        If a number is no whole one, or one that its file may have rounded.
-    """
+    """Whole numbers of some columns, exact to 64 bits, (rows, columns) int64."""
     path, columns = _read(source)
     if isinstance(columns, np.ndarray):
         return whole_numbers(columns[:, list(choose((), columns.shape[1]))], str(path))
@@ -172,15 +137,7 @@ def read_whole_numbers(
 
 
 def whole_numbers(values: np.ndarray, what: str) -> np.ndarray:
-    """Numbers as int64, or `InputError` for one that is no whole number or may be rounded.
-
-    Parameters
-    ----------
-    values : array
-        Of any type of numbers.
-    what : str
-        What holds them, as the beginning of a message.
-    """
+    """Numbers as int64, or `InputError` for one that is no whole number or may be rounded."""
     if values.dtype.kind == "b" or (values.dtype.kind in "iu" and values.dtype != np.uint64):
         return values.astype(np.int64)
     limit = 2**63 - 1 if values.dtype == np.uint64 else LARGEST_WHOLE
@@ -442,39 +399,15 @@ def _check_heading(numbers: list[float | None], rows: int, path: Path) -> None:
 
 @dataclass(frozen=True)
 class TextRows:
-    """Cells of a text file, without blank lines and comments.
-
-    Attributes
-    ----------
-    cells : tuple of tuples of str
-        Of each row.
-    lines : tuple of int
-        Number of the line of each row.
-    separator : str
-        Between the cells.
-    """
+    """Cells of a text file, without blank lines and comments."""
 
     cells: tuple[tuple[str, ...], ...]
-    lines: tuple[int, ...]
-    separator: str
+    lines: tuple[int, ...]  # number of the line of each row
+    separator: str  # between the cells
 
 
 def read_rows(path: Path, largest: int, advice: str) -> TextRows:
-    """Rows of a list, in which a line `# …` is a comment.
-
-    Parameters
-    ----------
-    path : path
-    largest : int
-        Bytes of the file at most.
-    advice : str
-        What to give instead, as the end of a message.
-
-    Raises
-    ------
-    InputError
-        If it is no text, or a quote is not closed.
-    """
+    """Rows of a list, in which a line `# …` is a comment."""
     text = read_text(path, largest, advice, WINDOWS_ENCODING)
     text, separator, skipped = _separated(text, LIST_SEPARATORS)
     lines = ["" if re.match(r"#($|\s)", line) else line for line in text.split("\n")]
@@ -495,14 +428,7 @@ def read_rows(path: Path, largest: int, advice: str) -> TextRows:
 
 
 def parse_number(text: str, comma: bool = False) -> float | None:
-    """Finite number that a text is, or None.
-
-    Parameters
-    ----------
-    text : str
-    comma : bool
-        Allows a decimal comma.
-    """
+    """Finite number that a text is, or None."""
     text = text.strip()
     if comma and "." not in text:
         text = text.replace(",", ".", 1)
@@ -516,15 +442,7 @@ def is_whole_number(text: str) -> bool:
 
 
 def has_decimal_commas(cells: Iterable[str], separator: str) -> bool:
-    """True if the commas of a table's cells part fractions: not those of a list with commas.
-
-    Parameters
-    ----------
-    cells : iterable of str
-        Where each may part thousands, none is believed: 1,234 would be wrong by 1000.
-    separator : str
-        Between the cells.
-    """
+    """True if the commas of a table's cells part fractions: not those of a list with commas."""
     if separator not in (";", "\t"):
         return False
     with_comma = [cell.strip() for cell in cells if "," in cell]

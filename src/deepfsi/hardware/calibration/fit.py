@@ -69,22 +69,7 @@ STEP_CELLS = 0.02
 def spot_scenes(
     image_shape: tuple[int, int], count: tuple[int, int] = (5, 5), side: int = 2
 ) -> np.ndarray:
-    """Scenes (spots, h, w) of one bright square each, on a regular grid over the display.
-
-    Parameters
-    ----------
-    image_shape : tuple of int
-        Rows and columns of the display's picture, (h, w).
-    count : tuple of int
-        Spots down and across.
-    side : int
-        Side of a spot, pixels.
-
-    Raises
-    ------
-    InputError
-        If they do not fit side by side.
-    """
+    """Scenes (spots, h, w) of one bright square each, on a regular grid over the display."""
     room = np.array(image_shape) - np.array(count) * side
     if min(count) < 2 or side < 1 or room.min() < 0:
         raise InputError(
@@ -102,22 +87,7 @@ def spot_scenes(
 
 
 def write_spots(folder: Path, shape: tuple[int, int] = (32, 32), side: int = 2) -> list[Path]:
-    """Write the pictures that calibrate a camera: spots, uniform white and uniform black.
-
-    Parameters
-    ----------
-    folder : path
-        New.
-    shape : tuple of int
-        Rows and columns of a picture.
-    side : int
-        Side of a spot, pixels.
-
-    Raises
-    ------
-    InputError
-        If the spots do not fit, or the folder is there already.
-    """
+    """Write the pictures that calibrate a camera: spots, uniform white and uniform black."""
     pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape, side=side))}
     return write_pictures({**pictures, WHITE: np.ones(shape), BLACK: np.zeros(shape)}, folder)
 
@@ -133,26 +103,7 @@ def fit_calibration(
     dark: float = 0.0,
     ambient: float = 0.0,
 ) -> Calibration:
-    """Fit a calibration to pictures of spots, and of uniform scenes if they are there.
-
-    Parameters
-    ----------
-    scenes : ndarray
-        The displayed spots, (spots, h, w).
-    pictures : ndarray
-        What the cells saw of each, (spots, down, across).
-    grid : Grid
-        Cells on the device.
-    white, black : ndarray, optional
-        Pictures of uniform white and black, (down, across).
-    dark, ambient : float
-        Counts/s with all mirrors OFF, and those that all mirrors ON add, the display black.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit, or too few spots are seen.
-    """
+    """Fit a calibration to pictures of spots, and of uniform scenes if they are there."""
     scenes = np.asarray(scenes, dtype=float)
     pictures = np.asarray(pictures, dtype=float)
     cells = (grid.down, grid.across)
@@ -205,26 +156,7 @@ def calibrate_run(
     counts: Counts,
     patterns: Patterns,
 ) -> Calibration:
-    """Calibrate from one acquisition of spots, a white and a black picture.
-
-    Parameters
-    ----------
-    shown : mapping
-        Displayed picture (h, w) of each name.
-    names : sequence of str
-        Of the acquisition's scenes, in their order.
-    pictures : ndarray
-        What the cells saw of each, (S, down, across).
-    counts : Counts
-        Of the acquisition.
-    patterns : Patterns
-        That were shown.
-
-    Raises
-    ------
-    InputError
-        If a scene is none of the pictures, a picture was not counted, or too few spots are seen.
-    """
+    """Calibrate from one acquisition of spots, a white and a black picture."""
     others = sorted(set(names) - set(shown))
     if others:
         raise InputError(
@@ -558,15 +490,6 @@ def expected_background(
 
     The dark rate counts during every gate; ambient light as far as the frame's mirrors are ON,
     spread evenly over the cells.
-
-    Parameters
-    ----------
-    patterns : Patterns
-        That are shown.
-    exposure_s : float
-        Time of an exposure, seconds.
-    dark, ambient : float or ndarray
-        Counts/s, of all rails or of each, (rails,).
     """
     manifest = patterns.manifest
     dark, ambient = (np.broadcast_to(rate, manifest.rails) for rate in (dark, ambient))

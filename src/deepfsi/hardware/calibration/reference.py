@@ -97,20 +97,7 @@ def _expected_shares(patterns: Patterns) -> np.ndarray:
 
 
 def write_reference(patterns: Patterns, folder: Path) -> list[Path]:
-    """Write the target, and what each frame is expected to count of it, to a folder of patterns.
-
-    Parameters
-    ----------
-    patterns : Patterns
-        The folder's.
-    folder : path
-        Where the files go.
-
-    Returns
-    -------
-    list of path
-        The files; none for masks of one axis, which have no orientation in a plane.
-    """
+    """Write the target, and what each frame is expected to count of it, to a folder of patterns."""
     from PIL import Image
 
     if not _has_reference(patterns.manifest):
@@ -134,39 +121,18 @@ def _has_reference(manifest: Manifest) -> bool:
 
 @dataclass(frozen=True)
 class ReferenceFit:
-    """Place of the reference target on the device, as a camera shows it.
-
-    Attributes
-    ----------
-    exported : DmdLayout
-    layout : DmdLayout
-        That masks need to lie on the device as scenes do.
-    scale : float
-        Of the target's image, over that of the region.
-    shift : (float, float)
-        Of its middle, down and across, shares of the region's sides.
-    rotation : float
-        Beyond the orientation's, degrees clockwise.
-    blur, blur_error : float
-        Of the target's image, standard deviation in cells, and its standard error.
-    errors : tuple of float
-        Standard errors of scale, shifts and rotation.
-    chance : float
-        Of a misfit as large.
-    clear : float
-        Difference of the squared misfits from the next best orientation.
-    """
+    """Place of the reference target on the device, as a camera shows it."""
 
     exported: DmdLayout
-    layout: DmdLayout
-    scale: float
-    shift: tuple[float, float]
-    rotation: float
+    layout: DmdLayout  # that masks need to lie on the device as scenes do
+    scale: float  # of the target's image, over that of the region
+    shift: tuple[float, float]  # of its middle, down and across, shares of the region's sides
+    rotation: float  # beyond the orientation's, degrees clockwise
     blur: float
     blur_error: float
-    errors: tuple[float, float, float, float]
-    chance: float
-    clear: float
+    errors: tuple[float, float, float, float]  # standard errors of scale, shifts and rotation
+    chance: float  # of a misfit as large
+    clear: float  # difference of the squared misfits from the next best orientation
 
     @property
     def doubt(self) -> str | None:
@@ -313,22 +279,7 @@ class _ReferenceReadouts:
 
 @np.errstate(under="ignore")
 def find_reference(counts: Counts, patterns: Patterns, report: Progress = SILENT) -> ReferenceFit:
-    """Place of the target in a recording of it alone, all passes and exposures together.
-
-    Parameters
-    ----------
-    counts : Counts
-        Of the run.
-    patterns : Patterns
-        That were shown.
-    report : callable
-        Told of the share that is done.
-
-    Raises
-    ------
-    InputError
-        If masks of one axis, too few readouts or no sound exposure tell where it lies.
-    """
+    """Place of the target in a recording of it alone, all passes and exposures together."""
     return _fit_place(_sound_readouts(counts, patterns), patterns.manifest, report)
 
 
@@ -340,24 +291,7 @@ def find_reference_of_masks(
     manifest: Manifest,
     report: Progress = SILENT,
 ) -> ReferenceFit:
-    """Place of the target behind masks that were made while it was shown.
-
-    Parameters
-    ----------
-    masks : ndarray
-        Share of its time for which each cell is ON in each readout, (k, N).
-    counts, variance : ndarray
-        Counts of the readouts, (k,), and their variance.
-    manifest : Manifest
-        Of the patterns.
-    report : callable
-        Told of the share that is done.
-
-    Raises
-    ------
-    InputError
-        As `find_reference`.
-    """
+    """Place of the target behind masks that were made while it was shown."""
     lit = masks.any(axis=1)
     _check_readouts(manifest, len(np.unique(masks[lit] > 0, axis=0)))
     readouts = _ReferenceReadouts.of(masks[lit], counts[lit], variance[lit])

@@ -29,19 +29,6 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
     """Rails of a scan with equal dwells; its mean scene is one of uniform white.
 
     Hadamard masks of sides that are no power of two are those of the next larger one, cut to size.
-
-    Parameters
-    ----------
-    name : str
-        One of `SCAN_NAMES`.
-    cells : (int, int)
-        Down and across.
-    detectors : int
-
-    Raises
-    ------
-    InputError
-        For another name, or too many cells.
     """
     from scipy.linalg import hadamard
 
@@ -64,20 +51,7 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
 
 
 def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
-    """Detector of each cell: the one that counts most of its light, in all scenes together.
-
-    Parameters
-    ----------
-    counts : Counts
-        Of a run of white that fills the device.
-    patterns : Patterns
-        Of a scan.
-
-    Raises
-    ------
-    InputError
-        If a cell is seen clearly by no detector, or a detector sees none.
-    """
+    """Detector of each cell: the one that counts most of its light, in all scenes together."""
     from scipy.linalg import solve
 
     shape = patterns.manifest.image_shape
@@ -119,17 +93,6 @@ def find_gains(counts: Counts, patterns: Patterns) -> tuple[float, ...]:
     """Efficiency of each detector over their mean, from a run of a uniform white scene.
 
     It is what each counts in all masks together, over what its cells of the masks send it.
-
-    Parameters
-    ----------
-    counts : Counts
-    patterns : Patterns
-        That were shown.
-
-    Raises
-    ------
-    InputError
-        If there is one detector, the light is not sound, or tells too little.
     """
     manifest = patterns.manifest
     rails = patterns.rails
@@ -166,14 +129,7 @@ def find_gains(counts: Counts, patterns: Patterns) -> tuple[float, ...]:
 
 
 def save_detectors(labels: np.ndarray, folder: Path) -> Path:
-    """Write `detectors.npy` into a folder, which is made if need be.
-
-    Parameters
-    ----------
-    labels : array (down, across)
-        Detector of each cell.
-    folder : path
-    """
+    """Write `detectors.npy` into a folder, which is made if need be."""
     file = io.BytesIO()
     np.save(file, labels)
     return write_atomically(folder / "detectors.npy", file.getvalue())

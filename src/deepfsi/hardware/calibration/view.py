@@ -50,29 +50,7 @@ def camera_view(
     calibration: Calibration,
     cells_shape: tuple[int, ...] | None = None,
 ) -> np.ndarray:
-    """Scenes as the cells of a mask see them.
-
-    Parameters
-    ----------
-    x : ndarray
-        Scenes, (n, h * w), in [0, 1].
-    image_shape : tuple of int
-        Their rows and columns, (h, w).
-    calibration : Calibration
-        The camera's.
-    cells_shape : tuple of int, optional
-        Rows and columns of cells, (down, across); those of the scenes unless given.
-
-    Returns
-    -------
-    ndarray
-        Light of each cell, (n, down * across), float32, in [0, 1].
-
-    Raises
-    ------
-    InputError
-        If the scenes are no images of this shape, or no cell looks at the display.
-    """
+    """Scenes as the cells of a mask see them."""
     x = np.asarray(x, dtype=np.float32)
     view = view_matrix(image_shape, calibration, cells_shape or image_shape).astype(np.float32)
     if x.ndim != 2 or x.shape[1] != view.shape[1]:
@@ -85,20 +63,7 @@ def camera_view(
 
 
 def view_dataset(data: Dataset, camera: Calibration | Path) -> Dataset:
-    """Data set of images as the camera sees them, to train on; its preprocessing says so.
-
-    Parameters
-    ----------
-    data : Dataset
-        Images.
-    camera : Calibration or path
-        A calibration, or the folder that has one; the data set's origin then names it.
-
-    Raises
-    ------
-    InputError
-        If the scenes are no images, no cell looks at the display, or the folder has no calibration.
-    """
+    """Data set of images as the camera sees them, to train on; its preprocessing says so."""
     calibration = Calibration.load(camera) if isinstance(camera, Path) else camera
     origin = None
     if isinstance(camera, Path) and data.origin is not None:

@@ -138,25 +138,7 @@ class Acquisition(StrictModel):
         repeats: int | None = None,
         **others: Any,
     ) -> Self:
-        """Plan a recording of patterns: what is not given is what the device and the frames allow.
-
-        Parameters
-        ----------
-        manifest : Manifest
-            Patterns that are shown.
-        scenes : tuple of Scene
-            In the order of their passes.
-        exposure_s, settle_s, repeats : optional
-            As of the fields. The longest exposure that fits the frames, the device's time to
-            settle, and as many gates as fit, unless given.
-        **others
-            Other fields.
-
-        Raises
-        ------
-        InputError
-            If gates do not fit the frames, or a field is not allowed.
-        """
+        """Plan a recording of patterns: device and frames say what is not given."""
         others = {"inputs": tuple(range(manifest.inputs)), **others}
         settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
         exposure = exposure_s
@@ -268,27 +250,7 @@ def prepare_run(
     patterns_folder: str | os.PathLike[str],
     acquisition: Acquisition,
 ) -> Acquisition:
-    """Make the folder of a recording, to which photons.ptu is then added.
-
-    Parameters
-    ----------
-    folder : str or path
-        Folder to make.
-    patterns_folder : str or path
-        Patterns that will be shown; all but their frames are copied.
-    acquisition : Acquisition
-        Settings of the recording.
-
-    Returns
-    -------
-    Acquisition
-        As it was written: with the hash of the patterns.
-
-    Raises
-    ------
-    InputError
-        If the folder exists, or the settings do not fit the patterns.
-    """
+    """Make the folder of a recording, to which photons.ptu is then added."""
     source = Path(patterns_folder)
     patterns = read_patterns(source)
     names = ["manifest.json", "mirrors.npy", *patterns.manifest.companions]

@@ -165,21 +165,7 @@ class Ambient:
         frames: np.ndarray,
         frames_s: np.ndarray,
     ) -> Self:
-        """Light of exposures (E) with the scene dark.
-
-        Parameters
-        ----------
-        manifest : Manifest
-        gated : Estimate of (E, f, inputs)
-            Arrivals in the gates of the masks' frames.
-        lengths_s : array (f,)
-            Lengths of these gates.
-        frames : array (F, inputs)
-            Arrivals in whole frames, all passes together.
-        frames_s : array (F,)
-            How long these were counted. No sentinel needs to be, and dark counts are then part of
-            the light.
-        """
+        """Light of exposures (E) with the scene dark."""
         exposures = len(gated.arrivals)
         rate, noise = np.zeros((2, manifest.inputs))
         flux = 0.0
@@ -243,26 +229,7 @@ def light_of_clicks(
     scenes: int,
     manifest: Manifest,
 ) -> RunLight:
-    """Light of all scenes together, from the frames of `ENDS`.
-
-    Parameters
-    ----------
-    photons, fired : array (P, 4, inputs)
-        Photons and clicks of each pass in these frames.
-    gates : array (P, 4, 1)
-        Open gates.
-    width_s : float
-        Length of a gate.
-    scenes : int
-        Number of the scenes.
-    manifest : Manifest
-
-    Returns
-    -------
-    RunLight
-        One value for all. The flux is NaN where they do not tell it: an input fired in nearly all
-        gates of all ON, or not more often than with all OFF.
-    """
+    """Light of all scenes together, from the frames of `ENDS`."""
     arm = manifest.arm
     photons, fired, gates = (
         counts.reshape(-1, 2, 2, counts.shape[-1]).sum(axis=(0, 1))

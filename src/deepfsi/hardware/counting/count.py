@@ -60,38 +60,15 @@ SHIFTED = (
 
 @dataclass(frozen=True)
 class CountSettings:
-    """Settings with which a run is counted; what is not given is as it was recorded.
-
-    Attributes
-    ----------
-    exposure_s, settle_s : float, optional
-        Exposure, and time before the first gate of each frame, seconds.
-    repeats : int, optional
-        Gates in each frame.
-    tolerance_s : float, optional
-        By how much a marker may be off, seconds.
-    inputs : tuple of int, optional
-        Inputs of the counter, from 0, one for each detector.
-    marker_bit : int, optional
-        1, 2, 4 or 8: the marker input of the device's trigger.
-    effects : CounterEffects, optional
-        To be corrected for; those of the calibration in the run's folder unless given.
-    background : str, optional
-        Name of the scene that was dark, or folder of a run with the scene dark, of the same
-        patterns and wiring.
-    gains : tuple of float
-        Relative efficiency of each detector, as `find_gains` of a calibration gives them.
-    clicks : int, optional
-        Gates of a frame's exposure, of each of which the first photon alone counts.
-    """
+    """Settings with which a run is counted; what is not given is as it was recorded."""
 
     exposure_s: float | None = None
     settle_s: float | None = None
-    repeats: int | None = None
-    tolerance_s: float | None = None
-    inputs: tuple[int, ...] | None = None
-    marker_bit: int | None = None
-    effects: CounterEffects | None = None
+    repeats: int | None = None  # gates in each frame
+    tolerance_s: float | None = None  # by how much a marker may be off, seconds
+    inputs: tuple[int, ...] | None = None  # inputs of the counter, from 0, one for each detector
+    marker_bit: int | None = None  # 1, 2, 4 or 8: the marker input of the device's trigger
+    effects: CounterEffects | None = None  # to be corrected for
     background: str | None = None
     gains: tuple[float, ...] = ()
     clicks: int | None = None
@@ -249,19 +226,7 @@ class _Recording:
     def counts(
         self, passes: np.ndarray, readouts: Estimate, light: RunLight, **others: Any
     ) -> Counts:
-        """Counts of all scenes, with what the run and its gates say.
-
-        Parameters
-        ----------
-        passes : array (P,)
-            Scenes that were recorded; the others get 0, and NaN for rates and flux.
-        readouts : Estimate
-            What arrived, (P, R, rails, m[, D]).
-        light : RunLight
-            Of these scenes.
-        **others
-            Other fields; ``counts`` is of these scenes, too.
-        """
+        """Counts of all scenes, with what the run and its gates say."""
         scenes = len(self.run.acquisition.scenes)
         fields: dict[str, Any] = vars(readouts) | vars(light) | others
         for name in ("counts", "arrivals", "variance", "on_rate", "off_rate", "flux", "dark_rate"):

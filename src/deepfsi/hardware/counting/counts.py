@@ -66,55 +66,13 @@ class RunLight:
 
 @dataclass(frozen=True)
 class Counts:
-    """Photon counts of each readout; the axis D is there only of several detectors.
+    """Photon counts of each readout; the axis D is there only of several detectors."""
 
-    Attributes
-    ----------
-    counts : array (S, R, rails, m[, D])
-        Registered counts, int64, or the values of a table. 0 for a rail that is dark and for an
-        exposure that is not valid.
-    arrivals, variance : array (S, R, rails, m[, D])
-        Counts of the light and the dark in each gate by themselves, estimated from what was
-        registered, and the variance of their noise. Both are the counts where nothing was lost.
-    valid : array (S, R), bool
-        Whether all readouts of an exposure were recorded.
-    gate_s : array (f,)
-        For how long each mask's frame is counted, seconds.
-    on_rate, off_rate : array (S,)
-        Counts/s in all-ON and all-OFF frames of the detectors that see mirrors ON, together; NaN
-        where a scene is not valid.
-    flux : array (S,)
-        Counts/s of the scenes' light with all mirrors ON: mean over the scenes between two changes
-        of the lamp; NaN where a scene is not valid.
-    dark_rate : array (S, rails[, D])
-        Counts/s of the input that reads each rail, when no mirror sends it light: of all-OFF
-        frames, or of all-ON ones for the second arm, of a scene and the neighbours that agree.
-    ambient, ambient_variance : array (rails, m[, D])
-        Counts of each readout, of light that does not come from the scene, as a pass with the scene
-        dark measured them, and their variance; 0 where none was.
-    exposure_s, settle_s : float
-        Total exposure, and time before the first gate of each frame, seconds.
-    lengths_s : array (rails, m)
-        For how long each readout is counted, seconds; 0 for a rail that is dark.
-    drift : float
-        By how much passes lasted longer than planned on the counter's clock, a share.
-    inputs : tuple of int
-        Of the counter, 0 for input 1: those whose photons were counted.
-    faults : tuple of Fault
-        Of the recording.
-    effects : CounterEffects
-        For which the arrivals and all rates are corrected.
-    gains : tuple of float
-        Relative efficiency of each detector, corrected too; empty where none was measured.
-    gates : int or None
-        G of clicks, the first photons of the gates of a frame's exposure; None of photon counts.
-    """
-
-    counts: np.ndarray
+    counts: np.ndarray  # registered counts, int64, or the values of a table
     arrivals: np.ndarray
     variance: np.ndarray
-    valid: np.ndarray
-    gate_s: np.ndarray
+    valid: np.ndarray  # whether all readouts of an exposure were recorded
+    gate_s: np.ndarray  # for how long each mask's frame is counted, seconds
     on_rate: np.ndarray
     off_rate: np.ndarray
     flux: np.ndarray
@@ -123,13 +81,13 @@ class Counts:
     ambient_variance: np.ndarray
     exposure_s: float
     settle_s: float
-    lengths_s: np.ndarray
-    drift: float
-    inputs: tuple[int, ...]
+    lengths_s: np.ndarray  # for how long each readout is counted, seconds
+    drift: float  # by how much passes lasted longer than planned on the counter's clock, a share
+    inputs: tuple[int, ...]  # of the counter, 0 for input 1: those whose photons were counted
     faults: tuple[Fault, ...]
-    effects: CounterEffects = NO_EFFECTS
-    gains: tuple[float, ...] = ()
-    gates: int | None = None
+    effects: CounterEffects = NO_EFFECTS  # for which the arrivals and all rates are corrected
+    gains: tuple[float, ...] = ()  # relative efficiency of each detector, corrected too
+    gates: int | None = None  # G of clicks, the first photons of the gates of a frame's exposure
 
     @property
     def background(self) -> np.ndarray:

@@ -81,24 +81,12 @@ GOLDEN = 0.6180339887498949
 
 @dataclass(frozen=True)
 class Alignment:
-    """Start of each frame, and the faults of the markers.
+    """Start of each frame, and the faults of the markers."""
 
-    Attributes
-    ----------
-    starts_s : array (S, F)
-        Seconds on the counter's clock; NaN where it is not known.
-    faults : tuple of Fault
-        Of the markers, extra ones last.
-    pictures_s : array (F,)
-        Picture times on that clock.
-    tolerance_s : float
-        By how much a marker may be off.
-    """
-
-    starts_s: np.ndarray
-    faults: tuple[Fault, ...]
-    pictures_s: np.ndarray
-    tolerance_s: float
+    starts_s: np.ndarray  # seconds on the counter's clock
+    faults: tuple[Fault, ...]  # of the markers, extra ones last
+    pictures_s: np.ndarray  # picture times on that clock
+    tolerance_s: float  # by how much a marker may be off
 
 
 def find_frames(
@@ -110,26 +98,7 @@ def find_frames(
     progress: Progress = SILENT,
     by_light: bool = True,
 ) -> FrameStarts:
-    """Frames of a recording by its markers, and by photons where markers leave a doubt.
-
-    Parameters
-    ----------
-    source : PhotonSource
-        Photons and markers.
-    acquisition, manifest
-        Scenes and wiring, and the frames that were shown for each scene.
-    tolerance_s : float, optional
-        By how much a marker may be off, seconds; as usual unless given.
-    progress : Progress
-        Of reading the markers.
-    by_light : bool
-        False where counts do not tell which frames are the brightest.
-
-    Raises
-    ------
-    InputError
-        If the markers do not follow the frames, or no scene was recorded whole.
-    """
+    """Frames of a recording by its markers, and by photons where markers leave a doubt."""
     tick_s = source.tick_s
     times, bits = read_markers(source, progress)
     wired = bits & acquisition.marker_bit != 0
@@ -198,28 +167,7 @@ def align(
     counter: Counter | None = None,
     cut: bool = False,
 ) -> Alignment:
-    """Find the frame that each marker starts.
-
-    Parameters
-    ----------
-    times_s : array (n,)
-        When markers came, seconds, in any order.
-    manifest : Manifest
-        Frames of a pass.
-    scenes : int
-        Passes that there should be, S.
-    tolerance_s : float, optional
-        By how much a marker may be off, seconds; as usual unless given.
-    counter : optional
-        Counts photons where times leave a doubt.
-    cut : bool
-        True if the file is known to end before the recording did: passes that lack are the last.
-
-    Raises
-    ------
-    InputError
-        If markers do not follow the frames of so many passes.
-    """
+    """Find the frame that each marker starts."""
     times = np.sort(np.asarray(times_s, dtype=np.float64))
     schedule = _Schedule.of(manifest, tolerance_s)
     if not len(times):
@@ -295,20 +243,6 @@ def _measure_pictures(
     """Picture times (F,) on the clock on which most markers in a row follow the schedule.
 
     All frames are longer or shorter by a share of each, or by the same time, whichever fits better.
-
-    Parameters
-    ----------
-    times : array (n,)
-        When markers came, rising.
-    pictures : array (F,)
-        Picture times as planned.
-    tolerance : float
-        By how much a marker may be off.
-
-    Returns
-    -------
-    array or None
-        None where few markers follow the schedule on any such clock.
     """
     size = min(FRAMES_OF_BLOCK, len(pictures) // 2)
     if len(times) <= size:
@@ -704,21 +638,7 @@ class _Markers:
 def find_steps(
     counts: np.ndarray, seconds: np.ndarray, sigmas: float = CERTAIN_SIGMAS
 ) -> tuple[np.ndarray, bool]:
-    """Frames that may be all ON with the next all OFF, as far as photons tell.
-
-    Parameters
-    ----------
-    counts, seconds : array (n,)
-        Photons of frames in a row, and how long each was counted.
-    sigmas : float
-        Standard errors by which a frame must differ to be excluded.
-
-    Returns
-    -------
-    maybe : array (n - 1,), bool
-    clear : bool
-        Whether any step is certain.
-    """
+    """Frames that may be all ON with the next all OFF, as far as photons tell."""
     timed = seconds > 0
     length = np.where(timed, seconds, 1.0)
     rates = counts / length

@@ -64,47 +64,22 @@ Along = Literal["rows", "columns"]
 
 @dataclass(frozen=True)
 class TableSettings:
-    """Settings with which a table is read; `InputError` if one of them is not allowed.
-
-    Attributes
-    ----------
-    photons : float, optional
-        Budget of an exposure, counts; that of the all-ON frames unless given.
-    background : float, optional
-        Counts that an input has in the masks' frames of one exposure together without light; those
-        of the all-OFF frames unless given, and none without such frames.
-    settle_s : float
-        Time after each marker that was not counted, seconds.
-    exposures : "rows" or "columns", optional
-        As the shape says unless given.
-    repeats : int
-        Exposures of each scene, one after another, where the table names no scenes.
-    gain : float, optional
-        Counts for a unit of the table, of an analogue detector.
-    read_noise : float, optional
-        Of each value of an analogue detector, counts rms.
-    effects : CounterEffects
-        Of a photon counter, to be corrected for.
-    dark : Table, optional
-        Exposures with the scene dark, whose counts are subtracted; a table as that of the others.
-    clicks : int, optional
-        Gates of a frame, of tables of clicks: values from 0 to this.
-    """
+    """Settings with which a table is read; `InputError` if one of them is not allowed."""
 
     SCENE: ClassVar[str] = "scene"
     LABEL: ClassVar[str] = "label"
     WORDS: ClassVar[tuple[str, ...]] = (SCENE, LABEL)  # names of the columns of words
 
-    photons: float | None = None
+    photons: float | None = None  # budget of an exposure, counts
     background: float | None = None
-    settle_s: float = 0.0
-    exposures: str | None = None
-    repeats: int = 1
-    gain: float | None = None
-    read_noise: float | None = None
-    effects: CounterEffects = NO_EFFECTS
-    dark: NumberTable | None = None
-    clicks: int | None = None
+    settle_s: float = 0.0  # time after each marker that was not counted, seconds
+    exposures: str | None = None  # as the shape says unless given
+    repeats: int = 1  # exposures of each scene, one after another, where the table names no scenes
+    gain: float | None = None  # counts for a unit of the table, of an analogue detector
+    read_noise: float | None = None  # of each value of an analogue detector, counts rms
+    effects: CounterEffects = NO_EFFECTS  # of a photon counter, to be corrected for
+    dark: NumberTable | None = None  # exposures with the scene dark, whose counts are subtracted
+    clicks: int | None = None  # gates of a frame, of tables of clicks: values from 0 to this
 
     def __post_init__(self) -> None:
         if self.exposures is not None:
@@ -167,29 +142,7 @@ def column_names(manifest: Manifest) -> list[str]:
 def count_table(
     table: NumberTable, manifest: Manifest, settings: TableSettings, name: str = "the table"
 ) -> tuple[Counts, tuple[Scene, ...]]:
-    """Counts of the exposures in a table, and their scenes.
-
-    Parameters
-    ----------
-    table : Table
-        A value for each frame and input: an exposure a row or a column.
-    manifest : Manifest
-        Patterns that were shown.
-    settings : TableSettings
-    name : str
-        What errors call the table.
-
-    Returns
-    -------
-    counts : Counts
-    scenes : tuple of Scene
-        Exposures of one scene follow each other.
-
-    Raises
-    ------
-    InputError
-        If it is no table of these patterns, or nothing tells the budget.
-    """
+    """Counts of the exposures in a table, and their scenes."""
     exposures = _Exposures.read(table, manifest, settings, name)
     scenes, scene_of = _find_scenes(table, len(exposures.values), settings, name)
     frames = exposures.correct()
@@ -503,32 +456,7 @@ def table_of_series(
     passes: int | None = None,
     name: str = "the file",
 ) -> tuple[np.ndarray, list[str]]:
-    """Table of a counter that gives no events: cumulative counts at triggers, or even time bins.
-
-    Parameters
-    ----------
-    values : array (n, inputs)
-        Counts that a trigger latched at the start of each frame, or those of bins.
-    manifest : Manifest
-        Patterns that were shown.
-    bin_s : float, optional
-        Length of a bin, seconds; cumulative counts unless given.
-    passes : int, optional
-        Passes that were recorded, where the counts do not say.
-    name : str
-        What errors call the values.
-
-    Returns
-    -------
-    rows : array (passes, values), int64
-    names : list of str
-        Of the columns.
-
-    Raises
-    ------
-    InputError
-        If the counts are none, or do not fit the patterns.
-    """
+    """Table of a counter that gives no events: cumulative counts at triggers, or even time bins."""
     inputs = manifest.inputs
     columns = values.T if values.shape[1] != inputs and values.shape[0] == inputs else values
     if columns.shape[1] != inputs:

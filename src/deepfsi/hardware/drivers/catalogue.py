@@ -15,30 +15,13 @@ from deepfsi.hardware.drivers.vialux import VialuxLooks, VialuxProjector
 
 @dataclass(frozen=True)
 class DeviceSettings:
-    """Settings of devices; each device takes some of them.
+    """Settings of devices; each device takes some of them."""
 
-    Parameters
-    ----------
-    inputs : tuple of int
-        Inputs of the counter that detectors are wired to, from 0.
-    marker_bit : int
-        Bit of the markers at the start of each frame.
-    counter_config : path, optional
-        The counter's own file of settings.
-    marker_channel : int, optional
-        Channel of the trigger, of a counter without marker inputs.
-    alp_version : str, optional
-        Version of the ALP interface.
-    ask_to_record : callable, optional
-        Says which file to record with the counter's software, and for how many seconds it is
-        waited for.
-    """
-
-    inputs: tuple[int, ...] = (0,)
-    marker_bit: int = 1
-    counter_config: Path | None = None
-    marker_channel: int | None = None
-    alp_version: str | None = None
+    inputs: tuple[int, ...] = (0,)  # inputs of the counter that detectors are wired to, from 0
+    marker_bit: int = 1  # bit of the markers at the start of each frame
+    counter_config: Path | None = None  # the counter's own file of settings
+    marker_channel: int | None = None  # channel of the trigger, of a counter without marker inputs
+    alp_version: str | None = None  # version of the ALP interface
     ask_to_record: Callable[[Path, float], None] | None = None
 
 
@@ -104,39 +87,13 @@ COUNTERS = {
 
 
 def open_projector(name: str, settings: DeviceSettings) -> PassProjector:
-    """Projector for passes of all frames, not yet taken hold of.
-
-    Parameters
-    ----------
-    name : str
-        One of `PROJECTORS`.
-    settings : DeviceSettings
-        What it takes of them.
-
-    Raises
-    ------
-    InputError
-        For a name that is none of them.
-    """
+    """Projector for passes of all frames, not yet taken hold of."""
     check_choice("projector", name, PROJECTORS)
     return PROJECTORS[name].passes(settings)
 
 
 def open_list_projector(name: str, settings: DeviceSettings) -> StreamingProjector:
-    """Projector for lists of frames that a live run chooses.
-
-    Parameters
-    ----------
-    name : str
-        One of `PROJECTORS`.
-    settings : DeviceSettings
-        What it takes of them.
-
-    Raises
-    ------
-    InputError
-        For a name that is none of `PROJECTORS`, or a projector that shows no such lists.
-    """
+    """Projector for lists of frames that a live run chooses."""
     check_choice("projector", name, PROJECTORS)
     driver = PROJECTORS[name]
     if driver.lists is None:
@@ -145,19 +102,6 @@ def open_list_projector(name: str, settings: DeviceSettings) -> StreamingProject
 
 
 def open_counter(name: str, settings: DeviceSettings) -> StreamingCounter:
-    """Counter that counts frame by frame while it records, not yet taken hold of.
-
-    Parameters
-    ----------
-    name : str
-        One of `COUNTERS`.
-    settings : DeviceSettings
-        What it takes of them.
-
-    Raises
-    ------
-    InputError
-        For a name that is none of them, or settings that it cannot take.
-    """
+    """Counter that counts frame by frame while it records, not yet taken hold of."""
     check_choice("counter", name, COUNTERS)
     return COUNTERS[name].open(settings)

@@ -154,23 +154,10 @@ def _find_lit(curve: LightCurve, background: Background, chance: float) -> np.nd
 
 
 class _LightCheck(ABC):
-    """One law of the light.
+    """One law of the light."""
 
-    Attributes
-    ----------
-    kind : str
-        Kind of the faults that it finds.
-    spoils : bool
-        True if the counts of a pass that breaks it have no meaning.
-    of : "all", "inputs" or "arm"
-        Curves that are tested: of arms and detectors, of single inputs, or of the first arm.
-    explained_by : tuple of str
-        Kinds of faults, of the same pass or of the whole recording, beside which those of this
-        check are left out: they have the same cause.
-    """
-
-    kind: ClassVar[FaultKind]
-    spoils: ClassVar[bool] = True
+    kind: ClassVar[FaultKind]  # kind of the faults that it finds
+    spoils: ClassVar[bool] = True  # True if the counts of a pass that breaks it have no meaning
     of: ClassVar[Literal["all", "inputs", "arm"]] = "all"
     explained_by: ClassVar[tuple[str, ...]] = ()
 
@@ -489,25 +476,12 @@ def find_restless_lamp(
 
 @dataclass(frozen=True)
 class Light:
-    """Light of the passes that were recorded.
-
-    Attributes
-    ----------
-    flux : array (P,)
-        Counts/s of the scenes' light with all mirrors ON, mean over the passes that agree with
-        each.
-    dark_rate : array (P, inputs)
-        Counts/s of each input without light.
-    lit : array (P,), bool
-        Passes with light.
-    faults : tuple of Fault
-        Those of the whole recording first, then scene by scene.
-    """
+    """Light of the passes that were recorded."""
 
     flux: np.ndarray
-    dark_rate: np.ndarray
-    lit: np.ndarray
-    faults: tuple[Fault, ...]
+    dark_rate: np.ndarray  # counts/s of each input without light
+    lit: np.ndarray  # passes with light
+    faults: tuple[Fault, ...]  # those of the whole recording first, then scene by scene
 
 
 def check_light(
@@ -518,26 +492,7 @@ def check_light(
     scenes: np.ndarray,
     lost: np.ndarray,
 ) -> Light:
-    """Check the light of a recording, all passes together.
-
-    Parameters
-    ----------
-    arrivals : Arrivals
-        Passes (P) over the frames of the manifest.
-    manifest : Manifest
-        Patterns that were shown.
-    inputs : sequence of int
-        Inputs of the counter, from 0: the detectors of the first arm, then those of the second.
-    scenes : array (P,)
-        Scene of each pass.
-    lost : array
-        Scenes whose passes were recorded, and given up because they look shifted.
-
-    Returns
-    -------
-    Light
-        Flux, background and faults. Nothing is raised, even if no pass has light.
-    """
+    """Check the light of a recording, all passes together."""
     count = manifest.detector_count
     wired = [tuple(inputs[first : first + count]) for first in range(0, len(inputs), count)]
     curves = Curves.of(arrivals, scenes, wired)
@@ -575,16 +530,7 @@ def check_light(
 
 
 def find_lateness(photons: np.ndarray, seconds: np.ndarray, room_s: float) -> tuple[Fault, ...]:
-    """Name markers that all come late: light of the first mask is in the frame before it.
-
-    Parameters
-    ----------
-    photons, seconds : array (3, P)
-        Counts of each pass, and how long they took: of the end of its first all-OFF frame, in which
-        the next may have begun, of the rest of that frame, and of the first mask's frame.
-    room_s : float
-        Least time from the last gate of a frame to the next frame.
-    """
+    """Name markers that all come late: light of the first mask is in the frame before it."""
     guard, dark, light = photons
     guard_s, dark_s, light_s = seconds
     used = (dark_s > 0) & (light_s > 0)
@@ -718,13 +664,7 @@ class Periodogram:
         self._evidence = np.zeros((4, 0))  # as of `_gather`
 
     def add(self, photons: np.ndarray, seconds: np.ndarray, middles: np.ndarray) -> None:
-        """Add passes whose frames have the same times.
-
-        Parameters
-        ----------
-        photons, seconds : array (P, F, K)
-        middles : array (F, K)
-        """
+        """Add passes whose frames have the same times."""
         total_s = np.maximum(seconds.sum(axis=2, keepdims=True), 1e-300)
         total = photons.sum(axis=2)
         lacks = photons - total[..., None] * seconds / total_s

@@ -28,29 +28,14 @@ CERTAIN_SIGMAS = 6.0
 
 @dataclass(frozen=True)
 class Arrivals:
-    """Photons that arrived in equal parts of frames, as estimated from those that were counted.
-
-    Attributes
-    ----------
-    frames : tuple of Frame, length F
-        Frames in the order in which they were shown.
-    photons : array (..., F, K, inputs)
-        Photons in each part, of one list of frames or of passes (P) over the same frames. K is
-        `PARTS_OF_FRAME`, or 1 where frames were counted whole.
-    variance : array (..., F, K, inputs)
-        Variance of their noise.
-    seconds : array (..., F, K)
-        How long each part was open: 0 where the time of its frame is not known.
-    middles : array (F, K)
-        Middles of the parts, seconds, on the counter's clock or from the start of a pass on.
-    """
+    """Photons that arrived in equal parts of frames, as estimated from those that were counted."""
 
     ARRAYS: ClassVar = ("photons", "variance", "seconds", "middles")
 
-    frames: tuple[Frame, ...]
+    frames: tuple[Frame, ...]  # frames in the order in which they were shown
     photons: np.ndarray
-    variance: np.ndarray
-    seconds: np.ndarray
+    variance: np.ndarray  # variance of their noise
+    seconds: np.ndarray  # how long each part was open: 0 where the time of its frame is not known
     middles: np.ndarray
 
     @classmethod
@@ -78,36 +63,17 @@ class Arrivals:
 
 @dataclass(frozen=True)
 class LightCurve:
-    """Light over time, of an arm's detectors together or of one of them.
-
-    Attributes
-    ----------
-    photons : array (P, F, K)
-        Photons in the parts of each frame, scaled so that their noise is Poisson's.
-    seconds : array (P, F, K)
-        How long each part was open, scaled alike: 0 where the time of its frame is not known.
-    middles : array (F, K)
-        Middles of the parts after the start of their pass, seconds.
-    scenes : array (P,)
-        Scene of each pass.
-    bright, dark : tuple of two int
-        The frames that send it all light, and those that send it none.
-    frames : tuple of Frame, length F
-    name : str
-        What a fault calls the inputs; empty if there is but one arm.
-    sees_part : bool
-        True of a detector that sees a part of the device, which may be dark.
-    """
+    """Light over time, of an arm's detectors together or of one of them."""
 
     photons: np.ndarray
     seconds: np.ndarray
-    middles: np.ndarray
-    scenes: np.ndarray
+    middles: np.ndarray  # middles of the parts after the start of their pass, seconds
+    scenes: np.ndarray  # scene of each pass
     bright: tuple[int, int]
     dark: tuple[int, int]
     frames: tuple[Frame, ...]
-    name: str
-    sees_part: bool = False
+    name: str  # what a fault calls the inputs
+    sees_part: bool = False  # True of a detector that sees a part of the device, which may be dark
 
     def of(self, frames: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Photons and seconds of some frames, each (P, frames)."""
@@ -190,23 +156,7 @@ def excess_chance(
     others_s: np.ndarray,
     ratio: np.ndarray | float = 1.0,
 ) -> np.ndarray:
-    """Chance that a window holds so many photons or more, given the sum of it and another.
-
-    Parameters
-    ----------
-    photons, seconds : array
-        Photons of the window, and how long it was open.
-    others, others_s : array
-        Those of the other window.
-    ratio : array or float
-        Rate of the window over that of the other, at most, where the light is sound.
-
-    Returns
-    -------
-    array
-        Upper tail of the binomial distribution, of counts whose variance is `EXCESS` times as
-        large; 1 where one of the windows was not open. All arrays are broadcast.
-    """
+    """Chance that a window holds so many photons or more, given the sum of it and another."""
     from scipy.special import betainc
 
     photons, seconds, others, others_s, ratio = np.broadcast_arrays(
@@ -227,7 +177,7 @@ def change_chance(
     others_s: np.ndarray,
     ratio: np.ndarray | float,
 ) -> np.ndarray:
-    """Chance that one of two windows holds so many photons more; parameters as of `excess_chance`.
+    """Chance that one of two windows holds so many photons more.
 
     `ratio` is allowed either way, and the chance is twice that of the less likely side.
     """

@@ -52,16 +52,7 @@ class _PassRates:
 
 
 def _find_segments(rates: _PassRates, allowed: AllowedRatio, chance: float) -> list[slice]:
-    """Segments between the change points of a row of passes, in their order.
-
-    Parameters
-    ----------
-    rates : _PassRates
-    allowed : callable
-        By how much the rates of two segments may differ.
-    chance : float
-        Chance at most by which a row of one rate is cut.
-    """
+    """Segments between the change points of a row of passes, in their order."""
     segments = []
     todo = [(0, len(rates.counts))]
     rows = np.stack([rates.counts, rates.variances, rates.seconds]).astype(np.float64)

@@ -34,28 +34,7 @@ NO_LIGHT = 0.01
 
 
 class LightMonitor:
-    """Light of the scenes of a live run so far.
-
-    Parameters
-    ----------
-    manifest : Manifest
-        Patterns that are shown.
-    inputs : tuple of int
-        Inputs of the counter, from 0: the detectors of the first arm, then those of the second.
-    scenes : int
-        Scenes that are planned.
-
-    Attributes
-    ----------
-    ambient : float
-        Counts/s with all mirrors ON that are no scene's, beyond the dark ones; to be set.
-    flux : float
-        Counts/s of the scenes' light with all mirrors ON.
-    since : int
-        Scene from which on it is that.
-    dark : array (inputs,)
-        Counts/s of each input without light.
-    """
+    """Light of the scenes of a live run so far."""
 
     def __init__(self, manifest: Manifest, inputs: tuple[int, ...], scenes: int) -> None:
         count = manifest.detector_count
@@ -75,15 +54,7 @@ class LightMonitor:
         self.dark = np.zeros(len(inputs))
 
     def begin(self, first: Arrivals) -> tuple[bool, tuple[Fault, ...]]:
-        """Add the all-ON and the all-OFF frame that begin a scene.
-
-        Returns
-        -------
-        lit : bool
-            Whether the scene has light.
-        faults : tuple of Fault
-            Changes of the lamp and the background that were not said before.
-        """
+        """Add the all-ON and the all-OFF frame that begin a scene."""
         # the two frames that end the scene are not counted yet
         unknown = replace(
             first,

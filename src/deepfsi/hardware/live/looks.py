@@ -36,23 +36,11 @@ looks. This leaves a factor of 16 for larger networks; no count changes by 0.01 
 
 @dataclass(frozen=True)
 class FrameList:
-    """Frames that are shown one after another, and counted.
+    """Frames that are shown one after another, and counted."""
 
-    Parameters
-    ----------
-    look : int
-        From 0; `SCENE_ENDS` for the frames that begin and end a scene.
-    frames : array (F,)
-        Places among the frames of the manifest.
-    gate_ns : array (F,)
-        For how long each is counted.
-    masks : array (F, N) of bool, optional
-        Pixels that are ON of frames that are made now and loaded in place of those of the folder.
-    """
-
-    look: int
-    frames: np.ndarray
-    gate_ns: np.ndarray
+    look: int  # from 0
+    frames: np.ndarray  # places among the frames of the manifest
+    gate_ns: np.ndarray  # for how long each is counted
     masks: np.ndarray | None = None
 
 
@@ -83,27 +71,12 @@ class SceneSignal(NamedTuple):
 
 @dataclass(frozen=True)
 class ExposureState:
-    """Conditions of one exposure, as far as they are measured when it begins.
+    """Conditions of one exposure, as far as they are measured when it begins."""
 
-    Parameters
-    ----------
-    photons : float
-        Budget of all looks together, counts.
-    exposure_ns : int
-        Time of all looks together.
-    shortest_ns : int
-        Shortest gate.
-    dark : array (inputs,)
-        Dark counts, counts/s.
-    ambient : array (2, f, inputs)
-        Counts/s beyond the dark ones of each of the masks' frames while scenes are dark, and their
-        variance.
-    """
-
-    photons: float
-    exposure_ns: int
+    photons: float  # budget of all looks together, counts
+    exposure_ns: int  # time of all looks together
     shortest_ns: int
-    dark: np.ndarray
+    dark: np.ndarray  # dark counts, counts/s
     ambient: np.ndarray
 
     def signal(self, asked: FrameList, rows: np.ndarray, arrivals: Arrivals) -> SceneSignal:
@@ -119,39 +92,19 @@ class ExposureState:
 
 @dataclass(frozen=True)
 class AllOnCounts:
-    """Counts of the all-ON frames of a scene, all together.
+    """Counts of the all-ON frames of a scene, all together."""
 
-    Parameters
-    ----------
-    counts : float
-        Less what is no scene's.
-    noise : float
-        Variance beyond the counts' own.
-    seconds : float
-        Time of the frames.
-    """
-
-    counts: float
-    noise: float
-    seconds: float
+    counts: float  # less what is no scene's
+    noise: float  # variance beyond the counts' own
+    seconds: float  # time of the frames
 
 
 @dataclass(frozen=True)
 class SceneComparison:
-    """Comparison of a scene's counts with those of the training.
-
-    Parameters
-    ----------
-    chance : float
-        p-value.
-    unsure : bool
-        True if it is below that of a sound scene's false alarm.
-    detail : str
-        On what differs.
-    """
+    """Comparison of a scene's counts with those of the training."""
 
     chance: float
-    unsure: bool
+    unsure: bool  # True if it is below that of a sound scene's false alarm
     detail: str
 
 

@@ -43,81 +43,37 @@ HALF = 0.5
 
 @dataclass(frozen=True)
 class LightLoss:
-    """One cause.
+    """One cause."""
 
-    Attributes
-    ----------
-    cause : str
-        One of `LOSS_CAUSES`.
-    share : float
-        Lost of the light that reaches it, 0 to 1; of a wait of all light.
-    total : float
-        Lost of all light that arrives, 0 to 1.
-    factor : float
-        Counts without this loss, over those with it.
-    """
-
-    cause: str
-    share: float
-    total: float
-    factor: float
+    cause: str  # one of `LOSS_CAUSES`
+    share: float  # lost of the light that reaches it, 0 to 1
+    total: float  # lost of all light that arrives, 0 to 1
+    factor: float  # counts without this loss, over those with it
 
 
 @dataclass(frozen=True)
 class CameraChange:
-    """A change of the camera, and the counts that it buys.
-
-    Attributes
-    ----------
-    change : str
-    factor : float
-        Counts over the present ones, in the same time by the clock.
-    words : str
-        What these counts are worth.
-    """
+    """A change of the camera, and the counts that it buys."""
 
     change: str
-    factor: float
-    words: str
+    factor: float  # counts over the present ones, in the same time by the clock
+    words: str  # what these counts are worth
 
 
 @dataclass(frozen=True)
 class LightLosses:
-    """Losses of an exposure of one scene.
+    """Losses of an exposure of one scene."""
 
-    Attributes
-    ----------
-    gates_s : float
-        Time in which photons are counted, seconds.
-    exposures : int
-        Exposures that this time holds: as many as fit the pictures of a pass.
-    waits_s : mapping of str to float
-        Seconds in which none are, by cause.
-    lit : array, shape (arms, f)
-        Share of the light that detectors of each arm see during each frame.
-    dwell : array, shape (f,)
-        Share of the gates' time that each frame has; their sum is 1.
-    efficiency : float
-        Share of photons that a detector sees.
-    camera : Camera
-        Dead time or gates of its counter, and its flux: counts/s with all mirrors ON.
-    detectors : int
-        Of each arm; each sees as much light as another.
-    device : str
-    adaptive : bool
-        True where masks are made and loaded while the exposure runs.
-    """
-
-    gates_s: float
-    exposures: int
-    waits_s: Mapping[str, float]
-    lit: np.ndarray
-    dwell: np.ndarray
-    efficiency: float
-    camera: Camera
+    gates_s: float  # time in which photons are counted, seconds
+    exposures: int  # exposures that this time holds: as many as fit the pictures of a pass
+    waits_s: Mapping[str, float]  # seconds in which none are, by cause
+    lit: np.ndarray  # (arms, f)
+    dwell: np.ndarray  # (f,), share of the gates' time that each frame has
+    efficiency: float  # share of photons that a detector sees
+    camera: Camera  # dead time or gates of its counter, and its flux: counts/s with all mirrors ON
     detectors: int
     device: str
-    adaptive: bool
+    adaptive: bool  # True where masks are made and loaded while the exposure runs
 
     @classmethod
     def of(
@@ -129,25 +85,7 @@ class LightLosses:
         efficiency: float = 1.0,
         decision_s: float = 0.0,
     ) -> "LightLosses":
-        """Losses of a design on a camera with a device and an exposure.
-
-        Parameters
-        ----------
-        design : DesignRails
-        camera : Camera
-        counted : float, optional
-            Share of the budget that the mean scene gives; that of a scene of even brightness
-            unless given.
-        efficiency : float
-            Share of photons that a detector sees, above 0, at most 1.
-        decision_s : float
-            Time to choose what is shown next, seconds, once a look.
-
-        Raises
-        ------
-        InputError
-            If no device shows the masks, or a number is out of bounds.
-        """
+        """Losses of a design on a camera with a device and an exposure."""
         device = camera.device
         if not LIGHT_LAWS[camera.light].one_device:
             raise InputError(

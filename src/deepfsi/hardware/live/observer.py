@@ -300,15 +300,7 @@ def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:
 
 
 class _SceneChecks:
-    """Checks of scene after scene: its budget, and its counts against those of the training.
-
-    Parameters
-    ----------
-    trained : float or None
-        Budget of the training, counts.
-    acquisition : Acquisition
-        Settings of the live run.
-    """
+    """Checks of scene after scene: its budget, and its counts against those of the training."""
 
     def __init__(self, trained: float | None, acquisition: Acquisition) -> None:
         assert acquisition.live is not None

@@ -43,20 +43,7 @@ HASHED_FILES = ("acquisition.json", FrameLog.NAME, PHOTONS)
 
 
 def is_live(folder: Path, *settings: object) -> bool:
-    """True for the folder of a live run, which has a record of its frames.
-
-    Parameters
-    ----------
-    folder : path
-        Of a run.
-    *settings
-        Options of counting or classifying it, None where they are not given.
-
-    Raises
-    ------
-    InputError
-        If it is a live run, which takes no options: it is counted and classified as it was.
-    """
+    """True for the folder of a live run, which has a record of its frames."""
     live = (folder / FrameLog.NAME).exists()
     if live and any(setting is not None for setting in settings):
         raise InputError(
@@ -68,42 +55,17 @@ def is_live(folder: Path, *settings: object) -> bool:
 
 @dataclass(frozen=True)
 class LiveCounts:
-    """Counts of the finished scenes of a live run.
-
-    Parameters
-    ----------
-    acquisition : Acquisition
-        Settings of the run.
-    manifest : Manifest
-        Patterns that were shown.
-    log : FrameLog
-        Scenes with their frames and gates.
-    frames : FrameCounts
-        Scene by scene, list by list, frame by frame.
-    """
+    """Counts of the finished scenes of a live run."""
 
     NAME: ClassVar = "counts.npz"
-    acquisition: Acquisition
-    manifest: Manifest
-    log: FrameLog
-    frames: FrameCounts
+    acquisition: Acquisition  # settings of the run
+    manifest: Manifest  # patterns that were shown
+    log: FrameLog  # scenes with their frames and gates
+    frames: FrameCounts  # scene by scene, list by list, frame by frame
 
     @classmethod
     def count(cls, folder: Path, report: Progress = SILENT) -> Self:
-        """Count the photons of a live run, and write the counts to its folder.
-
-        Parameters
-        ----------
-        folder : path
-            Of the run.
-        report : Progress
-            Told of the share that is done.
-
-        Raises
-        ------
-        InputError
-            If files are missing or damaged, or the photon file is of another run.
-        """
+        """Count the photons of a live run, and write the counts to its folder."""
         run = read_run(folder)
         log = FrameLog.read(folder)
         photons = run.open_photons()
@@ -133,18 +95,7 @@ class LiveCounts:
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """Counts as `count` wrote them.
-
-        Parameters
-        ----------
-        folder : path
-            Of the run.
-
-        Raises
-        ------
-        InputError
-            If there are none, or they are of other files than those beside them.
-        """
+        """Counts as `count` wrote them."""
         path = folder / cls.NAME
         again = "count again with `deepfsi camera count`"
         log = FrameLog.read(folder)
@@ -217,20 +168,7 @@ def _hashes(folder: Path) -> dict[str, str]:
 
 
 class _LoggedFrames:
-    """Frames of one scene, whose counts are looked up in place of being counted by devices.
-
-    Parameters
-    ----------
-    scene : LoggedScene
-        Lists that were shown.
-    counts : list of FrameCounts
-        Of each list.
-
-    Attributes
-    ----------
-    exact : bool
-        True if all looks so far are those that were shown, with no rounding between.
-    """
+    """Frames of one scene, whose counts are looked up in place of being counted by devices."""
 
     def __init__(self, scene: LoggedScene, counts: list[FrameCounts]) -> None:
         self.left: deque[tuple[LoggedList, FrameCounts]] = deque(
@@ -272,38 +210,19 @@ def _another_look() -> InputError:
 
 @dataclass(frozen=True)
 class ReplayedScene:
-    """A scene of a run replayed.
+    """A scene of a run replayed."""
 
-    Parameters
-    ----------
-    logged : LoggedScene
-        As the run has it.
-    decisions : tuple of Decision
-        After each look, from its counts; none without light.
-    answer : LiveScene
-        Its class.
-    rows : SceneReadouts or None
-        Its counts behind its masks; None without light.
-    """
-
-    logged: LoggedScene
-    decisions: tuple[Decision, ...]
+    logged: LoggedScene  # as the run has it
+    decisions: tuple[Decision, ...]  # after each look, from its counts
     answer: LiveScene
-    rows: SceneReadouts | None = None
+    rows: SceneReadouts | None = None  # its counts behind its masks
 
 
 @dataclass(frozen=True)
 class ReplayedRun:
-    """A live run decided again from its counts.
+    """A live run decided again from its counts."""
 
-    Parameters
-    ----------
-    exposure_s : float
-        Time of all looks, seconds.
-    scenes : tuple of ReplayedScene
-    """
-
-    exposure_s: float
+    exposure_s: float  # time of all looks, seconds
     scenes: tuple[ReplayedScene, ...]
 
     @property
@@ -314,20 +233,7 @@ class ReplayedRun:
 
 
 def replay_run(counts: LiveCounts, looks: LookChooser) -> ReplayedRun:
-    """Decide again from the counts of a live run.
-
-    Parameters
-    ----------
-    counts : LiveCounts
-        Of the run.
-    looks : LookChooser
-        Of the design whose patterns were shown.
-
-    Raises
-    ------
-    InputError
-        If the counts lead to other looks than those that were shown.
-    """
+    """Decide again from the counts of a live run."""
     observer = SceneObserver(looks, counts.manifest, counts.acquisition)
     replayed = []
     for scene, lists in counts.by_scene:

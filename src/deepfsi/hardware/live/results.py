@@ -15,45 +15,20 @@ from deepfsi.hardware.live.observer import Decision
 
 @dataclass(frozen=True)
 class LiveScene:
-    """Class of a scene of a live run, from its looks.
-
-    Parameters
-    ----------
-    name : str
-    label : str or None
-        Class that it is known to be of.
-    predicted, probability : str and float, or None
-        None without light, or with a fault that spoils it.
-    looks : int
-        That were shown.
-    photons : float or None
-        Budget of a whole exposure.
-    light_s : float
-        Exposure that was used, seconds.
-    clock_s : float
-        From the first command to the class, seconds.
-    agrees : bool or None
-        Of a replay: true if it decides as the run did, probabilities within rounding.
-    bit_for_bit : bool or None
-        Of a replay: true if looks, probabilities and faults are the same in each bit, too.
-    faults : tuple of Fault
-        Of its light, its budget and its counts.
-    trained_on : bool or None
-        True if the design was; None where it is not known.
-    """
+    """Class of a scene of a live run, from its looks."""
 
     name: str
-    label: str | None
+    label: str | None  # class that it is known to be of
     predicted: str | None
     probability: float | None
     looks: int
-    photons: float | None
-    light_s: float
-    clock_s: float
+    photons: float | None  # budget of a whole exposure
+    light_s: float  # exposure that was used, seconds
+    clock_s: float  # from the first command to the class, seconds
     agrees: bool | None = None
     bit_for_bit: bool | None = None
-    faults: tuple[Fault, ...] = ()
-    trained_on: bool | None = None
+    faults: tuple[Fault, ...] = ()  # of its light, its budget and its counts
+    trained_on: bool | None = None  # True if the design was
 
     @classmethod
     def of(
@@ -106,18 +81,9 @@ class LiveScene:
 
 @dataclass(frozen=True)
 class LiveAnswers:
-    """Classes of the scenes of a live run, as it was made or decided again from its counts.
+    """Classes of the scenes of a live run, as it was made or decided again from its counts."""
 
-    Parameters
-    ----------
-    exposure_s : float
-        Time of all looks, seconds.
-    scenes : tuple of LiveScene
-    view : ViewResult or None
-        Of the camera; None where it was not tested.
-    """
-
-    exposure_s: float
+    exposure_s: float  # time of all looks, seconds
     scenes: tuple[LiveScene, ...]
     view: ViewResult | None = None
 

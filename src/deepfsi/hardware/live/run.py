@@ -171,24 +171,12 @@ def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | 
 
 @dataclass(frozen=True)
 class LiveStep:
-    """A decision of a live run, and when it fell.
+    """A decision of a live run, and when it fell."""
 
-    Parameters
-    ----------
-    scene : int
-        From 0.
-    decision : Decision or None
-        None where a scene had no light.
-    clock_s : float
-        After the scene's first command, seconds.
-    answer : LiveScene or None
-        Class of the scene, after its last look.
-    """
-
-    scene: int
-    decision: Decision | None
-    clock_s: float
-    answer: LiveScene | None = None
+    scene: int  # from 0
+    decision: Decision | None  # None where a scene had no light
+    clock_s: float  # after the scene's first command, seconds
+    answer: LiveScene | None = None  # class of the scene, after its last look
 
 
 def run_live(
@@ -357,24 +345,13 @@ class _CountedFrames:
 
 @dataclass(frozen=True)
 class RecordedScene:
-    """A scene as its pass was counted while it was recorded, counts/s.
-
-    Parameters
-    ----------
-    scene : Scene
-    on_rate, off_rate : float
-        In the all-ON frames and the first all-OFF frame, of the detectors that see mirrors ON.
-    masks_rate : float
-        In the masks' frames, of all detectors.
-    lit : bool
-        True if all-ON frames are brighter than the all-OFF one, by more than chance.
-    """
+    """A scene as its pass was counted while it was recorded, counts/s."""
 
     scene: Scene
     on_rate: float
     off_rate: float
-    masks_rate: float
-    lit: bool
+    masks_rate: float  # in the masks' frames, of all detectors
+    lit: bool  # True if all-ON frames are brighter than the all-OFF one, by more than chance
 
     def __str__(self) -> str:
         return (
@@ -407,32 +384,7 @@ def record_run(
     setup: Setup[PassProjector],
     report: Progress | None = None,
 ) -> Generator[RecordedScene]:
-    """Show and record scene after scene; gives each when its pass has ended.
-
-    Parameters
-    ----------
-    folder : path
-        Of the run, new. Scenes that are finished are kept whenever the run is stopped, and the
-        folder then has these alone.
-    patterns_folder : path
-        Patterns that are shown.
-    acquisition : Acquisition
-        Settings of the run, as `Acquisition.plan` makes them.
-    setup : Setup
-        Devices; taken hold of, and let go at the end.
-    report : callable, optional
-        Told of the share of frames that is loaded; a bar on the terminal unless given.
-
-    Yields
-    ------
-    RecordedScene
-        Each when its pass has ended.
-
-    Raises
-    ------
-    InputError
-        If the patterns choose their dwells, or a device fails.
-    """
+    """Show and record scene after scene; gives each when its pass has ended."""
     acquisition.check_fixed(folder)
     manifest = read_patterns(patterns_folder).manifest
     room = manifest.picture_s - acquisition.settle_s

@@ -75,16 +75,7 @@ EVEN = 1e-9
 
 @dataclass(frozen=True)
 class Patterns:
-    """Manifest and mirror counts of a folder of patterns.
-
-    Parameters
-    ----------
-    manifest
-        Device, and frames in the order in which they are shown.
-    on
-        Mirrors ON in each cell of each mask's frame, uint32 (f, N), in the order of
-        `Manifest.shown`.
-    """
+    """Manifest and mirror counts of a folder of patterns."""
 
     DESIGN: ClassVar[str] = DESIGN_NAME
     """File of the design in a folder of patterns."""
@@ -92,7 +83,7 @@ class Patterns:
     LOOP: ClassVar[str] = LOOP_NAME
     """File of the networks that choose its dwells."""
 
-    manifest: Manifest
+    manifest: Manifest  # device, and frames in the order in which they are shown
     on: np.ndarray
 
     @property
@@ -511,25 +502,7 @@ def _load_frames(folder: Path, manifest: Manifest) -> Iterator[np.ndarray]:
 
 
 def check_patterns(folder: str | os.PathLike[str], progress: Progress = SILENT) -> Patterns:
-    """Read every frame of a folder and compare it with the manifest and the mirror counts.
-
-    Parameters
-    ----------
-    folder
-        Folder of patterns.
-    progress
-        Told how many frames are compared.
-
-    Returns
-    -------
-    Patterns
-        Its patterns.
-
-    Raises
-    ------
-    InputError
-        If anything in the folder is not what was exported.
-    """
+    """Read every frame of a folder and compare it with the manifest and the mirror counts."""
     folder = Path(folder)
     patterns = read_patterns(folder)
     manifest = patterns.manifest

@@ -60,22 +60,7 @@ def make_frames(
     selection: Selection = "ordered",
     seed: int = 0,
 ) -> Iterator[np.ndarray]:
-    """Make packed frames, one at a time.
-
-    Parameters
-    ----------
-    on
-        Mirrors ON in each cell (N,), of each frame: 0 to all.
-    device, grid
-        Mirrors of the device, and those of each cell.
-    selection, seed
-        Which mirrors of a cell are ON, and where they are drawn from.
-
-    Yields
-    ------
-    numpy.ndarray
-        uint8 (rows, bytes of a row).
-    """
+    """Make packed frames, one at a time."""
     counts = (frame[grid.pixels] for frame in on)  # (down, across)
     aligned = grid.width % 8 == 0 == grid.left % 8  # every cell begins and ends with a byte
     table_bits = (grid.mirrors + 1) * grid.mirrors
@@ -420,19 +405,7 @@ FRAME_FORMATS: dict[Format, _FrameFormat] = {
 def open_array(
     path: Path, kind: str | None, shape: tuple[int, ...], first: int = 0
 ) -> Iterator[IO[bytes]]:
-    """Open a file at the start of an array's data, certain that all of it is there.
-
-    Parameters
-    ----------
-    path
-        The file.
-    kind
-        Type of its numbers, as its header has it; None of bytes without a header.
-    shape
-        Shape of the array, frames first.
-    first
-        Number of its first frame, for messages.
-    """
+    """Open a file at the start of an array's data, certain that all of it is there."""
     with _reading(str(path)), open_regular(path, advice=AGAIN) as file:
         dtype = np.dtype(kind or "u1")
         if kind is not None:

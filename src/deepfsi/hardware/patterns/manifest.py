@@ -212,57 +212,22 @@ class LookPlan(LaterFields, StrictModel):
 
 @dataclass(frozen=True)
 class DesignRails:
-    """Rails of a design that are to be shown.
+    """Rails of a design that are to be shown."""
 
-    Parameters
-    ----------
-    rails
-        Share of each pixel's photons, (2 or 1, m, N).
-    light
-        Light law.
-    image_shape
-        Rows and columns of the masks, or values of a spectrum.
-    summed_reflectance
-        Mean of the training scenes.
-    file
-        The design's file, which the folder then holds.
-    brightness
-        By how much scenes differ from the mean.
-    detectors
-        Which see which cells, where there are several.
-    readout
-        What the network reads of two rails.
-    looks
-        Looks, where dwells or masks are chosen while the exposure runs.
-    loop
-        File of the networks that choose them.
-
-    Raises
-    ------
-    InputError
-        If the rails are none of the light law.
-    """
-
-    rails: np.ndarray
+    rails: np.ndarray  # share of each pixel's photons, (2 or 1, m, N)
     light: LightLawName
-    image_shape: tuple[int, ...]
-    summed_reflectance: float
-    file: bytes | None = None
-    brightness: Brightness | None = None
-    detectors: DetectorMap | None = None
-    readout: Readout = "difference"
-    looks: LookPlan | None = None
-    loop: bytes | None = None
+    image_shape: tuple[int, ...]  # rows and columns of the masks, or values of a spectrum
+    summed_reflectance: float  # mean of the training scenes
+    file: bytes | None = None  # the design's file, which the folder then holds
+    brightness: Brightness | None = None  # by how much scenes differ from the mean
+    detectors: DetectorMap | None = None  # which see which cells, where there are several
+    readout: Readout = "difference"  # what the network reads of two rails
+    looks: LookPlan | None = None  # looks, where dwells or masks are chosen while the exposure runs
+    loop: bytes | None = None  # file of the networks that choose them
 
     @classmethod
     def of(cls, design: DesignFile, file: bytes) -> Self:
-        """Rails of a design file that was read, and its content.
-
-        Raises
-        ------
-        InputError
-            If it has no masks that one device can show.
-        """
+        """Rails of a design file that was read, and its content."""
         header = design.mask_header
         check_masks(header.info, "a device")
         if header.name in EVERY_PIXEL:
@@ -359,20 +324,9 @@ class DesignRails:
 
 @dataclass(frozen=True)
 class MaskFrames:
-    """Frames that show the rails of masks, mask by mask, dark rails left out.
+    """Frames that show the rails of masks, mask by mask, dark rails left out."""
 
-    Parameters
-    ----------
-    mask_rails
-        Mask and rail of each of f frames.
-    peaks
-        Largest share of a pixel's photons in each frame, float64 (f,); on two arms the time of the
-        mask.
-    on
-        Mirrors ON in each cell, uint32 (f, N), 0 to K: the rail over its peak in steps of 1/K.
-    """
-
-    mask_rails: list[tuple[int, Rail]]
+    mask_rails: list[tuple[int, Rail]]  # mask and rail of each of f frames
     peaks: np.ndarray
     on: np.ndarray
 
@@ -666,19 +620,7 @@ class Manifest(StrictModel):
         hashes: list[str],
         **settings: Any,
     ) -> Self:
-        """Frames of a design in their order, with a pair of sentinels before and after.
-
-        Parameters
-        ----------
-        design, counted
-            Rails, and the frames of their masks.
-        pictures_us, sentinel_us
-            Picture times of the masks' frames (f,), and of a sentinel, µs.
-        hashes
-            SHA-256 of the bits of all frames (f + 4,).
-        **settings
-            Fields of the device and its files.
-        """
+        """Frames of a design in their order, with a pair of sentinels before and after."""
         ends = (
             Frame(role="on", picture_us=sentinel_us, sha256=hashes[0]),
             Frame(role="off", picture_us=sentinel_us, sha256=hashes[1]),

@@ -84,13 +84,7 @@ def as_png(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
 
 
 def read_static_pattern(file: str | os.PathLike[str]) -> np.ndarray:
-    """Pattern (H, P) of a design file, dark 0 to open 1, that scenes pass.
-
-    Raises
-    ------
-    InputError
-        If the file is no design, or one of another exposure.
-    """
+    """Pattern (H, P) of a design file, dark 0 to open 1, that scenes pass."""
     design = DesignFile.read(file)
     if design.mask_header.exposure.kind != "passing":
         raise InputError(
@@ -108,26 +102,7 @@ def read_static_pattern(file: str | os.PathLike[str]) -> np.ndarray:
 def write_photomask(
     file: str | os.PathLike[str], out: str | os.PathLike[str], pixel_um: float
 ) -> np.ndarray:
-    """Write the pattern of a design for a photomask, and return it.
-
-    Parameters
-    ----------
-    file : str or path
-        Design file of scenes that pass a pattern.
-    out : str or path
-        ``.svg``: polygons of what is open, binary patterns alone. ``.png``: a picture.
-    pixel_um : float
-        Side of a pixel on the mask, micrometres: a scene's pixel there, times nothing else.
-
-    Returns
-    -------
-    array, shape (H, P)
-
-    Raises
-    ------
-    InputError
-        If the design has no such pattern, or a grey one for polygons; then nothing is written.
-    """
+    """Write the pattern of a design for a photomask, and return it."""
     check_ending(out, PHOTOMASK_ENDS)
     if not 0 < pixel_um <= LARGEST_UM:
         raise InputError(

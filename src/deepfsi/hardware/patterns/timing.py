@@ -18,21 +18,10 @@ LONGEST_SETTLE_S = 1e4
 
 @dataclass(frozen=True)
 class ExposureCost:
-    """Shares of a pass in which nothing is counted.
+    """Shares of a pass in which nothing is counted."""
 
-    Parameters
-    ----------
-    sentinels
-        Frames for alignment, flux and dark.
-    settling
-        Starts of the masks' frames, while mirrors move.
-    idle
-        What the gates leave of the masks' frames: pictures that are longer than their share
-        because no device shows shorter ones, and what is left where one more gate does not fit.
-    """
-
-    sentinels: float
-    settling: float
+    sentinels: float  # frames for alignment, flux and dark
+    settling: float  # starts of the masks' frames, while mirrors move
     idle: float
 
     @property
@@ -48,27 +37,12 @@ class GatePlan:
     With clicks, each gate of a mask's frame is cut in as many equal parts, in which a detector
     fires at most once. An all-ON or all-OFF frame then has as many parts of what is left of it
     between settling and the usual tolerance of markers.
-
-    Parameters
-    ----------
-    settle_s
-        Time before the first gate of each frame.
-    length_s
-        Duration of a gate of each mask's frame, (f,): share times exposure.
-    repeats
-        R, gates that follow each other in every mask's frame; gate r of all frames is one exposure.
-    clicks
-        Parts of each gate; 0 where photons are counted.
-    click_width_s
-        Duration of a part in each frame, (F,).
-    click_exposures
-        Gates of each frame that are cut, (F,): R, or 1 of a sentinel.
     """
 
-    settle_s: float
-    length_s: np.ndarray
-    repeats: int
-    clicks: int = 0
+    settle_s: float  # time before the first gate of each frame
+    length_s: np.ndarray  # duration of a gate of each mask's frame, (f,): share times exposure
+    repeats: int  # R, gates that follow each other in every mask's frame
+    clicks: int = 0  # parts of each gate
     click_width_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
     click_exposures: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
@@ -80,24 +54,7 @@ class GatePlan:
         settle_s: float | None = None,
         repeats: int | None = None,
     ) -> Self:
-        """Gates of an exposure.
-
-        Parameters
-        ----------
-        manifest
-            Frames of the pass.
-        exposure_s
-            Time in which photons of all masks together are counted, once.
-        settle_s
-            Time before the first gate of each frame; the device's unless given.
-        repeats
-            Gates in each frame; as many as fit all frames unless given.
-
-        Raises
-        ------
-        InputError
-            If the gates do not fit the frames.
-        """
+        """Gates of an exposure."""
         settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
         if not (math.isfinite(exposure_s) and exposure_s > 0):
             raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")

@@ -101,27 +101,7 @@ _CONTENTS: dict[int, Callable[[bytes], Any]] = {
 
 @dataclass(frozen=True)
 class Kind:
-    """A type of record: 32 bits, of a channel field above a time field; as Generic T2 unless given.
-
-    Parameters
-    ----------
-    name
-        Device and mode.
-    code
-        Its number in the tag `TTResultFormat_TTTRRecType`.
-    mode
-        Times count ticks of the device (T2), or periods of the sync (T3).
-    shift
-        Bits below the channel field.
-    time_bits
-        Lowest bits, which hold the time.
-    wrap
-        Ticks of an overflow.
-    counted
-        True if one record can stand for many overflows, their number in its time field.
-    first, inputs
-        Channel field of the first input, and how many inputs there can be.
-    """
+    """A type of record: 32 bits, a channel field above a time field; Generic T2 by default."""
 
     name: str
     code: int
@@ -192,33 +172,15 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Header:
-    """Header of a PTU file: its tags and the type of its records.
+    """Header of a PTU file: its tags and the type of its records."""
 
-    Parameters
-    ----------
-    path
-        The file, or a name for a stream.
-    tags
-        Values by name; of a tag with an index, by `Name(index)`. Dates are days since 1899-12-30.
-    kind
-        Type of the records.
-    offset
-        Bytes before the first record.
-    tick_s
-        Seconds of a tick.
-    claimed
-        Records that the header says there are; 0 or less if it does not say.
-    size
-        Bytes of the file; None while they still arrive.
-    """
-
-    path: Path
-    tags: dict[str, Any]
-    kind: Kind
-    offset: int
-    tick_s: float
-    claimed: int
-    size: int | None = None
+    path: Path  # the file, or a name for a stream
+    tags: dict[str, Any]  # values by name
+    kind: Kind  # type of the records
+    offset: int  # bytes before the first record
+    tick_s: float  # seconds of a tick
+    claimed: int  # records that the header says there are
+    size: int | None = None  # bytes of the file
 
     @property
     def records(self) -> int:

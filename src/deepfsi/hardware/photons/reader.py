@@ -35,15 +35,9 @@ MOST_MARKERS = 2**24
 
 
 class PhotonSource(ABC):
-    """Source of photons and markers with their times: a file, or a stream that grows.
+    """Source of photons and markers with their times: a file, or a stream that grows."""
 
-    Attributes
-    ----------
-    header : Header
-        Header of a PTU file, which other makes' files become when they are imported.
-    """
-
-    header: Header
+    header: Header  # header of a PTU file, which other makes' files become when they are imported
 
     @property
     def path(self) -> Path:
@@ -72,15 +66,7 @@ class PhotonSource(ABC):
 
     @abstractmethod
     def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:
-        """Give the records, in parts that follow each other; none follows one with a `fault`.
-
-        Parameters
-        ----------
-        progress
-            Told how much of the source is read.
-        ordered
-            False where nothing but markers is wanted.
-        """
+        """Give the records, in parts that follow each other; none follows one with a `fault`."""
 
 
 class PtuFile(PhotonSource):
@@ -144,13 +130,7 @@ class PtuStream(PhotonSource):
         return self._decoder is not None
 
     def feed(self, data: bytes | bytearray | memoryview) -> None:
-        """Take the next bytes, which `parts` then reads: do not change them before.
-
-        Raises
-        ------
-        InputError
-            If they show that this is no PTU file, or that its header is damaged.
-        """
+        """Take the next bytes, which `parts` then reads: do not change them before."""
         view = memoryview(data)
         if not view.nbytes:  # numpy's empty arrays cannot be cast
             return
@@ -343,29 +323,7 @@ def read_markers(photons: Photons, progress: Progress = SILENT) -> tuple[np.ndar
 def read_photons(
     photons: Photons, number: int = 0, progress: Progress = SILENT
 ) -> tuple[np.ndarray, float]:
-    """Read the times of the photons on an input.
-
-    Parameters
-    ----------
-    photons
-        A source, or the path of a PTU file.
-    number
-        The input, from 0.
-    progress
-        Told how much is read.
-
-    Returns
-    -------
-    times_s
-        Seconds, float64 (n,).
-    last_s
-        Time of the last event of all, seconds.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, has no such input, or has more than `MOST_PHOTONS` on it.
-    """
+    """Read the times of the photons on an input."""
     source = _as_source(photons)
     _check_inputs(source, (number,))
     times = [np.zeros(0, np.int64)]
@@ -423,20 +381,7 @@ def count_windows(
 
 
 class WindowCounter:
-    """Counter of the photons in windows, which may be told as late as they begin.
-
-    Parameters
-    ----------
-    source
-        Where the parts that are added come from.
-    inputs
-        Inputs whose photons are counted, from 0.
-
-    Raises
-    ------
-    InputError
-        If the source has no such input.
-    """
+    """Counter of the photons in windows, which may be told as late as they begin."""
 
     def __init__(self, source: PhotonSource, inputs: Sequence[int]) -> None:
         _check_inputs(source, inputs)
@@ -505,13 +450,7 @@ class WindowCounter:
         return np.asarray(before[1::2] - before[::2])
 
     def finish(self) -> np.ndarray:
-        """Give the counts of all windows since the last call: no more records come.
-
-        Raises
-        ------
-        InputError
-            If the recording may be incomplete, and ends before the last window does.
-        """
+        """Give the counts of all windows since the last call: no more records come."""
         problems = self._source.problems
         if problems and len(self._edges) and self._edges[-1] > self._reached:
             raise InputError(

@@ -40,37 +40,18 @@ class Runs:
 
 @dataclass
 class Part:
-    """Some records that follow each other, decoded as far as is needed to count.
+    """Some records that follow each other, decoded as far as is needed to count."""
 
-    Parameters
-    ----------
-    kind
-        Type of the records.
-    words
-        Records, uint32 (n,).
-    places
-        Places of the specials, that is, of what is no photon, (s,). The next four are of these.
-    times, bits, sync, wraps
-        Time in ticks; bits of a marker, 0 of others; True for a sync event; overflows, 0 of
-        others; each (s,).
-    runs
-        Photons between the specials.
-    reached
-        Tick before which no photon or sync event of later parts is.
-    fault
-        What is wrong with the record that follows; empty if nothing is.
-    """
-
-    kind: Kind
-    words: np.ndarray
+    kind: Kind  # type of the records
+    words: np.ndarray  # records, uint32 (n,)
     places: np.ndarray
     times: np.ndarray
     bits: np.ndarray
     sync: np.ndarray
     wraps: np.ndarray
-    runs: Runs
-    reached: int
-    fault: str = ""
+    runs: Runs  # photons between the specials
+    reached: int  # tick before which no photon or sync event of later parts is
+    fault: str = ""  # what is wrong with the record that follows
 
     @property
     def markers(self) -> tuple[np.ndarray, np.ndarray]:
@@ -129,16 +110,6 @@ class Decoder:
     """Decoder of records that come in blocks, which may be of any length.
 
     Where a record is damaged, the part ends before it with a `fault`, and no more can be decoded.
-
-    Parameters
-    ----------
-    kind
-        Type of the records.
-    tick_s
-        Seconds of a tick.
-    ordered
-        False where nothing but markers is wanted: photons are then not looked at, nor whether
-        times run back.
     """
 
     def __init__(self, kind: Kind, tick_s: float, ordered: bool = True) -> None:

@@ -29,19 +29,11 @@ MOST_NAMED_FAULTS = 10
 
 @dataclass(frozen=True)
 class ScanMarkers:
-    """Marker inputs of an image scan, 0 to 3; those of the header unless given.
-
-    Parameters
-    ----------
-    line_start, line_end
-        Of the start and the end of each line.
-    frame
-        Of the start or the end of each frame.
-    """
+    """Marker inputs of an image scan, 0 to 3; those of the header unless given."""
 
     line_start: int | None = None
     line_end: int | None = None
-    frame: int | None = None
+    frame: int | None = None  # of the start or the end of each frame
 
     def of_header(self, header: Header) -> "ScanMarkers":
         """Markers with those that only the header gives."""
@@ -70,25 +62,13 @@ class ScanMarkers:
 
 @dataclass(frozen=True)
 class Scan:
-    """Photons of an image scan, line after line.
+    """Photons of an image scan, line after line."""
 
-    Parameters
-    ----------
-    counts
-        Photons, int64 (lines, pixels, inputs).
-    frame
-        Number of the frame of each line, from 0, (lines,).
-    starts_s, ends_s
-        Start and end of each line, seconds (lines,).
-    faults
-        Lines and frames that lack something, in words.
-    """
-
-    counts: np.ndarray
-    frame: np.ndarray
+    counts: np.ndarray  # photons, int64 (lines, pixels, inputs)
+    frame: np.ndarray  # number of the frame of each line, from 0, (lines,)
     starts_s: np.ndarray
     ends_s: np.ndarray
-    faults: tuple[str, ...]
+    faults: tuple[str, ...]  # lines and frames that lack something, in words
 
     @property
     def frames(self) -> np.ndarray:
@@ -135,31 +115,7 @@ def count_scan(
     inputs: Sequence[int] = (0,),
     progress: Progress = SILENT,
 ) -> Scan:
-    """Count the photons of each line of an image scan in so many equal pixels.
-
-    Parameters
-    ----------
-    path
-        PTU file.
-    markers
-        Which markers are those of lines and frames.
-    pixels
-        Equal parts of the time of a line.
-    inputs
-        Inputs whose photons are counted, from 0.
-    progress
-        Told how much is done.
-
-    Returns
-    -------
-    Scan
-        Counts of each line, and what is wrong with the markers.
-
-    Raises
-    ------
-    InputError
-        If nothing says which markers are which, or there is no line between them.
-    """
+    """Count the photons of each line of an image scan in so many equal pixels."""
     source = PtuFile(path)
     header = source.header
     markers = markers.of_header(header)

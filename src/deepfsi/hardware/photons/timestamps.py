@@ -60,21 +60,11 @@ BACK_S = 1e-6
 
 @dataclass(frozen=True)
 class Timestamps:
-    """Events of a recording.
+    """Events of a recording."""
 
-    Parameters
-    ----------
-    times
-        Ticks, int64 (n,).
-    channels
-        Channel of each, integers (n,).
-    tick_s
-        Seconds of a tick.
-    """
-
-    times: np.ndarray
-    channels: np.ndarray
-    tick_s: float
+    times: np.ndarray  # ticks, int64 (n,)
+    channels: np.ndarray  # channel of each, integers (n,)
+    tick_s: float  # seconds of a tick
 
     def write(
         self,
@@ -82,28 +72,7 @@ class Timestamps:
         marker: int | None,
         inputs: tuple[int, ...] | None = None,
     ) -> tuple[int, ...]:
-        """Write the events as a PTU file, whose clock begins with the first of them.
-
-        Parameters
-        ----------
-        path
-            File to write.
-        marker
-            Channel of the trigger, which becomes marker 0. None where there is none.
-        inputs
-            Channels that become the inputs of the file, in their order; events of others are left
-            out. All but the trigger's unless given.
-
-        Returns
-        -------
-        tuple of int
-            Channels of the inputs.
-
-        Raises
-        ------
-        InputError
-            If a channel has no events, or its clock ran back.
-        """
+        """Write the events as a PTU file, whose clock begins with the first of them."""
         available = np.unique(self.channels).tolist()
         more = (
             f" and {len(available) - MOST_NAMED_CHANNELS} more"
@@ -255,25 +224,7 @@ EVENT_FORMATS: tuple[_EventFormat, ...] = (_PhotonHdf5(), _EventTable())
 
 
 def read_timestamps(source: str | os.PathLike[str], unit_s: float | None = None) -> Timestamps:
-    """Read the events of another make of counter: of a file of one of the `EVENT_FORMATS`.
-
-    Parameters
-    ----------
-    source
-        A Photon-HDF5 file, or a table with columns of times and channels.
-    unit_s
-        Seconds of a tick, where the file does not say it.
-
-    Returns
-    -------
-    Timestamps
-        Times and channels, to be written as a PTU file.
-
-    Raises
-    ------
-    InputError
-        If the file holds no events, or nothing says the unit of its times.
-    """
+    """Read the events of another make of counter: of a file of one of the `EVENT_FORMATS`."""
     path = Path(source)
     reader = next(form for form in EVENT_FORMATS if form.matches(path))
     return reader.read(path, unit_s)

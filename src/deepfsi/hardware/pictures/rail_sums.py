@@ -54,17 +54,9 @@ LEAST_PRINTED_CHANCE = 1e-300
 
 @dataclass(frozen=True)
 class Excess:
-    """Excess relative variance of the light, with its 95 % interval.
+    """Excess relative variance of the light, with its 95 % interval."""
 
-    Attributes
-    ----------
-    variance : float
-        Relative variance beyond that of Poisson counts.
-    low, high : float
-        Ends of the interval.
-    """
-
-    variance: float
+    variance: float  # relative variance beyond that of Poisson counts
     low: float
     high: float
 
@@ -102,44 +94,20 @@ class Cause:
 
 @dataclass(frozen=True)
 class RailSums:
-    """Verdict on the light of runs with the same masks.
+    """Verdict on the light of runs with the same masks."""
 
-    Attributes
-    ----------
-    pairs : int
-        Pairs of a mask and its inverse.
-    poisson : bool
-        True if all runs and tests agree with Poisson counts of a constant light.
-    runs : tuple of RunScatter
-        Of each run.
-    causes : mapping
-        From the name of a cause to its share, where the counts are not Poisson's.
-    chi2_counts, chance_counts, chi2_sums : float, optional
-        χ² between runs, per degree of freedom, of counts and of sums, and the chance of the first.
-    correlations : tuple of float
-        Of the sums of two runs each.
-    common : Excess, optional
-        Alike in all runs.
-    own : tuple of Excess
-        Of each run by itself.
-    own_autocorrelation : tuple of float
-        Of that, at `LAGS`.
-    pictures : tuple of Excess
-        That of each run, of single pictures.
-    """
-
-    pairs: int
-    poisson: bool
+    pairs: int  # pairs of a mask and its inverse
+    poisson: bool  # True if all runs and tests agree with Poisson counts of a constant light
     runs: tuple[RunScatter, ...]
     causes: Mapping[str, Cause]
     chi2_counts: float | None = None
     chance_counts: float | None = None
     chi2_sums: float | None = None
-    correlations: tuple[float, ...] = ()
+    correlations: tuple[float, ...] = ()  # of the sums of two runs each
     common: Excess | None = None
-    own: tuple[Excess, ...] = field(default=())
-    own_autocorrelation: tuple[float, ...] = ()
-    pictures: tuple[Excess, ...] = ()
+    own: tuple[Excess, ...] = field(default=())  # of each run by itself
+    own_autocorrelation: tuple[float, ...] = ()  # of that, at `LAGS`
+    pictures: tuple[Excess, ...] = ()  # that of each run, of single pictures
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers for JSON."""
@@ -207,18 +175,7 @@ def _chance_text(chance: float) -> str:
 
 
 def fineness(masks: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Sign changes of each mask along each axis, of a line in the mean.
-
-    Parameters
-    ----------
-    masks : array (m, N)
-    shape : tuple of int
-        Of a mask.
-
-    Returns
-    -------
-    array (m, axes)
-    """
+    """Sign changes of each mask along each axis, of a line in the mean."""
     lit = masks.reshape(-1, *shape) > 0
     axes = tuple(range(1, lit.ndim))
     lines = [lit[0].size / side for side in shape]
@@ -232,27 +189,7 @@ def check_rail_sums(
     order: np.ndarray | None = None,
     block: int | None = None,
 ) -> RailSums | None:
-    """Test whether rail sums scatter as Poisson counts of a constant light do.
-
-    Parameters
-    ----------
-    runs : array (runs, 2, m)
-        Whole counts of masks and inverses in the order in which they were shown. Leave out pairs
-        without an edge (all ON and all OFF).
-    fine : array (m, axes)
-        Fineness of the masks.
-    order : array (m,), optional
-        Place of each pair in the sequence; 0 to m - 1 unless given.
-    block : int, optional
-        Pictures that were uploaded and shown at a time.
-
-    Returns
-    -------
-    RailSums or None
-        None where there are fewer than `LEAST_PAIRS` pairs or `LEAST_COUNTS` counts. "Not
-        Poisson" is said of Poisson counts with a chance of `FALSE_ALARMS` at most, in all runs
-        and tests together.
-    """
+    """Test whether rail sums scatter as Poisson counts of a constant light do."""
     sums = runs.sum(axis=1)
     pairs = sums.shape[1]
     if pairs < LEAST_PAIRS or sums.mean(axis=1).min() < LEAST_COUNTS:
@@ -441,29 +378,7 @@ LAYOUTS = get_args(Layout)
 
 
 def split_rails(values: np.ndarray, layout: str | None, masks: int | None, name: str) -> np.ndarray:
-    """Counts of the rails in the order in which they were shown.
-
-    Parameters
-    ----------
-    values : array (rows, columns)
-        A table as it was read. Of two columns or two rows, the first is that of the masks.
-    layout : str or None
-        One of `LAYOUTS`; as the shape says unless given.
-    masks : int or None
-        How many masks there are, where it is fixed already.
-    name : str
-        What errors call the table.
-
-    Returns
-    -------
-    array (rails, m)
-        Two rails, masks first; one for the layout "single".
-
-    Raises
-    ------
-    InputError
-        If the table does not hold these values, or may be read in two ways.
-    """
+    """Counts of the rails in the order in which they were shown."""
     if layout is not None:
         check_choice(Message("{rails}", setting="rails"), layout, LAYOUTS)
     shape = f"{name} has {values.shape[0]} rows and {values.shape[1]} columns"

@@ -59,17 +59,7 @@ ORTHOGONAL = 1e-9
 
 
 def solve_masks(masks: np.ndarray, readouts: np.ndarray) -> np.ndarray:
-    """Least-squares pictures of readouts behind masks.
-
-    Parameters
-    ----------
-    masks : array (m, N)
-    readouts : array (S, m)
-
-    Returns
-    -------
-    array (S, N)
-    """
+    """Least-squares pictures of readouts behind masks."""
     # Of masks that are orthogonal and of one norm, M⁺ = Mᵀ / c. A random vector, which other
     # matrices do not carry to c times itself, tells whether they are
     rows = [slice(a, a + ROWS_AT_ONCE) for a in range(0, len(masks), ROWS_AT_ONCE)]
@@ -108,25 +98,7 @@ def wavelet_of(name: str) -> tuple[str, int] | None:
 
 
 def solve_wavelets(coefficients: np.ndarray, wavelet: str, levels: int) -> tuple[np.ndarray, bool]:
-    """Picture of wavelet coefficients, and whether their details are the second less the first.
-
-    Parameters
-    ----------
-    coefficients : array (H, W)
-        Coarsest means in the upper left corner, around them the details of each level: across to
-        the right, down below. What was not measured is 0.
-    wavelet : str
-        Name of PyWavelets, orthonormal scale, periodic at the edges.
-    levels : int
-        Levels of details, the finest included.
-
-    Returns
-    -------
-    picture : array (H, W)
-    reverse : bool
-        Packages differ in the sign of the details of one axis; the sign is taken that gives the
-        smoother picture.
-    """
+    """Picture of wavelet coefficients, and whether their details are the second less the first."""
     if any(side % 2**levels for side in coefficients.shape):
         raise InputError(
             f"coefficients of shape {coefficients.shape} have no {levels} levels: each side must "
@@ -136,15 +108,7 @@ def solve_wavelets(coefficients: np.ndarray, wavelet: str, levels: int) -> tuple
 
 
 def coarse_light(parts: list[Any], wavelet: str) -> np.ndarray:
-    """Means of the next finer level, of either sign of the details the smoother ones.
-
-    Parameters
-    ----------
-    parts : list
-        Levels as `split_levels` gives them.
-    wavelet : str
-        Name of PyWavelets.
-    """
+    """Means of the next finer level, of either sign of the details the smoother ones."""
     return _smoother(parts, wavelet)[0]
 
 
@@ -168,13 +132,7 @@ def _roughness(picture: np.ndarray) -> float:
 
 
 def split_levels(coefficients: np.ndarray, levels: int) -> list[Any]:
-    """Coarsest means, then (down, across, both) of each level from the coarsest to the finest.
-
-    Parameters
-    ----------
-    coefficients : array (H, W)
-    levels : int
-    """
+    """Coarsest means, then (down, across, both) of each level from the coarsest to the finest."""
     down, across = coefficients.shape
     parts: list[Any] = [coefficients[: down >> levels, : across >> levels]]
     for level in range(levels, 0, -1):

@@ -33,46 +33,21 @@ MEDIAN_OF_NORMAL = 0.6745
 
 @dataclass(frozen=True)
 class TableMasks:
-    """Masks that were shown, and the layout of tables of their counts.
+    """Masks that were shown, and the layout of tables of their counts."""
 
-    Parameters
-    ----------
-    masks : str
-        Name of a formula or of wavelets, or a file.
-    size : (int, int), optional
-        Of a picture; a square unless given.
-    rails : str, optional
-        One of `LAYOUTS`; as the shape of the table says unless given.
-    exposures_s : tuple of float, optional
-        Time of a picture, seconds, of each table.
-    block : int, optional
-        Pictures that were shown at a time.
-    """
-
-    masks: str
+    masks: str  # name of a formula or of wavelets, or a file
     size: tuple[int, int] | None = None
-    rails: str | None = None
-    exposures_s: tuple[float, ...] | None = None
-    block: int | None = None
+    rails: str | None = None  # one of `LAYOUTS`; as the shape of the table says unless given
+    exposures_s: tuple[float, ...] | None = None  # time of a picture, seconds, of each table
+    block: int | None = None  # pictures that were shown at a time
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of the pictures of some tables with that of another camera.
+    """Agreement of the pictures of some tables with that of another camera."""
 
-    Attributes
-    ----------
-    source : str
-        Where that is from.
-    reference : array (H, W)
-        The other picture, by the line of best fit to the first table's.
-    tables : tuple of dict
-        Of each table the correlation, and the residual: the rms of its picture less that line, over
-        the reference's standard deviation in the unit of the picture.
-    """
-
-    source: str
-    reference: np.ndarray
+    source: str  # where that is from
+    reference: np.ndarray  # the other picture, by the line of best fit to the first table's
     tables: tuple[dict[str, float], ...]
 
     def lines(self, names: Sequence[str]) -> list[str]:
@@ -86,52 +61,22 @@ class Agreement:
 
 @dataclass(frozen=True)
 class TablePictures:
-    """Pictures from tables of counts, and what the counts say of the light.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the tables.
-    pictures : array (tables, H, W)
-        Counts a pixel.
-    correlations : tuple of float
-        Of two pictures each.
-    light : RailSums, optional
-        Verdict on the light.
-    note : str
-        Why there is none.
-    sums : array (tables, m), optional
-        Rail sums, of pairs with an edge.
-    fine : array (m, axes), optional
-        Fineness of their masks.
-    rates, rate_errors : tuple of float, optional
-        Counts/s of the mean picture of each table, and the relative error of Poisson counts.
-    on : tuple of float, optional
-        Counts of all ON.
-    off : tuple of (float, float, float), optional
-        Counts of all OFF, with their 95 % interval.
-    uniform : tuple of float, optional
-        Light of all ON and OFF over that of other pairs.
-    wavelets : tuple of dict, optional
-        Scatter of each table's coefficients.
-    agreement : Agreement, optional
-        With the picture of another camera.
-    """
+    """Pictures from tables of counts, and what the counts say of the light."""
 
     names: tuple[str, ...]
-    pictures: np.ndarray
+    pictures: np.ndarray  # counts a pixel
     correlations: tuple[float, ...] = ()
-    light: RailSums | None = None
-    note: str = ""
-    sums: np.ndarray | None = None
-    fine: np.ndarray | None = None
+    light: RailSums | None = None  # verdict on the light
+    note: str = ""  # why there is none
+    sums: np.ndarray | None = None  # rail sums, of pairs with an edge
+    fine: np.ndarray | None = None  # fineness of their masks
     rates: tuple[float, ...] | None = None
     rate_errors: tuple[float, ...] | None = None
-    on: tuple[float, ...] | None = None
+    on: tuple[float, ...] | None = None  # counts of all ON
     off: tuple[tuple[float, float, float], ...] | None = None
-    uniform: tuple[float, ...] | None = None
-    wavelets: tuple[dict[str, Any], ...] | None = None
-    agreement: Agreement | None = None
+    uniform: tuple[float, ...] | None = None  # light of all ON and OFF over that of other pairs
+    wavelets: tuple[dict[str, Any], ...] | None = None  # scatter of each table's coefficients
+    agreement: Agreement | None = None  # with the picture of another camera
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON, without pictures; None for what is no number."""
@@ -194,19 +139,7 @@ def _plain(value: Any) -> Any:
 
 
 def read_pictures(sources: Sequence[str], settings: TableMasks) -> TablePictures:
-    """Pictures of tables of counts, and the verdict on their light.
-
-    Parameters
-    ----------
-    sources : sequence of str
-        Tables, FILE or FILE:VARIABLE, of the same masks; or of wavelet coefficients.
-    settings : TableMasks
-
-    Raises
-    ------
-    InputError
-        If a table is not one of these masks, or of no whole counts.
-    """
+    """Pictures of tables of counts, and the verdict on their light."""
     times = settings.exposures_s
     if times is not None and len(times) != len(sources):
         raise InputError(
@@ -345,20 +278,7 @@ def _correlations(pictures: np.ndarray) -> tuple[float, ...]:
 
 
 def compare_picture(pictures: TablePictures, source: str) -> TablePictures:
-    """Compare pictures with that of another camera; they then have their agreement with it.
-
-    Parameters
-    ----------
-    pictures : TablePictures
-        Of the first camera.
-    source : str
-        Picture of the other, FILE or FILE:VARIABLE.
-
-    Raises
-    ------
-    InputError
-        If the shapes differ.
-    """
+    """Compare pictures with that of another camera; they then have their agreement with it."""
     reference = read_table(source).values
     if reference.shape != pictures.pictures.shape[1:]:
         raise InputError(

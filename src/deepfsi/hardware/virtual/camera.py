@@ -272,16 +272,7 @@ def _mirrors_of_arm(manifest: Manifest, rows: DetectorRows | None) -> list[np.nd
 
 
 class MirrorLight:
-    """Light of scenes on the mirrors, and what a frame sends of it to the detectors.
-
-    Parameters
-    ----------
-    manifest : Manifest
-    scenes : array (S, h, w)
-    camera : VirtualCamera
-    flux : float
-        Photons/s on the device, of a scene of mean brightness.
-    """
+    """Light of scenes on the mirrors, and what a frame sends of it to the detectors."""
 
     def __init__(
         self, manifest: Manifest, scenes: np.ndarray, camera: VirtualCamera, flux: float
@@ -324,23 +315,7 @@ def arrival_rates(
     flux: float,
     report: Progress = SILENT,
 ) -> np.ndarray:
-    """Arrivals/s (S, F, inputs) at each detector while each frame is shown, before dead time.
-
-    Parameters
-    ----------
-    patterns_folder : str or path
-    scenes : array (S, h, w) or (S, N)
-    camera : VirtualCamera
-    flux : float
-        Photons/s on the device, of a scene of mean brightness.
-    report : Progress
-        Told of the share that is done.
-
-    Raises
-    ------
-    InputError
-        If the scenes are no images, or the camera does not fit the patterns.
-    """
+    """Arrivals/s (S, F, inputs) at each detector while each frame is shown, before dead time."""
     manifest = read_patterns(patterns_folder).manifest
     images = check_scenes(scenes, manifest, flux)
     frames = len(manifest.frames)

@@ -73,20 +73,7 @@ class Detector(StrictModel):
 
 
 def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Cut a course of steady rates into chunks of about `EVENTS_AT_ONCE` events.
-
-    Parameters
-    ----------
-    durations : array (F,)
-        Ticks, int64.
-    rates : array (F, A)
-        Arrivals/s at each detector.
-
-    Yields
-    ------
-    durations, rates : arrays
-        Of each chunk's pieces; what takes long is cut into several.
-    """
+    """Cut a course of steady rates into chunks of about `EVENTS_AT_ONCE` events."""
     expected = rates.sum(axis=1) * (durations * DETECTOR_TICK_S)
     parts = np.maximum(np.ceil(expected / EVENTS_AT_ONCE), 1).astype(np.int64)
     source = np.repeat(np.arange(len(parts)), parts)
@@ -154,16 +141,7 @@ class Shutter:
 
 
 class Stream:
-    """Events of one detector in order of time, from one chunk to the next.
-
-    Parameters
-    ----------
-    detector : Detector
-    rng : Generator
-        That draws its events.
-    shutter : Shutter, optional
-        Gates, of a detector that has them.
-    """
+    """Events of one detector in order of time, from one chunk to the next."""
 
     def __init__(
         self, detector: Detector, rng: np.random.Generator, shutter: Shutter | None = None

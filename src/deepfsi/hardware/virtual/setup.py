@@ -56,24 +56,7 @@ class Latencies(StrictModel):
 
 
 class VirtualOptics:
-    """The parts that virtual devices share: clock, scene on the display, light and detectors.
-
-    Parameters
-    ----------
-    rates : array (S, F, inputs)
-        Arrivals/s of each scene and frame.
-    camera : VirtualCamera
-    latencies : Latencies
-    seed : int
-    made : callable, optional
-        Arrivals/s (inputs,) of a frame that is made while the run goes on, by its scene and its
-        packed bits.
-
-    Raises
-    ------
-    InputError
-        If the camera has gates.
-    """
+    """The parts that virtual devices share: clock, scene on the display, light and detectors."""
 
     def __init__(
         self,
@@ -218,17 +201,7 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
 
 
 class VirtualCounter(AbstractContextManager["VirtualCounter"]):
-    """Counter of the photons of a virtual setup, which it records into a PTU file.
-
-    Parameters
-    ----------
-    optics : VirtualOptics
-        Where photons and markers come from.
-    inputs : tuple of int
-        Of the counter, one for each detector, from 0.
-    marker_bit : int
-        Bits of a frame's marker.
-    """
+    """Counter of the photons of a virtual setup, which it records into a PTU file."""
 
     def __init__(
         self, optics: VirtualOptics, inputs: tuple[int, ...], marker_bit: int = FRAME_MARKER
@@ -281,28 +254,7 @@ def virtual_setup(
     *,
     decision_s: float | None = None,
 ) -> Setup[VirtualProjector]:
-    """Virtual devices of a run, with the camera, flux, seed and wiring of its acquisition.
-
-    Parameters
-    ----------
-    patterns : path
-        Folder of patterns.
-    scenes : ndarray
-        What the display shows, (S, h, w).
-    acquisition : Acquisition
-        Settings of the run.
-    latencies : Latencies
-        Those that are not set follow from the device, and from `decision_s`.
-    report : callable
-        Told of the share that is done.
-    decision_s : float, optional
-        Usual time of a decision, seconds, of a live run.
-
-    Raises
-    ------
-    InputError
-        If the scenes, or a gated camera, cannot be used.
-    """
+    """Virtual devices of a run, with the camera, flux, seed and wiring of its acquisition."""
     camera = VirtualCamera.model_validate(acquisition.camera)
     if acquisition.live is not None and acquisition.live.background:
         scenes = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last: no scene

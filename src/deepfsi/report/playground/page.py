@@ -34,19 +34,7 @@ _RAILS_WORDS = {
 
 
 def write_page(path: str | os.PathLike[str], payload: Mapping[str, Any]) -> Path:
-    """Write the page of a design, whole or not at all.
-
-    Parameters
-    ----------
-    path : path
-    payload : mapping
-        The design as `evaluation.playable` makes it.
-
-    Returns
-    -------
-    path
-        The same.
-    """
+    """Write the page of a design, whole or not at all."""
     bands = [nm for nm in payload["scenes"]["wavelengths"] or [] if nm > 0]
     masks = _masks_text(payload)
     how = "counts photons through masks, and a small network reads the counts"

@@ -47,14 +47,7 @@ def styled(draw: Callable[_Args, Figure]) -> Callable[_Args, Figure]:
 
 
 def write_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as the kind that its name ends in, whole or not at all.
-
-    Parameters
-    ----------
-    figure : Figure
-    path : path
-        Ends in .png, .svg or .pdf.
-    """
+    """Write a figure as the kind that its name ends in, whole or not at all."""
     picture = io.BytesIO()
     with _drawing():
         figure.savefig(picture, dpi=160, format=path.suffix.lower()[1:])
@@ -66,14 +59,6 @@ def svg(figure: Figure, name: str, words: str) -> str:
 
     It is at least as large as on paper, and so large that its smallest words have `LEAST_TEXT`
     pixels. Where the page has less room it shrinks to `NARROWEST_SHARE` of that, and then scrolls.
-
-    Parameters
-    ----------
-    figure : Figure
-    name : str
-        Its ids begin with it, so that they differ on the page.
-    words : str
-        What it shows, for those who do not see it.
     """
     text = io.StringIO()
     with _drawing():
@@ -107,29 +92,12 @@ def _of_page(tag: str, name: str) -> str:
 
 
 def inches(words: str, size: float) -> float:
-    """Width of an entry of a key in inches, about, with its mark.
-
-    Parameters
-    ----------
-    words : str
-    size : float
-        Size of the words, points.
-    """
+    """Width of an entry of a key in inches, about, with its mark."""
     return 0.5 + 0.008 * size * max(map(len, words.splitlines()))
 
 
 def columns(words: Iterable[str], width: float, size: float) -> int:
-    """Number of columns of a key that fit a figure, all as wide as the widest entry.
-
-    Parameters
-    ----------
-    words : iterable of str
-        Entries.
-    width : float
-        Of the figure, inches.
-    size : float
-        Size of the words, points.
-    """
+    """Number of columns of a key that fit a figure, all as wide as the widest entry."""
     return max(1, int(width / max(inches(entry, size) for entry in words)))
 
 
