@@ -330,37 +330,6 @@ def no_participles(house):
 
 
 @rule
-def described_exports(house):
-    """Functions and classes of two parameters or more that a door exports describe them."""
-    for room, exports in house.exports.items():
-        for name, behind in exports.items():
-            for node in house.modules[house.home(behind, name)].tree.body:
-                if getattr(node, "name", None) == name and not _is_described(node):
-                    yield f"{room}.{name} has no section of parameters"
-
-
-def _is_described(node: Function | ast.ClassDef) -> bool:
-    """Fields of a record, a dataclass or a named tuple, may have docstrings below them."""
-    makers = [node] if isinstance(node, Function) else []
-    docs, count = ast.get_docstring(node) or "", 0
-    if isinstance(node, ast.ClassDef):
-        makers = [each for each in node.body if getattr(each, "name", None) == "__init__"]
-        marks = [ast.unparse(each) for each in (*node.decorator_list, *node.bases)]
-        if not makers and any("dataclass" in m or "NamedTuple" in m for m in marks):
-            pairs = zip(node.body, [*node.body[1:], None], strict=True)
-            fields = [after for field, after in pairs if isinstance(field, ast.AnnAssign)]
-            said = [isinstance(getattr(after, "value", None), ast.Constant) for after in fields]
-            said = [yes and isinstance(a, ast.Expr) for yes, a in zip(said, fields, strict=True)]
-            return len(fields) < 2 or all(said) or bool(DESCRIBED.search(docs))
-    for maker in makers:
-        args = maker.args
-        given = {arg.arg for arg in (*args.posonlyargs, *args.args, *args.kwonlyargs)}
-        count += len(given - {"self", "cls"})
-        docs += "\n" + (ast.get_docstring(maker) or "")
-    return count < 2 or bool(DESCRIBED.search(docs))
-
-
-@rule
 def named_values(house):
     """At most four values are passed by position to what is the package's own."""
     methods = {

@@ -290,7 +290,7 @@ class Nested(_Conditioned, _Sharing):
 
 
 class ConditionedEntry(_SharingEntry):
-    """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs."""
+    """Exposure of fixed dwells whose classifier reads budget and number of masks, too."""
 
     photons: Positive  # lowest budget of the training
     span: Annotated[float, Field(ge=1, allow_inf_nan=False)]  # highest over lowest
