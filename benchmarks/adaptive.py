@@ -26,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 import deepfsi
-from deepfsi.evaluation import of_page
+from deepfsi.evaluation.page_data import of_page
 from deepfsi_paper.adaptive.clock import decision_time
 
 

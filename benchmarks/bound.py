@@ -16,8 +16,8 @@ from torch import nn
 from torch.nn import functional
 
 from deepfsi import load_dataset
-from deepfsi.base.numeric import wilson
-from deepfsi.camera import photons_per_pixel, summed_reflectance
+from deepfsi.base.numeric.intervals import wilson
+from deepfsi.camera.light import photons_per_pixel, summed_reflectance
 
 
 def network(side: int, classes: int) -> nn.Sequential:

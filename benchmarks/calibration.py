@@ -20,12 +20,12 @@ import numpy as np
 from scipy.special import softmax
 
 import deepfsi
-from deepfsi.datasets import Dataset
-from deepfsi.evaluation import logits_at_stops
-from deepfsi.jobs import Job
-from deepfsi.measures import chance_error, confidence_error
-from deepfsi.networks import stop_temperatures
-from deepfsi.training import find_temperatures
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.evaluation.confidence import logits_at_stops
+from deepfsi.jobs.job import Job
+from deepfsi.measures.reliability import chance_error, confidence_error
+from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.training.characterisation import find_temperatures
 
 KINDS: dict[str, dict[str, Any]] = {
     "fixed, 10⁴": {"masks": 16, "photons": 1e4, "camera": "paper"},

@@ -29,10 +29,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from deepfsi import Dataset, Design, learn, load_dataset
-from deepfsi.base import write_atomically
-from deepfsi.base.numeric import wilson
-from deepfsi.exposure import Observation
-from deepfsi.physics import frames
+from deepfsi.base.files import write_atomically
+from deepfsi.base.numeric.intervals import wilson
+from deepfsi.exposure.kind import Observation
+from deepfsi.physics.laws import frames
 from deepfsi.report.style import DESIGN_COLOURS, photons_text, styled
 
 PICTURE_S, SETTLE_S = 44e-6, 10e-6

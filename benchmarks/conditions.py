@@ -15,11 +15,13 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from deepfsi.camera import summed_reflectance
-from deepfsi.datasets import Dataset, ambient, jitter, load_dataset
-from deepfsi.design import Design
-from deepfsi.evaluation import evaluate
-from deepfsi.training import learn
+from deepfsi.camera.light import summed_reflectance
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.datasets.variants import ambient, jitter
+from deepfsi.design.design import Design
+from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.training.learning import learn
 
 STRAY = 1.0
 """Stray light over the scenes' mean light."""

@@ -15,10 +15,11 @@ import numpy as np
 import torch
 from scipy.ndimage import gaussian_filter
 
-from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.design import Design
-from deepfsi.designfile import REFUSED
-from deepfsi.training import learn
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.design.design import Design
+from deepfsi.designfile.distribution import REFUSED
+from deepfsi.training.learning import learn
 
 BUDGETS = (1e3, 1e4, 1e5, 1e6)
 SOUND = "nothing"

@@ -16,16 +16,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.base import InputError
-from deepfsi.base.numeric import NumberTable
-from deepfsi.camera import CounterEffects, DeadTime, find_device
-from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.design import Design
-from deepfsi.hardware.counting import TableSettings, count_table
-from deepfsi.hardware.patterns import FrameSettings, Patterns, export_patterns
-from deepfsi.hardware.virtual import Detector
-from deepfsi.lab import design_rails
-from deepfsi.training import learn
+from deepfsi.base.errors import InputError
+from deepfsi.base.numeric.tables import NumberTable
+from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.camera.device import find_device
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.design.design import Design
+from deepfsi.hardware.counting.tables import TableSettings, count_table
+from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
+from deepfsi.hardware.virtual.detector import Detector
+from deepfsi.lab.looks import design_rails
+from deepfsi.training.learning import learn
 from deepfsi_paper.camera.gate_counts import draw
 
 RATE = 1e7

@@ -16,8 +16,9 @@ from collections.abc import Callable
 
 import torch
 
-from deepfsi.camera import DetectorMap
-from deepfsi.physics import Detection, ml_gauss_features
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.training_noise import ml_gauss_features
 
 FRAMES = 8
 BATCH = 500

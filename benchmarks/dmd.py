@@ -5,7 +5,7 @@
 
 32 x 32 cells of 24 x 32 mirrors; a frame is 98 304 bytes. "hadamard" is 1024 signed masks, 2047
 frames of full and dark cells; "grey" is 92 signed masks, 184 frames with every grey level. Ours is
-`deepfsi.hardware.patterns.make_frames`, one thread. Beside it, for each frame,
+`deepfsi.hardware.patterns.frames.make_frames`, one thread. Beside it, for each frame,
 
     ordered    the mask enlarged by `numpy.kron`, compared with the order of the mirrors (made
                beforehand), and `numpy.packbits`; the frames are the same, bit by bit
@@ -33,15 +33,12 @@ import numpy as np
 from skimage.transform import resize
 from sklearn.datasets import load_sample_image
 
-from deepfsi.camera import DEVICES, DmdLayout, find_grid
-from deepfsi.hardware.patterns import (
-    DesignRails,
-    FrameSettings,
-    export_patterns,
-    make_frames,
-    unpack,
-)
-from deepfsi.jobs import hadamard_masks
+from deepfsi.camera.device import DEVICES
+from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.patterns.frames import make_frames, unpack
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.jobs.designs import hadamard_masks
 
 DEVICE = DEVICES["dlp7000"]
 SHAPE = (32, 32)

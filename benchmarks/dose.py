@@ -16,7 +16,7 @@ from torch import nn
 from torch.nn import functional
 
 from deepfsi import Scanner, design_of, evaluate, load_dataset
-from deepfsi.camera import photons_per_pixel, summed_reflectance
+from deepfsi.camera.light import photons_per_pixel, summed_reflectance
 
 
 class Crop(nn.Module):

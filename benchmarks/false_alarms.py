@@ -17,19 +17,17 @@ import typer
 from scipy.stats import binomtest
 
 import deepfsi
-from deepfsi.adaptive import AdaptivePosterior, look_at, squared_distance
-from deepfsi.camera import DEVICES, DetectorMap
-from deepfsi.designfile import REFUSED, UNSURE, ReadoutDistribution
-from deepfsi.evaluation import find_distribution
-from deepfsi.hardware.light import (
-    FALSE_ALARMS,
-    PARTS_OF_FRAME,
-    Arrivals,
-    LightMonitor,
-    check_light,
-    find_lateness,
-)
-from deepfsi.hardware.patterns import Brightness, Frame, Manifest
+from deepfsi.adaptive.choice import look_at
+from deepfsi.adaptive.exposure import squared_distance
+from deepfsi.adaptive.posterior import AdaptivePosterior
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera.device import DEVICES
+from deepfsi.designfile.distribution import REFUSED, UNSURE, ReadoutDistribution
+from deepfsi.evaluation.distribution_fit import find_distribution
+from deepfsi.hardware.light.checks import check_light, find_lateness
+from deepfsi.hardware.light.curves import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
+from deepfsi.hardware.light.monitor import LightMonitor
+from deepfsi.hardware.patterns.manifest import Brightness, Frame, Manifest
 
 PASSES, MASKS, FRAME_S = 20, 10, 1e-3
 FLUX, DARK = 1e6, 1e3

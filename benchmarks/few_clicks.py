@@ -22,11 +22,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from deepfsi.base.numeric import wilson
-from deepfsi.camera import LightLawName
-from deepfsi.datasets import load_dataset
-from deepfsi.evaluation import evaluate
-from deepfsi.training import learn
+from deepfsi.base.numeric.intervals import wilson
+from deepfsi.camera.names import LightLawName
+from deepfsi.datasets.load import load_dataset
+from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.training.learning import learn
 
 EXPERIMENT = {5.0: 0.765, 8.6: 0.857, 13.0: 0.919, 18.0: 0.951, 29.3: 0.972}
 """Mean clicks of the experiment, and its accuracy."""

@@ -34,7 +34,8 @@ from sklearn.naive_bayes import MultinomialNB
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from deepfsi.datasets import Dataset, load_dataset
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
 from published import NEURONS, Network, read_networks, share
 
 PHOTONS = (1, 6, 34, 72, 303)

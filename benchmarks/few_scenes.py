@@ -19,10 +19,10 @@ import numpy as np
 from scipy.special import softmax
 
 import deepfsi
-from deepfsi.datasets import Dataset
-from deepfsi.evaluation import logits_at_stops
-from deepfsi.measures import chance_error, confidence_error
-from deepfsi.networks import stop_temperatures
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.evaluation.confidence import logits_at_stops
+from deepfsi.measures.reliability import chance_error, confidence_error
+from deepfsi.networks.temperatures import stop_temperatures
 
 DESIGNS: dict[str, dict[str, Any]] = {
     "adaptive masks": {"design": "adaptive", "masks": 16},

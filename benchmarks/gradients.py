@@ -26,21 +26,22 @@ from scipy import stats
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.datasets import load_dataset
-from deepfsi.design import Design
-from deepfsi.evaluation import evaluate
-from deepfsi.exposure import FixedExposure, TrainedMasks, TrainingSet
-from deepfsi.jobs import Job, Training
-from deepfsi.networks import Mlp
-from deepfsi.physics import (
-    Detection,
-    LearnedMasks,
-    Poisson,
-    Rails,
-    light_law,
-    ml_gauss_features,
-    project,
-)
+from deepfsi.datasets.load import load_dataset
+from deepfsi.design.design import Design
+from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.exposure.fixed import FixedExposure
+from deepfsi.exposure.kind import TrainedMasks
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import Training
+from deepfsi.networks.classifiers import Mlp
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.laws import light_law
+from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.noise import Poisson
+from deepfsi.physics.rails import Rails
+from deepfsi.physics.scanner import project
+from deepfsi.physics.training_noise import ml_gauss_features
 
 GRID = ((1e-2, 0.03), (1e-2, 0.1), (1e-2, 0.3), (5e-3, 0.1))
 """Learning rates of classifier and masks to choose from."""
@@ -220,7 +221,7 @@ def descend(
 def learn(
     training_set: TrainingSet, job: Job, estimator: Estimator | None, keep: np.ndarray | None = None
 ) -> Design:
-    """Train one dual-rail design as `deepfsi.training.train` does, but for the estimator.
+    """Train one dual-rail design as `deepfsi.training.learning.train` does, but for the estimator.
 
     With masks to `keep`, a matrix (m, N), the classifier alone.
     """

@@ -19,20 +19,17 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.datasets import Dataset, from_arrays, load_dataset
-from deepfsi.report import write_report
-from deepfsi.sweeps import (
-    FinishedTrial,
-    FoldRecords,
-    Recipe,
-    Records,
-    plan_trials,
-    run_trials,
-    summarise_records,
-    write_results,
-    write_table,
-)
-from deepfsi.training import learn
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.report.comparison_page import write_report
+from deepfsi.sweeps.plan import plan_trials
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.records import FinishedTrial, Records, write_table
+from deepfsi.sweeps.results import write_results
+from deepfsi.sweeps.run import run_trials
+from deepfsi.sweeps.summary import FoldRecords, summarise_records
+from deepfsi.training.learning import learn
 
 SIZES = {
     "records": (100, 1000, 10_000),

@@ -21,7 +21,8 @@ import onnxruntime
 import torch
 
 from deepfsi import learn, load_dataset
-from deepfsi.design import Design, to_onnx
+from deepfsi.design.design import Design
+from deepfsi.design.onnx import to_onnx
 
 PHOTONS = 1e4
 

@@ -38,20 +38,25 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.camera import find_device
-from deepfsi.designfile import DesignFile, MaskHeader
-from deepfsi.hardware.counting import FrameCounter, FrameCounts, FrameGates, Scene
-from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.live import FixedMaskLooks, FrameList, SceneObserver, plan_live, run_live
-from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.photons import PtuFile, PtuWriter, count_windows, read_markers
-from deepfsi.hardware.virtual import (
+from deepfsi.camera.device import find_device
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.header import MaskHeader
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
+from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.live.looks import FixedMaskLooks, FrameList
+from deepfsi.hardware.live.observer import SceneObserver
+from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.reader import PtuFile, count_windows, read_markers
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.setup import (
     Latencies,
-    VirtualCamera,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
-    arrival_rates,
 )
 
 FLUX, TICK_S, SETTLE_S = 1e7, 1e-12, 1e-5

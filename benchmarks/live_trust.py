@@ -20,24 +20,24 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi import Looks, Training, learn, load_dataset
-from deepfsi.base import InputError
-from deepfsi.camera import find_device
-from deepfsi.datasets import Dataset
-from deepfsi.hardware.counting import Scene
-from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.live import LiveCounts, LiveScene, plan_live, replay_run, run_live
-from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.virtual import (
-    DETECTOR_TICK_S,
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import find_device
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.live.replay import LiveCounts, replay_run
+from deepfsi.hardware.live.results import LiveScene
+from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.virtual.camera import MirrorLight, VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
+from deepfsi.hardware.virtual.setup import (
     Latencies,
-    MirrorLight,
-    VirtualCamera,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
-    arrival_rates,
 )
-from deepfsi.lab import design_rails, open_looks
+from deepfsi.lab.looks import design_rails, open_looks
 
 FLUX, EXPOSURE_S, PHOTONS = 1e7, 10e-3, 1e5
 SURE = 0.9

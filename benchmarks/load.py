@@ -32,10 +32,11 @@ CHOSEN_HERE = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "OMP_NUM_THREADS")
 
 def train_once(data: str, scenes: int, masks: int, epochs: int) -> tuple[float, float]:
     """Wall and processor seconds of a training in this process."""
-    from deepfsi.datasets import load_dataset
-    from deepfsi.exposure import TrainingSet
-    from deepfsi.jobs import Job, Training
-    from deepfsi.training import train
+    from deepfsi.datasets.load import load_dataset
+    from deepfsi.exposure.training_set import TrainingSet
+    from deepfsi.jobs.job import Job
+    from deepfsi.jobs.training import Training
+    from deepfsi.training.learning import train
 
     whole = load_dataset(data)
     few = replace(whole, x_train=whole.x_train[:scenes], y_train=whole.y_train[:scenes])

@@ -71,7 +71,7 @@ def peak() -> float:
 def train_once(form: str, path: Path, design: str, epochs: int) -> dict[str, float]:
     """Train in this process; memory and seconds."""
     from deepfsi import Training, learn
-    from deepfsi.base import Progress
+    from deepfsi.base.progress import Progress
 
     marks: list[tuple[float, float]] = []
     began = time.process_time()

@@ -15,14 +15,16 @@ from contextlib import contextmanager
 
 import torch
 
-from deepfsi.base import Moments
-from deepfsi.camera import Camera
-from deepfsi.datasets import load_dataset
-from deepfsi.evaluation import evaluate
-from deepfsi.exposure import TrainingSet
+from deepfsi.base.progress import Moments
+from deepfsi.camera.camera import Camera
+from deepfsi.datasets.load import load_dataset
+from deepfsi.evaluation.accuracy import evaluate
 from deepfsi.exposure import training_set as rules
-from deepfsi.jobs import Fixed, Job, Looks, Training
-from deepfsi.training import train
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.jobs.exposures import Fixed, Looks
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import Training
+from deepfsi.training.learning import train
 
 TYPES = {"float32": 10**9, "bfloat16": 0}
 """Units from which networks are in bfloat16: for none, and for all."""

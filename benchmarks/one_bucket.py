@@ -16,8 +16,9 @@ import torch
 from torch import Tensor
 
 import deepfsi
-from deepfsi.adaptive import AdaptivePosterior, look_at
-from deepfsi.evaluation import information_rate
+from deepfsi.adaptive.choice import look_at
+from deepfsi.adaptive.posterior import AdaptivePosterior
+from deepfsi.evaluation.bounds import information_rate
 
 STARTS = 300
 """Random starts of the search."""

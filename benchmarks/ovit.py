@@ -20,12 +20,15 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, TensorDataset
 
-from deepfsi.base import Moments, Progress
-from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.exposure import TrainingSet, network_dtype
-from deepfsi.jobs import Job, Patches, sensing_matrix
-from deepfsi.networks import Vit
-from deepfsi.training import train
+from deepfsi.base.progress import Moments, Progress
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.exposure.training_set import TrainingSet, network_dtype
+from deepfsi.jobs.exposures import Patches
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.tiles import sensing_matrix
+from deepfsi.networks.classifiers import Vit
+from deepfsi.training.learning import train
 from deepfsi_paper.studies import find
 
 BUDGET, CLASSES = 1e4, 10

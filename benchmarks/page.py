@@ -20,13 +20,16 @@ import torch
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 
-from deepfsi.datasets import from_arrays
-from deepfsi.design import Design
-from deepfsi.evaluation import playable
-from deepfsi.exposure import FixedExposure, TrainedMasks
-from deepfsi.networks import Mlp
-from deepfsi.physics import Detection, Rails, light_law
-from deepfsi.report.playground import write_page
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.design.design import Design
+from deepfsi.evaluation.page_data import playable
+from deepfsi.exposure.fixed import FixedExposure
+from deepfsi.exposure.kind import TrainedMasks
+from deepfsi.networks.classifiers import Mlp
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.laws import light_law
+from deepfsi.physics.rails import Rails
+from deepfsi.report.playground.page import write_page
 
 MEASURE = """
 const { page, model } = window.playground;

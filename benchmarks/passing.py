@@ -25,10 +25,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepfsi import Camera, Passing, Training, evaluate, learn, load_dataset
-from deepfsi.base import SILENT
-from deepfsi.base.numeric import wilson
-from deepfsi.datasets import Dataset
-from deepfsi.lab import classify_transits, simulate_transits
+from deepfsi.base.numeric.intervals import wilson
+from deepfsi.base.progress import SILENT
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.lab.transits import classify_transits, simulate_transits
 
 KINDS: dict[str, dict[str, Any]] = {
     "learned, grey": {"design": "deepfsi", "camera": Camera()},

@@ -36,14 +36,18 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base.numeric import wilson
-from deepfsi.camera import LightLawName, summed_reflectance
-from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.design import Design
-from deepfsi.evaluation import evaluate
-from deepfsi.physics import light_law
-from deepfsi.sweeps import Point, Recipe, compare
-from deepfsi.training import learn
+from deepfsi.base.numeric.intervals import wilson
+from deepfsi.camera.light import summed_reflectance
+from deepfsi.camera.names import LightLawName
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.design.design import Design
+from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.physics.laws import light_law
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.results import Point
+from deepfsi.sweeps.run import compare
+from deepfsi.training.learning import learn
 
 NEURONS = (10, 50, 100, 400)
 """Sizes of the published networks."""

@@ -14,10 +14,11 @@ import argparse
 import torch
 from torch.profiler import ProfilerActivity, profile
 
-from deepfsi.datasets import load_dataset
-from deepfsi.exposure import TrainingSet
-from deepfsi.jobs import Job, Precision, Training
-from deepfsi.training import train
+from deepfsi.datasets.load import load_dataset
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import Precision, Training
+from deepfsi.training.learning import train
 
 SHOWN = 14
 

@@ -23,14 +23,20 @@ import numpy as np
 import torch
 from torch import nn
 
-from deepfsi.base import Moments
-from deepfsi.datasets import Dataset, from_arrays, load_dataset
-from deepfsi.evaluation import evaluate
-from deepfsi.exposure import TrainingSet
-from deepfsi.jobs import Job, Training
-from deepfsi.networks import Mlp, Replicas
-from deepfsi.sweeps import PAPER_RATIOS, Recipe, Workers, default_count, plan_trials, run_trials
-from deepfsi.training import train
+from deepfsi.base.progress import Moments
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import Training
+from deepfsi.networks.classifiers import Mlp, Replicas
+from deepfsi.sweeps.plan import plan_trials
+from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
+from deepfsi.sweeps.run import run_trials
+from deepfsi.sweeps.workers import Workers, default_count
+from deepfsi.training.learning import train
 
 BUDGETS, SEEDS, EPOCHS, BATCH = (1e3, 1e4, 1e5, 1e6), 5, 20, 500
 PAPER_SECONDS = 2.87e4

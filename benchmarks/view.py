@@ -18,12 +18,14 @@ from pathlib import Path
 import numpy as np
 
 import deepfsi
-from deepfsi.camera import find_device
-from deepfsi.hardware.counting import Scene, TableSettings
-from deepfsi.hardware.live import plan_live, run_live
-from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.virtual import Latencies, VirtualCamera, arrival_rates, virtual_setup
-from deepfsi.lab import design_rails, open_looks
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.counting.tables import TableSettings
+from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.lab.looks import design_rails, open_looks
 
 SCENES, PHOTONS, EXPOSURE_S = 40, 1e4, 10e-3
 

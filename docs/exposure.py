@@ -15,8 +15,9 @@ import numpy as np
 import torch
 
 import deepfsi
-from deepfsi.adaptive import AdaptivePosterior, look_at
-from deepfsi.base import write_atomically
+from deepfsi.adaptive.choice import look_at
+from deepfsi.adaptive.posterior import AdaptivePosterior
+from deepfsi.base.files import write_atomically
 
 PHOTONS, LOOKS = 1e4, 16
 """Budget of a whole exposure, and its looks."""

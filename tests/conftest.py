@@ -20,10 +20,14 @@ import torch
 from torch import Tensor
 
 from deepfsi import Design
-from deepfsi.camera import LIGHT_LAWS
-from deepfsi.datasets import Dataset, from_arrays, load_dataset
-from deepfsi.jobs import DESIGNS, count_allowed
-from deepfsi.physics import Rails, light_law
+from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs.tiles import count_allowed
+from deepfsi.physics.laws import light_law
+from deepfsi.physics.rails import Rails
 from shared.jobs import learn
 from shared.pictures import save_images
 

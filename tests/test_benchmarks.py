@@ -11,14 +11,18 @@ from torch.nn import functional
 
 from conftest import generator, quick
 from deepfsi import Mlp, load_design
-from deepfsi.datasets import ambient, from_arrays
-from deepfsi.exposure import JobGroup, TrainingSet, build_training
-from deepfsi.hardware.patterns import unpack
-from deepfsi.hardware.patterns.frames import recount
-from deepfsi.jobs import Job, Patches, Training, cut_patches
-from deepfsi.physics import ROUNDING_SLACK, light_law
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.datasets.variants import ambient
+from deepfsi.exposure.kinds import build_training
+from deepfsi.exposure.training import JobGroup
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.hardware.patterns.frames import recount, unpack
+from deepfsi.jobs.exposures import Patches, cut_patches
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import Training
+from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from deepfsi.physics.noise import attach_gradient
-from deepfsi.training import train
+from deepfsi.training.learning import train
 from shared.benchmarks import benchmark
 
 DRAWS = 400_000

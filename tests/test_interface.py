@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import deepfsi
-from deepfsi.camera import CameraSettings
-from deepfsi.sweeps import Recipe, check_settings
+from deepfsi.camera.camera import CameraSettings
+from deepfsi.sweeps.plan import check_settings
+from deepfsi.sweeps.recipe import Recipe
 
 ROOT = Path(__file__).parents[1]
 
@@ -130,7 +131,7 @@ ANYTHING = "from typing import Any, cast\n{0} = cast(Any, ...)"
 BEFORE = {
     "docs/do/live": ANYTHING.format("my_projector = my_counter = my_display"),
     "docs/develop/drivers": """from pathlib import Path
-from deepfsi.hardware.counting import Acquisition, Scene
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene
 """
     + ANYTHING.format("my_display = my_recording")
     + "\nscenes: list[Scene] = []\nacquisition = cast(Acquisition, ...)",

@@ -13,9 +13,9 @@ import torch
 
 import deepfsi
 from conftest import RECIPE, quick, same
-from deepfsi.base import Progress, progress_bar
-from deepfsi.jobs import Job, Training
-from deepfsi.jobs.training import TUNED
+from deepfsi.base.progress import Progress, progress_bar
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import TUNED, Training
 from shared import commands
 from shared.house import trees
 from shared.jobs import learn

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from deepfsi import evaluate, learn
-from deepfsi.camera import summed_reflectance
-from deepfsi.datasets import load_dataset
-from deepfsi.physics import light_law
+from deepfsi.camera.light import summed_reflectance
+from deepfsi.datasets.load import load_dataset
+from deepfsi.physics.laws import light_law
 from shared.benchmarks import HERE, benchmark
 
 

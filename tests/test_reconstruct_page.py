@@ -19,11 +19,14 @@ import torch
 from torch import Tensor, nn
 
 from conftest import generator
-from deepfsi.camera import Device
-from deepfsi.hardware.counting import count_run, read_counts, read_run
-from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
-from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
-from deepfsi.physics import light_law
+from deepfsi.camera.device import Device
+from deepfsi.hardware.counting.acquisition import read_run
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.physics.laws import light_law
 
 PAGE = (Path(__file__).parents[1] / "docs/notebook/pictures.md").read_text()
 READ, DEEPINV, SPYRIT, SHOW = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)

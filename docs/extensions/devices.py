@@ -2,7 +2,7 @@
 
 from markdown import Made, table
 
-from deepfsi.camera import DEVICES
+from deepfsi.camera.device import DEVICES
 
 HEADS = ["device", "mirrors, pitch", "controller, frames held", "shortest, µs"]
 

@@ -2,7 +2,7 @@
 
 from sklearn.datasets import load_digits
 
-from deepfsi.datasets import write_pictures
+from deepfsi.datasets.display import write_pictures
 
 digits = load_digits()
 named = enumerate(zip(digits.images, digits.target, strict=True))

@@ -13,8 +13,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from deepfsi.hardware.counting import read_counts
-from deepfsi.hardware.patterns import read_frames, read_patterns, unpack
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.frames import unpack
 
 # %%
 # Your camera

@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.evaluation import stop
+from deepfsi.evaluation.stopping import stop
 
 # %%
 # From an accuracy to photons

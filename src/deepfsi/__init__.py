@@ -12,69 +12,69 @@ import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from deepfsi.base import InputError as InputError
-    from deepfsi.camera import Camera as Camera
-    from deepfsi.camera import photons_per_pixel as photons_per_pixel
-    from deepfsi.datasets import Dataset as Dataset
-    from deepfsi.datasets import from_arrays as from_arrays
-    from deepfsi.datasets import load_dataset as load_dataset
-    from deepfsi.design import Design as Design
-    from deepfsi.design import load_design as load_design
-    from deepfsi.evaluation import IdealObserver as IdealObserver
-    from deepfsi.evaluation import evaluate as evaluate
-    from deepfsi.evaluation import ideal_observer as ideal_observer
-    from deepfsi.jobs import Fixed as Fixed
-    from deepfsi.jobs import Job as Job
-    from deepfsi.jobs import Looks as Looks
-    from deepfsi.jobs import Nested as Nested
-    from deepfsi.jobs import Passing as Passing
-    from deepfsi.jobs import Patches as Patches
-    from deepfsi.jobs import Range as Range
-    from deepfsi.jobs import SharedLight as SharedLight
-    from deepfsi.jobs import Training as Training
-    from deepfsi.lab import classify_run as classify_run
-    from deepfsi.lab import classify_table as classify_table
-    from deepfsi.lab import predict as predict
-    from deepfsi.measures import Result as Result
-    from deepfsi.networks import Mlp as Mlp
-    from deepfsi.networks import OwnClassifier as OwnClassifier
-    from deepfsi.physics import Scanner as Scanner
-    from deepfsi.training import design_of as design_of
-    from deepfsi.training import learn as learn
+    from deepfsi.base.errors import InputError as InputError
+    from deepfsi.camera.camera import Camera as Camera
+    from deepfsi.camera.light import photons_per_pixel as photons_per_pixel
+    from deepfsi.datasets.arrays import from_arrays as from_arrays
+    from deepfsi.datasets.dataset import Dataset as Dataset
+    from deepfsi.datasets.load import load_dataset as load_dataset
+    from deepfsi.design.design import Design as Design
+    from deepfsi.design.design import load_design as load_design
+    from deepfsi.evaluation.accuracy import evaluate as evaluate
+    from deepfsi.evaluation.ideal import IdealObserver as IdealObserver
+    from deepfsi.evaluation.ideal import ideal_observer as ideal_observer
+    from deepfsi.jobs.exposures import Fixed as Fixed
+    from deepfsi.jobs.exposures import Looks as Looks
+    from deepfsi.jobs.exposures import Nested as Nested
+    from deepfsi.jobs.exposures import Passing as Passing
+    from deepfsi.jobs.exposures import Patches as Patches
+    from deepfsi.jobs.exposures import Range as Range
+    from deepfsi.jobs.exposures import SharedLight as SharedLight
+    from deepfsi.jobs.job import Job as Job
+    from deepfsi.jobs.training import Training as Training
+    from deepfsi.lab.classify import classify_run as classify_run
+    from deepfsi.lab.classify import classify_table as classify_table
+    from deepfsi.lab.prediction import predict as predict
+    from deepfsi.measures.results import Result as Result
+    from deepfsi.networks.classifiers import Mlp as Mlp
+    from deepfsi.networks.custom import OwnClassifier as OwnClassifier
+    from deepfsi.physics.scanner import Scanner as Scanner
+    from deepfsi.training.assembly import design_of as design_of
+    from deepfsi.training.learning import learn as learn
 
 if "GOMP_SPINCOUNT" not in os.environ:
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # read when torch is imported
 
 _HOMES = {
-    "Camera": "camera",
-    "Dataset": "datasets",
-    "Design": "design",
-    "Fixed": "jobs",
-    "IdealObserver": "evaluation",
+    "Camera": "camera.camera",
+    "Dataset": "datasets.dataset",
+    "Design": "design.design",
+    "Fixed": "jobs.exposures",
+    "IdealObserver": "evaluation.ideal",
     "InputError": "base.errors",
-    "Job": "jobs",
-    "Looks": "jobs",
-    "Mlp": "networks",
-    "Nested": "jobs",
-    "OwnClassifier": "networks",
-    "Passing": "jobs",
-    "Patches": "jobs",
-    "Range": "jobs",
-    "Result": "measures",
-    "Scanner": "physics",
-    "SharedLight": "jobs",
-    "Training": "jobs",
-    "classify_run": "lab",
-    "classify_table": "lab",
-    "design_of": "training",
-    "evaluate": "evaluation",
-    "from_arrays": "datasets",
-    "ideal_observer": "evaluation",
-    "learn": "training",
-    "load_dataset": "datasets",
-    "load_design": "design",
-    "photons_per_pixel": "camera",
-    "predict": "lab",
+    "Job": "jobs.job",
+    "Looks": "jobs.exposures",
+    "Mlp": "networks.classifiers",
+    "Nested": "jobs.exposures",
+    "OwnClassifier": "networks.custom",
+    "Passing": "jobs.exposures",
+    "Patches": "jobs.exposures",
+    "Range": "jobs.exposures",
+    "Result": "measures.results",
+    "Scanner": "physics.scanner",
+    "SharedLight": "jobs.exposures",
+    "Training": "jobs.training",
+    "classify_run": "lab.classify",
+    "classify_table": "lab.classify",
+    "design_of": "training.assembly",
+    "evaluate": "evaluation.accuracy",
+    "from_arrays": "datasets.arrays",
+    "ideal_observer": "evaluation.ideal",
+    "learn": "training.learning",
+    "load_dataset": "datasets.load",
+    "load_design": "design.design",
+    "photons_per_pixel": "camera.light",
+    "predict": "lab.prediction",
 }
 
 __all__ = [
@@ -115,7 +115,7 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("importlib.metadata").version("deepfsi")
     if name not in _HOMES:
         raise AttributeError(f"module 'deepfsi' has no attribute {name!r}")
-    from deepfsi.base import require_extras
+    from deepfsi.base.plugins import require_extras
 
     with require_extras():
         return getattr(importlib.import_module(f"deepfsi.{_HOMES[name]}"), name)

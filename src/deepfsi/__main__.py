@@ -9,7 +9,7 @@ def main() -> NoReturn:
     """Run the command line, with Ctrl-C handled from the first moment."""
     if sys.platform != "win32":  # what stops waits until its handler is there: imports take it ill
         usual = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    from deepfsi.base import STOPPED_EXIT_CODE, end_process, install_handler
+    from deepfsi.base.interrupts import STOPPED_EXIT_CODE, end_process, install_handler
 
     install_handler()
     if sys.platform != "win32":

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 
 CONFIDENCE = 0.95
 """Of the intervals."""

@@ -10,9 +10,9 @@ from functools import partial
 from itertools import pairwise
 from math import prod
 
-from deepfsi.base.numeric import Difference, accuracy_difference, all_above
+from deepfsi.base.numeric.intervals import Difference, accuracy_difference, all_above
 from deepfsi.report.style import BUDGET_AXIS, DESIGN_COLOURS, PAPER, photons_text
-from deepfsi.sweeps import Point, Results
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, cifar10_here
 from deepfsi_paper.report.lines import Line, lines_figure
 from deepfsi_paper.report.section import Claim, Picture, Table

@@ -11,24 +11,21 @@ from typing import Any
 
 import polars
 
-from deepfsi.base import SILENT, InputError, Progress, as_input_error, write_atomically
-from deepfsi.base.numeric import Difference, accuracy_difference, all_above
-from deepfsi.datasets import Dataset, list_datasets, load_dataset
-from deepfsi.report import english_list
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import write_atomically
+from deepfsi.base.numeric.intervals import Difference, accuracy_difference, all_above
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.datasets.catalog import list_datasets
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.report.rendering import english_list
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps import (
-    Point,
-    Recipe,
-    Results,
-    Workers,
-    compare,
-    only,
-    parts,
-    provenance_of,
-    read_results,
-    write_results,
-    write_table,
-)
+from deepfsi.sweeps.recipe import Recipe, only, parts
+from deepfsi.sweeps.records import write_table
+from deepfsi.sweeps.results import Point, Results, read_results, write_results
+from deepfsi.sweeps.run import compare
+from deepfsi.sweeps.summary import provenance_of
+from deepfsi.sweeps.workers import Workers
 from deepfsi_paper.report.maps import Cell
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
 

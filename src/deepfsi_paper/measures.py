@@ -10,8 +10,8 @@ import numpy as np
 import scipy.linalg
 import scipy.special
 
-from deepfsi.base import InputError
-from deepfsi.camera import check_budget
+from deepfsi.base.errors import InputError
+from deepfsi.camera.light import check_budget
 
 
 def throughput(matrix: np.ndarray, mean_scene: np.ndarray) -> float:

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from deepfsi.base.numeric import Difference, accuracy_difference, all_above
+from deepfsi.base.numeric.intervals import Difference, accuracy_difference, all_above
 from deepfsi.report.style import DESIGN_COLOURS, photons_text
-from deepfsi.sweeps import Point, Results
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.paired_maps import Pair, pair
 from deepfsi_paper.report.lines import Line, lines_figure

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from deepfsi.base.numeric import Difference, accuracy_difference
+from deepfsi.base.numeric.intervals import Difference, accuracy_difference
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps import Point
+from deepfsi.sweeps.results import Point
 from deepfsi_paper.experiment import budgets
 from deepfsi_paper.report.maps import accuracy_grid, contour_figure
 

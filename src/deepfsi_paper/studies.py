@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from deepfsi.base import InputError, check_choice
+from deepfsi.base.errors import InputError, check_choice
 from deepfsi_paper import compression, detectors, mlgauss, quantization
 from deepfsi_paper.adaptive import claims as adaptive
 from deepfsi_paper.camera import claims as camera_study

@@ -5,17 +5,13 @@ import pytest
 import torch
 
 from conftest import generator
-from deepfsi.adaptive import (
-    AdaptiveExposure,
-    AdaptivePosterior,
-    ScenePrior,
-    next_masks,
-    posterior,
-    squared_distance,
-)
 from deepfsi.adaptive import exposure as adaptive
-from deepfsi.jobs import AdaptiveMasks
-from deepfsi.physics import Poisson
+from deepfsi.adaptive import posterior
+from deepfsi.adaptive.choice import next_masks
+from deepfsi.adaptive.exposure import AdaptiveExposure, squared_distance
+from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
+from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.physics.noise import Poisson
 
 PIXELS, SCENES, CLASSES, DRAWS, LOOKS = 12, 60, 3, 600, 4
 OPTICS = [{}, {"dark": 200.0}, {"arms": 2}, {"detectors": torch.arange(PIXELS) // 4}]

@@ -7,17 +7,13 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, poisson
 
 from deepfsi import Design, Result, evaluate
-from deepfsi.adaptive import (
-    AdaptiveExposure,
-    AdaptivePosterior,
-    ScenePrior,
-    choice,
-    posterior,
-    prior_of,
-)
-from deepfsi.base import InputError
-from deepfsi.datasets import Dataset, from_arrays
-from deepfsi.jobs import AdaptiveMasks
+from deepfsi.adaptive import choice, posterior
+from deepfsi.adaptive.exposure import AdaptiveExposure, prior_of
+from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.jobs.exposures import AdaptiveMasks
 
 PIXELS, SCENES, CLASSES = 8, 40, 3
 QUARTERS = torch.arange(PIXELS) // 2

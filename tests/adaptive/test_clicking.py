@@ -9,9 +9,9 @@ import torch
 
 import deepfsi
 from deepfsi.adaptive import clicking
-from deepfsi.base import InputError
-from deepfsi.design import Design
-from deepfsi.jobs import AdaptiveMasks
+from deepfsi.base.errors import InputError
+from deepfsi.design.design import Design
+from deepfsi.jobs.exposures import AdaptiveMasks
 
 CAMERA = {"light": "free-dwell", "rails": "single", "noise": "click"}
 

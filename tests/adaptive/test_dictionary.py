@@ -9,12 +9,15 @@ from scipy.stats import poisson
 import deepfsi
 from conftest import generator
 from deepfsi import Design
-from deepfsi.adaptive import AdaptivePosterior, MaskDictionary, ScenePrior, choice, posterior
+from deepfsi.adaptive import choice, posterior
 from deepfsi.adaptive import dictionary as tables
-from deepfsi.base import InputError
-from deepfsi.evaluation import evaluate, page_data
-from deepfsi.jobs import AdaptiveMasks
-from deepfsi.physics import Poisson
+from deepfsi.adaptive.dictionary import MaskDictionary
+from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
+from deepfsi.base.errors import InputError
+from deepfsi.evaluation import page_data
+from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.physics.noise import Poisson
 from shared.design_files import assert_refused
 
 PIXELS, SCENES, CLASSES, LOOKS, PHOTONS = 12, 60, 3, 6, 300.0

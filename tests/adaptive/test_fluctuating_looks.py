@@ -10,7 +10,7 @@ from scipy.stats import nbinom
 import deepfsi
 from conftest import generator
 from deepfsi.adaptive import choice, posterior
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 
 PIXELS = 12
 SIGMA = 0.2

@@ -7,7 +7,8 @@ from scipy.special import softmax
 from scipy.stats import multivariate_normal
 
 from deepfsi import evaluate, learn
-from deepfsi.adaptive import AdaptivePosterior, ScenePrior, posterior
+from deepfsi.adaptive import posterior
+from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
 
 PIXELS, SIZES = 8, (30, 60, 90)
 PHOTONS = 1e3

@@ -6,7 +6,7 @@ from importlib.metadata import version
 import pytest
 from pydantic import BaseModel
 
-from deepfsi.base import InputError, as_input_error, other_version
+from deepfsi.base.errors import InputError, as_input_error, other_version
 
 
 class Model(BaseModel, extra="forbid"):

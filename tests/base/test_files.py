@@ -6,10 +6,10 @@ import sys
 
 import pytest
 
-from deepfsi.base import (
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import (
     WINDOWS_ENCODING,
     GrowingFile,
-    InputError,
     new_folder,
     read_text,
     read_toml,

@@ -34,7 +34,7 @@ import deepfsi.base
 from deepfsi import __main__
 from deepfsi.base import interrupts
 {START}
-deepfsi.base.install_handler = lambda: None
+deepfsi.base.interrupts.install_handler = lambda: None
 __main__.main()
 """
 """The command line, once Ctrl-C is handled; before, Python itself starts."""

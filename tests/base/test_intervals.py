@@ -8,7 +8,7 @@ from scipy import stats
 from scipy.stats import binom, binomtest
 from sklearn.metrics import roc_auc_score
 
-from deepfsi.base.numeric import (
+from deepfsi.base.numeric.intervals import (
     Difference,
     accuracy_difference,
     accuracy_interval,
@@ -19,12 +19,12 @@ from deepfsi.base.numeric import (
     mean_of_trials,
     pack_values,
     paired_difference,
+    seeds_error,
     student,
     unpack_values,
     wilson,
 )
-from deepfsi.base.numeric import auc as auc_of
-from deepfsi.base.numeric.intervals import seeds_error
+from deepfsi.base.numeric.intervals import auc as auc_of
 from shared.results import a_point
 
 

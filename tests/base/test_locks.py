@@ -10,7 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from deepfsi.base import Locks, locks
+from deepfsi.base import locks
+from deepfsi.base.locks import Locks
 from shared.waiting import until
 
 

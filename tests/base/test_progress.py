@@ -9,7 +9,8 @@ import time
 
 import pytest
 
-from deepfsi.base import Moments, progress, terminal_bar
+from deepfsi.base import progress
+from deepfsi.base.progress import Moments, terminal_bar
 from shared.waiting import until
 
 

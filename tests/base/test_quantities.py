@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.base import confidence_text, count_text, seconds, time_text
+from deepfsi.base.quantities import confidence_text, count_text, seconds, time_text
 
 
 def test_times_are_read_back():

@@ -7,8 +7,9 @@ import json
 
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.camera import DEVICES, PRESETS, Camera
+from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import PRESETS, Camera
+from deepfsi.camera.device import DEVICES
 from shared.noises import saturating
 
 

@@ -4,23 +4,19 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from deepfsi.base import InputError
-from deepfsi.base.numeric import NumberTable
-from deepfsi.camera import CounterEffects, DeadTime
-from deepfsi.hardware.counting import (
-    CountSettings,
-    TableSettings,
-    count_run,
-    count_table,
-    read_counts,
-)
-from deepfsi.hardware.virtual import (
-    Detector,
+from deepfsi.base.errors import InputError
+from deepfsi.base.numeric.tables import NumberTable
+from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.hardware.counting.count import CountSettings, count_run
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting.tables import TableSettings, count_table
+from deepfsi.hardware.virtual.camera import (
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
     record_scenes,
 )
+from deepfsi.hardware.virtual.detector import Detector
 from deepfsi_paper.camera import gate_counts
 from hardware.counting.recording_samples import SHAPE, patterns_of
 

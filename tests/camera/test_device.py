@@ -5,8 +5,8 @@ import re
 
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.camera import DEVICE_SOURCES, DEVICES, Device, find_device
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import DEVICE_SOURCES, DEVICES, Device, find_device
 
 DIAGONAL_INCHES = {
     "dlp7000": 0.7, "dlp9500": 0.95, "dlp650lnir": 0.65, "dlp6500": 0.65, "dlp9000": 0.9,

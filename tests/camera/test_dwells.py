@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from deepfsi.camera import share_out
+from deepfsi.camera.light import share_out
 
 DWELLS = arrays(np.float64, (3, 7), elements=st.floats(1e-4, 1.0))
 SHORTEST = st.floats(1e-6, 0.5)

@@ -5,9 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.camera import DEVICES, DmdLayout, find_device, find_grid
-from deepfsi.hardware.patterns import check_patterns, read_frames, read_patterns, unpack
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import DEVICES, find_device
+from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.frames import unpack
 from hardware.patterns.pattern_samples import SMALL, export
 
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.camera import check_budget, photons_per_pixel, summed_reflectance
+from deepfsi.base.errors import InputError
+from deepfsi.camera.light import check_budget, photons_per_pixel, summed_reflectance
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deepfsi.camera import StopRule
+from deepfsi.camera.stop_rule import StopRule
 
 
 @pytest.mark.parametrize("photons", [300, 1e3, 1e4 / 3.1])

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from deepfsi.hardware.patterns import read_patterns
+from deepfsi.hardware.patterns.folder import read_patterns
 from hardware.counting.recording_samples import DWELL, Run, patterns_of, shining, train
 
 

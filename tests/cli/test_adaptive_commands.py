@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi import learn, load_design, predict
-from deepfsi.datasets import write_display
+from deepfsi.datasets.display import write_display
 
 
 @pytest.fixture(scope="module")

@@ -13,11 +13,12 @@ from conftest import quick
 from deepfsi import Design, InputError, evaluate
 from deepfsi.cli import app
 from deepfsi.cli import terminal as terminal_module
-from deepfsi.datasets import read_display, write_pictures
-from deepfsi.hardware.calibration import calibrate_run
-from deepfsi.hardware.counting import read_counts, read_run
-from deepfsi.hardware.patterns import read_patterns
-from deepfsi.hardware.pictures import reconstruct
+from deepfsi.datasets.display import read_display, write_pictures
+from deepfsi.hardware.calibration.fit import calibrate_run
+from deepfsi.hardware.counting.acquisition import read_run
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.pictures.solve import reconstruct
 
 LIGHT = ["--flux", 1e7, "--exposure", "5ms", "--virtual", "ideal"]
 

@@ -5,7 +5,7 @@ import json
 import pytest
 from safetensors.numpy import load_file
 
-from deepfsi.datasets import write_pictures
+from deepfsi.datasets.display import write_pictures
 
 FILE = """
 light = "free-dwell"        # one DMD, one detector

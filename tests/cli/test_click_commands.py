@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from deepfsi.cli import app
-from deepfsi.hardware.counting import count_run
+from deepfsi.hardware.counting.count import count_run
 
 SCENES = 200
 PHOTONS = 1500.0

@@ -8,8 +8,9 @@ import pytest
 from click.testing import CliRunner
 from pydantic import BaseModel, Field
 
-from deepfsi.base import InputError, Table
-from deepfsi.base.models import Share, WholeNumber
+from deepfsi.base.errors import InputError
+from deepfsi.base.models.strict import Share, WholeNumber
+from deepfsi.base.quantities import Table
 from deepfsi.cli import command
 from deepfsi.cli import fields as fields_module
 from deepfsi.cli import terminal as terminal_module

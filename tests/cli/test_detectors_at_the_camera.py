@@ -10,8 +10,8 @@ from click.testing import CliRunner
 from conftest import quick
 from deepfsi import Design, evaluate
 from deepfsi.cli import app
-from deepfsi.datasets import write_pictures
-from deepfsi.hardware.patterns import read_patterns
+from deepfsi.datasets.display import write_pictures
+from deepfsi.hardware.patterns.folder import read_patterns
 
 SCENES = 120
 TRAINING = {"masks": 4, "photons": 1e4, "epochs": 8, "hidden": (32,), "detectors": "2x2"}

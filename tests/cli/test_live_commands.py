@@ -12,10 +12,10 @@ from click.testing import CliRunner
 
 from conftest import quick
 from deepfsi import Design
-from deepfsi.camera import StopRule
+from deepfsi.camera.stop_rule import StopRule
 from deepfsi.cli import app
-from deepfsi.datasets import write_pictures
-from deepfsi.hardware.counting import read_run
+from deepfsi.datasets.display import write_pictures
+from deepfsi.hardware.counting.acquisition import read_run
 
 LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--virtual", "ideal"]
 

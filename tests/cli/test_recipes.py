@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.cli import studies
 
 

@@ -4,9 +4,11 @@ from collections import Counter
 
 import pytest
 
-from deepfsi.camera import Camera
+from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields as fields_module
-from deepfsi.jobs import EXPOSURE_KINDS, SETTING_ALIASES, Job, Training
+from deepfsi.jobs.exposures import EXPOSURE_KINDS
+from deepfsi.jobs.job import SETTING_ALIASES, Job
+from deepfsi.jobs.training import Training
 from shared.commands import COMMANDS
 
 OWN = {"design", "masks", "photons", "camera", "seed"}

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.cli import fields, terminal
 from shared.disks import nearly_full
 

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from deepfsi.base import Table, budget_text
+from deepfsi.base.quantities import Table, budget_text
 from deepfsi.cli import fields, terminal
 
 pytestmark = pytest.mark.usefixtures("undrawn")

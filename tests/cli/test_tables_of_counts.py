@@ -12,11 +12,11 @@ import pytest
 from scipy.io import savemat
 
 from conftest import quick
-from deepfsi.camera import find_device
-from deepfsi.datasets import write_pictures
-from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
-from deepfsi.lab import design_rails
+from deepfsi.camera.device import find_device
+from deepfsi.datasets.display import write_pictures
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.lab.looks import design_rails
 
 FLUX, SCENES, DWELL = 1e6, 60, 1e-3
 

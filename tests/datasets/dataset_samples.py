@@ -5,8 +5,9 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.datasets import SpectralImage, load_dataset
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.load import load_dataset
+from deepfsi.datasets.spectra import SpectralImage
 
 
 @contextmanager

@@ -16,14 +16,9 @@ from dataset_samples import not_loaded, refused
 from PIL import Image
 from scipy.io import savemat
 
-from deepfsi.datasets import (
-    catalog,
-    check,
-    download,
-    list_datasets,
-    load_dataset,
-    load_indian_pines,
-)
+from deepfsi.datasets import catalog
+from deepfsi.datasets.catalog import check, download, list_datasets, load_indian_pines
+from deepfsi.datasets.load import load_dataset
 from shared.pictures import save_images
 
 MINE = Path(os.environ.get("DEEPFSI_DATA") or ".")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from dataset_samples import X, Y, refused, scenes
 
-from deepfsi.datasets import from_arrays
+from deepfsi.datasets.arrays import from_arrays
 
 
 def test_importing_is_light():

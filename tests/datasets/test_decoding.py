@@ -9,7 +9,8 @@ import tifffile
 from dataset_samples import not_loaded, refused
 from PIL import Image, PngImagePlugin
 
-from deepfsi.datasets import load_dataset, read_display
+from deepfsi.datasets.display import read_display
+from deepfsi.datasets.load import load_dataset
 
 GREY = (np.arange(48).reshape(6, 8) * 5).astype(np.uint8)
 UPRIGHT = {1: GREY, 3: GREY[::-1, ::-1], 6: np.rot90(GREY, -1), 8: np.rot90(GREY), 4: GREY[::-1]}

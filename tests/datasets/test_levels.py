@@ -9,8 +9,10 @@ import pytest
 
 import deepfsi
 from conftest import same
-from deepfsi.base import InputError
-from deepfsi.datasets import StoredScenes, arrays, levels, load_dataset, pictures
+from deepfsi.base.errors import InputError
+from deepfsi.datasets import arrays, levels, pictures
+from deepfsi.datasets.levels import StoredScenes
+from deepfsi.datasets.load import load_dataset
 from shared.benchmarks import benchmark
 from shared.pictures import save_images
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from dataset_samples import X, Y, not_loaded
 
-from deepfsi.datasets import load_dataset
+from deepfsi.datasets.load import load_dataset
 
 DIGITS_HASH = "a24eb6e0dbf2acc4009205dbb06c1c3e5d3f8a6db4843471cb6da068e8b9c8a2"
 

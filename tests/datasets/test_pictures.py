@@ -10,7 +10,9 @@ from dataset_samples import not_loaded
 from PIL import Image
 
 from deepfsi import InputError
-from deepfsi.datasets import load_dataset, pictures, read_display
+from deepfsi.datasets import pictures
+from deepfsi.datasets.display import read_display
+from deepfsi.datasets.load import load_dataset
 from shared.pictures import save_images
 
 

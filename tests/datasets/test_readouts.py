@@ -5,7 +5,7 @@ import pytest
 from dataset_samples import refused
 from scipy.io import savemat
 
-from deepfsi.datasets import Variables, read_readouts
+from deepfsi.datasets.readouts import Variables, read_readouts
 
 NAMES = Variables("volts", "digit", "shown", "clock", ("laser",))
 

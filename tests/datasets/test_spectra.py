@@ -10,7 +10,9 @@ from scipy.io import savemat
 from scipy.ndimage import distance_transform_cdt
 from spectral.io import envi
 
-from deepfsi.datasets import SpectralImage, load_dataset, spectra
+from deepfsi.datasets import spectra
+from deepfsi.datasets.load import load_dataset
+from deepfsi.datasets.spectra import SpectralImage
 
 
 def pixels(x):

@@ -11,8 +11,10 @@ import pooch
 import pytest
 from dataset_samples import not_loaded
 
-from deepfsi.base import Progress
-from deepfsi.datasets import catalog, check, download, list_datasets, load_dataset, store
+from deepfsi.base.progress import Progress
+from deepfsi.datasets import catalog, store
+from deepfsi.datasets.catalog import check, download, list_datasets
+from deepfsi.datasets.load import load_dataset
 
 IMAGES = np.random.default_rng(4).integers(0, 256, (24, 28, 28), dtype=np.uint8)
 LABELS = np.arange(24) % 10

@@ -7,8 +7,10 @@ import pytest
 from dataset_samples import refused
 
 from conftest import quick, synthetic
-from deepfsi.camera import photons_per_pixel, summed_reflectance
-from deepfsi.datasets import ambient, jitter, load_dataset, variants
+from deepfsi.camera.light import photons_per_pixel, summed_reflectance
+from deepfsi.datasets import variants
+from deepfsi.datasets.load import load_dataset
+from deepfsi.datasets.variants import ambient, jitter
 from shared.values import linear_scenes
 
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from deepfsi import Camera, evaluate, learn
-from deepfsi.base import InputError
-from deepfsi.evaluation import stop
+from deepfsi.base.errors import InputError
+from deepfsi.evaluation.stopping import stop
 from shared.design_files import assert_refused
 
 LOOKS, PHOTONS, HELD_OUT = 6, 1e4, 200

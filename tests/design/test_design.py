@@ -17,7 +17,7 @@ from torch import nn
 
 from conftest import PHOTONS, every_optics, light_on
 from deepfsi import Design, evaluate
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from shared import vectors
 from shared.design_files import header_of, refused, rewrite
 from shared.jobs import learn

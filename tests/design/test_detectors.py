@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from conftest import generator, once
-from deepfsi.base import InputError
-from deepfsi.networks import stop_temperatures
-from deepfsi.physics import ROUNDING_SLACK, Detection, light_law
+from deepfsi.base.errors import InputError
+from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from shared.design_files import assert_refused
 
 KINDS = {

@@ -11,9 +11,9 @@ import torch
 
 from conftest import PHOTONS, every_optics, generator, quick
 from deepfsi import Design
-from deepfsi.camera import photons_per_pixel, share_out
-from deepfsi.design import to_onnx
-from deepfsi.hardware.patterns import check_patterns
+from deepfsi.camera.light import photons_per_pixel, share_out
+from deepfsi.design.onnx import to_onnx
+from deepfsi.hardware.patterns.folder import check_patterns
 from shared.design_files import file_of
 
 onnxruntime = pytest.importorskip("onnxruntime")

@@ -9,8 +9,9 @@ import pytest
 
 from conftest import quick
 from deepfsi import Design
-from deepfsi.base import InputError
-from deepfsi.designfile import DesignFile, find_design
+from deepfsi.base.errors import InputError
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.published import find_design
 from shared.design_files import file_of
 from shared.vectors import AGREES, KINDS, write_file
 
@@ -68,7 +69,7 @@ def test_what_it_cannot_do_is_said(good):
 
 def test_torch_is_not_needed():
     code = (
-        "import sys; from deepfsi.designfile import DesignFile, find_design\n"
+        "import sys; from deepfsi.designfile.design_file import DesignFile; from deepfsi.designfile.published import find_design\n"
         "file = DesignFile.read(find_design('dmd-mnist'))\n"
         "file.chances(file.inputs(file.arrays['mean']), 1e4)\n"
         "assert 'torch' not in sys.modules and 'scipy.stats' not in sys.modules"

@@ -7,10 +7,11 @@ import pytest
 import torch
 
 from conftest import quick
-from deepfsi.base import InputError
-from deepfsi.datasets import from_arrays
-from deepfsi.designfile import REFUSED, UNSURE, FrameLight
-from deepfsi.evaluation import distribution_fit, find_distribution
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.designfile.distribution import REFUSED, UNSURE, FrameLight
+from deepfsi.evaluation import distribution_fit
+from deepfsi.evaluation.distribution_fit import find_distribution
 from shared.design_files import assert_refused
 
 READOUTS = (2, 9)

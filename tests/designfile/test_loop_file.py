@@ -8,9 +8,9 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from conftest import quick
-from deepfsi.base import InputError
-from deepfsi.camera import StopRule
-from deepfsi.designfile import loop_bytes, read_loop
+from deepfsi.base.errors import InputError
+from deepfsi.camera.stop_rule import StopRule
+from deepfsi.designfile.loop_file import loop_bytes, read_loop
 from shared.design_files import file_of
 
 SETTINGS = {

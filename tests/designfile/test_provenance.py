@@ -7,7 +7,8 @@ import pytest
 
 import deepfsi
 from deepfsi import load_dataset, load_design
-from deepfsi.designfile import TrainingScenes, provenance, scene_hashes
+from deepfsi.designfile import provenance
+from deepfsi.designfile.provenance import TrainingScenes, scene_hashes
 from shared.design_files import assert_refused
 from shared.jobs import learn
 from shared.pictures import save_images

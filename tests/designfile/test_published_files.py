@@ -14,8 +14,8 @@ import pytest
 
 from conftest import real_mnist
 from deepfsi import evaluate, load_dataset, load_design
-from deepfsi.base import InputError
-from deepfsi.designfile import (
+from deepfsi.base.errors import InputError
+from deepfsi.designfile.published import (
     INDEX_NAME,
     SHIPPED_DESIGNS,
     CollectionIndex,
@@ -23,7 +23,7 @@ from deepfsi.designfile import (
     find_design,
     read_indexes,
 )
-from deepfsi.sweeps import Collection
+from deepfsi.sweeps.model_cards import Collection
 
 
 @pytest.fixture

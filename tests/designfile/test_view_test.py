@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from deepfsi.designfile import SceneModel, SceneReadouts, ViewTest, view_test
+from deepfsi.designfile import view_test
+from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewTest
 
 SHAPE, PHOTONS, MASKS = (8, 8), 1e4, 16
 

@@ -9,11 +9,16 @@ from scipy.special import softmax
 
 from conftest import generator, quick
 from deepfsi import Design
-from deepfsi.designfile import calibration_budgets
-from deepfsi.evaluation import CalibrationScenes, Exposed, fit_temperatures, logits_at_stops
-from deepfsi.jobs import Job
-from deepfsi.networks import stop_temperatures
-from deepfsi.training import find_temperatures
+from deepfsi.designfile.temperatures import calibration_budgets
+from deepfsi.evaluation.confidence import (
+    CalibrationScenes,
+    Exposed,
+    fit_temperatures,
+    logits_at_stops,
+)
+from deepfsi.jobs.job import Job
+from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.training.characterisation import find_temperatures
 
 PHOTONS = 1e4
 HELD_OUT = 437

@@ -9,8 +9,8 @@ import torch
 
 from conftest import PHOTONS, every_optics, generator, light_on, quick, synthetic
 from deepfsi import evaluate
-from deepfsi.base import InputError
-from deepfsi.datasets import from_arrays
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.arrays import from_arrays
 
 
 def test_more_draws_do_not_pretend_to_more_images(good, digits):

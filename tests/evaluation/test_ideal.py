@@ -11,8 +11,9 @@ from scipy.stats import poisson
 
 from conftest import every_optics, generator, quick, real_mnist
 from deepfsi import IdealObserver, evaluate, ideal_observer
-from deepfsi.base import InputError
-from deepfsi.datasets import from_arrays, load_dataset
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.datasets.load import load_dataset
 
 
 def exact(rates: np.ndarray, labels: np.ndarray, counts: np.ndarray, photons: float) -> np.ndarray:

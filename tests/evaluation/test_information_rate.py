@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from deepfsi.evaluation import information_rate
+from deepfsi.evaluation.bounds import information_rate
 from shared.benchmarks import benchmark
 
 SEEDS = st.integers(0, 2**32 - 1)

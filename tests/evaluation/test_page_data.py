@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from deepfsi import Design
-from deepfsi.adaptive import ScenePrior
-from deepfsi.base import InputError
-from deepfsi.evaluation import check_playable, playable
+from deepfsi.adaptive.posterior import ScenePrior
+from deepfsi.base.errors import InputError
+from deepfsi.evaluation.page_data import check_playable, playable
 from golden.file_cases import FOLDER
 
 READ = {"light": "column", "noise": "camera", "dark": 5, "sigma": 2}

@@ -8,8 +8,8 @@ import torch
 
 from conftest import generator, quick
 from deepfsi import evaluate
-from deepfsi.base import InputError
-from deepfsi.evaluation import stop
+from deepfsi.base.errors import InputError
+from deepfsi.evaluation.stopping import stop
 
 HELD_OUT = 400
 PHOTONS = 2e5

@@ -7,11 +7,12 @@ import pytest
 import torch
 
 from conftest import every_optics, generator, once
-from deepfsi.camera import photons_per_pixel
-from deepfsi.exposure import TrainingSet, conditioned
-from deepfsi.networks import stop_temperatures
-from deepfsi.physics import light_law
-from deepfsi.training import train
+from deepfsi.camera.light import photons_per_pixel
+from deepfsi.exposure import conditioned
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.physics.laws import light_law
+from deepfsi.training.learning import train
 from shared.jobs import job
 
 TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0, "nested": 3}

@@ -6,8 +6,8 @@ import pytest
 
 from conftest import synthetic
 from deepfsi import Fixed, Job, Looks, Nested, Passing, Patches, Range
-from deepfsi.base import InputError
-from deepfsi.jobs import find_exposure
+from deepfsi.base.errors import InputError
+from deepfsi.jobs.exposures import find_exposure
 from golden.file_cases import FOLDER
 from shared.design_files import refused, rewrite
 from shared.jobs import job, learn

@@ -13,9 +13,11 @@ from torch import Tensor
 
 from conftest import generator, once
 from deepfsi import Scanner
-from deepfsi.datasets import from_arrays
-from deepfsi.exposure import JobGroup, TrainingSet, build_training
-from deepfsi.physics import Draws
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.exposure.kinds import build_training
+from deepfsi.exposure.training import JobGroup
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.physics.training_noise import Draws
 from shared.jobs import job
 
 LOOKS, DARK, SIGMA, PHOTONS = 3, 400.0, 4.0, 2e3

@@ -6,12 +6,11 @@ import torch
 
 from conftest import RECIPE, exposing, generator
 from deepfsi import Design, evaluate
-from deepfsi.base import InputError
-from deepfsi.datasets import from_arrays
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.arrays import from_arrays
 from deepfsi.evaluation import stopping
-from deepfsi.exposure import LooksExposure
-from deepfsi.exposure.looks import Dwells
-from deepfsi.physics import ROUNDING_SLACK, light_law
+from deepfsi.exposure.looks import Dwells, LooksExposure
+from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from shared.jobs import learn
 
 LOOKS = 3

@@ -8,13 +8,14 @@ import torch
 from pydantic import ValidationError
 
 import deepfsi
-from deepfsi.adaptive import AdaptiveExposure
-from deepfsi.base import InputError
-from deepfsi.evaluation import evaluate, stop
+from deepfsi.adaptive.exposure import AdaptiveExposure
+from deepfsi.base.errors import InputError
+from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation.stopping import stop
 from deepfsi.exposure.kind import Stops
-from deepfsi.jobs import AdaptiveMasks, LooksEntry
-from deepfsi.lab import design_rails
-from deepfsi.sweeps import Recipe
+from deepfsi.jobs.exposures import AdaptiveMasks, LooksEntry
+from deepfsi.lab.looks import design_rails
+from deepfsi.sweeps.recipe import Recipe
 
 PHOTONS, DRAWS = 1e3, 3
 

@@ -5,7 +5,7 @@ import pytest
 
 from conftest import RECIPE, exposing
 from deepfsi import Design
-from deepfsi.physics import ROUNDING_SLACK, light_law
+from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from shared.jobs import learn
 
 SHORTEST = 0.06

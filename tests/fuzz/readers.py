@@ -18,23 +18,31 @@ from PIL import Image
 from scipy.io import savemat
 from spectral.io import envi
 
-import deepfsi.hardware.counting as counting
-import deepfsi.hardware.live as live
-import deepfsi.hardware.patterns as patterns
-import deepfsi.hardware.photons as photons
 from deepfsi import Design, from_arrays, load_dataset, load_design
-from deepfsi.base.numeric import read_table
-from deepfsi.camera import Camera, find_device
+from deepfsi.base.numeric.tables import read_table
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.device import find_device
 from deepfsi.cli.studies import read_recipe
-from deepfsi.designfile import CollectionIndex, read_loop, trained_on
+from deepfsi.designfile.loop_file import read_loop
+from deepfsi.designfile.provenance import trained_on
+from deepfsi.designfile.published import CollectionIndex
 from deepfsi.evaluation import stopping
 from deepfsi.hardware.counting import tables
-from deepfsi.hardware.virtual import VirtualCamera
-from deepfsi.jobs import read_matrix
-from deepfsi.lab import camera_of, design_rails
+from deepfsi.hardware.counting.acquisition import Calibration, read_run
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.live import replay
+from deepfsi.hardware.patterns import folder as patterns
+from deepfsi.hardware.photons import reader as photons
+from deepfsi.hardware.virtual.camera import VirtualCamera
+from deepfsi.jobs.mask_files import read_matrix
+from deepfsi.lab.looks import camera_of, design_rails
 from deepfsi.lab.scenes import read_scenes
-from deepfsi.report import write_report
-from deepfsi.sweeps import Collection, check_settings, only, read_results
+from deepfsi.report.comparison_page import write_report
+from deepfsi.sweeps.model_cards import Collection
+from deepfsi.sweeps.plan import check_settings
+from deepfsi.sweeps.recipe import only
+from deepfsi.sweeps.results import read_results
 from fuzz.mutations import (
     Mutation,
     changed_envi,
@@ -109,12 +117,12 @@ def check_patterns(path: Path) -> None:
 
 
 def use_run(path: Path) -> None:
-    counting.read_run(path.parent)
-    counting.read_counts(path.parent).signal()
+    read_run(path.parent)
+    read_counts(path.parent).signal()
 
 
 def use_live(path: Path) -> None:
-    live.LiveCounts.read(path.parent)
+    replay.LiveCounts.read(path.parent)
 
 
 def use_photons(path: Path) -> None:
@@ -178,13 +186,13 @@ READERS = {
     "table of planes": Reader("planes/patterns.csv", check_patterns, (mangled,), 1),
     "acquisition": Reader("lost/acquisition.json", use_run, JSON),
     "counted acquisition": Reader("lost/acquisition.json",
-                                  lambda path: counting.count_run(path.parent), JSON, 2),
+                                  lambda path: count_run(path.parent), JSON, 2),
     "counts": Reader("lost/counts.npz", use_run, ZIP),
     "photons": Reader("clicks/photons.ptu", use_photons, (mangled,), 8),
     "shown frames": Reader("live/shown.jsonl", use_live, (changed_lines, mangled)),
     "live counts": Reader("live/counts.npz", use_live, ZIP, 2),
     "calibration": Reader("calibration/calibration.json",
-                          lambda path: counting.Calibration.load(path.parent).doubts, JSON),
+                          lambda path: Calibration.load(path.parent).doubts, JSON),
     "scenes": Reader("scenes.csv", read_scenes, TABLE, 3),
     "camera": Reader("camera.toml", use_camera, TOML),
     "device": Reader("device/device.toml", use_camera, (changed_toml,), 2),
@@ -291,8 +299,8 @@ def make_samples(folder: Path) -> None:
     for name, words in WORDS.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(words)
-    counting.count_run(folder / "lost")
-    live.LiveCounts.count(folder / "live")
+    count_run(folder / "lost")
+    replay.LiveCounts.count(folder / "live")
     device, rails = find_device("24x16"), design_rails(folder / "fixed.safetensors")
     packed = device.model_copy(update={"controller": "dlpc900"})
     for kind, shown in {"npy": device, "png": device, "bmp": device, "planes": packed}.items():

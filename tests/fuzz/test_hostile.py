@@ -16,8 +16,10 @@ from PIL import Image, PngImagePlugin
 from scipy.io import savemat
 from scipy.linalg import hadamard
 
-from deepfsi.base import InputError, check_unpacked, files, open_regular, read_regular, read_toml
-from deepfsi.jobs import read_matrix
+from deepfsi.base import files
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import check_unpacked, open_regular, read_regular, read_toml
+from deepfsi.jobs.mask_files import read_matrix
 from fuzz.readers import READERS, copied
 from fuzz.worker import MOST_BYTES, fault_of
 from shared.design_files import rewrite

@@ -16,7 +16,7 @@ import warnings
 from pathlib import Path
 from types import FrameType
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from fuzz.readers import READERS, copied, drawn
 
 MOST_S = 20

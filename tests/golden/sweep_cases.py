@@ -102,7 +102,8 @@ RECIPES = {
 def keys_of(name: str) -> dict[str, Any]:
     """Keys of two trials of each part of a recipe, on scenes that no file holds."""
     try:
-        from deepfsi.sweeps import Recipe, only, plan_trials
+        from deepfsi.sweeps.plan import plan_trials
+        from deepfsi.sweeps.recipe import Recipe, only
     except ImportError:  # the package of the stored commit
         from deepfsi.sweeps.trial import plan as plan_trials
 

@@ -6,14 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.jobs import (
-    check_count,
-    designs,
-    hadamard_masks,
-    mask_count,
-    sensing_matrix,
-)
+from deepfsi.base.errors import InputError
+from deepfsi.jobs import designs
+from deepfsi.jobs.designs import hadamard_masks, mask_count
+from deepfsi.jobs.tiles import check_count, sensing_matrix
 
 
 def sequencies(mask: np.ndarray) -> tuple[int, int]:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.jobs import FORMULAS, formula_masks
+from deepfsi.base.errors import InputError
+from deepfsi.jobs.designs import FORMULAS, formula_masks
 
 
 @pytest.mark.parametrize("name", FORMULAS)

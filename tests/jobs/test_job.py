@@ -7,15 +7,14 @@ import pytest
 import torch
 
 from deepfsi import Camera
-from deepfsi.base import InputError, Progress
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Progress
 from deepfsi.exposure import training_set
-from deepfsi.jobs import (
-    Job,
-    Training,
-    find_job,
-    sensing_matrix,
-)
-from deepfsi.physics import Rails, light_law
+from deepfsi.jobs.job import Job, find_job
+from deepfsi.jobs.tiles import sensing_matrix
+from deepfsi.jobs.training import Training
+from deepfsi.physics.laws import light_law
+from deepfsi.physics.rails import Rails
 from shared.jobs import job as job_of
 from shared.jobs import learn
 from shared.networks import Cnn

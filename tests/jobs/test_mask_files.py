@@ -10,9 +10,9 @@ from PIL import Image
 from scipy.io import savemat
 
 from conftest import OPTICS
-from deepfsi.base import InputError
-from deepfsi.jobs import read_matrix
-from deepfsi.physics import light_law
+from deepfsi.base.errors import InputError
+from deepfsi.jobs.mask_files import read_matrix
+from deepfsi.physics.laws import light_law
 from shared.pictures import save_images
 
 SIGNED = np.linspace(-0.1, 0.2, 24).reshape(3, 8)

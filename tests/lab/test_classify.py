@@ -8,16 +8,13 @@ import pytest
 
 import deepfsi
 from conftest import quick
-from deepfsi.datasets import read_display, write_pictures
-from deepfsi.hardware.counting import (
-    ReferenceVerdict,
-    acquisition,
-    count_run,
-    read_counts,
-    read_run,
-)
-from deepfsi.hardware.patterns import read_patterns
-from deepfsi.hardware.virtual import (
+from deepfsi.datasets.display import read_display, write_pictures
+from deepfsi.hardware.counting import acquisition
+from deepfsi.hardware.counting.acquisition import ReferenceVerdict, read_run
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.virtual.camera import (
     CAMERAS,
     RecordingSettings,
     VirtualCamera,

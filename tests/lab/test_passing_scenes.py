@@ -5,9 +5,10 @@ import pytest
 
 import deepfsi
 from conftest import synthetic
-from deepfsi.base import InputError
-from deepfsi.hardware.photons import read_photons
-from deepfsi.lab import classify_transits, simulate_transits, transits
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.photons.reader import read_photons
+from deepfsi.lab import transits
+from deepfsi.lab.transits import classify_transits, simulate_transits
 
 BIN_S, PHOTONS, BACKGROUND = 1e-3, 1e4, 200.0
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 import deepfsi
 from deepfsi import InputError, load_dataset
-from deepfsi.datasets import DIM_BLACK
+from deepfsi.datasets.catalog import DIM_BLACK
 from shared.jobs import learn
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.lab.scenes import read_scenes
 
 

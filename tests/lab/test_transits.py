@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from deepfsi.hardware.photons import PtuWriter, read_photons, summarise
+from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.reader import read_photons, summarise
 from deepfsi.lab import transits
 
 BACKGROUND, WINDOW, DURATION = 40.0, 0.1, 20.0

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from deepfsi.measures import ClassAnswers, Estimates, Result, ValueAnswers
+from deepfsi.measures.answers import ClassAnswers, ValueAnswers
+from deepfsi.measures.results import Estimates, Result
 
 TEST = {"photons": 1e3, "noise": "poisson", "covers": "", "counts": 0.0, "arriving": 0.0}
 

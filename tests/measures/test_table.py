@@ -5,16 +5,14 @@ import pytest
 
 from conftest import quick
 from deepfsi import evaluate
-from deepfsi.measures import (
-    MEASURES,
-    ClassAnswers,
-    Measure,
-    main_measure,
-    results_lines,
-)
-from deepfsi.report import write_report
-from deepfsi.sweeps import FoldRecords, plan_trials, read_results, summarise_records, write_results
+from deepfsi.measures.answers import ClassAnswers
+from deepfsi.measures.lines import results_lines
+from deepfsi.measures.table import MEASURES, Measure, main_measure
+from deepfsi.report.comparison_page import write_report
+from deepfsi.sweeps.plan import plan_trials
 from deepfsi.sweeps.records import record_rows
+from deepfsi.sweeps.results import read_results, write_results
+from deepfsi.sweeps.summary import FoldRecords, summarise_records
 from shared.trials import small, train_trials
 
 

@@ -7,7 +7,7 @@ import torch
 
 from conftest import generator
 from deepfsi import Mlp
-from deepfsi.networks import Replicas
+from deepfsi.networks.classifiers import Replicas
 
 
 @pytest.mark.parametrize("dropout", [0.1, 0.25, 0.5, 0.9])

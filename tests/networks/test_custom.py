@@ -11,11 +11,12 @@ from torch import nn
 import deepfsi
 from conftest import PHOTONS, RECIPE, generator, light_on, same
 from deepfsi import Design, evaluate
-from deepfsi.base import InputError
-from deepfsi.camera import DetectorMap
-from deepfsi.design import to_onnx
+from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.design.onnx import to_onnx
 from deepfsi.networks import custom as own
-from deepfsi.physics import Detection, LearnedMasks
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.masks import LearnedMasks
 from shared.design_files import header_of
 from shared.jobs import learn
 from shared.networks import Cnn, Tied, linear

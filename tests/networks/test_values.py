@@ -7,9 +7,11 @@ import pytest
 import torch
 
 from deepfsi import Scanner, evaluate, ideal_observer, learn, predict
-from deepfsi.base import InputError
-from deepfsi.design import to_onnx
-from deepfsi.evaluation import check_playable, cramer_rao, stop
+from deepfsi.base.errors import InputError
+from deepfsi.design.onnx import to_onnx
+from deepfsi.evaluation.bounds import cramer_rao
+from deepfsi.evaluation.page_data import check_playable
+from deepfsi.evaluation.stopping import stop
 from deepfsi.physics import noise
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import deepfsi
-from deepfsi.base import SILENT
+from deepfsi.base.progress import SILENT
 from deepfsi_paper.adaptive import claims as study
 from deepfsi_paper.adaptive import clock
 from shared.results import of_three, some_results

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from deepfsi_paper import bootstrap
 
 UNTIED = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]

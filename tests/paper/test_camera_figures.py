@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
 
-from deepfsi.base import InputError
-from deepfsi.jobs import DESIGNS as CODES
+from deepfsi.base.errors import InputError
+from deepfsi.jobs.designs import DESIGNS as CODES
 from deepfsi.report import style
 from deepfsi_paper.camera import figures
 from shared.figures import assert_legible

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi.base import InputError
-from deepfsi.sweeps import plan_trials
+from deepfsi.base.errors import InputError
+from deepfsi.sweeps.plan import plan_trials
 from deepfsi_paper import experiment, mlgauss, studies
 from deepfsi_paper.camera import claims
 from deepfsi_paper.indian_pines import claims as indian_pines

@@ -5,7 +5,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from deepfsi.evaluation import MeanEstimate, Stopped, stopping
+from deepfsi.evaluation import stopping
+from deepfsi.evaluation.stopping import MeanEstimate, Stopped
 from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.flexible import measures
 from shared.results import of_three, some_results

@@ -8,8 +8,8 @@ import pytest
 from scipy.special import gammainc
 from scipy.stats import chi2
 
-from deepfsi.base import InputError
-from deepfsi.hardware.virtual import DETECTOR_TICK_S, Detector, Stream, divide
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S, Detector, Stream, divide
 from deepfsi_paper.camera import gate_counts
 
 TAU = 5e-8

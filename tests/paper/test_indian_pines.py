@@ -7,7 +7,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from deepfsi.datasets import catalog, load_indian_pines
+from deepfsi.datasets import catalog
+from deepfsi.datasets.catalog import load_indian_pines
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.indian_pines import measures

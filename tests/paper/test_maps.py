@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PathCollection
 
-from deepfsi.jobs import mask_count
+from deepfsi.jobs.designs import mask_count
 from deepfsi_paper.report import maps
 from shared.figures import assert_legible, assert_sound
 from shared.results import a_point

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.base import InputError
-from deepfsi.camera import photons_per_pixel, summed_reflectance
-from deepfsi.jobs import sensing_matrix
+from deepfsi.base.errors import InputError
+from deepfsi.camera.light import photons_per_pixel, summed_reflectance
+from deepfsi.jobs.tiles import sensing_matrix
 from deepfsi.physics import noise as noise_module
 from deepfsi_paper import measures
 

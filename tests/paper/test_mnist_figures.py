@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from deepfsi.jobs import DESIGNS, mask_count
+from deepfsi.jobs.designs import DESIGNS, mask_count
 from deepfsi.report.style import DESIGN_COLOURS
 from deepfsi_paper import measures
 from deepfsi_paper.mnist import figures

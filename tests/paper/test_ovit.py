@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi.sweeps import Recipe
+from deepfsi.sweeps.recipe import Recipe
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.ovit import claims as ovit
 from shared.results import a_point, of_three, some_results

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.report import rendering
 from deepfsi_paper.report import section as section_module
 from deepfsi_paper.report.study_page import write_study

@@ -6,17 +6,14 @@ import torch
 
 from conftest import FLOAT32, every_optics, generator
 from deepfsi import Scanner
-from deepfsi.base import InputError
-from deepfsi.camera import DetectorMap
-from deepfsi.physics import (
-    Detection,
-    LearnedMasks,
-    light_law,
-    ml_gauss_features,
-    project,
-    project_rails,
-    root,
-)
+from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.laws import light_law
+from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.noise import root
+from deepfsi.physics.scanner import project, project_rails
+from deepfsi.physics.training_noise import ml_gauss_features
 
 SHAPE = (6, 8)
 ARBITRARY = np.random.default_rng(0).permutation(np.arange(48) % 5)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from deepfsi import InputError
-from deepfsi.physics import torch_device
+from deepfsi.physics.surroundings import torch_device
 
 
 def test_a_device_is_one_that_torch_has(monkeypatch):

@@ -6,10 +6,14 @@ from torch import Tensor
 
 from conftest import generator
 from deepfsi import Camera, Scanner
-from deepfsi.base import InputError
-from deepfsi.jobs import Job, Range
-from deepfsi.physics import Detection, Poisson, Rails, TrainingNoise
+from deepfsi.base.errors import InputError
+from deepfsi.jobs.exposures import Range
+from deepfsi.jobs.job import Job
 from deepfsi.physics import noise as noise_module
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.noise import Poisson
+from deepfsi.physics.rails import Rails
+from deepfsi.physics.training_noise import TrainingNoise
 
 DRAWS = 100_000
 SIGMA = 0.2

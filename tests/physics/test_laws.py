@@ -21,12 +21,15 @@ from conftest import (
     synthetic,
 )
 from deepfsi import Scanner, evaluate
-from deepfsi.datasets import load_dataset
-from deepfsi.exposure import TrainingSet
-from deepfsi.jobs import sensing_matrix
-from deepfsi.physics import LearnedMasks, Rails, detection, frames, light_law
+from deepfsi.datasets.load import load_dataset
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.jobs.tiles import sensing_matrix
+from deepfsi.physics import detection
 from deepfsi.physics import noise as noise_module
-from deepfsi.training import train
+from deepfsi.physics.laws import frames, light_law
+from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.rails import Rails
+from deepfsi.training.learning import train
 from shared.jobs import job as job_of
 
 N = 64

@@ -7,10 +7,12 @@ import pytest
 import torch
 
 import deepfsi
-from deepfsi.design import to_onnx
-from deepfsi.evaluation import playable, stop
-from deepfsi.hardware.counting import TableSettings
-from deepfsi.sweeps import Recipe, compare
+from deepfsi.design.onnx import to_onnx
+from deepfsi.evaluation.page_data import playable
+from deepfsi.evaluation.stopping import stop
+from deepfsi.hardware.counting.tables import TableSettings
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.run import compare
 from shared.pictures import save_images
 
 

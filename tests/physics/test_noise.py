@@ -8,9 +8,10 @@ from torch.nn.functional import softplus
 
 from conftest import assert_moments, generator, quick
 from deepfsi import Scanner
-from deepfsi.base import InputError
-from deepfsi.physics import Poisson, detection
+from deepfsi.base.errors import InputError
+from deepfsi.physics import detection
 from deepfsi.physics import noise as noise_module
+from deepfsi.physics.noise import Poisson
 from shared.noises import RAILS, exact, saturating
 
 DRAWS = 100_000

@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from conftest import generator
-from deepfsi.physics import FixedMasks, Rails
+from deepfsi.physics.masks import FixedMasks
+from deepfsi.physics.rails import Rails
 
 
 @pytest.fixture(params=[1, 2])

@@ -8,8 +8,9 @@ from torch import Tensor
 
 from conftest import assert_moments, every_optics, generator
 from deepfsi import Scanner
-from deepfsi.base import InputError
-from deepfsi.physics import LearnedMasks, detection, noise
+from deepfsi.base.errors import InputError
+from deepfsi.physics import detection, noise
+from deepfsi.physics.masks import LearnedMasks
 from shared.noises import RAILS, TIMES
 
 DRAWS = 50_000

@@ -6,7 +6,9 @@ import pytest
 import torch
 
 from conftest import assert_moments
-from deepfsi.physics import Rails, TrainingNoise, detection, noise, training_noise
+from deepfsi.physics import detection, noise, training_noise
+from deepfsi.physics.rails import Rails
+from deepfsi.physics.training_noise import TrainingNoise
 from shared.noises import RAILS
 
 DRAWS = 50_000

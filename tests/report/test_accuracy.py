@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from deepfsi.report import accuracy_figure
-from deepfsi.report.accuracy import count_figure
+from deepfsi.report.accuracy import accuracy_figure, count_figure
 from shared.figures import assert_legible
 from shared.results import DESIGNS, make_results, with_all
 

@@ -11,14 +11,14 @@ from selenium.webdriver.common.by import By
 
 from conftest import exposing, generator, synthetic
 from deepfsi import Camera, evaluate, learn
-from deepfsi.adaptive import AdaptivePosterior, choice, prior_of
-from deepfsi.adaptive.posterior import LookOptics
-from deepfsi.evaluation import of_page, playable, with_rule
+from deepfsi.adaptive import choice
+from deepfsi.adaptive.exposure import prior_of
+from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.evaluation import page_data as payload
-from deepfsi.evaluation.page_data import few_tests
-from deepfsi.evaluation.stopping import StoppingRule
-from deepfsi.jobs import AdaptiveMasks
-from deepfsi.report.playground import write_page
+from deepfsi.evaluation.page_data import few_tests, of_page, playable
+from deepfsi.evaluation.stopping import StoppingRule, with_rule
+from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.report.playground.page import write_page
 from shared.playground import ask, open_playground
 
 LOOKS, PHOTONS, VECTORS = 6, 1e3, 20

@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 from markupsafe import escape
 
-from deepfsi.base import InputError
-from deepfsi.report import (
-    LAW_TERMS,
-    accuracy_figure,
-    comparison_page,
-    rendering,
-    verdict_of,
-    write_report,
-)
-from deepfsi.sweeps import write_results
+from deepfsi.base.errors import InputError
+from deepfsi.report import comparison_page, rendering
+from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.report.comparison_page import write_report
+from deepfsi.report.rendering import LAW_TERMS
+from deepfsi.report.verdict import verdict_of
+from deepfsi.sweeps.results import write_results
 from shared.pages import assert_explained, assert_headed, assert_whole, run_without_torch, words_of
 from shared.results import make_results, with_all
 
@@ -310,7 +307,8 @@ def test_same_results_make_the_same_page_and_figures(tmp_path):
     first = files()
     page.unlink()
     run_without_torch(
-        "from deepfsi.report import write_report; write_report(sys.argv[1])", tmp_path
+        "from deepfsi.report.comparison_page import write_report; write_report(sys.argv[1])",
+        tmp_path,
     )
     assert files() == first
     assert len(first) > 1

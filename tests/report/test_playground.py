@@ -13,8 +13,8 @@ from selenium.webdriver.common.by import By
 
 from conftest import quick, synthetic
 from deepfsi import Design
-from deepfsi.evaluation import playable
-from deepfsi.report.playground import write_page
+from deepfsi.evaluation.page_data import playable
+from deepfsi.report.playground.page import write_page
 from shared import vectors
 from shared.playground import (
     DARK,

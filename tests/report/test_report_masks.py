@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from deepfsi.measures import lit_masks, lit_text
-from deepfsi.report import brightest_masks, masks, signed
+from deepfsi.measures.results import lit_masks, lit_text
+from deepfsi.report import masks
+from deepfsi.report.masks import brightest_masks, signed
 from shared.figures import assert_legible
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.report import pictures_figure
+from deepfsi.base.errors import InputError
+from deepfsi.report.pictures import pictures_figure
 from shared.figures import assert_legible
 
 

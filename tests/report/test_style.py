@@ -3,7 +3,7 @@
 import matplotlib.style
 from cycler import cycler
 
-from deepfsi.report import accuracy_figure
+from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.style import Figures, photons_text
 from deepfsi.report.style import figures as figures_module
 from shared.figures import assert_sound

@@ -12,8 +12,8 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from deepfsi import Design
-from deepfsi.base import InputError
-from deepfsi.designfile import DesignFile
+from deepfsi.base.errors import InputError
+from deepfsi.designfile.design_file import DesignFile
 
 
 def header_of(path: Path) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from deepfsi.camera import find_device
+from deepfsi.camera.device import find_device
 from deepfsi.datasets import catalog
-from deepfsi.sweeps import Recipe
+from deepfsi.sweeps.recipe import Recipe
 from deepfsi.training import learning
 from deepfsi_paper import bootstrap, experiment, studies
 from deepfsi_paper.camera import laboratory, rate_simulations

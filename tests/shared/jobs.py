@@ -7,7 +7,7 @@ Light law and rails are the paper's unless others, or a camera, are given.
 from typing import Any
 
 from deepfsi import learn as learned
-from deepfsi.jobs import Job, sorted_settings
+from deepfsi.jobs.job import Job, sorted_settings
 
 OF_LEARN = (
     "counts",

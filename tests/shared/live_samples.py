@@ -5,20 +5,21 @@ from pathlib import Path
 import numpy as np
 
 from conftest import quick
-from deepfsi.camera import find_device
-from deepfsi.hardware.counting import Scene
-from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.live import LiveCounts, plan_live, replay_run, run, run_live
-from deepfsi.hardware.patterns import FrameSettings, export_patterns
-from deepfsi.hardware.virtual import (
-    CAMERAS,
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.live import run
+from deepfsi.hardware.live.replay import LiveCounts, replay_run
+from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from deepfsi.hardware.virtual.setup import (
     Latencies,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
-    arrival_rates,
 )
-from deepfsi.lab import design_rails, open_looks
+from deepfsi.lab.looks import design_rails, open_looks
 
 LOOKS = 3
 OPTICS = {

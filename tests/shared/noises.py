@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from deepfsi.physics import root
+from deepfsi.physics.noise import root
 
 
 def photons(rates: Tensor, generator: torch.Generator | None = None) -> Tensor:

@@ -8,8 +8,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 
-from deepfsi.report import accuracy_figure, masks, rendering
-from deepfsi.report.accuracy import count_figure
+from deepfsi.report import masks, rendering
+from deepfsi.report.accuracy import accuracy_figure, count_figure
 from deepfsi_paper.report import section
 from shared.results import make_results
 

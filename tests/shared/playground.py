@@ -11,10 +11,13 @@ from selenium.webdriver.common.by import By
 
 from conftest import generator
 from deepfsi import Design, Mlp
-from deepfsi.evaluation import playable
-from deepfsi.exposure import FixedExposure, TrainedMasks
-from deepfsi.physics import Detection, Rails, light_law
-from deepfsi.report.playground import write_page
+from deepfsi.evaluation.page_data import playable
+from deepfsi.exposure.fixed import FixedExposure
+from deepfsi.exposure.kind import TrainedMasks
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.laws import light_law
+from deepfsi.physics.rails import Rails
+from deepfsi.report.playground.page import write_page
 from shared.browser import look
 from shared.waiting import until
 

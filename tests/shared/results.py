@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.designfile import DesignFile, MaskHeader
-from deepfsi.jobs import FixedEntry
-from deepfsi.sweeps import Data, Point, Provenance, Results, write_results
-from deepfsi.sweeps.results import RESULTS_SCHEMA
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.header import MaskHeader
+from deepfsi.jobs.exposures import FixedEntry
+from deepfsi.sweeps.results import RESULTS_SCHEMA, Data, Point, Provenance, Results, write_results
 
 DESIGNS = {
     "impulse": ("II", "impulse imaging", False, False, 0.97),

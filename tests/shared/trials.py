@@ -6,9 +6,12 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import load_file
 
-from deepfsi.datasets import Dataset
-from deepfsi.jobs import find_table
-from deepfsi.sweeps import Recipe, Trial, Workers, plan_trials, run_trials
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.jobs.job import find_table
+from deepfsi.sweeps.plan import Trial, plan_trials
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.run import run_trials
+from deepfsi.sweeps.workers import Workers
 
 
 def train_trials(

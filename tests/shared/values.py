@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from deepfsi.datasets import Dataset, from_arrays, load_dataset
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
 
 
 def centroids(x: np.ndarray) -> np.ndarray:

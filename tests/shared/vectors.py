@@ -16,9 +16,9 @@ import torch
 
 from conftest import synthetic
 from deepfsi import Design
-from deepfsi.camera import share_out
-from deepfsi.datasets import Dataset
-from deepfsi.exposure import Observation
+from deepfsi.camera.light import share_out
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.exposure.kind import Observation
 from shared.jobs import learn
 
 PATH = Path(__file__).with_name("vectors.json")

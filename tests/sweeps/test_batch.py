@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from deepfsi import Design
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.sweeps import batch
-from deepfsi.training import footprint, learning
+from deepfsi.training import learning
+from deepfsi.training.learning import footprint
 from shared.jobs import learn
 from shared.trials import planned, train_trials
 

@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from deepfsi.base import locks, saved_work_text
-from deepfsi.sweeps import FinishedTrial, Records, Trial, batch
+from deepfsi.base import locks
+from deepfsi.base.interrupts import saved_work_text
+from deepfsi.sweeps import batch
+from deepfsi.sweeps.plan import Trial
+from deepfsi.sweeps.records import FinishedTrial, Records
 from deepfsi.training import checkpoint
 from shared.checkpoints import Stopped, write_each_step
 from shared.trials import left_over, planned, tensors, train_trials

@@ -5,12 +5,16 @@ import pytest
 
 from conftest import synthetic
 from deepfsi import evaluate, load_design
-from deepfsi.base import InputError
-from deepfsi.base.numeric import accuracy_interval, unpack_values
-from deepfsi.datasets import from_arrays, load_dataset
-from deepfsi.designfile import trained_on
-from deepfsi.lab import data_of
-from deepfsi.sweeps import check_kept, check_settings, compare, forecast_cost, write_results
+from deepfsi.base.errors import InputError
+from deepfsi.base.numeric.intervals import accuracy_interval, unpack_values
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.datasets.load import load_dataset
+from deepfsi.designfile.provenance import trained_on
+from deepfsi.lab.design_data import data_of
+from deepfsi.sweeps.forecast import forecast_cost
+from deepfsi.sweeps.plan import check_settings
+from deepfsi.sweeps.results import write_results
+from deepfsi.sweeps.run import check_kept, compare
 from shared.trials import small
 
 FEW = {"designs": "deepfsi", "photons": 1e3, "masks": 3, "training": {"epochs": 1}, "folds": None}

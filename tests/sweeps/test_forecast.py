@@ -7,9 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError, Progress
-from deepfsi.base.numeric import Crossing, find_crossing
-from deepfsi.sweeps import Recipe, batch, check_plan, forecast, forecast_cost, photons_needed
+from deepfsi.base.errors import InputError
+from deepfsi.base.numeric.intervals import Crossing, find_crossing
+from deepfsi.base.progress import Progress
+from deepfsi.sweeps import batch, forecast
+from deepfsi.sweeps.forecast import check_plan, forecast_cost, photons_needed
+from deepfsi.sweeps.recipe import Recipe
 from deepfsi.training import learning
 from shared.trials import planned, small, train_trials
 
@@ -64,7 +67,7 @@ def test_a_test_is_counted_for_all_scenes_it_takes_at_each_budget_noise_and_leve
     def evaluate(design, data, *_, **how):
         now[0] += 1e-3 * len(data.x_test)
 
-    monkeypatch.setattr("deepfsi.evaluation.evaluate", evaluate)
+    monkeypatch.setattr("deepfsi.evaluation.accuracy.evaluate", evaluate)
     trials = planned(
         digits, designs="pca", masks=3, photons=1e3, validation=200, test_photons=(1e2, 1e3, 1e4),
         test_noise=("ml_gauss", "poisson"), test_levels=(0, 8),

@@ -8,10 +8,12 @@ import threading
 import numpy as np
 import pytest
 
-from deepfsi import load_design, training
-from deepfsi.datasets import from_arrays
+from deepfsi import load_design
+from deepfsi.datasets.arrays import from_arrays
 from deepfsi.designfile.published import DESIGNS_VARIABLE
-from deepfsi.sweeps import Collection, model_cards
+from deepfsi.sweeps import model_cards
+from deepfsi.sweeps.model_cards import Collection
+from deepfsi.training import learning
 
 LIST = """
 [designs.small]
@@ -82,13 +84,13 @@ def test_a_collection_is_made_once_and_opened_by_name(mine, done, tmp_path, monk
 
 
 def test_what_is_spoilt_or_of_another_recipe_is_made_again(mine, done, tmp_path, monkeypatch):
-    folder, usual, made = tmp_path / "made", training.learn, []
+    folder, usual, made = tmp_path / "made", learning.learn, []
 
     def learn(data, **settings):
         made.append(settings["masks"])
         return usual(data, **settings)
 
-    monkeypatch.setattr(training, "learn", learn)
+    monkeypatch.setattr(learning, "learn", learn)
     make = ("designs", "make", mine, "--only", "small", "-o", folder)
     done(*make)
     done(*make)
@@ -103,7 +105,7 @@ def test_what_is_spoilt_or_of_another_recipe_is_made_again(mine, done, tmp_path,
 
 
 def test_ctrl_c_keeps_what_is_finished(mine, call, done, tmp_path, monkeypatch):
-    folder, usual = tmp_path / "made", training.learn
+    folder, usual = tmp_path / "made", learning.learn
 
     def learn(data, **settings):
         if settings.get("design") == "adaptive":
@@ -111,7 +113,7 @@ def test_ctrl_c_keeps_what_is_finished(mine, call, done, tmp_path, monkeypatch):
         return usual(data, **settings)
 
     with monkeypatch.context() as stopping:
-        stopping.setattr(training, "learn", learn)
+        stopping.setattr(learning, "learn", learn)
         # a process says it once
         stopping.setattr("deepfsi.base.interrupts._said", threading.Event())
         code, _, errors = call("designs", "make", mine, "-o", folder)

@@ -5,8 +5,9 @@ import pytest
 
 from conftest import same
 from deepfsi import Design
-from deepfsi.base import InputError
-from deepfsi.sweeps import Recipe, plan_trials
+from deepfsi.base.errors import InputError
+from deepfsi.sweeps.plan import plan_trials
+from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import record_rows
 from shared.jobs import learn
 from shared.trials import small, train_trials

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.datasets import load_dataset
-from deepfsi.sweeps import check_settings
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.load import load_dataset
+from deepfsi.sweeps.plan import check_settings
 from shared.trials import planned, small
 
 

@@ -22,19 +22,15 @@ import ray
 from ray.cluster_utils import Cluster
 
 from conftest import synthetic
-from deepfsi.base import InputError
-from deepfsi.datasets import load_dataset
-from deepfsi.sweeps import (
-    Recipe,
-    Records,
-    Resources,
-    Workers,
-    plan_trials,
-    ray_cluster,
-    run_on_ray,
-    run_trials,
-)
-from deepfsi.sweeps.ray_cluster import answers
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.load import load_dataset
+from deepfsi.sweeps import ray_cluster
+from deepfsi.sweeps.plan import plan_trials
+from deepfsi.sweeps.ray_cluster import answers, run_on_ray
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.records import Records
+from deepfsi.sweeps.run import run_trials
+from deepfsi.sweeps.workers import Resources, Workers
 from shared.trials import train_trials
 
 SEEN_SOON = {"health_check_initial_delay_ms": 0, "health_check_period_ms": 500}

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from conftest import synthetic
-from deepfsi.base import InputError
-from deepfsi.datasets import from_arrays
-from deepfsi.sweeps import Recipe, check_settings, only, with_adaptive
-from deepfsi.sweeps.plan import ADAPTIVE_SCENES
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.sweeps.plan import ADAPTIVE_SCENES, check_settings, with_adaptive
+from deepfsi.sweeps.recipe import Recipe, only
 
 FILE = {
     "data": "mnist",

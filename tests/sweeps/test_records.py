@@ -5,8 +5,8 @@ import json
 import polars
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.sweeps import write_table
+from deepfsi.base.errors import InputError
+from deepfsi.sweeps.records import write_table
 from deepfsi.sweeps.results import RESULTS_SCHEMA
 from shared.trials import planned, train_trials
 

@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 
 from deepfsi import Design, evaluate
-from deepfsi.base import InputError
-from deepfsi.base.numeric import unpack_values
+from deepfsi.base.errors import InputError
+from deepfsi.base.numeric.intervals import unpack_values
 from deepfsi.cli import studies
-from deepfsi.sweeps import Recipe, Trial, batch, compare, parts
+from deepfsi.sweeps import batch
+from deepfsi.sweeps.plan import Trial
+from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import record_rows
+from deepfsi.sweeps.run import compare
 from shared.trials import planned, small, train_trials
 
 RECIPES = {

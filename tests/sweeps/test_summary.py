@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deepfsi.base import numeric
-from deepfsi.sweeps import FoldRecords, summarise_records
+from deepfsi.base.numeric import intervals
+from deepfsi.sweeps.summary import FoldRecords, summarise_records
 from shared.trials import small
 
 PHOTONS = 1e3
@@ -135,7 +135,7 @@ def test_a_design_that_answers_one_class_only_is_known_and_chance_is_that_class(
 
 
 def test_confusions_and_images_are_kept_of_the_chosen_masks_alone(digits):
-    right = {"terms": {"accuracy": numeric.pack_values(np.ones(len(digits.y_test)))}}
+    right = {"terms": {"accuracy": intervals.pack_values(np.ones(len(digits.y_test)))}}
     records = [
         record(1.0, m, k, validation=v, **right) for m, v in ((3, 0.8), (6, 0.7)) for k in range(2)
     ]
@@ -148,7 +148,7 @@ def test_confusions_and_images_are_kept_of_the_chosen_masks_alone(digits):
 
 def with_images(right, seed):
     """A record that keeps the share of draws of each test image that are right."""
-    terms = {"accuracy": numeric.pack_values(right)}
+    terms = {"accuracy": intervals.pack_values(right)}
     return record(float(right.mean()), seed=seed, terms=terms)
 
 
@@ -158,14 +158,14 @@ def test_an_interval_over_trials_covers_images_and_seeds_where_records_keep_them
     chance = rng.random(len(digits.y_test)) ** 0.5
     rows = np.stack([rng.binomial(3, chance) / 3 for _ in range(3)])
     (point,) = summary(digits, [with_images(row, k) for k, row in enumerate(rows)])
-    interval = numeric.accuracy_interval(rows)
+    interval = intervals.accuracy_interval(rows)
     assert (point.accuracy, point.low, point.high) == pytest.approx(interval, abs=1e-6)
-    ends = numeric.balanced_interval(rows, digits.y_test)[1:]
+    ends = intervals.balanced_interval(rows, digits.y_test)[1:]
     assert (point.balanced_low, point.balanced_high) == pytest.approx(ends, abs=1e-6)
     assert point.high - point.low > 2 * 1.9 * np.std(np.mean(rows, axis=0)) / len(chance) ** 0.5
     assert "images" in point.covers
     assert "3 trainings" in point.covers
-    terms = np.stack([numeric.unpack_values(text) for text in point.terms])
+    terms = np.stack([intervals.unpack_values(text) for text in point.terms])
     np.testing.assert_allclose(terms, rows, atol=1e-6)
 
 
@@ -173,7 +173,7 @@ def test_records_of_an_earlier_version_keep_the_old_rule_and_say_so(digits):
     old = [record(value, seed=k) for k, value in enumerate(VALUES[:2])]
     right = np.random.default_rng(0).binomial(3, 0.8, len(digits.y_test)) / 3
     (point,) = summary(digits, [*old, with_images(right, 2)])
-    assert (point.low, point.high) == pytest.approx(numeric.student(point.accuracies))
+    assert (point.low, point.high) == pytest.approx(intervals.student(point.accuracies))
     assert "earlier version" in point.covers
     assert point.terms == ()
 

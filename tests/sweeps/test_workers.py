@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from deepfsi.sweeps import processes
-from deepfsi.sweeps.workers import report_of_task
+from deepfsi.sweeps.workers import processes, report_of_task
 from shared.waiting import PATIENCE, until
 
 
@@ -40,7 +39,7 @@ def test_a_task_in_no_worker_reports_to_nobody():
 
 SCRIPT = """
 from operator import add
-from deepfsi.sweeps import processes
+from deepfsi.sweeps.workers import processes
 print("once", sorted(processes(add, 10, [1, 2, 3], 2)), flush=True)
 """
 

@@ -6,8 +6,8 @@ import torch
 from torch.nn.functional import cross_entropy
 
 from conftest import generator
-from deepfsi.datasets import from_arrays
-from deepfsi.exposure import TrainingSet
+from deepfsi.datasets.arrays import from_arrays
+from deepfsi.exposure.training_set import TrainingSet
 
 
 def test_the_weighted_loss_is_that_of_scenes_repeated():

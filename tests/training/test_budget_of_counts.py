@@ -7,8 +7,9 @@ import pytest
 
 from conftest import RECIPE, every_design, own_matrix
 from deepfsi import evaluate
-from deepfsi.base import SILENT, InputError
-from deepfsi.physics import light_law
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT
+from deepfsi.physics.laws import light_law
 from deepfsi.training import learning
 from shared.jobs import learn
 

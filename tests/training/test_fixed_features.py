@@ -5,8 +5,10 @@ from collections import Counter
 import pytest
 from torch.profiler import ProfilerActivity, profile
 
-from deepfsi.exposure import JobGroup, TrainingSet, build_training
-from deepfsi.physics import Draws
+from deepfsi.exposure.kinds import build_training
+from deepfsi.exposure.training import JobGroup
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.physics.training_noise import Draws
 from shared.jobs import job
 
 BATCH, MASKS = 50, 8

@@ -9,7 +9,7 @@ import torch
 from conftest import RECIPE, same
 from deepfsi import evaluate
 from deepfsi import learn as learned
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from shared.checkpoints import TRAININGS, Stopped, write_each_step
 from shared.jobs import learn
 

@@ -20,7 +20,7 @@ from conftest import (
     two_valued,
 )
 from deepfsi import evaluate
-from deepfsi.physics import light_law
+from deepfsi.physics.laws import light_law
 from shared.jobs import learn
 
 

@@ -9,16 +9,13 @@ from scipy.special import softmax
 
 from conftest import exposing, generator
 from deepfsi import evaluate, learn
-from deepfsi.adaptive import (
-    AdaptiveExposure,
-    AdaptivePosterior,
-    AdaptiveTraining,
-    LeftOutAnswers,
-    next_masks,
-)
-from deepfsi.evaluation import logits_at_stops
-from deepfsi.jobs import AdaptiveMasks, find_job
-from deepfsi.networks import stop_temperatures
+from deepfsi.adaptive.choice import next_masks
+from deepfsi.adaptive.exposure import AdaptiveExposure, AdaptiveTraining, LeftOutAnswers
+from deepfsi.adaptive.posterior import AdaptivePosterior
+from deepfsi.evaluation.confidence import logits_at_stops
+from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.jobs.job import find_job
+from deepfsi.networks.temperatures import stop_temperatures
 from deepfsi.training import characterisation
 
 PHOTONS, LOOKS = 1e4, 6

@@ -10,10 +10,11 @@ import torch
 
 from conftest import OPTICS, RECIPE, quick, same
 from deepfsi import Design
-from deepfsi.exposure import TrainingSet
 from deepfsi.exposure import training as exposure_training
-from deepfsi.networks import Replicas
-from deepfsi.training import loop, train
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.networks.classifiers import Replicas
+from deepfsi.training import loop
+from deepfsi.training.learning import train
 from shared.jobs import job as job_of
 
 pytestmark = pytest.mark.usefixtures("trained_once")

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from deepfsi import evaluate, learn
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.training import losses
 from shared.values import placed_digits
 

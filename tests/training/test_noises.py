@@ -8,8 +8,8 @@ import pytest
 import deepfsi
 from conftest import quick
 from deepfsi import Camera
-from deepfsi.base import InputError
-from deepfsi.evaluation import check_playable
+from deepfsi.base.errors import InputError
+from deepfsi.evaluation.page_data import check_playable
 
 READ = {"noise": "camera", "sigma": 50.0, "dark": 2e4}
 FRAMES = {"light": "equal-dwell", "rails": "single"}

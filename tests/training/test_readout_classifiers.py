@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.datasets import MeasuredReadouts, Variables, read_readouts
-from deepfsi.design import classify_readouts
-from deepfsi.training import learn_readouts, measure_readouts
-from deepfsi.training.readouts import measure_order
+from deepfsi.datasets.readouts import MeasuredReadouts, Variables, read_readouts
+from deepfsi.design.readouts import classify_readouts
+from deepfsi.training.readouts import learn_readouts, measure_order, measure_readouts
 
 pytestmark = pytest.mark.usefixtures("trained_once")
 

@@ -10,10 +10,14 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from conftest import RECIPE
-from deepfsi.base import InputError, Progress, interrupts
-from deepfsi.exposure import TrainingSet
-from deepfsi.training import Checkpoint, Diverged, loop, train
+from deepfsi.base import interrupts
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Progress
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.training import checkpoint as module
+from deepfsi.training import loop
+from deepfsi.training.checkpoint import Checkpoint
+from deepfsi.training.learning import Diverged, train
 from shared.checkpoints import TRAININGS, Stopped, write_each_step
 from shared.jobs import job as job_of
 from shared.jobs import learn

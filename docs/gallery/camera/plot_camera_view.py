@@ -13,12 +13,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.camera import find_device
-from deepfsi.hardware.counting import count_run
-from deepfsi.hardware.patterns import FrameSettings, export_patterns
-from deepfsi.hardware.pictures import reconstruct
-from deepfsi.hardware.virtual import CAMERAS, RecordingSettings, record_scenes
-from deepfsi.lab import design_rails
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.pictures.solve import reconstruct
+from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, record_scenes
+from deepfsi.lab.looks import design_rails
 
 # %%
 # Twenty non-negative masks are learned for one device and one detector, which is the camera unless

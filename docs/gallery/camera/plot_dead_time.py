@@ -9,8 +9,8 @@ than of dim light. The loss follows from the counted rate, and is corrected.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from deepfsi.camera import DeadTime
-from deepfsi.hardware.virtual import Detector
+from deepfsi.camera.dead_time import DeadTime
+from deepfsi.hardware.virtual.detector import Detector
 from deepfsi_paper.camera.gate_counts import draw
 
 # %%

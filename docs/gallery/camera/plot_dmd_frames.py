@@ -12,9 +12,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import deepfsi
-from deepfsi.camera import find_device
-from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_frames, unpack
-from deepfsi.lab import design_rails
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_frames
+from deepfsi.hardware.patterns.frames import unpack
+from deepfsi.lab.looks import design_rails
 
 # %%
 # Four non-negative masks of 8 × 8 pixels become frames of a DLP7000 with 1024 × 768 mirrors. Each

@@ -14,7 +14,8 @@ import numpy as np
 
 import deepfsi
 from deepfsi.report.style import DESIGN_COLOURS, DESIGN_LINES
-from deepfsi.sweeps import Recipe, compare
+from deepfsi.sweeps.recipe import Recipe
+from deepfsi.sweeps.run import compare
 
 # %%
 # Put your own pictures here: ``x`` of shape (n, height, width), ``y`` their labels. This example

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.evaluation import cramer_rao
+from deepfsi.evaluation.bounds import cramer_rao
 from deepfsi.report.style import DESIGN_COLOURS, photons_text
 
 # %%

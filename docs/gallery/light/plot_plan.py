@@ -14,7 +14,8 @@ import numpy as np
 
 import deepfsi
 from deepfsi.report.style import DESIGN_COLOURS, DESIGN_LINES
-from deepfsi.sweeps import Recipe, photons_needed
+from deepfsi.sweeps.forecast import photons_needed
+from deepfsi.sweeps.recipe import Recipe
 
 # %%
 # Three designs of ten masks are planned for digits and one micromirror device with one detector.

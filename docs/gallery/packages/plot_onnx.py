@@ -14,7 +14,7 @@ import onnxruntime
 import torch
 
 import deepfsi
-from deepfsi.design import to_onnx
+from deepfsi.design.onnx import to_onnx
 
 # %%
 # A design with one rail, and Poisson counts of the test pictures, as a camera would measure them.

@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 import deepfsi
-from deepfsi.physics import LearnedMasks
+from deepfsi.physics.masks import LearnedMasks
 
 # %%
 # Sixteen signed masks obey ``free-dwell`` (one device, each frame for its own time). The network

@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.adaptive.posterior import AdaptivePosterior
-from deepfsi.physics import Fluctuation, Poisson
+from deepfsi.physics.noise import Fluctuation, Poisson
 
 LIKELIEST = 4
 """Classes that the next mask is to separate at most."""

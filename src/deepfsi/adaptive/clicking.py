@@ -33,11 +33,14 @@ from deepfsi.adaptive.exposure import (
     prior_of,
 )
 from deepfsi.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
-from deepfsi.base import InputError, Message, Progress
-from deepfsi.camera import Camera, summed_reflectance
-from deepfsi.datasets import Dataset
-from deepfsi.exposure import Use
-from deepfsi.jobs import AdaptiveMasks, Job
+from deepfsi.base.errors import InputError, Message
+from deepfsi.base.progress import Progress
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.light import summed_reflectance
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.exposure.kind import Use
+from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.jobs.job import Job
 
 BLUR = 0.5
 """Standard deviation of the blur of the scenes of the prior, pixels."""

@@ -29,12 +29,13 @@ from deepfsi.adaptive.posterior import (
     ScenePrior,
     confidence_of,
 )
-from deepfsi.base import SILENT, InputError, Message, Progress, as_input_error
-from deepfsi.base.numeric import check_memory, free_memory
-from deepfsi.camera import Camera
-from deepfsi.datasets import Dataset
-from deepfsi.designfile import AdaptiveHeader
-from deepfsi.exposure import (
+from deepfsi.base.errors import InputError, Message, as_input_error
+from deepfsi.base.numeric.arrays import check_memory, free_memory
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.camera.camera import Camera
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.designfile.header import AdaptiveHeader
+from deepfsi.exposure.kind import (
     Answer,
     CappedRule,
     CountedLight,
@@ -44,8 +45,9 @@ from deepfsi.exposure import (
     Stops,
     Use,
 )
-from deepfsi.jobs import AdaptiveMasks, Job
-from deepfsi.physics import Detection
+from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.jobs.job import Job
+from deepfsi.physics.detection import Detection
 
 LIKELIHOODS_AT_ONCE = 2**22
 """Log-likelihoods that are held at a time."""

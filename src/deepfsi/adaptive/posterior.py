@@ -23,11 +23,14 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.base import InputError
-from deepfsi.camera import LIGHT_LAWS, Camera, summed_reflectance
-from deepfsi.designfile import SceneModel, Temperatures
-from deepfsi.jobs import AdaptiveMasks
-from deepfsi.networks import temperatures_at
+from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.light import summed_reflectance
+from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.designfile.temperatures import Temperatures
+from deepfsi.designfile.view_test import SceneModel
+from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.networks.temperatures import temperatures_at
 
 NEIGHBOURS = 3000
 """Scenes whose nearest neighbours tell how far scenes lie from those of the prior, at most."""

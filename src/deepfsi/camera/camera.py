@@ -25,17 +25,11 @@ from pydantic import (
     model_serializer,
 )
 
-from deepfsi.base import (
-    InputError,
-    as_input_error,
-    check_choice,
-    closest_choice,
-    count_text,
-    plain_keywords,
-    read_toml,
-    time_text,
-)
-from deepfsi.base.models import Seconds, UserModel
+from deepfsi.base.errors import InputError, as_input_error, check_choice, closest_choice
+from deepfsi.base.files import read_toml
+from deepfsi.base.keywords import plain_keywords
+from deepfsi.base.models.strict import Seconds, UserModel
+from deepfsi.base.quantities import count_text, time_text
 from deepfsi.camera.dead_time import LONGEST_DEAD_TIME_S, CounterEffects, DeadTime
 from deepfsi.camera.detectors import DetectorMap, detector_setting
 from deepfsi.camera.device import Device, find_device

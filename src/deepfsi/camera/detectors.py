@@ -8,9 +8,9 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from deepfsi.base import InputError
-from deepfsi.base.models import Amount, Share, StrictModel, WholeNumber
-from deepfsi.base.numeric import read_npy
+from deepfsi.base.errors import InputError
+from deepfsi.base.models.strict import Amount, Share, StrictModel, WholeNumber
+from deepfsi.base.numeric.arrays import read_npy
 
 MOST_DETECTORS = 2**16
 """Detectors of an arm at most."""

@@ -14,7 +14,8 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import InputError, plain_keywords
+from deepfsi.base.errors import InputError
+from deepfsi.base.keywords import plain_keywords
 
 Array = TypeVar("Array")
 """A numpy array or a tensor."""

@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, Field, PlainSerializer, WithJsonSchema
 
-from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, check_choice, import_path
+from deepfsi.base.errors import InputError, check_choice
+from deepfsi.base.plugins import IMPORT_PATH, UNNAMED_PLUGIN, import_path
 
 LightLawName = Literal["column", "equal-dwell", "free-dwell", "two-arm", "dose"]
 """Name of a light law, see `physics.laws`."""

@@ -2,7 +2,7 @@
 
 import math
 
-from deepfsi.base.models import Count, Positive, Share, StrictModel
+from deepfsi.base.models.strict import Count, Positive, Share, StrictModel
 from deepfsi.camera.dead_time import CounterEffects
 
 

@@ -17,7 +17,9 @@ from typing import Any, NoReturn
 import click
 
 import deepfsi
-from deepfsi.base import STOPPED_EXIT_CODE, InputError, require_extras, say_stopped
+from deepfsi.base.errors import InputError
+from deepfsi.base.interrupts import STOPPED_EXIT_CODE, say_stopped
+from deepfsi.base.plugins import require_extras
 from deepfsi.cli.terminal import error_line
 
 

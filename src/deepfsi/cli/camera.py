@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from deepfsi.base import write_atomically
-from deepfsi.base.models import Count
-from deepfsi.camera import PRESETS, Camera
+from deepfsi.base.files import write_atomically
+from deepfsi.base.models.strict import Count
+from deepfsi.camera.camera import PRESETS, Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.data import pictures_written
@@ -35,7 +35,7 @@ class DescribeCamera(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The camera, or a file to describe one in."""
-        from deepfsi.lab import camera_of
+        from deepfsi.lab.looks import camera_of
 
         if self.template is not None:
             write_atomically(self.template, Camera.template().encode())
@@ -74,7 +74,7 @@ class WriteSpots(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Pictures that were written."""
-        from deepfsi.hardware.calibration import write_spots
+        from deepfsi.hardware.calibration.fit import write_spots
 
         return pictures_written(write_spots(self.out, self.size, self.side), self.out)
 
@@ -95,7 +95,7 @@ class CalibrateCamera(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """View of the camera, in its file."""
-        from deepfsi.lab import calibrate
+        from deepfsi.lab.calibration import calibrate
 
         fields.check_free(self.out / "calibration.json", self.force)
         calibration, file, detectors = calibrate(self.folder, self.spots, self.out)
@@ -133,7 +133,7 @@ class CheckView(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Place of the scenes on the device."""
-        from deepfsi.lab import check_view
+        from deepfsi.lab.calibration import check_view
 
         with terminal.progress("reference") as report:
             fit = check_view(self.folder, report)

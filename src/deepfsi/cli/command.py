@@ -20,16 +20,11 @@ from pydantic import BeforeValidator, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticUndefined
 
-from deepfsi.base import (
-    STOPPED_EXIT_CODE,
-    InputError,
-    field_errors,
-    join_messages,
-    readable_name,
-    seconds,
-    time_text,
-)
-from deepfsi.base.models import StrictModel
+from deepfsi.base.errors import InputError, field_errors, join_messages
+from deepfsi.base.files import readable_name
+from deepfsi.base.interrupts import STOPPED_EXIT_CODE
+from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.quantities import seconds, time_text
 from deepfsi.cli.fields import FIRST, OptionsOf, Output, Written
 from deepfsi.cli.terminal import Outcome, Terminal, option_name
 

@@ -5,15 +5,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from deepfsi.base import Table, budget_text, rate_text
-from deepfsi.base.models import Count, WholeNumber
+from deepfsi.base.models.strict import Count, WholeNumber
+from deepfsi.base.quantities import Table, budget_text, rate_text
 from deepfsi.cli.command import Command
 from deepfsi.cli.fields import Names, Output, Size, argument, check_design_file, option, required
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.datasets import check, download, list_datasets, load_dataset, write_display
+from deepfsi.datasets.catalog import check, download, list_datasets
+from deepfsi.datasets.display import write_display
+from deepfsi.datasets.load import load_dataset
 
 if TYPE_CHECKING:
-    from deepfsi.designfile import PublishedDesign
+    from deepfsi.designfile.published import PublishedDesign
 
 
 class DataList(Command):
@@ -92,7 +94,7 @@ class DataExport(Command):
     def run(self, terminal: Terminal) -> Outcome:
         """Pictures that were written."""
         if self.name.endswith(".safetensors"):
-            from deepfsi.lab import data_of_file
+            from deepfsi.lab.design_data import data_of_file
 
             scenes = data_of_file(check_design_file(Path(self.name)), self.size)
         else:
@@ -126,7 +128,7 @@ class DesignsMake(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Designs of the list, each with its test."""
-        from deepfsi.sweeps import Collection, make_collection
+        from deepfsi.sweeps.model_cards import Collection, make_collection
 
         entries = {}
         command = "deepfsi designs make" + (f" {self.source.name}" if self.source else "")
@@ -162,7 +164,7 @@ class DesignsList(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Designs of every collection at hand."""
-        from deepfsi.designfile import SHIPPED_DESIGNS, read_indexes
+        from deepfsi.designfile.published import SHIPPED_DESIGNS, read_indexes
 
         collections = {
             "shipped with the package" if where == str(SHIPPED_DESIGNS) else where: designs

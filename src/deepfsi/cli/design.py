@@ -7,17 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from deepfsi.base import (
-    DESIGN_ENDINGS,
-    InputError,
-    budget_text,
-    confidence_text,
-    count_text,
-    join_messages,
-    write_atomically,
-)
-from deepfsi.base.models import Count, Positive, WholeNumber
-from deepfsi.camera import Camera
+from deepfsi.base.errors import InputError, join_messages
+from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
+from deepfsi.base.models.strict import Count, Positive, WholeNumber
+from deepfsi.base.quantities import budget_text, confidence_text, count_text
+from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.evaluate import (
@@ -26,19 +20,16 @@ from deepfsi.cli.evaluate import (
     with_classes,
 )
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.jobs import (
-    MASK_SETTINGS,
-    Job,
-    find_job,
-    read_matrix,
-    sorted_settings,
-    usual_mask_count,
-)
-from deepfsi.measures import Result, details_text, lit_text, score_text
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.jobs.job import Job, find_job, sorted_settings, usual_mask_count
+from deepfsi.jobs.mask_files import read_matrix
+from deepfsi.jobs.training import MASK_SETTINGS
+from deepfsi.measures.lines import details_text, score_text
+from deepfsi.measures.results import Result, lit_text
 
 if TYPE_CHECKING:
-    from deepfsi.design import Design
+    from deepfsi.design.design import Design
 
 
 class LearnDesign(Command):
@@ -67,12 +58,12 @@ class LearnDesign(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Train, save and test."""
-        from deepfsi.hardware.calibration import view_dataset
+        from deepfsi.hardware.calibration.view import view_dataset
 
         # one of the same settings may be replaced
         fields.check_file(self.out, DESIGN_ENDINGS, force=True)
-        from deepfsi.evaluation import evaluate
-        from deepfsi.training import learn
+        from deepfsi.evaluation.accuracy import evaluate
+        from deepfsi.training.learning import learn
 
         matrix = None if self.matrix is None else read_matrix(self.matrix)
         settings = dict(self.settings)
@@ -182,7 +173,7 @@ def _check_mask_settings(settings: Mapping[str, Any], job: Job) -> None:
 
 def _check_test(job: Job) -> None:
     """Raise `InputError` unless a design can be tested under its camera's noise."""
-    from deepfsi.physics import noise_of
+    from deepfsi.physics.noise import noise_of
 
     noise_of(job.camera)
     if faults := job.exposure.test_faults((job.camera.noise_name,)):
@@ -191,8 +182,8 @@ def _check_test(job: Job) -> None:
 
 def _check_same(file: Path, job: Job, data: Dataset, matrix: np.ndarray | None) -> None:
     """Raise `InputError` unless a design file is what training this job would write again."""
-    from deepfsi.design import load_design
-    from deepfsi.designfile import trained_on
+    from deepfsi.design.design import load_design
+    from deepfsi.designfile.provenance import trained_on
 
     with suppress(InputError):
         design = load_design(file)
@@ -207,7 +198,7 @@ def _check_same(file: Path, job: Job, data: Dataset, matrix: np.ndarray | None) 
 
 def _scenes_text(trained: Dataset, tested: Dataset) -> str:
     """Scenes of a training and its test in words, and what `compare` does otherwise."""
-    from deepfsi.sweeps import Recipe
+    from deepfsi.sweeps.recipe import Recipe
 
     words = f"trained on {len(trained.x_train)} scenes, tested on {len(tested.x_test)}"
     if trained.held_out:
@@ -281,7 +272,7 @@ class ShowDesign(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of the masks."""
-        from deepfsi.designfile import check_masks, trained_on
+        from deepfsi.designfile.provenance import check_masks, trained_on
 
         out = self.out
         if out is None:  # beside a file; of a published design's name here
@@ -289,9 +280,9 @@ class ShowDesign(Command):
             out = self.file.with_suffix(".png") if self.file.exists() else name
         file = fields.check_design_file(self.file)
         fields.check_file(out, fields.PICTURES, self.force)
-        from deepfsi.design import load_design
-        from deepfsi.lab import data_of
-        from deepfsi.report import design_figure, looks_figure
+        from deepfsi.design.design import load_design
+        from deepfsi.lab.design_data import data_of
+        from deepfsi.report.masks import design_figure, looks_figure
         from deepfsi.report.style import write_figure
 
         design = load_design(file)
@@ -328,9 +319,9 @@ class WritePage(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The page, with its measured accuracy."""
-        from deepfsi.evaluation import check_playable, playable
-        from deepfsi.lab import data_of, open_design
-        from deepfsi.report.playground import write_page
+        from deepfsi.evaluation.page_data import check_playable, playable
+        from deepfsi.lab.design_data import data_of, open_design
+        from deepfsi.report.playground.page import write_page
 
         design = open_design(self.file)
         check_playable(design)
@@ -364,8 +355,8 @@ class ExportClassifier(Command):
         target = self.out or self.file.with_suffix(".onnx")
         file = fields.check_design_file(self.file)
         fields.check_file(target, (".onnx",), self.force)
-        from deepfsi.design import to_onnx
-        from deepfsi.lab import open_design
+        from deepfsi.design.onnx import to_onnx
+        from deepfsi.lab.design_data import open_design
 
         design = open_design(file, trust=self.trust, static=True)
         write_atomically(target, to_onnx(design))
@@ -408,7 +399,7 @@ class WriteMask(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The pattern, with its size."""
-        from deepfsi.hardware.patterns import write_photomask
+        from deepfsi.hardware.patterns.photomask import write_photomask
 
         pattern = write_photomask(self.file, self.out, self.pixel)
         rows, columns = pattern.shape

@@ -5,15 +5,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
-from deepfsi.base import InputError, Message, Table, as_input_error
-from deepfsi.base.models import WholeNumber
-from deepfsi.camera import DEVICE_SOURCES, DEVICES, DmdLayout, find_device
+from deepfsi.base.errors import InputError, Message, as_input_error
+from deepfsi.base.models.strict import WholeNumber
+from deepfsi.base.quantities import Table
+from deepfsi.camera.device import DEVICE_SOURCES, DEVICES, find_device
+from deepfsi.camera.layout import DmdLayout
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
 
 if TYPE_CHECKING:
-    from deepfsi.hardware.patterns import Patterns
+    from deepfsi.hardware.patterns.folder import Patterns
 
 
 class ExportPatterns(Command):
@@ -69,9 +71,10 @@ class ExportPatterns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns that were written, on which device and for how long."""
-        from deepfsi.hardware.calibration import SCAN_NAMES, scan_rails, write_reference
-        from deepfsi.hardware.patterns import FrameSettings, export_patterns
-        from deepfsi.lab import camera_of, design_rails
+        from deepfsi.hardware.calibration.reference import write_reference
+        from deepfsi.hardware.calibration.scans import SCAN_NAMES, scan_rails
+        from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+        from deepfsi.lab.looks import camera_of, design_rails
 
         if str(self.file) in SCAN_NAMES:
             source = self.file
@@ -108,7 +111,7 @@ class ExportPatterns(Command):
 
     def _check_of_design(self) -> None:
         """Raise `InputError` for options of a scan, which a design decides."""
-        from deepfsi.hardware.calibration import SCAN_NAMES
+        from deepfsi.hardware.calibration.scans import SCAN_NAMES
 
         for option, words in (("size", "cells"), ("detectors", "detectors")):
             if getattr(self, option) is not None:
@@ -128,7 +131,7 @@ class CheckPatterns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns of the folder, all of whose frames are as they were exported."""
-        from deepfsi.hardware.patterns import check_patterns
+        from deepfsi.hardware.patterns.folder import check_patterns
 
         with terminal.progress("frames") as report:
             patterns = check_patterns(self.folder, report)

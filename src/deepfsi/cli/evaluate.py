@@ -4,22 +4,19 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from deepfsi.base import (
-    DESIGN_ENDINGS,
-    InputError,
-    Message,
-    write_atomically,
-)
-from deepfsi.base.models import Count, Share
+from deepfsi.base.errors import InputError, Message
+from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
+from deepfsi.base.models.strict import Count, Share
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.datasets import Dataset
-from deepfsi.measures import Estimates, Result, results_lines
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.measures.lines import results_lines
+from deepfsi.measures.results import Estimates, Result
 
 if TYPE_CHECKING:
-    from deepfsi.design import Design
-    from deepfsi.sweeps import Data
+    from deepfsi.design.design import Design
+    from deepfsi.sweeps.results import Data
 
 
 class EvaluateDesign(Command):
@@ -48,9 +45,10 @@ class EvaluateDesign(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Accuracy, or errors of values, at each budget."""
-        from deepfsi.evaluation import camera_for, evaluate, ideal_observer
-        from deepfsi.lab import data_of, open_design
-        from deepfsi.physics import torch_device
+        from deepfsi.evaluation.accuracy import camera_for, evaluate
+        from deepfsi.evaluation.ideal import ideal_observer
+        from deepfsi.lab.design_data import data_of, open_design
+        from deepfsi.physics.surroundings import torch_device
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
         options = self.explicit(("noise", "sigma", "dark", "fluctuation"))
@@ -130,10 +128,10 @@ class StopEarly(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Light that stopped exposures take, and their accuracy."""
-        from deepfsi.design import load_design
-        from deepfsi.evaluation import stop, with_rule
-        from deepfsi.lab import data_of
-        from deepfsi.physics import torch_device
+        from deepfsi.design.design import load_design
+        from deepfsi.evaluation.stopping import stop, with_rule
+        from deepfsi.lab.design_data import data_of
+        from deepfsi.physics.surroundings import torch_device
 
         design = load_design(self.file, torch_device(self.device), trust=self.trust)
         if self.out is not None:
@@ -193,9 +191,10 @@ class PredictClasses(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Class of each picture."""
-        from deepfsi.evaluation import camera_for
-        from deepfsi.lab import open_design, predict
-        from deepfsi.physics import torch_device
+        from deepfsi.evaluation.accuracy import camera_for
+        from deepfsi.lab.design_data import open_design
+        from deepfsi.lab.prediction import predict
+        from deepfsi.physics.surroundings import torch_device
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
         options = self.explicit(("noise", "sigma", "dark"))

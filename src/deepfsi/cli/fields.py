@@ -15,12 +15,19 @@ from typing import Annotated, Any, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.fields import FieldInfo
 
-from deepfsi.base import InputError, check_ending, check_report, seconds
-from deepfsi.base.models import Amount, Count, WholeNumber
-from deepfsi.camera import MOST_INPUTS, Camera, find_noise
-from deepfsi.datasets import check_source
-from deepfsi.jobs import EXPOSURE_FIELDS, EXPOSURE_KINDS, SETTING_ALIASES, Job, Training
-from deepfsi.measures import MOST_DRAWS
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import check_ending
+from deepfsi.base.models.strict import Amount, Count, WholeNumber
+from deepfsi.base.plugins import check_report
+from deepfsi.base.quantities import seconds
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.detectors import MOST_INPUTS
+from deepfsi.camera.names import find_noise
+from deepfsi.datasets.load import check_source
+from deepfsi.jobs.exposures import EXPOSURE_FIELDS, EXPOSURE_KINDS
+from deepfsi.jobs.job import SETTING_ALIASES, Job
+from deepfsi.jobs.training import Training
+from deepfsi.measures.answers import MOST_DRAWS
 
 T = TypeVar("T")
 
@@ -196,7 +203,7 @@ def _check_writable(path: Path, folder: Path) -> None:
 
 def check_design_file(path: Path) -> Path:
     """Path of a design file, of a folder of patterns, or of a published design by its name."""
-    from deepfsi.designfile import find_design
+    from deepfsi.designfile.published import find_design
 
     file = find_design(path)
     if not file.exists():

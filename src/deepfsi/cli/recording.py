@@ -9,26 +9,23 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import Field
 
-from deepfsi.base import (
-    SILENT,
-    InputError,
-    as_input_error,
-    check_choice,
-    seconds,
-    time_text,
-    write_atomically,
-)
-from deepfsi.base.models import Count, WholeNumber
-from deepfsi.base.numeric import read_table
-from deepfsi.camera import Camera, find_device
+from deepfsi.base.errors import InputError, as_input_error, check_choice
+from deepfsi.base.files import write_atomically
+from deepfsi.base.models.strict import Count, WholeNumber
+from deepfsi.base.numeric.tables import read_table
+from deepfsi.base.progress import SILENT
+from deepfsi.base.quantities import seconds, time_text
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.device import find_device
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
 
 if TYPE_CHECKING:
-    from deepfsi.hardware.counting import Acquisition
-    from deepfsi.hardware.drivers import DeviceSettings, Setup
-    from deepfsi.hardware.virtual import Latencies
+    from deepfsi.hardware.counting.acquisition import Acquisition
+    from deepfsi.hardware.drivers.catalogue import DeviceSettings
+    from deepfsi.hardware.drivers.protocols import Setup
+    from deepfsi.hardware.virtual.setup import Latencies
 
 
 MOST_EVENTS = 1e8
@@ -82,10 +79,11 @@ class PrepareRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Plan of the run, in its folder."""
-        from deepfsi.hardware.counting import Acquisition, prepare_run
-        from deepfsi.hardware.light import name_inputs
-        from deepfsi.hardware.patterns import read_patterns
-        from deepfsi.lab import camera_of, listed_scenes
+        from deepfsi.hardware.counting.acquisition import Acquisition, prepare_run
+        from deepfsi.hardware.light.curves import name_inputs
+        from deepfsi.hardware.patterns.folder import read_patterns
+        from deepfsi.lab.looks import camera_of
+        from deepfsi.lab.scenes import listed_scenes
 
         manifest = read_patterns(self.patterns).manifest
         camera = camera_of(self.patterns, self.settings)
@@ -133,9 +131,14 @@ class SimulateRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Run as it was recorded."""
-        from deepfsi.hardware.patterns import read_patterns
-        from deepfsi.hardware.virtual import RecordingSettings, expected_events, record_scenes
-        from deepfsi.lab import camera_of, displayed, picture_hashes, virtual_camera
+        from deepfsi.hardware.patterns.folder import read_patterns
+        from deepfsi.hardware.virtual.camera import (
+            RecordingSettings,
+            expected_events,
+            record_scenes,
+        )
+        from deepfsi.lab.looks import camera_of, virtual_camera
+        from deepfsi.lab.scenes import displayed, picture_hashes
 
         camera = camera_of(self.patterns, self.settings)
         virtual = virtual_camera(self.virtual, self.patterns, self.settings)
@@ -247,7 +250,7 @@ class _DeviceRun(Command):
 
     def check_devices(self) -> None:
         """Raise `InputError` for devices or options that do not go together."""
-        from deepfsi.hardware.drivers import COUNTERS, PROJECTORS
+        from deepfsi.hardware.drivers.catalogue import COUNTERS, PROJECTORS
 
         check_choice("projector", self.projector, ("virtual", *PROJECTORS))
         check_choice("counter", self.counter, ("virtual", *COUNTERS))
@@ -272,7 +275,7 @@ class _DeviceRun(Command):
 
     def devices(self, terminal: Terminal) -> "DeviceSettings":
         """Settings of real devices, before they are wired."""
-        from deepfsi.hardware.drivers import DeviceSettings
+        from deepfsi.hardware.drivers.catalogue import DeviceSettings
 
         def ask_to_record(path: Path, seconds: float) -> None:
             terminal.warn(f"record {path} with the counter's software: begin within {seconds:g} s")
@@ -287,7 +290,7 @@ class _DeviceRun(Command):
     @property
     def latencies(self) -> "Latencies":
         """Latencies of virtual devices."""
-        from deepfsi.hardware.virtual import Latencies
+        from deepfsi.hardware.virtual.setup import Latencies
 
         times = {}
         for text in self.latency:
@@ -299,7 +302,8 @@ class _DeviceRun(Command):
 
     def wire(self, projector: Any, acquisition: "Acquisition", terminal: Terminal) -> "Setup[Any]":
         """Real devices of a run: someone shows the scenes, whose names are asked for."""
-        from deepfsi.hardware.drivers import Setup, open_counter
+        from deepfsi.hardware.drivers.catalogue import open_counter
+        from deepfsi.hardware.drivers.protocols import Setup
 
         devices = replace(
             self.devices(terminal), inputs=acquisition.inputs, marker_bit=acquisition.marker_bit
@@ -338,12 +342,16 @@ class RecordRun(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the run."""
-        from deepfsi.hardware.counting import Acquisition, CountSettings, count_run, read_run
-        from deepfsi.hardware.drivers import PassProjector, Setup, open_projector
-        from deepfsi.hardware.live import record_run
-        from deepfsi.hardware.patterns import read_patterns
-        from deepfsi.hardware.virtual import expected_events, virtual_setup
-        from deepfsi.lab import camera_of, displayed, listed_scenes, scenes_of, virtual_camera
+        from deepfsi.hardware.counting.acquisition import Acquisition, read_run
+        from deepfsi.hardware.counting.count import CountSettings, count_run
+        from deepfsi.hardware.drivers.catalogue import open_projector
+        from deepfsi.hardware.drivers.protocols import PassProjector, Setup
+        from deepfsi.hardware.live.run import record_run
+        from deepfsi.hardware.patterns.folder import read_patterns
+        from deepfsi.hardware.virtual.camera import expected_events
+        from deepfsi.hardware.virtual.setup import virtual_setup
+        from deepfsi.lab.looks import camera_of, virtual_camera
+        from deepfsi.lab.scenes import displayed, listed_scenes, scenes_of
 
         self.check_devices()
         latencies = self.latencies
@@ -422,11 +430,15 @@ class RunLive(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the scenes, each said as it is decided."""
-        from deepfsi.hardware.drivers import Setup, StreamingProjector, open_list_projector
-        from deepfsi.hardware.live import LiveAnswers, plan_live, run_live
-        from deepfsi.hardware.patterns import read_patterns
-        from deepfsi.hardware.virtual import expected_events, virtual_setup
-        from deepfsi.lab import camera_of, displayed, open_looks, scenes_of, virtual_camera
+        from deepfsi.hardware.drivers.catalogue import open_list_projector
+        from deepfsi.hardware.drivers.protocols import Setup, StreamingProjector
+        from deepfsi.hardware.live.results import LiveAnswers
+        from deepfsi.hardware.live.run import plan_live, run_live
+        from deepfsi.hardware.patterns.folder import read_patterns
+        from deepfsi.hardware.virtual.camera import expected_events
+        from deepfsi.hardware.virtual.setup import virtual_setup
+        from deepfsi.lab.looks import camera_of, open_looks, virtual_camera
+        from deepfsi.lab.scenes import displayed, scenes_of
 
         self.check_devices()
         latencies = self.latencies
@@ -504,8 +516,8 @@ class RunLive(_DeviceRun):
     @contextmanager
     def _patterns(self, terminal: Terminal) -> Iterator[Path]:
         """Folder of patterns, or those of a design file for the moment."""
-        from deepfsi.hardware.patterns import FrameSettings, export_patterns
-        from deepfsi.lab import design_rails
+        from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+        from deepfsi.lab.looks import design_rails
 
         if self.source.is_dir():
             yield self.source
@@ -552,7 +564,8 @@ class ImportRecording(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Photon file or table that was written."""
-        from deepfsi.hardware.photons import read_timestamps, summarise
+        from deepfsi.hardware.photons.reader import summarise
+        from deepfsi.hardware.photons.timestamps import read_timestamps
 
         if self.cumulative or self.bins is not None:
             return self._import_series()
@@ -593,8 +606,8 @@ class ImportRecording(Command):
 
     def _import_series(self) -> Outcome:
         """Table of cumulative counts, or of counts in bins."""
-        from deepfsi.hardware.counting import table_of_series
-        from deepfsi.hardware.patterns import read_patterns
+        from deepfsi.hardware.counting.tables import table_of_series
+        from deepfsi.hardware.patterns.folder import read_patterns
 
         events = self.explicit(("marker_channel", "channels", "unit"))
         for name in events:

@@ -8,24 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import (
-    DESIGN_ENDINGS,
-    InputError,
-    check_choice,
-    new_folder,
-    seconds,
-    write_atomically,
-)
-from deepfsi.base.models import Count
-from deepfsi.base.numeric import TABLE_ENDINGS, is_table, read_table
+from deepfsi.base.errors import InputError, check_choice
+from deepfsi.base.files import DESIGN_ENDINGS, new_folder, write_atomically
+from deepfsi.base.models.strict import Count
+from deepfsi.base.numeric.tables import TABLE_ENDINGS, is_table, read_table
+from deepfsi.base.quantities import seconds
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.datasets import Variables, read_readouts
-from deepfsi.jobs import READOUTS_TRAINING
+from deepfsi.datasets.readouts import Variables, read_readouts
+from deepfsi.jobs.training import READOUTS_TRAINING
 
 if TYPE_CHECKING:
-    from deepfsi.hardware.counting import TableSettings
+    from deepfsi.hardware.counting.tables import TableSettings
 
 
 OF_HEADER = "marker input, 0 to 3; that of the header unless given"
@@ -46,7 +41,7 @@ class InspectPhotons(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Contents of the file."""
-        from deepfsi.hardware.photons import summarise
+        from deepfsi.hardware.photons.reader import summarise
 
         with terminal.progress("records") as report:
             contents = summarise(self.file, report)
@@ -96,9 +91,11 @@ class CountRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the run."""
-        from deepfsi.hardware.counting import CountSettings, count_run, read_run
-        from deepfsi.hardware.live import LiveCounts, is_live
-        from deepfsi.lab import camera_of, gains_of
+        from deepfsi.hardware.counting.acquisition import read_run
+        from deepfsi.hardware.counting.count import CountSettings, count_run
+        from deepfsi.hardware.live.replay import LiveCounts, is_live
+        from deepfsi.lab.calibration import gains_of
+        from deepfsi.lab.looks import camera_of
 
         if self.folder.suffix.lower() == ".ptu":
             raise InputError(
@@ -165,8 +162,8 @@ class ClassifyRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the exposures."""
-        from deepfsi.hardware.live import LiveCounts, is_live
-        from deepfsi.lab import classify_run, classify_table
+        from deepfsi.hardware.live.replay import LiveCounts, is_live
+        from deepfsi.lab.classify import classify_run, classify_table
 
         if self.counted.is_dir():
             of_tables = ("background", "settle_s", "exposures", "gain", "read_noise", "repeats")
@@ -198,7 +195,7 @@ class ClassifyRun(Command):
         return Outcome(table.as_dict(), table.lines())
 
     def _table_settings(self) -> "TableSettings":
-        from deepfsi.hardware.counting import TableSettings
+        from deepfsi.hardware.counting.tables import TableSettings
 
         names = ("photons", "settle_s", "exposures", "repeats", "gain", "read_noise")
         settings = self.explicit(names)
@@ -225,9 +222,9 @@ class ReconstructScenes(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of each scene."""
-        from deepfsi.hardware.counting import read_run
-        from deepfsi.hardware.pictures import reconstruct
-        from deepfsi.report import pictures_figure
+        from deepfsi.hardware.counting.acquisition import read_run
+        from deepfsi.hardware.pictures.solve import reconstruct
+        from deepfsi.report.pictures import pictures_figure
         from deepfsi.report.style import write_figure
 
         out = self.out or self.folder / "picture.png"
@@ -276,8 +273,8 @@ class DrawTables(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Pictures, and the verdict on their light."""
-        from deepfsi.hardware.pictures import TableMasks, compare_picture, read_pictures
-        from deepfsi.report import pictures_figure, rail_light_figure
+        from deepfsi.hardware.pictures.tables import TableMasks, compare_picture, read_pictures
+        from deepfsi.report.pictures import pictures_figure, rail_light_figure
         from deepfsi.report.style import write_figure
 
         times = self.exposures or ()
@@ -335,7 +332,7 @@ class CountScan(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the scan."""
-        from deepfsi.hardware.photons import ScanMarkers, count_scan
+        from deepfsi.hardware.photons.scan import ScanMarkers, count_scan
 
         if self.figure is not None and self.pixels == 1:
             raise InputError(
@@ -347,7 +344,7 @@ class CountScan(Command):
         scan.save(self.out)
         drawn = []
         if self.figure is not None:
-            from deepfsi.report import pictures_figure
+            from deepfsi.report.pictures import pictures_figure
             from deepfsi.report.style import write_figure
 
             names = [f"frame {number + 1}" for number in range(len(scan.frames))]
@@ -387,7 +384,8 @@ class FindTransits(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Transits and their classes."""
-        from deepfsi.lab import classify_transits, open_design
+        from deepfsi.lab.design_data import open_design
+        from deepfsi.lab.transits import classify_transits
 
         design = open_design(self.design, trust=self.trust)
         with terminal.progress("transits") as report:
@@ -461,7 +459,7 @@ class LearnReadouts(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Design, and what its accuracy is worth."""
-        from deepfsi.training import SPLIT_WORDS, learn_readouts, measure_readouts
+        from deepfsi.training.readouts import SPLIT_WORDS, learn_readouts, measure_readouts
 
         variables = self.model_dump(include={*Variables._fields})
         table = read_readouts(self.source, Variables(**variables))
@@ -482,7 +480,7 @@ class LearnReadouts(Command):
         result = measure_readouts(table, designs, self.seed)
         drawn = []
         if self.figure is not None:
-            from deepfsi.report import ReadoutTest, readouts_figure
+            from deepfsi.report.accuracy import ReadoutTest, readouts_figure
             from deepfsi.report.style import write_figure
 
             tests = [ReadoutTest(*row) for row in result.figure_rows]

@@ -13,28 +13,27 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import (
-    InputError,
-    Table,
-    check_report,
-    closest_choice,
-    read_toml,
-    write_atomically,
-)
-from deepfsi.base.models import Count
-from deepfsi.camera import Camera
+from deepfsi.base.errors import InputError, closest_choice
+from deepfsi.base.files import read_toml, write_atomically
+from deepfsi.base.models.strict import Count
+from deepfsi.base.plugins import check_report
+from deepfsi.base.quantities import Table
+from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.evaluate import data_lines
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.jobs import find_table, read_matrix
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.jobs.job import find_table
+from deepfsi.jobs.mask_files import read_matrix
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
     from types import ModuleType
 
-    from deepfsi.sweeps import Recipe, Results
+    from deepfsi.sweeps.recipe import Recipe
+    from deepfsi.sweeps.results import Results
 
 PAPER_PACKAGE = "deepfsi_paper"
 """The paper's experiments: a package of their own, beside this one, which works without it."""
@@ -99,7 +98,10 @@ class CompareDesigns(Command):
         check_report()
         base: dict[str, Any] = {"data": self.data}
         file = read_recipe(self.recipe) if self.recipe else {}
-        from deepfsi.sweeps import Workers, check_kept, check_used, compare, only, with_adaptive
+        from deepfsi.sweeps.plan import check_used, with_adaptive
+        from deepfsi.sweeps.recipe import only
+        from deepfsi.sweeps.run import check_kept, compare
+        from deepfsi.sweeps.workers import Workers
 
         matrix = None if self.matrix is None else read_matrix(self.matrix)
         if self.recipe:
@@ -194,15 +196,11 @@ class PlanPhotons(Command):
                 "nothing",
                 setting=("target", "losses"),
             )
-        from deepfsi.sweeps import (
-            Workers,
-            check_kept,
-            check_plan,
-            check_used,
-            photons_needed,
-            plan_lines,
-            write_results,
-        )
+        from deepfsi.sweeps.forecast import check_plan, photons_needed, plan_lines
+        from deepfsi.sweeps.plan import check_used
+        from deepfsi.sweeps.results import write_results
+        from deepfsi.sweeps.run import check_kept
+        from deepfsi.sweeps.workers import Workers
 
         chosen = self.explicit(RECIPE_FIELDS)
         chosen["data"] = self.data
@@ -231,7 +229,7 @@ class PlanPhotons(Command):
 
     def _losses(self) -> Outcome:
         """Where the light of the camera is lost."""
-        from deepfsi.lab import plan_losses
+        from deepfsi.lab.losses import plan_losses
 
         others = self.model_fields_set - {"settings", "losses", *self.OF_LOSSES}
         tables = {name: find_table(name) for name in self.settings}
@@ -304,7 +302,10 @@ class SweepRecipe(Command):
         if self.table is not None:
             fields.check_file(self.table, fields.TABLE_FILES, self.force, made=self.out)
         file = read_recipe(self.recipe)
-        from deepfsi.sweeps import Workers, check_kept, compare, only, write_table
+        from deepfsi.sweeps.recipe import only
+        from deepfsi.sweeps.records import write_table
+        from deepfsi.sweeps.run import check_kept, compare
+        from deepfsi.sweeps.workers import Workers
 
         recipe, scenes = _checked(
             {**only(file, self.part_name, self.quick), **self.explicit(("camera", "folds"))}
@@ -332,7 +333,7 @@ class SweepRecipe(Command):
 
     def _forecast(self, recipe: "Recipe", scenes: Dataset, terminal: Terminal) -> Outcome:
         """Time that the trials would take here."""
-        from deepfsi.sweeps import forecast_cost
+        from deepfsi.sweeps.forecast import forecast_cost
 
         with terminal.progress("timing a few steps of each kind") as report:
             cost = forecast_cost(
@@ -448,7 +449,7 @@ class WriteReport(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The page, written again."""
-        from deepfsi.report import write_report
+        from deepfsi.report.comparison_page import write_report
 
         is_study = _has_paper() and paper_studies().is_study(self.folder)
         page = paper_studies().page(self.folder) if is_study else write_report(self.folder)
@@ -540,7 +541,7 @@ def _checked(
     settings: Mapping[str, Any], matrix: np.ndarray | None = None
 ) -> "tuple[Recipe, Dataset]":
     """Recipe of settings and its data, or `InputError` that names every mistake."""
-    from deepfsi.sweeps import check_settings
+    from deepfsi.sweeps.plan import check_settings
 
     def load(recipe: "Recipe") -> Dataset:
         names = ("size", "split", "images", "skip_bad", "normal")
@@ -554,14 +555,14 @@ def _checked(
 
 def results_outcome(results: "Results", folder: Path) -> Outcome:
     """Write the results of trials and their page, and say them."""
-    from deepfsi.report import (
+    from deepfsi.report.comparison_page import (
         comparison_lines,
         leader_differences,
         scenes_text,
-        verdict_of,
         write_report,
     )
-    from deepfsi.sweeps import write_results
+    from deepfsi.report.verdict import verdict_of
+    from deepfsi.sweeps.results import write_results
 
     write_results(folder / "results.json", results)
     page = write_report(folder)

@@ -8,7 +8,9 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
-from deepfsi.base import InputError, Message, Progress, Table, one_line, terminal_bar
+from deepfsi.base.errors import InputError, Message, one_line
+from deepfsi.base.progress import Progress, terminal_bar
+from deepfsi.base.quantities import Table
 
 JSON_SCHEMA = 1
 """Version of what every command prints with --json; raised where a field changes or goes."""

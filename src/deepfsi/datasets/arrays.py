@@ -10,8 +10,10 @@ from unicodedata import category, normalize
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, Message, plain_keywords
-from deepfsi.base.numeric import check_memory, free_memory, is_whole_number, normal_name, read_npz
+from deepfsi.base.errors import InputError, Message
+from deepfsi.base.keywords import plain_keywords
+from deepfsi.base.numeric.arrays import check_memory, free_memory, read_npz
+from deepfsi.base.numeric.tables import is_whole_number, normal_name
 from deepfsi.datasets.dataset import Dataset, Ends, Labels, LoadOptions, Reflectance, Truth
 from deepfsi.datasets.levels import (
     LARGE,

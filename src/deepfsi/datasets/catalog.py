@@ -28,7 +28,8 @@ from typing import ClassVar, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, check_choice, read_text
+from deepfsi.base.errors import InputError, check_choice
+from deepfsi.base.files import read_text
 from deepfsi.datasets.arrays import assemble, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, Ends, LoadOptions, Reflectance
 from deepfsi.datasets.decoding import PictureSize

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.datasets.levels import is_stored
 
 Reflectance: TypeAlias = npt.NDArray[np.float32]

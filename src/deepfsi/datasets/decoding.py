@@ -14,7 +14,9 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, kind_of_content, plural
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import kind_of_content
+from deepfsi.base.quantities import plural
 from deepfsi.datasets.levels import Family, ValueRange, family_of, grey, levels_of
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, new_folder, readable_name
-from deepfsi.base.numeric import LABEL_HEADS, normal_name
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import new_folder, readable_name
+from deepfsi.base.numeric.tables import LABEL_HEADS, normal_name
 from deepfsi.datasets.arrays import check_unmasked
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.decoding import WRITTEN, PictureSize

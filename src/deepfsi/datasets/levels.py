@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple, TypeGuard
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 
 LUMA = (0.299, 0.587, 0.114)
 """Weights of red, green and blue in a grey level (ITU-R BT.601, those of Pillow)."""

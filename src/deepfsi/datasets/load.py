@@ -8,14 +8,9 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy.typing as npt
 
-from deepfsi.base import (
-    InputError,
-    Message,
-    check_readable_name,
-    closest_choice,
-    content_of,
-    plain_keywords,
-)
+from deepfsi.base.errors import InputError, Message, closest_choice
+from deepfsi.base.files import check_readable_name, content_of
+from deepfsi.base.keywords import plain_keywords
 from deepfsi.datasets.arrays import load_npz, split_arrays
 from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.dataset import Dataset, Ends, LoadOptions, Origin

@@ -24,18 +24,17 @@ from typing import IO, Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, Message, check_unpacked, read_regular, readable_name
-from deepfsi.base.numeric import (
+from deepfsi.base.errors import InputError, Message
+from deepfsi.base.files import check_unpacked, read_regular, readable_name
+from deepfsi.base.numeric.arrays import check_memory, open_zip, read_zip_entry
+from deepfsi.base.numeric.tables import (
     LABEL_HEADS,
     WITHOUT_VALUE,
-    check_memory,
     has_decimal_commas,
     is_whole_number,
     normal_name,
-    open_zip,
     parse_number,
     read_rows,
-    read_zip_entry,
 )
 from deepfsi.datasets.arrays import check_no_classes, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, LoadOptions

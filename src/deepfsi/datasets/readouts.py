@@ -15,17 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, check_choice
-from deepfsi.base.numeric import (
-    TEXT_ENDINGS,
-    VARIABLE_ENDINGS,
-    list_variables,
-    normal_name,
-    read_columns,
-    read_npz,
-    read_table,
-    read_variable,
-)
+from deepfsi.base.errors import InputError, check_choice
+from deepfsi.base.numeric.arrays import VARIABLE_ENDINGS, list_variables, read_npz, read_variable
+from deepfsi.base.numeric.tables import TEXT_ENDINGS, normal_name, read_columns, read_table
 from deepfsi.datasets.arrays import SPLIT_MINIMUM, TEST_SHARE, assemble, check_seed, draw_fifth
 from deepfsi.datasets.dataset import Dataset, Labels
 

@@ -19,8 +19,10 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import WINDOWS_ENCODING, InputError, check_choice, open_regular, read_text
-from deepfsi.base.numeric import check_size, parse_number, read_array
+from deepfsi.base.errors import InputError, check_choice
+from deepfsi.base.files import WINDOWS_ENCODING, open_regular, read_text
+from deepfsi.base.numeric.arrays import check_size, read_array
+from deepfsi.base.numeric.tables import parse_number
 from deepfsi.datasets.arrays import TEST_SHARE, assemble, check_seed, draw_fifth
 from deepfsi.datasets.dataset import Dataset, Ends, Reflectance
 

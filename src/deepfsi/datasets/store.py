@@ -12,8 +12,10 @@ from urllib.parse import urlsplit
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, Progress, terminal_bar, write_atomically
-from deepfsi.base.numeric import read_npy
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import write_atomically
+from deepfsi.base.numeric.arrays import read_npy
+from deepfsi.base.progress import Progress, terminal_bar
 
 
 class FileCheck(NamedTuple):

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepfsi.base import InputError, closest_choice
+from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.datasets.dataset import Dataset, Reflectance
 
 ANOMALY = "anomaly"

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 
 PatternShapes = tuple[tuple[int, ...], tuple[int, ...]]
 """Shapes of rails (rails, m, N), and of the cells of a pattern."""

@@ -12,41 +12,37 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.adaptive import AdaptiveExposure, LookedAt
-from deepfsi.base import (
-    DESIGN_ENDINGS,
-    InputError,
-    check_ending,
-    plain_keywords,
-    write_atomically,
-)
-from deepfsi.base.numeric import loss_curve, mask_picture
-from deepfsi.camera import Camera, LightLawName, NoiseName, check_budget
+from deepfsi.adaptive.exposure import AdaptiveExposure, LookedAt
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import DESIGN_ENDINGS, check_ending, write_atomically
+from deepfsi.base.keywords import plain_keywords
+from deepfsi.base.numeric.html import loss_curve, mask_picture
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.light import check_budget
+from deepfsi.camera.names import LightLawName, NoiseName
 from deepfsi.design import check_counts
 from deepfsi.design.file import fields_of, file_of
-from deepfsi.designfile import (
-    ConsistencyResult,
-    DesignFile,
-    ReadoutDistribution,
-    SceneModel,
-    Temperatures,
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.distribution import ConsistencyResult, ReadoutDistribution
+from deepfsi.designfile.provenance import (
     TrainingScenes,
     click_gates,
-    find_design,
     trained_budgets,
     trained_camera,
 )
-from deepfsi.exposure import EXPOSED_AT_ONCE, Answer, ExposureKind, MaskExposure, Observation
-from deepfsi.networks import Given, OwnClassifier, Values, check_classes, rebuilt, temperatures_at
-from deepfsi.physics import (
-    Detection,
-    NoiseFunction,
-    Rails,
-    Scanner,
-    full_gates,
-    library_defaults,
-    torch_device,
-)
+from deepfsi.designfile.published import find_design
+from deepfsi.designfile.temperatures import Temperatures
+from deepfsi.designfile.view_test import SceneModel
+from deepfsi.exposure.kind import EXPOSED_AT_ONCE, Answer, ExposureKind, MaskExposure, Observation
+from deepfsi.networks.custom import Given, OwnClassifier, rebuilt
+from deepfsi.networks.temperatures import temperatures_at
+from deepfsi.networks.values import Values, check_classes
+from deepfsi.physics.clicks import full_gates
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.noise import NoiseFunction
+from deepfsi.physics.rails import Rails
+from deepfsi.physics.scanner import Scanner
+from deepfsi.physics.surroundings import library_defaults, torch_device
 
 
 @dataclass(repr=False)

@@ -8,21 +8,20 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.adaptive import adaptive_kind
-from deepfsi.base import InputError
-from deepfsi.camera import DetectorMap
-from deepfsi.designfile import (
-    AdaptiveHeader,
-    CustomEntry,
-    DesignFile,
-    DesignHeader,
-    MaskHeader,
-    damaged_design,
-)
-from deepfsi.exposure import MASK_KINDS, Clicks, TrainedMasks
-from deepfsi.jobs import AdaptiveMasks
-from deepfsi.networks import CLASSIFIER_TYPES, Classifier, OwnClassifier, Values, restore_network
-from deepfsi.physics import Detection, Rails, light_law
+from deepfsi.adaptive.clicking import adaptive_kind
+from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.designfile.design_file import DesignFile, damaged_design
+from deepfsi.designfile.header import AdaptiveHeader, CustomEntry, DesignHeader, MaskHeader
+from deepfsi.exposure.kind import Clicks, TrainedMasks
+from deepfsi.exposure.kinds import MASK_KINDS
+from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.networks.classifiers import CLASSIFIER_TYPES, Classifier, restore_network
+from deepfsi.networks.custom import OwnClassifier
+from deepfsi.networks.values import Values
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.laws import light_law
+from deepfsi.physics.rails import Rails
 
 if TYPE_CHECKING:
     from deepfsi.design.design import Design

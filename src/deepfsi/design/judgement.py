@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfsi.camera import LIGHT_LAWS
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.design.design import Design
-from deepfsi.designfile import ConsistencyResult, SceneReadouts, ViewResult, ViewTest
+from deepfsi.designfile.distribution import ConsistencyResult
+from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,13 +16,16 @@ from torch import Tensor, nn
 from torch.onnx import symbolic_opset11
 from torch.onnx.utils import register_custom_op_symbolic, unregister_custom_op_symbolic
 
-from deepfsi.base import InputError
-from deepfsi.camera import share_out
+from deepfsi.base.errors import InputError
+from deepfsi.camera.light import share_out
 from deepfsi.design.design import Design
-from deepfsi.designfile import check_masks
-from deepfsi.exposure import LooksExposure, Observation
-from deepfsi.networks import Mlp, OwnClassifier, check_classes
-from deepfsi.physics import library_defaults
+from deepfsi.designfile.provenance import check_masks
+from deepfsi.exposure.kind import Observation
+from deepfsi.exposure.looks import LooksExposure
+from deepfsi.networks.classifiers import Mlp
+from deepfsi.networks.custom import OwnClassifier
+from deepfsi.networks.values import check_classes
+from deepfsi.physics.surroundings import library_defaults
 
 GRAPH_SCHEMA = 1
 """Number of the schema of the graph's inputs, output and metadata."""

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from deepfsi.base import InputError
-from deepfsi.designfile import READOUTS
+from deepfsi.base.errors import InputError
+from deepfsi.designfile.provenance import READOUTS
 
 if TYPE_CHECKING:
     from deepfsi.design.design import Design

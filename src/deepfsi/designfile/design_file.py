@@ -17,15 +17,20 @@ import numpy as np
 from pydantic import TypeAdapter
 from safetensors.numpy import save
 
-from deepfsi.base import InputError, as_input_error, other_version
-from deepfsi.base.numeric import DamagedError, read_tensors
-from deepfsi.camera import LIGHT_LAWS, Camera, DetectorMap, StopRule, share_out
+from deepfsi.base.errors import InputError, as_input_error, other_version
+from deepfsi.base.numeric.arrays import DamagedError, read_tensors
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera.light import share_out
+from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.camera.stop_rule import StopRule
 from deepfsi.designfile.distribution import ReadoutDistribution
 from deepfsi.designfile.header import DESIGN_SCHEMA, AdaptiveHeader, DesignHeader, MaskHeader
 from deepfsi.designfile.provenance import TrainingScenes, click_gates, trained_camera
 from deepfsi.designfile.temperatures import Temperatures
 from deepfsi.designfile.view_test import SceneModel
-from deepfsi.jobs import DESIGNS, LARGEST_SCORE, ConditionedEntry, LooksEntry
+from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs.exposures import LARGEST_SCORE, ConditionedEntry, LooksEntry
 
 STATISTICS = ("mean", "std", "shares")
 """Arrays of one number a feature."""

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deepfsi.base import Message
+from deepfsi.base.errors import Message
 
 UNSURE = 0.01
 """Rate of false alarms of a single scene: below this p-value it is unsure."""

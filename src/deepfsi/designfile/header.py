@@ -10,17 +10,12 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from deepfsi.base import IMPORT_PATH
-from deepfsi.base.models import Count, StrictModel
-from deepfsi.camera import LightLawName, Readout, SummedReflectance
-from deepfsi.jobs import (
-    MOST_LAYERS,
-    AdaptiveMasks,
-    ExposureEntry,
-    Widths,
-    check_design,
-    find_classifier,
-)
+from deepfsi.base.models.strict import Count, StrictModel
+from deepfsi.base.plugins import IMPORT_PATH
+from deepfsi.camera.names import LightLawName, Readout, SummedReflectance
+from deepfsi.jobs.designs import check_design
+from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
+from deepfsi.jobs.training import MOST_LAYERS, Widths, find_classifier
 
 DESIGN_SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""

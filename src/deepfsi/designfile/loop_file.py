@@ -11,13 +11,14 @@ import numpy as np
 from pydantic import Field
 from safetensors.numpy import save
 
-from deepfsi.base import InputError, as_input_error
-from deepfsi.base.models import Count, Positive, StrictModel
-from deepfsi.base.numeric import DamagedError, read_tensors
-from deepfsi.camera import Readout, StopRule
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.models.strict import Count, Positive, StrictModel
+from deepfsi.base.numeric.arrays import DamagedError, read_tensors
+from deepfsi.camera.names import Readout
+from deepfsi.camera.stop_rule import StopRule
 from deepfsi.designfile.design_file import DAMAGED, DesignFile
 from deepfsi.designfile.header import MaskHeader, MlpEntry
-from deepfsi.jobs import LARGEST_SCORE, LooksEntry
+from deepfsi.jobs.exposures import LARGEST_SCORE, LooksEntry
 
 LOOP_KEY = "deepfsi-loop"
 """Key of the header in the file's metadata."""

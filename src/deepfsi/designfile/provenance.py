@@ -13,11 +13,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base import InputError, as_input_error
-from deepfsi.base.models import StrictModel
-from deepfsi.camera import Camera, find_noise
-from deepfsi.datasets import Dataset, Origin
-from deepfsi.jobs import ExposureEntry
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.models.strict import StrictModel
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.names import find_noise
+from deepfsi.datasets.dataset import Dataset, Origin
+from deepfsi.jobs.exposures import ExposureEntry
 
 HASH_BYTES = 4
 """Bytes of the hash of a scene. A scene that is new is taken for one of n with n / 2³²."""

@@ -16,9 +16,10 @@ from urllib.request import url2pathname
 
 from pydantic import Field
 
-from deepfsi.base import InputError, as_input_error, closest_choice, hash_file, read_text
-from deepfsi.base.models import Positive, Share, StrictModel
-from deepfsi.datasets import cache_folder, fetch
+from deepfsi.base.errors import InputError, as_input_error, closest_choice
+from deepfsi.base.files import hash_file, read_text
+from deepfsi.base.models.strict import Positive, Share, StrictModel
+from deepfsi.datasets.store import cache_folder, fetch
 
 DESIGNS_VARIABLE = "DEEPFSI_DESIGNS"
 """Environment variable: folder or address of a collection."""

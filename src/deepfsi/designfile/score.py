@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from deepfsi.base.numeric import wilson
+from deepfsi.base.numeric.intervals import wilson
 from deepfsi.designfile.provenance import NO_MEASURE
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfsi.camera import TOO_DIM
+from deepfsi.camera.light import TOO_DIM
 
 CALIBRATION_REACH = 100.0
 """Highest budget of a calibration over the highest of the training; lowest over lowest inverse."""

@@ -10,23 +10,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError, Progress, plain_keywords, progress_bar
-from deepfsi.camera import Camera, CameraSettings, CameraSource, NoiseName, check_budget
-from deepfsi.datasets import Dataset, Source, as_dataset, as_test_part
-from deepfsi.design import Design
-from deepfsi.designfile import new_scenes
+from deepfsi.base.errors import InputError
+from deepfsi.base.keywords import plain_keywords
+from deepfsi.base.progress import Progress, progress_bar
+from deepfsi.camera.camera import Camera, CameraSettings, CameraSource
+from deepfsi.camera.light import check_budget
+from deepfsi.camera.names import NoiseName
+from deepfsi.datasets.arrays import as_test_part
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import Source, as_dataset
+from deepfsi.design.design import Design
+from deepfsi.designfile.provenance import new_scenes
 from deepfsi.evaluation.bounds import linear_bound
-from deepfsi.exposure import EXPOSED_AT_ONCE, CountedLight
-from deepfsi.measures import (
-    MOST_DRAWS,
-    Answers,
-    ClassAnswers,
-    Estimates,
-    Result,
-    ResultList,
-    ValueAnswers,
-)
-from deepfsi.physics import library_defaults
+from deepfsi.exposure.kind import EXPOSED_AT_ONCE, CountedLight
+from deepfsi.measures.answers import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
+from deepfsi.measures.results import Estimates, Result, ResultList
+from deepfsi.physics.surroundings import library_defaults
 
 AnyAnswers = TypeVar("AnyAnswers", bound=Answers)
 

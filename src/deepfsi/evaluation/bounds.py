@@ -30,11 +30,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base import InputError
-from deepfsi.camera import check_budget
-from deepfsi.datasets import Dataset
-from deepfsi.design import Design
-from deepfsi.physics import Scanner, library_defaults
+from deepfsi.base.errors import InputError
+from deepfsi.camera.light import check_budget
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.design.design import Design
+from deepfsi.physics.scanner import Scanner
+from deepfsi.physics.surroundings import library_defaults
 
 
 @library_defaults()
@@ -89,7 +90,7 @@ def cramer_rao(
     >>> x, dark = numpy.full((1, 64), 0.5), deepfsi.Training(epochs=1)
     >>> design = deepfsi.learn("digits", photons=1e4, masks=8, design="pca", training=dark)
     >>> derivatives = x[:, None] / 0.5  # by its brightness
-    >>> deepfsi.evaluation.cramer_rao(design, x, derivatives, 1e4).shape
+    >>> deepfsi.evaluation.bounds.cramer_rao(design, x, derivatives, 1e4).shape
     (1, 1)
     """
     if not _fixed(design):

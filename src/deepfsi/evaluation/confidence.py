@@ -16,9 +16,9 @@ import torch
 from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 
-from deepfsi.design import Design
-from deepfsi.designfile import LOG_BOUNDS, Temperatures
-from deepfsi.networks import stop_temperatures
+from deepfsi.design.design import Design
+from deepfsi.designfile.temperatures import LOG_BOUNDS, Temperatures
+from deepfsi.networks.temperatures import stop_temperatures
 
 CALIBRATED_STOPS = 8
 """Numbers of masks or looks at which temperatures are fitted, at most."""

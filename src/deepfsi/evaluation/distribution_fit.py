@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from torch import Tensor
 
-from deepfsi.designfile import (
+from deepfsi.designfile.distribution import (
     SMALLEST_STATISTIC,
     TAIL_CHANCES,
     TAIL_COUNTS,

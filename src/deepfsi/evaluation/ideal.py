@@ -12,13 +12,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.adaptive import class_chances
-from deepfsi.base import Progress, plain_keywords, progress_bar
-from deepfsi.base.numeric import check_memory, free_memory
-from deepfsi.camera import check_budget, summed_reflectance
-from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design import Design
-from deepfsi.designfile import new_scenes
+from deepfsi.adaptive.posterior import class_chances
+from deepfsi.base.keywords import plain_keywords
+from deepfsi.base.numeric.arrays import check_memory, free_memory
+from deepfsi.base.progress import Progress, progress_bar
+from deepfsi.camera.light import check_budget, summed_reflectance
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import Source, as_dataset
+from deepfsi.design.design import Design
+from deepfsi.designfile.provenance import new_scenes
 from deepfsi.evaluation.accuracy import (
     Conditions,
     Guess,
@@ -27,10 +29,12 @@ from deepfsi.evaluation.accuracy import (
     check_draws,
     expose_scenes,
 )
-from deepfsi.exposure import CountedLight
-from deepfsi.measures import ClassAnswers, Result, ResultList
-from deepfsi.networks import check_classes
-from deepfsi.physics import Scanner, library_defaults
+from deepfsi.exposure.kind import CountedLight
+from deepfsi.measures.answers import ClassAnswers
+from deepfsi.measures.results import Result, ResultList
+from deepfsi.networks.values import check_classes
+from deepfsi.physics.scanner import Scanner
+from deepfsi.physics.surroundings import library_defaults
 
 MOST_LIKELIHOODS = 2**24
 """Likelihoods that are held at a time: those of some hundred exposures under all scenes."""

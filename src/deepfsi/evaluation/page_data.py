@@ -16,15 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress
-from deepfsi.datasets import Dataset
-from deepfsi.design import Design
-from deepfsi.designfile import Temperatures, check_masks, new_scenes, trained_on
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.design.design import Design
+from deepfsi.designfile.provenance import check_masks, new_scenes, trained_on
+from deepfsi.designfile.temperatures import Temperatures
 from deepfsi.evaluation.accuracy import check_data, evaluate
 from deepfsi.evaluation.stopping import rule_of, stop
-from deepfsi.jobs import LARGEST_SCORE
-from deepfsi.networks import Mlp, check_classes
-from deepfsi.physics import ROUNDING_SLACK, library_defaults
+from deepfsi.jobs.exposures import LARGEST_SCORE
+from deepfsi.networks.classifiers import Mlp
+from deepfsi.networks.values import check_classes
+from deepfsi.physics.laws import ROUNDING_SLACK
+from deepfsi.physics.surroundings import library_defaults
 
 SLIDER_BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
 """Budgets at which the accuracy is measured, the whole range of the page's slider."""

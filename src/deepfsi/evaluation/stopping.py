@@ -20,18 +20,22 @@ from numpy.typing import ArrayLike
 from pydantic import model_serializer
 from scipy.special import log_softmax
 
-from deepfsi.base import InputError, Table, as_input_error, budget_text, confidence_text
-from deepfsi.base.numeric import accuracy_interval
-from deepfsi.camera import StopRule, check_budget
-from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design import Design
-from deepfsi.designfile import new_scenes, trained_on
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.numeric.intervals import accuracy_interval
+from deepfsi.base.quantities import Table, budget_text, confidence_text
+from deepfsi.camera.light import check_budget
+from deepfsi.camera.stop_rule import StopRule
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import Source, as_dataset
+from deepfsi.design.design import Design
+from deepfsi.designfile.provenance import new_scenes, trained_on
 from deepfsi.evaluation.accuracy import check_data, check_draws, coverage_text
 from deepfsi.evaluation.confidence import CalibrationScenes, logits_at_stops
-from deepfsi.exposure import Stops
-from deepfsi.measures import calibration_error, confidence_error, confidence_groups
-from deepfsi.networks import check_classes, stop_temperatures
-from deepfsi.physics import library_defaults
+from deepfsi.exposure.kind import Stops
+from deepfsi.measures.reliability import calibration_error, confidence_error, confidence_groups
+from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.networks.values import check_classes
+from deepfsi.physics.surroundings import library_defaults
 
 THRESHOLDS = 1 - np.geomspace(0.5, 1e-7, 135)
 """Confidences that are tried, and 1, which none is above."""

@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.base import InputError
-from deepfsi.camera import LIGHT_LAWS
+from deepfsi.base.errors import InputError
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.exposure.kind import (
     UNTRAINED,
     ExposureKind,
@@ -29,16 +29,12 @@ from deepfsi.exposure.kind import (
     TrainedMasks,
 )
 from deepfsi.exposure.training import ExposureTraining, JobGroup, standardise
-from deepfsi.jobs import ConditionedEntry
-from deepfsi.physics import (
-    Draws,
-    FixedMasks,
-    Rails,
-    Scanner,
-    light_law,
-    ml_gauss_features,
-    side_by_side,
-)
+from deepfsi.jobs.exposures import ConditionedEntry
+from deepfsi.physics.laws import light_law
+from deepfsi.physics.masks import FixedMasks
+from deepfsi.physics.rails import Rails
+from deepfsi.physics.scanner import Scanner
+from deepfsi.physics.training_noise import Draws, ml_gauss_features, side_by_side
 
 ALL_MASKS_SHARE = 0.25
 """Share of the exposures of nested masks in training that show all of them."""

@@ -12,15 +12,12 @@ from deepfsi.exposure.training import (
     JobGroup,
     standardise,
 )
-from deepfsi.jobs import FixedEntry
-from deepfsi.physics import (
-    Draws,
-    LearnedMasks,
-    Rails,
-    SeedStream,
-    project_rails,
-    root,
-)
+from deepfsi.jobs.exposures import FixedEntry
+from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.noise import root
+from deepfsi.physics.rails import Rails
+from deepfsi.physics.scanner import project_rails
+from deepfsi.physics.training_noise import Draws, SeedStream
 
 CLICKING = 0.9
 """Part of the gates that click at the start, at most."""

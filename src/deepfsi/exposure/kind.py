@@ -15,20 +15,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError, as_input_error
-from deepfsi.camera import LIGHT_LAWS, Camera, LightLawName
-from deepfsi.designfile import FrameLight, click_gates
-from deepfsi.jobs import AdaptiveMasks, ExposureEntry
-from deepfsi.networks import Mlp
-from deepfsi.physics import (
-    Detection,
-    NoiseFunction,
-    Rails,
-    Scanner,
-    light_law,
-    noise_of,
-    to_training_light,
-)
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.names import LIGHT_LAWS, LightLawName
+from deepfsi.designfile.distribution import FrameLight
+from deepfsi.designfile.provenance import click_gates
+from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
+from deepfsi.networks.classifiers import Mlp
+from deepfsi.physics.clicks import to_training_light
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.laws import light_law
+from deepfsi.physics.noise import NoiseFunction, noise_of
+from deepfsi.physics.rails import Rails
+from deepfsi.physics.scanner import Scanner
 
 _Dwell = TypeVar("_Dwell", bound=Any)  # array or tensor
 

@@ -9,7 +9,7 @@ from deepfsi.exposure.looks import LooksExposure, LooksTraining
 from deepfsi.exposure.passing import PassingExposure, PassingTraining
 from deepfsi.exposure.patches import PatchExposure, PatchTraining
 from deepfsi.exposure.training import ExposureTraining, JobGroup
-from deepfsi.jobs import Exposure, Fixed, Looks, Nested, Passing, Patches, Range
+from deepfsi.jobs.exposures import Exposure, Fixed, Looks, Nested, Passing, Patches, Range
 
 TRAININGS: dict[type[Exposure], Callable[[JobGroup], ExposureTraining]] = {
     Fixed: fixed_training,

@@ -18,9 +18,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError
-from deepfsi.camera import LIGHT_LAWS, Camera, share_out
-from deepfsi.designfile import FrameLight
+from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.light import share_out
+from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.designfile.distribution import FrameLight
 from deepfsi.exposure.kind import (
     UNTRAINED,
     Counting,
@@ -34,18 +36,12 @@ from deepfsi.exposure.kind import (
 )
 from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
 from deepfsi.exposure.training_set import network_dtype
-from deepfsi.jobs import LARGEST_SCORE, ExposureEntry, Looks, LooksEntry
-from deepfsi.networks import Mlp, Replicas, restore_network
-from deepfsi.physics import (
-    Draws,
-    FixedMasks,
-    LearnedMasks,
-    Scanner,
-    SeedStream,
-    light_law,
-    project,
-    through,
-)
+from deepfsi.jobs.exposures import LARGEST_SCORE, ExposureEntry, Looks, LooksEntry
+from deepfsi.networks.classifiers import Mlp, Replicas, restore_network
+from deepfsi.physics.laws import light_law, through
+from deepfsi.physics.masks import FixedMasks, LearnedMasks
+from deepfsi.physics.scanner import Scanner, project
+from deepfsi.physics.training_noise import Draws, SeedStream
 
 Choose = Callable[[Tensor], Tensor]
 """From inputs (..., k + q + 1) to the scores (..., q) of dwells."""

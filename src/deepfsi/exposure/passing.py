@@ -19,19 +19,12 @@ from deepfsi.exposure.training import (
     moments,
     standardise,
 )
-from deepfsi.jobs import STATIC, ExposureEntry, Passing, PassingEntry
-from deepfsi.physics import (
-    Draws,
-    FixedPattern,
-    LearnedPattern,
-    NoiseFunction,
-    Rails,
-    Scanner,
-    ScenePath,
-    SeedStream,
-    in_levels,
-    project,
-)
+from deepfsi.jobs.exposures import STATIC, ExposureEntry, Passing, PassingEntry
+from deepfsi.physics.noise import NoiseFunction
+from deepfsi.physics.rails import Rails
+from deepfsi.physics.scanner import Scanner, project
+from deepfsi.physics.training_noise import Draws, SeedStream
+from deepfsi.physics.transit import FixedPattern, LearnedPattern, ScenePath, in_levels
 
 MEAN_OF = 1024
 """Transits whose mean is taken for expected counts of all."""

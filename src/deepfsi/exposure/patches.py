@@ -8,8 +8,9 @@ from torch import Tensor
 
 from deepfsi.exposure.kind import UNTRAINED, MaskExposure, TrainedMasks, Use
 from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
-from deepfsi.jobs import Patches, PatchesEntry, cut_patches
-from deepfsi.physics import Draws, Scanner, project
+from deepfsi.jobs.exposures import Patches, PatchesEntry, cut_patches
+from deepfsi.physics.scanner import Scanner, project
+from deepfsi.physics.training_noise import Draws
 
 OF_PATCHES = (
     "this design is of image patches, each with a detector of its own, which frames of one device "

@@ -16,27 +16,22 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.base import InputError
-from deepfsi.camera import LIGHT_LAWS
+from deepfsi.base.errors import InputError
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.exposure.kind import MaskExposure, TrainedMasks, whole_exposure
 from deepfsi.exposure.training_set import TrainingSet, product_dtype
-from deepfsi.jobs import DESIGNS, Job, Scale, count_allowed
-from deepfsi.networks import Replicas
-from deepfsi.physics import (
-    Detection,
-    Draws,
-    FixedMasks,
-    LearnedMasks,
-    Rails,
-    TrainingNoise,
-    frame_peaks,
-    frames,
-    light_law,
-    noise_of,
-    project,
-    project_rails,
-    signed_parts,
-)
+from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.tiles import count_allowed
+from deepfsi.jobs.training import Scale
+from deepfsi.networks.classifiers import Replicas
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.laws import frame_peaks, frames, light_law, signed_parts
+from deepfsi.physics.masks import FixedMasks, LearnedMasks
+from deepfsi.physics.noise import noise_of
+from deepfsi.physics.rails import Rails
+from deepfsi.physics.scanner import project, project_rails
+from deepfsi.physics.training_noise import Draws, TrainingNoise
 
 CHUNK = 4096
 """Scenes that are multiplied at once outside the steps."""

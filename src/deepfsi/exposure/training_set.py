@@ -12,26 +12,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.camera import (
-    LIGHT_LAWS,
-    ONE_DETECTOR,
-    DetectorMap,
-    LightLawName,
-    find_noise,
-    summed_reflectance,
-)
-from deepfsi.datasets import Dataset, StoredScenes, is_stored
-from deepfsi.designfile import TrainingScenes
-from deepfsi.jobs import (
-    DESIGNS,
-    Exposure,
-    Job,
-    check_count,
-    count_allowed,
-    sensing_matrix,
-)
-from deepfsi.networks import Values
-from deepfsi.physics import Detection, torch_device
+from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
+from deepfsi.camera.light import summed_reflectance
+from deepfsi.camera.names import LIGHT_LAWS, LightLawName, find_noise
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.levels import StoredScenes, is_stored
+from deepfsi.designfile.provenance import TrainingScenes
+from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs.exposures import Exposure
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.tiles import check_count, count_allowed, sensing_matrix
+from deepfsi.networks.values import Values
+from deepfsi.physics.detection import Detection
+from deepfsi.physics.surroundings import torch_device
 
 Matrices = dict[tuple[str, int, int, tuple[int, ...] | None], np.ndarray]
 """Sensing matrices (m, N) by design, number of masks, seed and detectors."""

@@ -12,9 +12,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from deepfsi.base import InputError, Message, check_choice
-from deepfsi.camera import RailsKind
-from deepfsi.datasets import Dataset, StoredScenes, is_stored
+from deepfsi.base.errors import InputError, Message, check_choice
+from deepfsi.camera.names import RailsKind
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.levels import StoredScenes, is_stored
 
 FULL_BASIS_PIXELS = 2048
 """Pixels up to which all principal components are computed at once, which takes their cube; of

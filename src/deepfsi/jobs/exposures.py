@@ -29,8 +29,8 @@ from pydantic import (
     model_validator,
 )
 
-from deepfsi.base import InputError, Message, as_input_error, closest_choice
-from deepfsi.base.models import (
+from deepfsi.base.errors import InputError, Message, as_input_error, closest_choice
+from deepfsi.base.models.strict import (
     Amount,
     Count,
     LaterFields,
@@ -39,8 +39,9 @@ from deepfsi.base.models import (
     UserModel,
     WholeNumber,
 )
-from deepfsi.camera import LIGHT_LAWS, Camera, find_noise
-from deepfsi.datasets import Dataset
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.names import LIGHT_LAWS, find_noise
+from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.training import MOST_READY, Widths
 
 if TYPE_CHECKING:

@@ -11,22 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from deepfsi.base import UNNAMED_PLUGIN, InputError, Message, closest_choice, join_messages
-from deepfsi.base.models import UserModel
-from deepfsi.camera import (
-    LIGHT_LAWS,
-    NOISES,
-    ONE_DETECTOR,
-    Camera,
-    CameraSource,
-    PhotonBudget,
-    check_budget,
-    check_light_law,
-    check_one_budget,
-    find_noise,
-    noise_name,
-)
-from deepfsi.datasets import Dataset
+from deepfsi.base.errors import InputError, Message, closest_choice, join_messages
+from deepfsi.base.models.strict import UserModel
+from deepfsi.base.plugins import UNNAMED_PLUGIN
+from deepfsi.camera.camera import Camera, CameraSource
+from deepfsi.camera.detectors import ONE_DETECTOR
+from deepfsi.camera.light import PhotonBudget, check_budget, check_one_budget
+from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light_law, find_noise, noise_name
+from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.designs import DESIGNS, Code, check_design, check_matrix
 from deepfsi.jobs.exposures import (
     EXPOSURE_KINDS,

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base import InputError, check_unpacked, open_regular
-from deepfsi.base.numeric import read_array, split_variable
-from deepfsi.datasets import PICTURE_FORMATS, check_grey_levels, is_deep, unread_kind
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import check_unpacked, open_regular
+from deepfsi.base.numeric.arrays import read_array, split_variable
+from deepfsi.datasets.decoding import PICTURE_FORMATS, check_grey_levels, is_deep, unread_kind
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.base import InputError
-from deepfsi.camera import ONE_DETECTOR, DetectorMap
-from deepfsi.datasets import Dataset
+from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
+from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.designs import DESIGNS
 
 

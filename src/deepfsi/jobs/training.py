@@ -19,9 +19,10 @@ from pydantic import (
     model_validator,
 )
 
-from deepfsi.base import IMPORT_PATH, UNNAMED_PLUGIN, InputError, import_path
-from deepfsi.base.models import Count, LaterFields, Positive, UserModel
-from deepfsi.camera import NoiseSetting
+from deepfsi.base.errors import InputError
+from deepfsi.base.models.strict import Count, LaterFields, Positive, UserModel
+from deepfsi.base.plugins import IMPORT_PATH, UNNAMED_PLUGIN, import_path
+from deepfsi.camera.names import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
 
 MOST_READY = 2**16

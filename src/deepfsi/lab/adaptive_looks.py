@@ -12,34 +12,21 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepfsi.adaptive import (
-    AdaptivePosterior,
-    DictionaryPosterior,
-    LookOptics,
-    candidate_masks,
-    next_masks,
-    squared_distance,
-)
-from deepfsi.base import InputError, as_input_error, hash_file, read_regular
-from deepfsi.base.numeric import LARGEST_TENSORS
-from deepfsi.camera import StopRule
-from deepfsi.design import Design
-from deepfsi.designfile import UNSURE
-from deepfsi.hardware.light import Arrivals
-from deepfsi.hardware.live import (
-    AllOnCounts,
-    ExposureState,
-    FrameList,
-    SceneComparison,
-)
-from deepfsi.hardware.patterns import (
-    Brightness,
-    DesignRails,
-    LookPlan,
-    Manifest,
-    Patterns,
-)
-from deepfsi.physics import library_defaults
+from deepfsi.adaptive.choice import candidate_masks, next_masks
+from deepfsi.adaptive.dictionary import DictionaryPosterior
+from deepfsi.adaptive.exposure import squared_distance
+from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import hash_file, read_regular
+from deepfsi.base.numeric.arrays import LARGEST_TENSORS
+from deepfsi.camera.stop_rule import StopRule
+from deepfsi.design.design import Design
+from deepfsi.designfile.distribution import UNSURE
+from deepfsi.hardware.light.curves import Arrivals
+from deepfsi.hardware.live.looks import AllOnCounts, ExposureState, FrameList, SceneComparison
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.manifest import Brightness, DesignRails, LookPlan, Manifest
+from deepfsi.physics.surroundings import library_defaults
 
 ADAPTIVE_DECISION_S = 4e-3
 """Usual time of a decision, seconds, by `benchmarks/adaptive.py --latency` with 8192 scenes."""

@@ -2,21 +2,21 @@
 
 from pathlib import Path
 
-from deepfsi.base import SILENT, InputError, Progress
-from deepfsi.datasets import read_display
-from deepfsi.designfile import SceneReadouts
-from deepfsi.hardware.calibration import (
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.datasets.display import read_display
+from deepfsi.designfile.view_test import SceneReadouts
+from deepfsi.hardware.calibration.fit import calibrate_run
+from deepfsi.hardware.calibration.reference import (
     ReferenceFit,
-    calibrate_run,
-    find_detectors,
-    find_gains,
     find_reference,
     find_reference_of_masks,
-    save_detectors,
 )
-from deepfsi.hardware.counting import Calibration, Counts, read_counts, read_run
-from deepfsi.hardware.live import LiveCounts, is_live, replay_run
-from deepfsi.hardware.pictures import reconstruct
+from deepfsi.hardware.calibration.scans import find_detectors, find_gains, save_detectors
+from deepfsi.hardware.counting.acquisition import Calibration, read_run
+from deepfsi.hardware.counting.counts import Counts, read_counts
+from deepfsi.hardware.live.replay import LiveCounts, is_live, replay_run
+from deepfsi.hardware.pictures.solve import reconstruct
 from deepfsi.lab.looks import open_looks
 
 

@@ -14,33 +14,32 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from deepfsi.base import InputError, Table, hash_file, plain_keywords, require_extras
-from deepfsi.base.numeric import read_table
-from deepfsi.camera import NO_EFFECTS, TOO_DIM, Camera, check_budget
-from deepfsi.designfile import (
-    READOUTS,
-    ConsistencyResult,
-    Score,
-    ViewResult,
-    scene_hashes,
-    was_trained_on,
-)
-from deepfsi.hardware.counting import (
-    Counts,
-    ReferenceVerdict,
-    Scene,
-    TableSettings,
-    count_table,
-    read_counts,
-    read_run,
-)
-from deepfsi.hardware.light import Fault
-from deepfsi.hardware.live import LiveAnswers, LiveCounts, is_live, replay_run
-from deepfsi.hardware.patterns import Manifest, Patterns, read_patterns
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import hash_file
+from deepfsi.base.keywords import plain_keywords
+from deepfsi.base.numeric.tables import read_table
+from deepfsi.base.plugins import require_extras
+from deepfsi.base.quantities import Table
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.dead_time import NO_EFFECTS
+from deepfsi.camera.light import TOO_DIM, check_budget
+from deepfsi.designfile.distribution import ConsistencyResult
+from deepfsi.designfile.provenance import READOUTS, scene_hashes, was_trained_on
+from deepfsi.designfile.score import Score
+from deepfsi.designfile.view_test import ViewResult
+from deepfsi.hardware.counting.acquisition import ReferenceVerdict, Scene, read_run
+from deepfsi.hardware.counting.counts import Counts, read_counts
+from deepfsi.hardware.counting.tables import TableSettings, count_table
+from deepfsi.hardware.light.checks import Fault
+from deepfsi.hardware.live.replay import LiveCounts, is_live, replay_run
+from deepfsi.hardware.live.results import LiveAnswers
+from deepfsi.hardware.patterns.folder import Patterns, read_patterns
+from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.lab.looks import design_rails, open_looks
 
 if TYPE_CHECKING:  # they import torch, which a live run does without
-    from deepfsi.design import Design, RunCounts
+    from deepfsi.design.design import Design
+    from deepfsi.design.judgement import RunCounts
 
 UNTESTED = (
     "these counts were not compared with those of the training, which takes 50 training scenes of "
@@ -261,7 +260,7 @@ def classify_table(
     Examples
     --------
     >>> import deepfsi, numpy, tempfile, torch
-    >>> from deepfsi.hardware.counting import TableSettings
+    >>> from deepfsi.hardware.counting.tables import TableSettings
     >>> digits = deepfsi.load_dataset("digits")
     >>> few = deepfsi.Training(epochs=1)
     >>> design = deepfsi.learn(digits, camera="dmd", photons=1e4, masks=6, training=few)
@@ -308,7 +307,7 @@ def _classified_readouts(
     camera: Mapping[str, Any] | None,
 ) -> ClassifiedRun:
     """Class of each recording in a table of measured readouts, a row or a column for each."""
-    from deepfsi.design import classify_readouts
+    from deepfsi.design.readouts import classify_readouts
 
     along = settings.exposures if settings else None
     if camera or settings not in (None, TableSettings(exposures=along)):
@@ -356,8 +355,8 @@ def _classified_readouts(
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
     """Design of a file or a folder of patterns, of fixed dwells, as its patterns realise it."""
     with require_extras():
-        from deepfsi.design import Design
-        from deepfsi.networks import check_classes
+        from deepfsi.design.design import Design
+        from deepfsi.networks.values import check_classes
 
     file = Path(design) if patterns is None else _check_design(design, patterns.manifest)
     made = Design.load(file, trust=trust)
@@ -432,7 +431,7 @@ class _CountedScenes:
 
     def classify(self) -> ClassifiedRun:
         """Classes of the scenes; `InputError` if their counts do not look like the training's."""
-        from deepfsi.design import judge
+        from deepfsi.design.judgement import judge
 
         design = self.design
         counts = self.counts
@@ -495,7 +494,7 @@ class _CountedScenes:
     @property
     def _run_counts(self) -> "RunCounts":
         """Counts of all exposures, and of each scene's sound ones together."""
-        from deepfsi.design import RunCounts
+        from deepfsi.design.judgement import RunCounts
 
         counts = self.counts
         exposures = counts.by_readout(self.usable)
@@ -520,7 +519,7 @@ class _CountedScenes:
             if view is None:
                 return *lines, NO_VIEW
             return (*lines, view.remark) if view.remark else lines
-        from deepfsi.physics import full_gates
+        from deepfsi.physics.clicks import full_gates
 
         design = self.design
         photons = float(self.budgets[self._often > 0].mean())

@@ -11,29 +11,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deepfsi.base import InputError
-from deepfsi.datasets import (
-    Dataset,
-    Origin,
-    absolute_source,
-    array_display,
-    load_dataset,
-    options_of,
-    prepare_display,
-)
-from deepfsi.designfile import (
-    DesignFile,
-    TrainedOn,
-    new_scenes,
-    trained_on,
-)
-from deepfsi.hardware.calibration import camera_view, view_dataset
-from deepfsi.hardware.counting import Calibration
-from deepfsi.hardware.patterns import Patterns, check_patterns
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.dataset import Dataset, Origin
+from deepfsi.datasets.display import array_display
+from deepfsi.datasets.load import absolute_source, load_dataset, options_of, prepare_display
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.provenance import TrainedOn, new_scenes, trained_on
+from deepfsi.hardware.calibration.view import camera_view, view_dataset
+from deepfsi.hardware.counting.acquisition import Calibration
+from deepfsi.hardware.patterns.folder import Patterns, check_patterns
 
 if TYPE_CHECKING:
-    from deepfsi.datasets import Display
-    from deepfsi.design import Design
+    from deepfsi.datasets.display import Display
+    from deepfsi.design.design import Design
 
 
 class DesignData(NamedTuple):
@@ -45,7 +35,7 @@ class DesignData(NamedTuple):
 
 def open_design(path: Path, *, trust: bool = False, static: bool = False) -> "Design":
     """Open a design file, or what a folder of patterns realises of the design in it."""
-    from deepfsi.design import load_design
+    from deepfsi.design.design import load_design
 
     folder = path.is_dir()
     file = path / Patterns.DESIGN if folder else path

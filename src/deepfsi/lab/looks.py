@@ -7,13 +7,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from deepfsi.base import InputError, read_regular, require_extras
-from deepfsi.base.numeric import LARGEST_TENSORS
-from deepfsi.camera import Camera
-from deepfsi.designfile import AdaptiveHeader, DesignFile
-from deepfsi.hardware.live import FixedMaskLooks, LookChooser
-from deepfsi.hardware.patterns import DesignRails, Patterns, read_patterns
-from deepfsi.hardware.virtual import CAMERAS, VirtualCamera
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import read_regular
+from deepfsi.base.numeric.arrays import LARGEST_TENSORS
+from deepfsi.base.plugins import require_extras
+from deepfsi.camera.camera import Camera
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.header import AdaptiveHeader
+from deepfsi.hardware.live.looks import FixedMaskLooks, LookChooser
+from deepfsi.hardware.patterns.folder import Patterns, read_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
 
 
 def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) -> Camera:

@@ -9,11 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import InputError, plural, time_text
-from deepfsi.camera import LIGHT_LAWS, Camera, find_device
-from deepfsi.designfile import AdaptiveHeader, DesignFile
-from deepfsi.hardware.live import LightLosses
-from deepfsi.hardware.patterns import DesignRails, LookPlan
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import plural, time_text
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.device import find_device
+from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.header import AdaptiveHeader
+from deepfsi.hardware.live.losses import LightLosses
+from deepfsi.hardware.patterns.manifest import DesignRails, LookPlan
 
 USUAL_DEVICE = "dlp7000"
 """Device of a camera that names none."""

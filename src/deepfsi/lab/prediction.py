@@ -11,14 +11,18 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base import InputError, Message, Table, budget_text, plain_keywords
-from deepfsi.camera import Camera, CameraSettings, CameraSource, check_budget
-from deepfsi.designfile import Score, scene_hashes, was_trained_on
+from deepfsi.base.errors import InputError, Message
+from deepfsi.base.keywords import plain_keywords
+from deepfsi.base.quantities import Table, budget_text
+from deepfsi.camera.camera import Camera, CameraSettings, CameraSource
+from deepfsi.camera.light import check_budget
+from deepfsi.designfile.provenance import scene_hashes, was_trained_on
+from deepfsi.designfile.score import Score
 from deepfsi.lab.classify import dim_scenes
 from deepfsi.lab.design_data import design_scenes
 
 if TYPE_CHECKING:  # it imports torch, which those who predict nothing do without
-    from deepfsi.design import Design
+    from deepfsi.design.design import Design
 
 
 @dataclass(frozen=True)
@@ -138,7 +142,7 @@ def predict(
     Examples
     --------
     >>> import deepfsi, tempfile
-    >>> from deepfsi.datasets import write_display
+    >>> from deepfsi.datasets.display import write_display
     >>> few = deepfsi.Training(epochs=5)
     >>> design = deepfsi.learn("digits", photons=1e4, masks=10, training=few)
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -147,7 +151,7 @@ def predict(
     >>> found.pictures[3].label, len(found.pictures)
     ('3', 10)
     """
-    from deepfsi.physics import library_defaults
+    from deepfsi.physics.surroundings import library_defaults
 
     run = library_defaults(grad=False)(_predict)
     tested = {"camera": camera, **settings}
@@ -174,8 +178,8 @@ def _predict(
     """Classes of pictures; parameters as of `predict`, with the camera's fields in `tested`."""
     import torch
 
-    from deepfsi.evaluation import camera_for, check_draws
-    from deepfsi.networks import check_classes
+    from deepfsi.evaluation.accuracy import camera_for, check_draws
+    from deepfsi.networks.values import check_classes
 
     check_classes(design.values, "predict")
     check_draws(1, seed)

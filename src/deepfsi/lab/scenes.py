@@ -4,15 +4,17 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deepfsi.base import InputError, as_input_error
-from deepfsi.datasets import read_display, read_scene_list
-from deepfsi.designfile import DesignFile, DesignHeader, scene_hashes, trained_on
-from deepfsi.hardware.counting import Scene
-from deepfsi.hardware.patterns import Patterns, read_patterns
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.datasets.display import read_display, read_scene_list
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.header import DesignHeader
+from deepfsi.designfile.provenance import scene_hashes, trained_on
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.patterns.folder import Patterns, read_patterns
 from deepfsi.lab.design_data import design_scenes
 
 if TYPE_CHECKING:
-    from deepfsi.datasets import Display
+    from deepfsi.datasets.display import Display
 
 
 def _design_of(patterns: Path) -> DesignHeader | None:

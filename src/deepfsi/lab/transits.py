@@ -21,13 +21,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, Table, time_text
-from deepfsi.camera import check_budget
-from deepfsi.hardware.photons import PtuWriter, read_photons
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.base.quantities import Table, time_text
+from deepfsi.camera.light import check_budget
+from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.reader import read_photons
 
 if TYPE_CHECKING:  # they import torch, which those who look for no transits do without
-    from deepfsi.design import Design
-    from deepfsi.exposure import PassingExposure
+    from deepfsi.design.design import Design
+    from deepfsi.exposure.passing import PassingExposure
 
 FALSE_TRANSITS = 0.01
 """Expected transits of background alone in a record unless another number is asked for."""
@@ -231,8 +234,8 @@ def classify_transits(
     A transit is a rise of the rate above a threshold with a stated number of false alarms. Its
     place is where its photons are likeliest those of the mean trace of the training.
     """
-    from deepfsi.networks import check_classes
-    from deepfsi.physics import library_defaults
+    from deepfsi.networks.values import check_classes
+    from deepfsi.physics.surroundings import library_defaults
 
     check_classes(design.values, "a transit's answer")
     path = _passing_of(design).transit
@@ -288,7 +291,7 @@ def classify_transits(
 
 def _passing_of(design: "Design") -> "PassingExposure":
     """Exposure of a design of passing scenes, or `InputError`."""
-    from deepfsi.exposure import PassingExposure
+    from deepfsi.exposure.passing import PassingExposure
 
     if not isinstance(design.exposure, PassingExposure):
         raise InputError(
@@ -335,7 +338,7 @@ def simulate_transits(
     """
     import torch
 
-    from deepfsi.physics import library_defaults
+    from deepfsi.physics.surroundings import library_defaults
 
     path = _passing_of(design).transit
     step = path.speed / FINE  # pixels

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from deepfsi.base.numeric import auc_terms
+from deepfsi.base.numeric.intervals import auc_terms
 
 MOST_DRAWS = 10_000
 """Noise draws of each scene in one test: enough for any interval, and an end in sight."""

@@ -3,8 +3,15 @@
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 
-from deepfsi.base import NAME_WIDTH, Table, budget_text, count_text, rate_text, short_name
-from deepfsi.base.numeric import MOST_CLASSES, confusion_shares, frequent_confusions
+from deepfsi.base.numeric.intervals import MOST_CLASSES, confusion_shares, frequent_confusions
+from deepfsi.base.quantities import (
+    NAME_WIDTH,
+    Table,
+    budget_text,
+    count_text,
+    rate_text,
+    short_name,
+)
 from deepfsi.measures.results import Estimates, Result
 from deepfsi.measures.table import Measure
 

@@ -6,8 +6,9 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from deepfsi.base.numeric import Z_95, accuracy_curve, confusion_table, pack_values, worst_class
-from deepfsi.camera import find_noise
+from deepfsi.base.numeric.html import accuracy_curve, confusion_table
+from deepfsi.base.numeric.intervals import Z_95, pack_values, worst_class
+from deepfsi.camera.names import find_noise
 from deepfsi.measures.answers import Answers, ClassAnswers, ValueAnswers
 from deepfsi.measures.table import MEASURES, Measure
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.numeric import (
+from deepfsi.base.numeric.intervals import (
     Interval,
     accuracy_interval,
     auc,

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import InputError
-from deepfsi.jobs import Training
+from deepfsi.base.errors import InputError
+from deepfsi.jobs.training import Training
 
 
 class Classifier(nn.Module, ABC):

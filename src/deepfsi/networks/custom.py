@@ -16,8 +16,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import UNNAMED_PLUGIN, InputError, load_plugin
-from deepfsi.jobs import describe_classifier
+from deepfsi.base.errors import InputError
+from deepfsi.base.plugins import UNNAMED_PLUGIN, load_plugin
+from deepfsi.jobs.training import describe_classifier
 from deepfsi.networks.classifiers import Classifier
 
 Factory = Callable[..., nn.Module]

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.designfile import Temperatures
+from deepfsi.designfile.temperatures import Temperatures
 
 
 def temperatures_at(fitted: Temperatures, place: Tensor | int, photons: Tensor) -> Tensor:

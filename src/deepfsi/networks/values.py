@@ -7,8 +7,8 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError
-from deepfsi.datasets import Dataset
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.dataset import Dataset
 
 
 def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:

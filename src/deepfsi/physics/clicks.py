@@ -14,7 +14,7 @@ photons a gate, both over training scenes, r⁺ − r⁻ = 2 arsinh(M e^(S/2) / 
 import torch
 from torch import Tensor
 
-from deepfsi.base import Message
+from deepfsi.base.errors import Message
 
 LEAST_NOISE = 1e-30
 """Least ν over G, that of a readout that is dark."""

@@ -18,7 +18,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.camera import Camera, DetectorMap, Readout
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera.names import Readout
 from deepfsi.physics.rails import Rails
 
 

@@ -20,8 +20,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import InputError
-from deepfsi.camera import LightLawName, RailsKind, check_light_law, share_out
+from deepfsi.base.errors import InputError
+from deepfsi.camera.light import share_out
+from deepfsi.camera.names import LightLawName, RailsKind, check_light_law
 from deepfsi.physics.rails import Rails
 
 ROUNDING_SLACK = 1e-5

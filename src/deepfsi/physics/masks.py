@@ -5,8 +5,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import InputError
-from deepfsi.camera import LightLawName, RailsKind, check_light_law
+from deepfsi.base.errors import InputError
+from deepfsi.camera.names import LightLawName, RailsKind, check_light_law
 from deepfsi.physics.laws import light_law, through
 from deepfsi.physics.rails import Rails
 

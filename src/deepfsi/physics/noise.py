@@ -19,8 +19,10 @@ from typing import Any, ClassVar, NamedTuple, Self
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError, load_plugin
-from deepfsi.camera import Camera, NoiseFacts, check_noise, find_noise, noise_name
+from deepfsi.base.errors import InputError
+from deepfsi.base.plugins import load_plugin
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.names import NoiseFacts, check_noise, find_noise, noise_name
 from deepfsi.physics.detection import Readouts
 
 Random = torch.Generator | None

@@ -12,8 +12,8 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from deepfsi.base import InputError
-from deepfsi.camera import RailsKind
+from deepfsi.base.errors import InputError
+from deepfsi.camera.names import RailsKind
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base import InputError, plain_keywords
+from deepfsi.base.errors import InputError
+from deepfsi.base.keywords import plain_keywords
 from deepfsi.physics.detection import Detection, Readouts
 from deepfsi.physics.masks import FixedMasks
 from deepfsi.physics.noise import Expectation, NoiseFunction, make_noise

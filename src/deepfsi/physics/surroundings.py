@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 
 
 @contextmanager

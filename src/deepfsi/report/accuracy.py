@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
-from deepfsi.base.numeric import Interval
-from deepfsi.camera import noise_text
-from deepfsi.measures import main_measure
+from deepfsi.base.numeric.intervals import Interval
+from deepfsi.camera.names import noise_text
+from deepfsi.measures.table import main_measure
 from deepfsi.report import style
 from deepfsi.report.series import DESIGN_AND_OPTICS, Measured, Series, noises, series_axes
 from deepfsi.report.style import columns, inches
-from deepfsi.sweeps import Results
+from deepfsi.sweeps.results import Results
 
 LINE_HEIGHT = 0.06
 """Height of a name at the right edge, in parts of the axis."""

@@ -10,34 +10,24 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from deepfsi.base import (
-    InputError,
-    Table,
-    budget_text,
-    plural,
-    rate_text,
-    short_name,
-    write_atomically,
-)
-from deepfsi.base.numeric import accuracy_difference, confusion_table
-from deepfsi.camera import LIGHT_LAWS, noise_text
-from deepfsi.designfile import DesignFile
-from deepfsi.jobs import ADAPTIVE
-from deepfsi.measures import (
-    MEASURES,
-    error_text,
-    lit_masks,
-    lit_text,
-    main_measure,
-    worst_text,
-)
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import write_atomically
+from deepfsi.base.numeric.html import confusion_table
+from deepfsi.base.numeric.intervals import accuracy_difference
+from deepfsi.base.quantities import Table, budget_text, plural, rate_text, short_name
+from deepfsi.camera.names import LIGHT_LAWS, noise_text
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.jobs.designs import ADAPTIVE
+from deepfsi.measures.lines import error_text, worst_text
+from deepfsi.measures.results import lit_masks, lit_text
+from deepfsi.measures.table import MEASURES, main_measure
 from deepfsi.report.accuracy import accuracy_figure, count_figure
 from deepfsi.report.masks import masks_figure, peak_value, signed, values_figure
 from deepfsi.report.rendering import DESIGN_TERMS, capital, english_list, flat, render, share_text
 from deepfsi.report.series import DESIGN_AND_OPTICS, Series, noises, shares_light
 from deepfsi.report.style import Figures, photons_text
 from deepfsi.report.verdict import ComparisonVerdict, better, ranking, uneven_point, verdict_of
-from deepfsi.sweeps import Data, Point, Results, read_results
+from deepfsi.sweeps.results import Data, Point, Results, read_results
 
 MASKS_SHOWN = 12
 """Masks of a design that the page shows at most."""

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from deepfsi.base import budget_text
-from deepfsi.measures import lit_masks, lit_text
+from deepfsi.base.quantities import budget_text
+from deepfsi.measures.results import lit_masks, lit_text
 from deepfsi.report import style
 from deepfsi.report.style import DIVERGING
 
 if TYPE_CHECKING:  # it imports torch
-    from deepfsi.design import Design
+    from deepfsi.design.design import Design
 
 BAR_LABEL = "share of a pixel's photons, Mᵢⱼ"
 """Words of a scale of mask values."""

@@ -7,7 +7,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.report.style import GREYS, GRID, INK, PAGE_WIDTH, SMALL, plain_bar, styled
 
 _MOST_PICTURES = 48

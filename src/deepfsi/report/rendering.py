@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from deepfsi.camera import LIGHT_LAWS, noise_text
+from deepfsi.camera.names import LIGHT_LAWS, noise_text
 from deepfsi.report.style import DARK_COLOURS, DESIGN_COLOURS, photons_text
 
 _TEMPLATES = Path(__file__).parent

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Any, TypeAlias
 
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps import Results
+from deepfsi.sweeps.results import Results
 
 Measured: TypeAlias = Any
 """Accuracy of a design with its interval: a `Point`, or what has its names, as other cameras do."""

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from deepfsi.base.numeric import Crossing, accuracy_difference, find_crossing
-from deepfsi.camera import noise_text
-from deepfsi.jobs import DESIGNS
-from deepfsi.measures import main_measure
+from deepfsi.base.numeric.intervals import Crossing, accuracy_difference, find_crossing
+from deepfsi.camera.names import noise_text
+from deepfsi.jobs.designs import DESIGNS
+from deepfsi.measures.table import main_measure
 from deepfsi.report.rendering import capital, share_text
 from deepfsi.report.series import DESIGN_AND_OPTICS, Series, noises, shares_light
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps import Point, Results
+from deepfsi.sweeps.results import Point, Results
 
 _SUBJECTS = {"deepfsi": "learned masks (DeepFSI)", "adaptive": "adaptive masks"}
 """Designs whose names in a sentence are masks."""

@@ -9,25 +9,18 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base import SILENT, InputError, Progress
-from deepfsi.datasets import Dataset
-from deepfsi.design import Design
-from deepfsi.evaluation import camera_for, evaluate
-from deepfsi.exposure import Matrices, TrainingSet
-from deepfsi.networks import OwnClassifier
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.design.design import Design
+from deepfsi.evaluation.accuracy import camera_for, evaluate
+from deepfsi.exposure.training_set import Matrices, TrainingSet
+from deepfsi.networks.custom import OwnClassifier
 from deepfsi.sweeps.plan import Trial
 from deepfsi.sweeps.records import FinishedTrial, Record
 from deepfsi.sweeps.results import RESULTS_SCHEMA
-from deepfsi.training import (
-    NO_CHECKPOINT,
-    Checkpoint,
-    Diverged,
-    check_fits,
-    companions,
-    footprint,
-    memory_for,
-    train,
-)
+from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
+from deepfsi.training.learning import Diverged, check_fits, companions, footprint, memory_for, train
 
 MASKS_AT_ONCE = 2048
 """Learned masks that a processor trains together: with more its caches lose what batching gains."""

@@ -14,11 +14,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Moments, Progress, Table, budget_text, duration_text
-from deepfsi.base.numeric import find_crossing
-from deepfsi.camera import find_noise
-from deepfsi.datasets import Dataset
-from deepfsi.jobs import DESIGNS, EVERY_PIXEL, Job
+from deepfsi.base.errors import InputError
+from deepfsi.base.numeric.intervals import find_crossing
+from deepfsi.base.progress import SILENT, Moments, Progress, duration_text
+from deepfsi.base.quantities import Table, budget_text
+from deepfsi.camera.names import find_noise
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.jobs.designs import DESIGNS, EVERY_PIXEL
+from deepfsi.jobs.job import Job
 from deepfsi.sweeps.plan import Trial, plan_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Record, Records
@@ -183,7 +186,7 @@ class _Load:
 
 def _seconds(batches: "Sequence[Batch]", trainer: "BatchTrainer") -> list[float]:
     """Seconds of batches of one kind, interpolated between the fewest and the most masks."""
-    from deepfsi.training import batch_of
+    from deepfsi.training.loop import batch_of
 
     by_masks = {batch[0].job.masks: batch for batch in batches}
     ends = sorted({min(by_masks), max(by_masks)})
@@ -201,7 +204,7 @@ def _seconds(batches: "Sequence[Batch]", trainer: "BatchTrainer") -> list[float]
 
 def _kind(batch: "Batch", trainer: "BatchTrainer") -> Any:
     """Settings that change how long a step takes, or a test, at a number of masks."""
-    from deepfsi.exposure import dtypes
+    from deepfsi.exposure.training_set import dtypes
 
     job = batch[0].job
     apart: Any = {"photons": True, "seed": True, "masks": True, "camera": {"sigma"}}
@@ -230,9 +233,10 @@ class _Probe(NamedTuple):
 
 def _probe(batch: "Batch", trainer: "BatchTrainer") -> _Probe:
     """Train a batch for two short epochs, and test one of its designs."""
-    from deepfsi.evaluation import evaluate
-    from deepfsi.exposure import TrainingSet
-    from deepfsi.training import batch_of, train
+    from deepfsi.evaluation.accuracy import evaluate
+    from deepfsi.exposure.training_set import TrainingSet
+    from deepfsi.training.learning import train
+    from deepfsi.training.loop import batch_of
 
     trial = batch[0]
     size = batch_of(trial.job.training, len(trainer.training_set.labels))

@@ -15,31 +15,26 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import Field, model_validator
 
-from deepfsi.base import (
-    InputError,
-    Progress,
-    as_input_error,
-    check_choice,
-    hash_file,
-    note_saved_work,
-    read_toml,
-    write_atomically,
-)
-from deepfsi.base.models import StrictModel
-from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.designfile import (
+from deepfsi.base.errors import InputError, as_input_error, check_choice
+from deepfsi.base.files import hash_file, read_toml, write_atomically
+from deepfsi.base.interrupts import note_saved_work
+from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.progress import Progress
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.designfile.provenance import trained_on
+from deepfsi.designfile.published import (
     INDEX_NAME,
     CollectionIndex,
     DesignName,
     PublishedDesign,
     ShortText,
-    trained_on,
 )
-from deepfsi.jobs import REVISION, Job, find_job, sorted_settings
-from deepfsi.measures import Result
+from deepfsi.jobs.job import REVISION, Job, find_job, sorted_settings
+from deepfsi.measures.results import Result
 
 if TYPE_CHECKING:
-    from deepfsi.design import Design
+    from deepfsi.design.design import Design
 
 _LEARNING_SHARE = 0.7
 """Share of the progress that the training of a design takes; the rest is its test."""
@@ -76,7 +71,7 @@ class DesignRecipe(StrictModel):
 
     def load(self) -> Dataset:
         """The data set, or `InputError` where it is not at hand or the job cannot be had on it."""
-        from deepfsi.networks import check_classes
+        from deepfsi.networks.values import check_classes
 
         data = load_dataset(self.data, rescale=self.rescale, split=self.split, size=self.size)
         check_classes(data.values, "a published design")
@@ -166,8 +161,8 @@ def _make(
     collection: Collection, name: str, folder: Path, command: str, *, report: Progress
 ) -> PublishedDesign:
     """Train, test and write a design, its card and its entry in the index."""
-    from deepfsi.evaluation import evaluate
-    from deepfsi.training import learn
+    from deepfsi.evaluation.accuracy import evaluate
+    from deepfsi.training.learning import learn
 
     recipe = collection.designs[name]
     data = recipe.load()

@@ -16,21 +16,16 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import InputError, Message, join_messages, source_hash
-from deepfsi.base.models import StrictModel
-from deepfsi.camera import LIGHT_LAWS, ONE_DETECTOR
-from deepfsi.datasets import Dataset
-from deepfsi.jobs import (
-    DESIGNS,
-    MASK_SETTINGS,
-    PRIOR_SETTINGS,
-    REVISION,
-    Exposure,
-    Job,
-    Training,
-    custom_parts,
-    find_table,
-)
+from deepfsi.base.errors import InputError, Message, join_messages
+from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.plugins import source_hash
+from deepfsi.camera.detectors import ONE_DETECTOR
+from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs.exposures import Exposure
+from deepfsi.jobs.job import REVISION, Job, custom_parts, find_table
+from deepfsi.jobs.training import MASK_SETTINGS, PRIOR_SETTINGS, Training
 from deepfsi.sweeps.recipe import (
     CameraVariant,
     Recipe,
@@ -378,7 +373,7 @@ def _cap_faults(recipe: Recipe) -> list[str]:
 
 def _light_faults(job: Job, matrix: np.ndarray) -> list[str]:
     """Why a user's masks (m, N) cannot be shown under a camera's light law."""
-    from deepfsi.physics import light_law
+    from deepfsi.physics.laws import light_law
 
     try:
         light_law(job.optics.light).rails_of(matrix, job.optics.rails)

@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import Any, NamedTuple, TypeVar
 
-from deepfsi.base import InputError, restore_handlers
+from deepfsi.base.errors import InputError
+from deepfsi.base.interrupts import restore_handlers
 
 _Shared = TypeVar("_Shared")
 _Task = TypeVar("_Task")

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
-from deepfsi.base import (
+from deepfsi.base.errors import (
     InputError,
     Message,
     as_input_error,
@@ -24,31 +24,17 @@ from deepfsi.base import (
     field_errors,
     join_messages,
 )
-from deepfsi.base.models import Count, UserModel
-from deepfsi.camera import (
-    ONE_DETECTOR,
-    Camera,
-    DetectorMap,
-    Levels,
-    PhotonBudget,
-    check_noise,
-    find_noise,
-)
-from deepfsi.datasets import Dataset
-from deepfsi.jobs import (
-    CUSTOM_CLASSIFIER,
-    DESIGNS,
-    MASK_SETTINGS,
-    MLP,
-    Exposure,
-    Training,
-    check_design,
-    count_allowed,
-    find_classifier,
-    find_exposure,
-    mask_count,
-)
-from deepfsi.measures import MOST_DRAWS
+from deepfsi.base.models.strict import Count, UserModel
+from deepfsi.camera.camera import Camera, Levels
+from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
+from deepfsi.camera.light import PhotonBudget
+from deepfsi.camera.names import check_noise, find_noise
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.jobs.designs import DESIGNS, check_design, mask_count
+from deepfsi.jobs.exposures import Exposure, find_exposure
+from deepfsi.jobs.tiles import count_allowed
+from deepfsi.jobs.training import CUSTOM_CLASSIFIER, MASK_SETTINGS, MLP, Training, find_classifier
+from deepfsi.measures.answers import MOST_DRAWS
 from deepfsi.sweeps.workers import Resources
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))

@@ -25,23 +25,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import BaseModel, Field, FiniteFloat
 
-from deepfsi.base import (
-    InputError,
-    Locks,
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import (
     check_ending,
-    list_folder,
     new_folder,
-    note_saved_work,
     read_regular,
     remove_drafts,
     write_atomically,
 )
-from deepfsi.measures import MEASURES, Estimates, MainMeasure, Result
+from deepfsi.base.interrupts import note_saved_work
+from deepfsi.base.locks import Locks, list_folder
+from deepfsi.measures.results import Estimates, Result
+from deepfsi.measures.table import MEASURES, MainMeasure
 from deepfsi.sweeps.plan import Trial
 from deepfsi.sweeps.results import RESULTS_SCHEMA, PackedValues
 
 if TYPE_CHECKING:
-    from deepfsi.design import Design
+    from deepfsi.design.design import Design
 
 Record = dict[str, Any]
 """What a trial gave, as its file holds it: JSON types only."""
@@ -129,7 +129,7 @@ class Records:
 
     def design(self, trial: Trial) -> "Design | None":
         """Design of a trial that was trained already, perhaps for other tests."""
-        from deepfsi.design import load_design
+        from deepfsi.design.design import load_design
 
         try:
             return load_design(self._design_path(trial))

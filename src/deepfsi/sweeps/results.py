@@ -14,12 +14,13 @@ from pydantic import (
     model_validator,
 )
 
-from deepfsi.base import as_input_error, read_text, write_atomically
-from deepfsi.base.models import Positive, Share, StrictModel
-from deepfsi.base.numeric import unpack_values
-from deepfsi.camera import find_noise
-from deepfsi.datasets import MeasureTitle
-from deepfsi.jobs import EVERY_PIXEL
+from deepfsi.base.errors import as_input_error
+from deepfsi.base.files import read_text, write_atomically
+from deepfsi.base.models.strict import Positive, Share, StrictModel
+from deepfsi.base.numeric.intervals import unpack_values
+from deepfsi.camera.names import find_noise
+from deepfsi.datasets.dataset import MeasureTitle
+from deepfsi.jobs.designs import EVERY_PIXEL
 
 RESULTS_SCHEMA = 5
 """Schema of results and of records, the only one; tests of records of another are run anew."""

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress
-from deepfsi.datasets import Dataset
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.datasets.dataset import Dataset
 from deepfsi.sweeps.plan import Trial, plan_trials
 from deepfsi.sweeps.ray_cluster import run_on_ray
 from deepfsi.sweeps.recipe import Recipe
@@ -100,7 +101,7 @@ def compare(
     InputError
         If anything in the recipe cannot be had, or a training diverged.
     """
-    from deepfsi.physics import library_defaults
+    from deepfsi.physics.surroundings import library_defaults
 
     with library_defaults(grad=True):
         began = time.perf_counter()

@@ -11,12 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deepfsi.base.numeric import pack_values, student, unpack_values, worst_class
-from deepfsi.camera import DetectorMap, noise_text
-from deepfsi.datasets import Dataset
-from deepfsi.designfile import TrainingScenes, new_scenes
-from deepfsi.jobs import DESIGNS, find_exposure
-from deepfsi.measures import MEASURES, Measure, main_measure
+from deepfsi.base.numeric.intervals import pack_values, student, unpack_values, worst_class
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera.names import noise_text
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.designfile.provenance import TrainingScenes, new_scenes
+from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs.exposures import find_exposure
+from deepfsi.measures.table import MEASURES, Measure, main_measure
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Record
 from deepfsi.sweeps.results import RESULTS_SCHEMA, Data, Point, Provenance, Results

@@ -16,8 +16,10 @@ from typing import Any, NamedTuple, TypeVar
 
 from pydantic import Field
 
-from deepfsi.base import SILENT, InputError, Progress, block_ctrl_c, saved_work_text
-from deepfsi.base.models import StrictModel
+from deepfsi.base.errors import InputError
+from deepfsi.base.interrupts import block_ctrl_c, saved_work_text
+from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.progress import SILENT, Progress
 
 _Task = TypeVar("_Task")
 _Shared = TypeVar("_Shared")

@@ -6,15 +6,27 @@ from typing import Any
 import torch
 from torch import nn
 
-from deepfsi.base import InputError, plain_keywords
-from deepfsi.camera import Camera, LightLawName, check_budget, summed_reflectance
-from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design import Design
-from deepfsi.designfile import TrainingScenes
-from deepfsi.exposure import Clicks, ExposureTraining, FixedExposure, TrainedMasks, TrainingSet
-from deepfsi.jobs import Job
-from deepfsi.networks import OwnClassifier, Values, make_custom
-from deepfsi.physics import LearnedMasks, Rails, Scanner, library_defaults, light_law
+from deepfsi.base.errors import InputError
+from deepfsi.base.keywords import plain_keywords
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.light import check_budget, summed_reflectance
+from deepfsi.camera.names import LightLawName
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import Source, as_dataset
+from deepfsi.design.design import Design
+from deepfsi.designfile.provenance import TrainingScenes
+from deepfsi.exposure.fixed import FixedExposure
+from deepfsi.exposure.kind import Clicks, TrainedMasks
+from deepfsi.exposure.training import ExposureTraining
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.jobs.job import Job
+from deepfsi.networks.custom import OwnClassifier, make_custom
+from deepfsi.networks.values import Values
+from deepfsi.physics.laws import light_law
+from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.rails import Rails
+from deepfsi.physics.scanner import Scanner
+from deepfsi.physics.surroundings import library_defaults
 from deepfsi.training.characterisation import characterise, provenance
 
 

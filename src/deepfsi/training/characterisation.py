@@ -14,30 +14,25 @@ import torch
 from pydantic import BaseModel
 from torch import Tensor
 
-from deepfsi.adaptive import AdaptiveExposure, LeftOutAnswers
-from deepfsi.datasets import Dataset
-from deepfsi.design import Design
-from deepfsi.designfile import (
-    CALIBRATION_REACH,
-    FrameLight,
-    ReadoutDistribution,
-    SceneModel,
-    Temperatures,
-    TrainedOn,
-    calibration_budgets,
-)
-from deepfsi.evaluation import (
+from deepfsi.adaptive.exposure import AdaptiveExposure, LeftOutAnswers
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.design.design import Design
+from deepfsi.designfile.distribution import FrameLight, ReadoutDistribution
+from deepfsi.designfile.provenance import TrainedOn
+from deepfsi.designfile.temperatures import CALIBRATION_REACH, Temperatures, calibration_budgets
+from deepfsi.designfile.view_test import SceneModel
+from deepfsi.evaluation.confidence import (
     CalibrationScenes,
     Exposed,
     LeftOutTest,
-    find_distribution,
     fit_temperatures,
     measure_left_out,
-    sample_scenes,
-    share_light,
 )
-from deepfsi.exposure import CHUNK, TrainingSet
-from deepfsi.jobs import FEW_SCENES, Job
+from deepfsi.evaluation.distribution_fit import find_distribution, sample_scenes
+from deepfsi.evaluation.stopping import share_light
+from deepfsi.exposure.training import CHUNK
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.jobs.job import FEW_SCENES, Job
 
 FOLDS = 10
 """Parts of the training scenes, each to be left out of a training of its own."""

@@ -22,19 +22,14 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from safetensors.numpy import save as to_bytes
 from torch import Tensor, nn
 
-from deepfsi.base import (
-    UNNAMED_PLUGIN,
-    InputError,
-    PostponedSignals,
-    note_saved_work,
-    postpone_signals,
-    source_hash,
-    write_atomically,
-)
-from deepfsi.base.numeric import DamagedError, read_tensors
-from deepfsi.exposure import TrainingSet
-from deepfsi.jobs import REVISION, Job, custom_parts
-from deepfsi.physics import Draws
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import write_atomically
+from deepfsi.base.interrupts import PostponedSignals, note_saved_work, postpone_signals
+from deepfsi.base.numeric.arrays import DamagedError, read_tensors
+from deepfsi.base.plugins import UNNAMED_PLUGIN, source_hash
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.jobs.job import REVISION, Job, custom_parts
+from deepfsi.physics.training_noise import Draws
 from deepfsi.training.losses import CountsCost
 
 CHECKPOINT_SECONDS = 120.0

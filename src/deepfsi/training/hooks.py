@@ -16,10 +16,11 @@ import torch
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import LRScheduler
 
-from deepfsi.base import InputError
-from deepfsi.design import Design
-from deepfsi.exposure import CHUNK, Clicks, ExposureTraining
-from deepfsi.networks import Replicas
+from deepfsi.base.errors import InputError
+from deepfsi.design.design import Design
+from deepfsi.exposure.kind import Clicks
+from deepfsi.exposure.training import CHUNK, ExposureTraining
+from deepfsi.networks.classifiers import Replicas
 from deepfsi.training.assembly import designs_of
 from deepfsi.training.checkpoint import LoopState
 from deepfsi.training.losses import SceneLoss

@@ -17,33 +17,26 @@ import numpy as np
 import torch
 from torch.optim.lr_scheduler import LRScheduler
 
-from deepfsi.adaptive import AdaptiveExposure, AdaptiveTraining, ClickTraining
-from deepfsi.base import SILENT, InputError, Message, Progress, plain_keywords, progress_bar
-from deepfsi.base.numeric import check_memory, free_memory
-from deepfsi.camera import CameraSource, check_budget
-from deepfsi.datasets import Dataset, Source, as_dataset
-from deepfsi.design import Design
-from deepfsi.exposure import (
-    Clicks,
-    ExposureTraining,
-    JobGroup,
-    TrainingSet,
-    build_training,
-    dtypes,
-    matrix_seeds,
-)
-from deepfsi.jobs import (
-    DICTIONARY_SPREAD,
-    AdaptiveMasks,
-    ExposureSource,
-    Job,
-    SharedLight,
-    TrainingSource,
-    find_job,
-    table_advice,
-)
-from deepfsi.networks import Classifier
-from deepfsi.physics import library_defaults
+from deepfsi.adaptive.clicking import ClickTraining
+from deepfsi.adaptive.exposure import AdaptiveExposure, AdaptiveTraining
+from deepfsi.base.errors import InputError, Message
+from deepfsi.base.keywords import plain_keywords
+from deepfsi.base.numeric.arrays import check_memory, free_memory
+from deepfsi.base.progress import SILENT, Progress, progress_bar
+from deepfsi.camera.camera import CameraSource
+from deepfsi.camera.light import check_budget
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import Source, as_dataset
+from deepfsi.design.design import Design
+from deepfsi.exposure.kind import Clicks
+from deepfsi.exposure.kinds import build_training
+from deepfsi.exposure.training import ExposureTraining, JobGroup, matrix_seeds
+from deepfsi.exposure.training_set import TrainingSet, dtypes
+from deepfsi.jobs.exposures import DICTIONARY_SPREAD, AdaptiveMasks, ExposureSource, SharedLight
+from deepfsi.jobs.job import Job, find_job, table_advice
+from deepfsi.jobs.training import TrainingSource
+from deepfsi.networks.classifiers import Classifier
+from deepfsi.physics.surroundings import library_defaults
 from deepfsi.training.assembly import designs_of
 from deepfsi.training.characterisation import (
     calibrate_posterior,

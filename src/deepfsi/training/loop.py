@@ -18,11 +18,14 @@ import torch
 from torch import nn
 from torch.optim.lr_scheduler import LRScheduler, OneCycleLR
 
-from deepfsi.base import SILENT, InputError, Progress
-from deepfsi.exposure import ExposureTraining, network_dtype
-from deepfsi.jobs import Training
-from deepfsi.networks import CLASSIFIER_TYPES, Classifier, Mlp, Replicas, Sizes, make_custom, seeded
-from deepfsi.physics import Draws
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.exposure.training import ExposureTraining
+from deepfsi.exposure.training_set import network_dtype
+from deepfsi.jobs.training import Training
+from deepfsi.networks.classifiers import CLASSIFIER_TYPES, Classifier, Mlp, Replicas, Sizes
+from deepfsi.networks.custom import make_custom, seeded
+from deepfsi.physics.training_noise import Draws
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
 from deepfsi.training.hooks import LoopHooks, check_made
 from deepfsi.training.losses import CountsCost, answer_losses, find_loss, sum_over

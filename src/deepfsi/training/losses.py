@@ -18,9 +18,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.base import InputError, load_plugin
-from deepfsi.exposure import TrainingSet
-from deepfsi.jobs import Training
+from deepfsi.base.errors import InputError
+from deepfsi.base.plugins import load_plugin
+from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.jobs.training import Training
 
 SceneLoss = Callable[[Tensor, Tensor], Tensor]
 """Loss (n,) of outputs (n, C) and truth (n,) or (n, q)."""

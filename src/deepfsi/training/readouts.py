@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base import SILENT, Progress, Table
-from deepfsi.base.numeric import Interval, accuracy_interval, student, wilson
-from deepfsi.datasets import MeasuredReadouts
-from deepfsi.design import READOUT_PHOTONS, Design, classify_readouts
-from deepfsi.designfile import READOUTS
-from deepfsi.jobs import READOUTS_TRAINING
+from deepfsi.base.numeric.intervals import Interval, accuracy_interval, student, wilson
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.base.quantities import Table
+from deepfsi.datasets.readouts import MeasuredReadouts
+from deepfsi.design.design import Design
+from deepfsi.design.readouts import READOUT_PHOTONS, classify_readouts
+from deepfsi.designfile.provenance import READOUTS
+from deepfsi.jobs.training import READOUTS_TRAINING
 from deepfsi.training.learning import learn
 
 SPLIT_WORDS = {

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.numeric import Difference, accuracy_difference, all_above, signed_text
+from deepfsi.base.numeric.intervals import Difference, accuracy_difference, all_above, signed_text
 from deepfsi.report.style import BUDGET_AXIS, DESIGN_COLOURS, PAPER, photons_text
-from deepfsi.sweeps import Point, Results
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.adaptive.clock import LEAST_LEFT, Measures, Rival, best_at, measure, rivals
 from deepfsi_paper.adaptive.figures import clock_figure
 from deepfsi_paper.experiment import Experiment, Finding, budgets

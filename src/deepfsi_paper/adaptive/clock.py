@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.adaptive import next_masks
-from deepfsi.base import Progress
-from deepfsi.camera import DEVICES
-from deepfsi.datasets import Dataset
-from deepfsi.design import Design
-from deepfsi.sweeps import Point, Results
+from deepfsi.adaptive.choice import next_masks
+from deepfsi.base.progress import Progress
+from deepfsi.camera.device import DEVICES
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.design.design import Design
+from deepfsi.sweeps.results import Point, Results
 
 EXPOSURES = 4
 """Exposures whose decisions are timed."""

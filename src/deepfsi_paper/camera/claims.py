@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.numeric import Difference, all_above, mean_of_trials
-from deepfsi.camera import DmdGrid, find_grid
-from deepfsi.hardware.patterns import unpack
-from deepfsi.jobs import DESIGNS
+from deepfsi.base.numeric.intervals import Difference, all_above, mean_of_trials
+from deepfsi.camera.layout import DmdGrid, find_grid
+from deepfsi.hardware.patterns.frames import unpack
+from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps import Results
+from deepfsi.sweeps.results import Results
 from deepfsi_paper.bootstrap import (
     cluster_bootstrap,
     studentised_bootstrap,

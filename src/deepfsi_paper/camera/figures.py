@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from deepfsi.base import InputError
-from deepfsi.report import accuracy_axes, style
+from deepfsi.base.errors import InputError
+from deepfsi.report import style
+from deepfsi.report.accuracy import accuracy_axes
 from deepfsi_paper.report import scales
 
 MARKS = "ambient light as bright as\na scene, or the true budget"

@@ -4,7 +4,7 @@ import math
 
 from matplotlib.figure import Figure
 
-from deepfsi.jobs import DESIGNS
+from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report import style
 from deepfsi_paper.camera.rate_fit import LIMIT, Profile, RateFit
 from deepfsi_paper.report.section import Claim, Picture, Table

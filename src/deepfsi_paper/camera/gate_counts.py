@@ -2,9 +2,11 @@
 
 import numpy as np
 
-from deepfsi.base import InputError
-from deepfsi.hardware.patterns import GatePlan, Manifest
-from deepfsi.hardware.virtual import DETECTOR_TICK_S, Detector, Stream, VirtualCamera, divide
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.hardware.patterns.timing import GatePlan
+from deepfsi.hardware.virtual.camera import VirtualCamera
+from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S, Detector, Stream, divide
 
 GATES_AT_ONCE = 2**18
 """Gates whose counts are drawn at once."""

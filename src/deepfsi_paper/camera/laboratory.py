@@ -18,35 +18,32 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import Progress
-from deepfsi.base.numeric import Difference, mean_of_trials
-from deepfsi.camera import LIGHT_LAWS, DmdLayout, find_device, find_grid
-from deepfsi.datasets import Dataset, load_dataset
-from deepfsi.design import Design
-from deepfsi.hardware.calibration import (
-    expected_background,
-    fit_calibration,
-    scan_rails,
-    spot_scenes,
-    view_dataset,
-)
-from deepfsi.hardware.counting import Calibration, count_run, read_run
-from deepfsi.hardware.patterns import (
-    DesignRails,
-    FrameSettings,
-    GatePlan,
-    Patterns,
-    export_patterns,
-    make_frames,
-)
-from deepfsi.hardware.virtual import (
+from deepfsi.base.numeric.intervals import Difference, mean_of_trials
+from deepfsi.base.progress import Progress
+from deepfsi.camera.device import find_device
+from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.design.design import Design
+from deepfsi.hardware.calibration.fit import expected_background, fit_calibration, spot_scenes
+from deepfsi.hardware.calibration.scans import scan_rails
+from deepfsi.hardware.calibration.view import view_dataset
+from deepfsi.hardware.counting.acquisition import Calibration, read_run
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
+from deepfsi.hardware.patterns.frames import make_frames
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.patterns.timing import GatePlan
+from deepfsi.hardware.virtual.camera import (
     CAMERAS,
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
     record_scenes,
 )
-from deepfsi.sweeps import Point, Results, cores, processes
+from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps.workers import cores, processes
 from deepfsi_paper.camera.gate_counts import black_rates, draw, draw_counts, subtract_background
 from deepfsi_paper.camera.rate_fit import RateFit
 

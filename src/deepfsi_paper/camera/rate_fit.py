@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize, special, stats
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 
 NEAREST = 0.25
 """Share of the settings, those nearest to the rates, that give correlations and errors."""

@@ -13,10 +13,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from deepfsi.base import SILENT, Progress
-from deepfsi.datasets import DIM_BLACK, Dataset, load_dataset
-from deepfsi.design import Design
-from deepfsi.sweeps import Results, cores, processes
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.datasets.catalog import DIM_BLACK
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.load import load_dataset
+from deepfsi.design.design import Design
+from deepfsi.sweeps.results import Results
+from deepfsi.sweeps.workers import cores, processes
 from deepfsi_paper.camera import laboratory
 from deepfsi_paper.camera.laboratory import (
     ASSUMED,

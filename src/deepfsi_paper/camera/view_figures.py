@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import ConnectionPatch, Rectangle
 
-from deepfsi.base import InputError
-from deepfsi.camera import DmdGrid
+from deepfsi.base.errors import InputError
+from deepfsi.camera.layout import DmdGrid
 from deepfsi.report.style import DESIGN_COLOURS, GREYS, GRID, PAGE_WIDTH, plain_bar, styled
 
 MARGIN = 1.5

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import TypeAdapter
 from scipy import stats
 
-from deepfsi.base.numeric import (
+from deepfsi.base.numeric.intervals import (
     CONFIDENCE,
     Difference,
     accuracy_difference,
@@ -21,9 +21,9 @@ from deepfsi.base.numeric import (
     mean_of_trials,
     signed_text,
 )
-from deepfsi.evaluation import MeanEstimate, Stopped
+from deepfsi.evaluation.stopping import MeanEstimate, Stopped
 from deepfsi.report.style import BUDGET_AXIS, photons_text
-from deepfsi.sweeps import Point, Results
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, points
 from deepfsi_paper.flexible.figures import LOOKS, Stops, stopping_figure
 from deepfsi_paper.flexible.measures import Measures, Prefix, measure

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 
-from deepfsi.evaluation import Stopped
+from deepfsi.evaluation.stopping import Stopped
 from deepfsi.report.style import (
     ACCURACY_AXIS,
     DESIGN_COLOURS,

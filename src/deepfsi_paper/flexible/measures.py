@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base import SILENT, Progress
-from deepfsi.base.numeric import accuracy_interval
-from deepfsi.datasets import Dataset
-from deepfsi.design import Design
-from deepfsi.evaluation import Stopped, evaluate, stop
-from deepfsi.sweeps import Point, Results
+from deepfsi.base.numeric.intervals import accuracy_interval
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.design.design import Design
+from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.evaluation.stopping import Stopped, stop
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import budgets, points
 
 

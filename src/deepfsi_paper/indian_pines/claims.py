@@ -11,10 +11,16 @@ from functools import cached_property
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.numeric import Difference, accuracy_difference, all_above, mean_of_trials
-from deepfsi.report import accuracy_figure, english_list
+from deepfsi.base.numeric.intervals import (
+    Difference,
+    accuracy_difference,
+    all_above,
+    mean_of_trials,
+)
+from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.report.rendering import english_list
 from deepfsi.report.style import INK, photons_text
-from deepfsi.sweeps import Point, Results
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Compared, Experiment, Finding, best, gains, no_gain
 from deepfsi_paper.indian_pines.figures import (
     class_maps_figure,

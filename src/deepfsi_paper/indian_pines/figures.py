@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from scipy.ndimage import distance_transform_edt
 
-from deepfsi.camera import noise_text
+from deepfsi.camera.names import noise_text
 from deepfsi.report import style
 from deepfsi_paper.indian_pines.measures import ClassMap, Overview, SpectralMasks
 from deepfsi_paper.report import scales

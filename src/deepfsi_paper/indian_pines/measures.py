@@ -13,13 +13,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base import SILENT, Progress
-from deepfsi.datasets import Dataset, SpectralImage, load_indian_pines
-from deepfsi.design import Design
-from deepfsi.designfile import DesignFile
-from deepfsi.evaluation import evaluate
-from deepfsi.report import brightest_masks
-from deepfsi.sweeps import Point, Results
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.datasets.catalog import load_indian_pines
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.spectra import SpectralImage
+from deepfsi.design.design import Design
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.evaluation.accuracy import evaluate
+from deepfsi.report.masks import brightest_masks
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import best
 
 MAPPED = (1e2, 1e4, 1e6)

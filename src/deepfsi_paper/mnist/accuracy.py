@@ -5,10 +5,11 @@ from collections.abc import Iterable, Sequence
 from itertools import product
 from typing import Any
 
-from deepfsi.base.numeric import Difference, all_above
-from deepfsi.report import accuracy_figure, english_list
+from deepfsi.base.numeric.intervals import Difference, all_above
+from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.report.rendering import english_list
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps import Point, Results
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import (
     NOTHING,
     Compared,

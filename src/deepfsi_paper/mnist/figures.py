@@ -17,21 +17,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
-from deepfsi.base import InputError
-from deepfsi.camera import noise_text
-from deepfsi.jobs import DESIGNS
-from deepfsi.report import (
-    accuracy_axes,
-    brightest_masks,
-    marker_key,
-    mask_axes,
-    noises,
-    peak_value,
-    series_axes,
-    signed,
-    style,
-)
-from deepfsi.sweeps import Point, Results
+from deepfsi.base.errors import InputError
+from deepfsi.camera.names import noise_text
+from deepfsi.jobs.designs import DESIGNS
+from deepfsi.report import style
+from deepfsi.report.accuracy import accuracy_axes, marker_key
+from deepfsi.report.masks import brightest_masks, mask_axes, peak_value, signed
+from deepfsi.report.series import noises, series_axes
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.measures import impulse_imaging_error
 from deepfsi_paper.report import scales
 

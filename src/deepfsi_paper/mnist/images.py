@@ -3,9 +3,9 @@
 from collections import defaultdict
 from collections.abc import Sequence
 
-from deepfsi.base.numeric import accuracy_difference, all_above
+from deepfsi.base.numeric.intervals import accuracy_difference, all_above
 from deepfsi.report.style import DESIGN_COLOURS, DESIGN_LINES, photons_text
-from deepfsi.sweeps import Point, Results
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.report.lines import Line, lines_figure
 from deepfsi_paper.report.section import Claim, Picture, Table

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base import Progress
-from deepfsi.base.numeric import Difference, all_above, mean_of_trials
-from deepfsi.datasets import Dataset
-from deepfsi.designfile import DesignFile
-from deepfsi.jobs import sensing_matrix
+from deepfsi.base.numeric.intervals import Difference, all_above, mean_of_trials
+from deepfsi.base.progress import Progress
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.jobs.tiles import sensing_matrix
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps import Results
+from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.measures import (
     effective_directions,

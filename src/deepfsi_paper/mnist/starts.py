@@ -1,8 +1,8 @@
 """The effect of the matrix that learned masks start from."""
 
-from deepfsi.base.numeric import CONFIDENCE, Difference, accuracy_difference
+from deepfsi.base.numeric.intervals import CONFIDENCE, Difference, accuracy_difference
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps import Results
+from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.mnist.figures import Start, starts_figure
 from deepfsi_paper.report.section import Claim, Picture, Table

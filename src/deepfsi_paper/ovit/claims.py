@@ -15,13 +15,19 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base import Progress
-from deepfsi.base.numeric import Difference, accuracy_difference, all_above, mean_of_trials
-from deepfsi.datasets import Dataset
-from deepfsi.design import Design
-from deepfsi.report import accuracy_figure, english_list
+from deepfsi.base.numeric.intervals import (
+    Difference,
+    accuracy_difference,
+    all_above,
+    mean_of_trials,
+)
+from deepfsi.base.progress import Progress
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.design.design import Design
+from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.report.rendering import english_list
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps import Point, Results
+from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, cifar10_here
 from deepfsi_paper.measures import effective_directions
 from deepfsi_paper.ovit.figures import LearnedMasks, patch_masks_figure

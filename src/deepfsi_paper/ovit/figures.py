@@ -9,7 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from deepfsi.report import BAR_LABEL, brightest_masks, mask_axes, peak_value, signed
+from deepfsi.report.masks import BAR_LABEL, brightest_masks, mask_axes, peak_value, signed
 from deepfsi.report.style import GREYS, PAGE_WIDTH, SMALL, plain_bar, styled
 from deepfsi_paper.report.scales import power_text
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path, PurePosixPath
 
-from deepfsi.base import InputError, write_atomically
-from deepfsi.report import flat, render
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import write_atomically
+from deepfsi.report.rendering import flat, render
 from deepfsi.report.style import Figures
 from deepfsi_paper.report.section import Cell, Claim, Section, Table
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from deepfsi.camera import DmdLayout, find_device, find_grid
-from deepfsi.hardware.calibration import camera_view
-from deepfsi.hardware.counting import Calibration
+from deepfsi.camera.device import find_device
+from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.hardware.calibration.view import camera_view
+from deepfsi.hardware.counting.acquisition import Calibration
 
 VIEW = np.array([[0.9, 0.05, 0.02], [-0.04, 0.88, 0.06], [0.05, -0.06, 1]])
 IDENTITY = np.eye(3)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.hardware.calibration import expected_background
+from deepfsi.hardware.calibration.fit import expected_background
 from hardware.counting.recording_samples import patterns_of
 
 

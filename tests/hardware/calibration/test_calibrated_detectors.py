@@ -3,18 +3,19 @@
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.camera import Device
-from deepfsi.hardware.calibration import (
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import Device
+from deepfsi.hardware.calibration.fit import spot_scenes
+from deepfsi.hardware.calibration.scans import (
     SCAN_NAMES,
     find_detectors,
     save_detectors,
     scan_rails,
-    spot_scenes,
 )
-from deepfsi.hardware.counting import Counts, count_run
-from deepfsi.hardware.patterns import FrameSettings, Patterns, export_patterns
-from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
+from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record_scenes
 
 DEVICE = Device(name="d", columns=48, rows=48)
 CELLS = (8, 6)

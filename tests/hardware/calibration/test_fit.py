@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from calibration_samples import GRID, VIEW, apply, calibration_of, pictures_of, vignette
 
-from deepfsi.base import InputError
-from deepfsi.hardware.calibration import camera_view, fit
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.calibration import fit
+from deepfsi.hardware.calibration.view import camera_view
 
 
 def off_corners(found):

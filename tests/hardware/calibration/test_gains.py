@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.camera import DetectorMap, Device
-from deepfsi.hardware.calibration import find_gains
-from deepfsi.hardware.counting import CountSettings, count_run, read_counts
-from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
-from deepfsi.hardware.virtual import RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera.device import Device
+from deepfsi.hardware.calibration.scans import find_gains
+from deepfsi.hardware.counting.count import CountSettings, count_run
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record_scenes
 from deepfsi.training import characterisation
 
 DEVICE = Device(name="d", columns=64, rows=64, shortest_us=10, settle_us=2)

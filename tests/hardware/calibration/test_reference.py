@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from deepfsi.base import InputError
-from deepfsi.camera import Device, DmdLayout
-from deepfsi.datasets import read_display
-from deepfsi.hardware.calibration import find_reference, write_reference
-from deepfsi.hardware.counting import count_run
-from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
-from deepfsi.hardware.virtual import CAMERAS, RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import DmdLayout
+from deepfsi.datasets.display import read_display
+from deepfsi.hardware.calibration.reference import find_reference, write_reference
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, VirtualCamera, record_scenes
 
 DEVICE = Device(name="d", columns=256, rows=192, shortest_us=10, settle_us=2)
 PLAIN = DmdLayout()

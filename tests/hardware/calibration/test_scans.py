@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.hardware.calibration import SCAN_NAMES, scan_rails
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.calibration.scans import SCAN_NAMES, scan_rails
 
 
 @pytest.mark.parametrize("name", SCAN_NAMES)

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from calibration_samples import VIEW, calibration_of, vignette
 
-from deepfsi.base import InputError
-from deepfsi.camera import Device, DmdLayout, find_device, find_grid
-from deepfsi.datasets import load_dataset
-from deepfsi.hardware.calibration import camera_view, view_dataset
-from deepfsi.hardware.counting import Calibration
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import Device, find_device
+from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.datasets.load import load_dataset
+from deepfsi.hardware.calibration.view import camera_view, view_dataset
+from deepfsi.hardware.counting.acquisition import Calibration
 from deepfsi.hardware.virtual import camera
 
 

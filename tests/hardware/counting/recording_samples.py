@@ -13,18 +13,13 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from deepfsi.base import InputError
-from deepfsi.camera import DEVICES, find_device
-from deepfsi.hardware.counting import Acquisition, CountSettings, Scene, count_run, prepare_run
-from deepfsi.hardware.patterns import (
-    DesignRails,
-    Frame,
-    FrameSettings,
-    Manifest,
-    Patterns,
-    export_patterns,
-)
-from deepfsi.hardware.photons import PtuWriter
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import DEVICES, find_device
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
+from deepfsi.hardware.counting.count import CountSettings, count_run
+from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails, Frame, Manifest
+from deepfsi.hardware.photons.ptu import PtuWriter
 
 FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "100"))
 """Examples of each test on random faults, and mutated folders."""

@@ -5,16 +5,12 @@ import pytest
 import recording_samples
 from recording_samples import named, patterns_of
 
-from deepfsi.base import InputError
-from deepfsi.hardware.counting import (
-    Acquisition,
-    Scene,
-    acquisition,
-    count_run,
-    prepare_run,
-    read_counts,
-)
-from deepfsi.hardware.pictures import reconstruct
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting import acquisition
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.pictures.solve import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from recording_samples import schedule
 
-from deepfsi.camera import DetectorMap, Device
-from deepfsi.hardware.counting import (
-    CountSettings,
-    corrections,
-    count_run,
-)
-from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.virtual import (
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera.device import Device
+from deepfsi.hardware.counting import corrections
+from deepfsi.hardware.counting.count import CountSettings, count_run
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.virtual.camera import (
     RecordingSettings,
     VirtualCamera,
     arrival_rates,

@@ -9,15 +9,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from recording_samples import DWELL, many, train, troubles, unseen
 
-from deepfsi.base import InputError
-from deepfsi.hardware.counting import (
-    CountSettings,
-    acquisition,
-    count_run,
-    prepare_run,
-    read_counts,
-    read_run,
-)
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting import acquisition
+from deepfsi.hardware.counting.acquisition import prepare_run, read_run
+from deepfsi.hardware.counting.count import CountSettings, count_run
+from deepfsi.hardware.counting.counts import read_counts
 
 run, whole = recording_samples.run, recording_samples.whole
 

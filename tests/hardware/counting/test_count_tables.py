@@ -6,19 +6,16 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.base import InputError
-from deepfsi.base.numeric import NumberTable, read_table
-from deepfsi.camera import DetectorMap, Device
-from deepfsi.hardware.counting import TableSettings, count_table, table_of_series, tables
-from deepfsi.hardware.patterns import (
-    DesignRails,
-    FrameSettings,
-    Manifest,
-    export_patterns,
-    read_patterns,
-)
-from deepfsi.hardware.virtual import VirtualCamera, arrival_rates
-from deepfsi.physics import light_law
+from deepfsi.base.errors import InputError
+from deepfsi.base.numeric.tables import NumberTable, read_table
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera.device import Device
+from deepfsi.hardware.counting import tables
+from deepfsi.hardware.counting.tables import TableSettings, count_table, table_of_series
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails, Manifest
+from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.physics.laws import light_law
 
 SHAPE, PIXELS, S_BAR = (3, 4), 12, 7.0
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import recording_samples
 
-from deepfsi.base import InputError
-from deepfsi.hardware.counting import read_counts
-from deepfsi.hardware.pictures import reconstruct
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.pictures.solve import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 

@@ -18,10 +18,12 @@ from recording_samples import (
     unseen,
 )
 
-from deepfsi.base import InputError
-from deepfsi.hardware.counting import CountSettings, count_run, markers, read_counts
-from deepfsi.hardware.photons import PtuFile, read_markers
-from deepfsi.hardware.pictures import reconstruct
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting import markers
+from deepfsi.hardware.counting.count import CountSettings, count_run
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.photons.reader import PtuFile, read_markers
+from deepfsi.hardware.pictures.solve import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.hardware.counting import FrameCounter, FrameGates
-from deepfsi.hardware.photons import PtuFile, count_windows, marker_slack_s, ptu, read_markers
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.streaming import FrameCounter, FrameGates
+from deepfsi.hardware.photons import ptu
+from deepfsi.hardware.photons.reader import PtuFile, count_windows, read_markers
+from deepfsi.hardware.photons.records import marker_slack_s
 from hardware.counting.recording_samples import write_photons
 from hardware.photons.ptu_samples import END, T2, encode, recorded, save, tags_of
 

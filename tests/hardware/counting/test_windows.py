@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from recording_samples import DWELL, named, patterns_of, schedule, train, write_photons
 
-from deepfsi.base import InputError
-from deepfsi.hardware.counting import CountSettings, count_run, prepare_run
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.acquisition import prepare_run
+from deepfsi.hardware.counting.count import CountSettings, count_run
 
 FLUX, DARK, SCENES = 1e7, 100.0, 5
 

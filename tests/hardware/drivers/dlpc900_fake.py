@@ -9,7 +9,7 @@ import types
 
 import numpy as np
 
-from deepfsi.camera import DEVICES
+from deepfsi.camera.device import DEVICES
 from deepfsi.hardware.drivers import dlpc900
 
 BUSY = 3  # how often the fake says that its sequencer runs, for each start

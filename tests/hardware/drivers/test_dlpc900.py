@@ -7,10 +7,11 @@ import pytest
 from dlpc900_fake import decode, install
 from driver_samples import make_patterns
 
-from deepfsi.base import InputError, Progress
-from deepfsi.camera import DEVICES, Device
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Progress
+from deepfsi.camera.device import DEVICES, Device
 from deepfsi.hardware.drivers import dlpc900
-from deepfsi.hardware.patterns import read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 
 SMALL = Device(name="small", columns=64, rows=24, shortest_us=105)
 

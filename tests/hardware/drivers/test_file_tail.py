@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from driver_samples import collect
 
-from deepfsi.base import InputError
-from deepfsi.hardware.counting import FrameCounter, FrameGates
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.streaming import FrameCounter, FrameGates
 from deepfsi.hardware.drivers import file_tail as followed
-from deepfsi.hardware.photons import PtuWriter
+from deepfsi.hardware.photons.ptu import PtuWriter
 
 GATES = FrameGates.of(10e-6, [60e-6] * 20)
 

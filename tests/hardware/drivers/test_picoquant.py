@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from driver_samples import check_counts, check_refused_before_a_recording, collect
 
-from deepfsi.base import InputError
-from deepfsi.hardware.counting import FrameGates
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.streaming import FrameGates
 from deepfsi.hardware.drivers import picoquant
-from deepfsi.hardware.photons import PtuFile, PtuWriter
+from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.reader import PtuFile
 
 TICK_S, FRAME = 5e-12, 10**7
 GATES = FrameGates.of(10e-6, np.linspace(5e-6, 30e-6, 12))

@@ -9,10 +9,10 @@ import ptufile
 import pytest
 from driver_samples import check_counts, check_refused_before_a_recording, collect
 
-from deepfsi.base import InputError
-from deepfsi.hardware.counting import FrameGates
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.streaming import FrameGates
 from deepfsi.hardware.drivers import swabian
-from deepfsi.hardware.photons import read_markers
+from deepfsi.hardware.photons.reader import read_markers
 from hardware.drivers.swabian_fake import ERROR, MISSED, OVERFLOW_BEGIN, OVERFLOW_END, install
 
 FRAME, FRAMES = 10**8, 12  # ps

@@ -5,10 +5,11 @@ import pytest
 from driver_samples import make_patterns
 from vialux_fake import DEVICE, install
 
-from deepfsi.base import InputError, Progress
-from deepfsi.camera import Device
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Progress
+from deepfsi.camera.device import Device
 from deepfsi.hardware.drivers import vialux
-from deepfsi.hardware.patterns import read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 
 
 @pytest.fixture

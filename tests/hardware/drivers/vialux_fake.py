@@ -6,7 +6,7 @@ import types
 
 import numpy as np
 
-from deepfsi.camera import Device
+from deepfsi.camera.device import Device
 from deepfsi.hardware.drivers import vialux
 
 DEVICE = Device(name="small", columns=64, rows=24)

@@ -6,14 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.hardware.counting import Counts, prepare_run
-from deepfsi.hardware.patterns import (
-    Brightness,
-    DesignRails,
-    FrameSettings,
-    Patterns,
-    export_patterns,
-)
+from deepfsi.hardware.counting.acquisition import prepare_run
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
+from deepfsi.hardware.patterns.manifest import Brightness, DesignRails
 from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, named, split, write_photons
 
 SETTLE = 2e-5

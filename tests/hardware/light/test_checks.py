@@ -10,10 +10,13 @@ import pytest
 from light_faults import FAULTS, Lit, patterns_of, while_in
 from scipy.stats import binom
 
-from deepfsi.base import InputError
-from deepfsi.camera import DetectorMap
-from deepfsi.hardware.counting import Counts, count_run
-from deepfsi.hardware.light import FALSE_ALARMS, checks, curves, find_lateness, flux
+from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.light import checks, curves, flux
+from deepfsi.hardware.light.checks import find_lateness
+from deepfsi.hardware.light.curves import FALSE_ALARMS
 
 RECORDINGS = int(os.environ.get("DEEPFSI_LIGHT", "45"))
 LIGHTS = ("free-dwell", "two-arm")

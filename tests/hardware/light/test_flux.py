@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepfsi.hardware.light import curves, flux
-from deepfsi.hardware.patterns import Brightness
+from deepfsi.hardware.patterns.manifest import Brightness
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.05])

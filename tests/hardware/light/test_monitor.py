@@ -5,16 +5,10 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import poisson
 
-from deepfsi.hardware.light import (
-    FALSE_ALARMS,
-    PARTS_OF_FRAME,
-    Arrivals,
-    LightMonitor,
-    checks,
-    curves,
-    flux,
-)
-from deepfsi.hardware.patterns import Brightness
+from deepfsi.hardware.light import checks, curves, flux
+from deepfsi.hardware.light.curves import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
+from deepfsi.hardware.light.monitor import LightMonitor
+from deepfsi.hardware.patterns.manifest import Brightness
 from hardware.counting.recording_samples import schedule
 
 SCENES, SECONDS = 20, 1e-3

@@ -9,13 +9,17 @@ import pytest
 
 from conftest import exposing
 from deepfsi import learn
-from deepfsi.adaptive import candidate_masks, next_masks
-from deepfsi.base import InputError
-from deepfsi.camera import find_device
-from deepfsi.hardware.live import LiveCounts, frame_log, plan_live, run_live
-from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, virtual_setup
-from deepfsi.lab import adaptive_looks, design_rails, open_looks
+from deepfsi.adaptive.choice import candidate_masks, next_masks
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.live import frame_log
+from deepfsi.hardware.live.replay import LiveCounts
+from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
+from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.lab import adaptive_looks
+from deepfsi.lab.looks import design_rails, open_looks
 from shared.live_samples import replay, scenes_of
 
 LOOKS, FLUX, EXPOSURE_S, LOAD_S = 5, 1e7, 10e-3, 2e-3

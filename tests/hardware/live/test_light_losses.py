@@ -9,20 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepfsi import learn
-from deepfsi.base import InputError
-from deepfsi.camera import Camera, Device, find_device
-from deepfsi.hardware.counting import count_run
-from deepfsi.hardware.live import LightLosses, losses, plan_live, run_live
-from deepfsi.hardware.patterns import DesignRails, FrameSettings, LookPlan, export_patterns
-from deepfsi.hardware.virtual import (
-    Latencies,
-    RecordingSettings,
-    VirtualCamera,
-    record_scenes,
-    virtual_setup,
-)
-from deepfsi.lab import design_rails, open_looks
-from deepfsi.physics import light_law
+from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.device import Device, find_device
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.live import losses
+from deepfsi.hardware.live.losses import LightLosses
+from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails, LookPlan
+from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.lab.looks import design_rails, open_looks
+from deepfsi.physics.laws import light_law
 from shared.live_samples import scenes_of
 
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=20, settle_us=5, load_us=400)

@@ -11,13 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.camera import find_device
-from deepfsi.hardware.live import LiveCounts, frame_log, looks, observer, replay_run
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.live import frame_log, looks, observer
 from deepfsi.hardware.live import run as runs
-from deepfsi.hardware.patterns import read_patterns
-from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, arrival_rates
-from deepfsi.lab import open_looks
+from deepfsi.hardware.live.replay import LiveCounts, replay_run
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.setup import Latencies
+from deepfsi.lab.looks import open_looks
 from shared.live_samples import LOOKS, bench, check_replay, live, make_patterns, replay, scenes_of
 
 EXPOSURE_S = 10e-3

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.hardware.drivers import Setup, file_tail, swabian, vialux
-from deepfsi.hardware.live import frame_log, plan_live, run_live
-from deepfsi.hardware.photons import PtuWriter
-from deepfsi.hardware.virtual import DETECTOR_TICK_S
+from deepfsi.hardware.drivers import file_tail, swabian, vialux
+from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.live import frame_log
+from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
 from hardware.drivers import swabian_fake
 from hardware.drivers.vialux_fake import install
 from shared.live_samples import LOOKS, bench, check_replay, live, make_patterns, scenes_of

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from deepfsi import Design
-from deepfsi.base import InputError
-from deepfsi.camera import CounterEffects, DeadTime
-from deepfsi.hardware.counting import FrameCounts, Scene
-from deepfsi.hardware.light import PARTS_OF_FRAME
-from deepfsi.hardware.live import SceneObserver, looks, run
-from deepfsi.hardware.patterns import read_patterns
-from deepfsi.hardware.virtual import CAMERAS, Detector, arrival_rates
-from deepfsi.lab import open_looks
+from deepfsi.base.errors import InputError
+from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.counting.streaming import FrameCounts
+from deepfsi.hardware.light.curves import PARTS_OF_FRAME
+from deepfsi.hardware.live import looks, run
+from deepfsi.hardware.live.observer import SceneObserver
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
+from deepfsi.hardware.virtual.detector import Detector
+from deepfsi.lab.looks import open_looks
 from shared.live_samples import LOOKS, OPTICS, make_patterns, scenes_of
 
 EXPOSURE_S, FLUX = 10e-3, 1e7

@@ -7,14 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.camera import find_device
-from deepfsi.hardware.calibration import scan_rails
-from deepfsi.hardware.counting import Acquisition, Scene, count_run, read_run
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.calibration.scans import scan_rails
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene, read_run
+from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.drivers import swabian as swabian_module
 from deepfsi.hardware.live import run as record
-from deepfsi.hardware.patterns import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.virtual import CAMERAS, Latencies, virtual_setup
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.virtual.camera import CAMERAS
+from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
 from hardware.drivers import swabian_fake
 from shared.pictures import save_images
 

@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 
 import deepfsi
-from deepfsi.camera import find_device
+from deepfsi.camera.device import find_device
 from deepfsi.hardware.calibration import reference
-from deepfsi.hardware.counting import Scene
-from deepfsi.hardware.live import LiveCounts, plan_live, run_live
-from deepfsi.hardware.patterns import FrameSettings, export_patterns
-from deepfsi.hardware.virtual import Latencies, VirtualCamera, virtual_setup
-from deepfsi.lab import check_view, design_rails, open_looks
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.live.replay import LiveCounts
+from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.virtual.camera import VirtualCamera
+from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.lab.calibration import check_view
+from deepfsi.lab.looks import design_rails, open_looks
 from shared.live_samples import make_patterns
 
 

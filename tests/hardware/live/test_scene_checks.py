@@ -6,22 +6,21 @@ import numpy as np
 import pytest
 
 from conftest import quick
-from deepfsi.base import InputError
-from deepfsi.camera import find_device
-from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.live import LiveCounts, plan_live, run_live
-from deepfsi.hardware.patterns import FrameSettings, export_patterns
-from deepfsi.hardware.virtual import (
-    CAMERAS,
-    DETECTOR_TICK_S,
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.live.replay import LiveCounts
+from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
+from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
+from deepfsi.hardware.virtual.setup import (
     Latencies,
-    VirtualCamera,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
-    arrival_rates,
 )
-from deepfsi.lab import design_rails
+from deepfsi.lab.looks import design_rails
 from shared.live_samples import replay, scenes_of
 
 FLUX, EXPOSURE_S, SCENES = 1e7, 10e-3, 16

@@ -9,19 +9,23 @@ import torch
 
 from conftest import exposing
 from deepfsi import evaluate, learn, load_design
-from deepfsi.base import InputError
-from deepfsi.camera import find_device
-from deepfsi.hardware.live import LiveCounts, frame_log, plan_live, run_live
-from deepfsi.hardware.patterns import (
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import find_device
+from deepfsi.hardware.live import frame_log
+from deepfsi.hardware.live.replay import LiveCounts
+from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.patterns.folder import (
     FrameSettings,
-    LookPlan,
     export_patterns,
     read_frames,
     read_patterns,
-    unpack,
 )
-from deepfsi.hardware.virtual import CAMERAS, Latencies, VirtualCamera, virtual_setup
-from deepfsi.lab import adaptive_looks, design_rails, open_looks
+from deepfsi.hardware.patterns.frames import unpack
+from deepfsi.hardware.patterns.manifest import LookPlan
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
+from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.lab import adaptive_looks
+from deepfsi.lab.looks import design_rails, open_looks
 from shared.live_samples import replay, scenes_of
 
 LOOKS, MASKS, FLUX, EXPOSURE_S, LOAD_S = 12, 300, 1e6, 10e-3, 2e-3

@@ -5,9 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepfsi.base import SILENT
-from deepfsi.camera import DEVICES, Device, DmdLayout, find_device
-from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
+from deepfsi.base.progress import SILENT
+from deepfsi.camera.device import DEVICES, Device, find_device
+from deepfsi.camera.layout import DmdLayout
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
 
 SMALL = find_device("67x50")
 """Not whole bytes across, and cells of 8 x 8 leave margins."""

@@ -7,8 +7,8 @@ import pytest
 from pattern_samples import export, family, grey
 from vendor_readers import load_settings, play_dlpc347x, play_dlpc350, play_dlpc900
 
-from deepfsi.base import InputError
-from deepfsi.hardware.patterns import check_patterns
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.patterns.folder import check_patterns
 
 
 def exported(folder, device, form, **changes):

@@ -14,17 +14,14 @@ from PIL import Image
 from scipy.linalg import hadamard
 
 from conftest import FLOAT32, OPTICS
-from deepfsi.base import InputError, Progress
-from deepfsi.camera import DEVICES, LIGHT_LAWS, Device, find_device
-from deepfsi.hardware.patterns import (
-    check_patterns,
-    make_frames,
-    read_frames,
-    read_patterns,
-    unpack,
-)
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Progress
+from deepfsi.camera.device import DEVICES, Device, find_device
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.hardware.patterns import folder as folder_module
-from deepfsi.physics import ROUNDING_SLACK, light_law
+from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.frames import make_frames, unpack
+from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 
 
 @pytest.mark.parametrize(

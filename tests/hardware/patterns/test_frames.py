@@ -11,10 +11,13 @@ from pattern_samples import BOARD, every_format, export
 from PIL import Image
 from vendor_readers import read_bmp
 
-from deepfsi.base import InputError
-from deepfsi.camera import Device, DmdLayout, find_device, find_grid
-from deepfsi.hardware.patterns import check_patterns, folder, make_frames, read_frames, unpack
+from deepfsi.base.errors import InputError
+from deepfsi.camera.device import Device, find_device
+from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.hardware.patterns import folder
 from deepfsi.hardware.patterns import frames as frames_module
+from deepfsi.hardware.patterns.folder import check_patterns, read_frames
+from deepfsi.hardware.patterns.frames import make_frames, unpack
 from shared.disks import nearly_full
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pattern_samples import export
 
-from deepfsi.camera import DEVICES
+from deepfsi.camera.device import DEVICES
 
 PITCH_UM = 7.637
 DIAGONAL_UM = PITCH_UM * math.sqrt(2)

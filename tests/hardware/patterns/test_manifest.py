@@ -5,7 +5,7 @@ import json
 import pytest
 from pattern_samples import export, grey
 
-from deepfsi.hardware.patterns import Manifest
+from deepfsi.hardware.patterns.manifest import Manifest
 from shared.live_samples import make_patterns
 
 

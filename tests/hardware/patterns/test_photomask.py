@@ -9,7 +9,7 @@ from PIL import Image
 
 import deepfsi
 from conftest import RECIPE, synthetic
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.patterns import photomask
 from shared.design_files import rewrite
 

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from ptufile.ptufile import encode_tag
 
-from deepfsi.base import SILENT, Progress
-from deepfsi.hardware.photons import Part, PtuFile, PtuStream, ptu
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.hardware.photons import ptu
+from deepfsi.hardware.photons.reader import PtuFile, PtuStream
+from deepfsi.hardware.photons.records import Part
 
 T2 = ptu.GENERIC_T2
 

@@ -9,8 +9,9 @@ import pytest
 from ptu_samples import END, T2, every_source, tags_of
 from ptufile.ptufile import encode_tag
 
-from deepfsi.base import InputError
-from deepfsi.hardware.photons import PtuWriter, read_markers, summarise
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.reader import read_markers, summarise
 from shared.disks import nearly_full
 
 

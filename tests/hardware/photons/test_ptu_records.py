@@ -26,8 +26,10 @@ from ptu_samples import (
 )
 from ptufile.ptufile import encode_tag
 
-from deepfsi.base import InputError
-from deepfsi.hardware.photons import PtuWriter, count_windows, ptu, read_markers, records, summarise
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.photons import ptu, records
+from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.reader import count_windows, read_markers, summarise
 from fuzz.mutations import mangled
 
 FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "300"))

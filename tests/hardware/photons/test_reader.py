@@ -18,15 +18,14 @@ from ptu_samples import (
     tags_of,
 )
 
-from deepfsi.base import InputError, Progress
-from deepfsi.hardware.photons import (
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Progress
+from deepfsi.hardware.photons import ptu, reader, records
+from deepfsi.hardware.photons.reader import (
     PtuStream,
     WindowCounter,
     count_windows,
-    ptu,
     read_markers,
-    reader,
-    records,
     summarise,
 )
 

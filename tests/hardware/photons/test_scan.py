@@ -8,8 +8,9 @@ import ptufile
 import pytest
 from ptu_samples import T2, encode, save
 
-from deepfsi.base import InputError
-from deepfsi.hardware.photons import ScanMarkers, count_scan, ptu
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.photons import ptu
+from deepfsi.hardware.photons.scan import ScanMarkers, count_scan
 
 FRAMES, LINES, LINE, GAP = 3, 4, 1000, 100
 MARKERS = ScanMarkers(0, 1, 2)

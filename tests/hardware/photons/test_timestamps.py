@@ -7,8 +7,8 @@ import numpy as np
 import ptufile
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.hardware.photons import read_timestamps
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.photons.timestamps import read_timestamps
 
 RNG = np.random.default_rng(5)
 TIMES = 10**9 + np.sort(RNG.integers(0, 10**6, 500))

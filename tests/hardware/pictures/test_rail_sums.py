@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from deepfsi.base import InputError
-from deepfsi.hardware.light import FALSE_ALARMS
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.light.curves import FALSE_ALARMS
 from deepfsi.hardware.pictures import rail_sums
-from deepfsi.jobs import formula_masks
+from deepfsi.jobs.designs import formula_masks
 
 SHAPE = (16, 16)
 FINE = rail_sums.fineness(formula_masks("hadamard-natural", SHAPE), SHAPE)[1:]

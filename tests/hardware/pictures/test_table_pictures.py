@@ -5,9 +5,9 @@ import pytest
 import pywt
 from scipy.ndimage import gaussian_filter
 
-from deepfsi.base import InputError
-from deepfsi.hardware.pictures import TableMasks, compare_picture, read_pictures
-from deepfsi.jobs import formula_masks
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.pictures.tables import TableMasks, compare_picture, read_pictures
+from deepfsi.jobs.designs import formula_masks
 
 SCENE = np.random.default_rng(0).integers(0, 50, (8, 4)).astype(float)
 

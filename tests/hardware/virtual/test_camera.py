@@ -16,18 +16,15 @@ from virtual_samples import (
     scenes,
 )
 
-from deepfsi.base import InputError, Progress
-from deepfsi.camera import Device, DmdLayout, find_grid
-from deepfsi.hardware.counting import count_run
-from deepfsi.hardware.photons import summarise
-from deepfsi.hardware.virtual import (
-    CAMERAS,
-    VirtualCamera,
-    arrival_rates,
-    detector,
-    expected_events,
-)
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import Progress
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.photons.reader import summarise
 from deepfsi.hardware.virtual import camera as module
+from deepfsi.hardware.virtual import detector
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates, expected_events
 
 GRID = find_grid(DEVICE, SHAPE, DmdLayout(stretch=True))
 MIRRORS = GRID.mirrors

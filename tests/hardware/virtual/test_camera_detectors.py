@@ -14,14 +14,15 @@ from virtual_samples import (
     scenes,
 )
 
-from deepfsi.base import InputError
-from deepfsi.camera import DetectorMap
-from deepfsi.hardware.counting import count_run, read_counts
+from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.photons import ptu
-from deepfsi.hardware.pictures import reconstruct
-from deepfsi.hardware.virtual import CAMERAS, VirtualCamera, arrival_rates
+from deepfsi.hardware.pictures.solve import reconstruct
 from deepfsi.hardware.virtual import camera as camera_module
-from deepfsi.physics import Detection
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
+from deepfsi.physics.detection import Detection
 
 IDEAL = CAMERAS["ideal"]
 CELLS = (0, 0, 1, 2, 0, 0, 1, 2, 3, 3, 3, 2)

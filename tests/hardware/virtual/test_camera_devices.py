@@ -5,9 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from deepfsi.camera import DEVICES, DmdLayout, find_grid
-from deepfsi.hardware.patterns import DesignRails, FrameSettings, export_patterns
-from deepfsi.hardware.virtual import CAMERAS, VirtualCamera, arrival_rates, camera
+from deepfsi.camera.device import DEVICES
+from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.virtual import camera
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
 
 IDEAL = CAMERAS["ideal"]
 DIAMOND = DEVICES["dlp4500"].model_copy(update={"columns": 58, "rows": 119})

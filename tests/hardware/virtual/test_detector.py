@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from deepfsi.hardware.patterns import GatePlan
-from deepfsi.hardware.virtual import DETECTOR_TICK_S, Detector, Stream, divide
+from deepfsi.hardware.patterns.timing import GatePlan
 from deepfsi.hardware.virtual import detector as module
+from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S, Detector, Stream, divide
 
 TAU = 5e-8
 DEAD = round(TAU / DETECTOR_TICK_S)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from virtual_samples import patterns, record, scenes
 
-from deepfsi.hardware.counting import count_run
-from deepfsi.hardware.virtual import VirtualCamera, detector
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.virtual import detector
+from deepfsi.hardware.virtual.camera import VirtualCamera
 
 PICTURES = 20_000
 

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from deepfsi.base import InputError
-from deepfsi.hardware.photons import count_windows, read_markers, summarise
-from deepfsi.hardware.virtual import (
-    DETECTOR_TICK_S,
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.photons.reader import count_windows, read_markers, summarise
+from deepfsi.hardware.virtual import camera as camera_module
+from deepfsi.hardware.virtual.camera import VirtualCamera
+from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
+from deepfsi.hardware.virtual.setup import (
     Latencies,
-    VirtualCamera,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
 )
-from deepfsi.hardware.virtual import camera as camera_module
 
 
 def test_virtual_devices_say_what_comes_first():

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from virtual_samples import SUMMED_REFLECTANCE, every_optics, expected, patterns, record, scenes
 
-from deepfsi.base import InputError
-from deepfsi.camera import CounterEffects, DeadTime
-from deepfsi.hardware.counting import CountSettings, count_run, read_counts
-from deepfsi.hardware.pictures import reconstruct
-from deepfsi.hardware.virtual import VirtualCamera
-from deepfsi.lab import check_view, gains_of
+from deepfsi.base.errors import InputError
+from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.hardware.counting.count import CountSettings, count_run
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.pictures.solve import reconstruct
+from deepfsi.hardware.virtual.camera import VirtualCamera
+from deepfsi.lab.calibration import check_view, gains_of
 
 GATES = 4
 EXPOSURE = 4e-3

@@ -7,11 +7,14 @@ import pytest
 import torch
 
 from deepfsi import Scanner
-from deepfsi.base import SILENT
-from deepfsi.camera import DetectorMap, Device, DmdLayout
-from deepfsi.hardware.patterns import DesignRails, FrameSettings, Patterns, export_patterns
-from deepfsi.hardware.virtual import RecordingSettings, record_scenes
-from deepfsi.physics import light_law
+from deepfsi.base.progress import SILENT
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import DmdLayout
+from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.virtual.camera import RecordingSettings, record_scenes
+from deepfsi.physics.laws import light_law
 
 OPTICS = [("equal-dwell", "dual"), ("free-dwell", "single"), ("two-arm", "dual")]
 every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)

@@ -13,7 +13,8 @@ from pydantic import (
     model_serializer,
 )
 
-from deepfsi.base import InputError, Message, as_input_error, seconds
+from deepfsi.base.errors import InputError, Message, as_input_error
+from deepfsi.base.quantities import seconds
 
 if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass

@@ -19,7 +19,8 @@ import numpy.typing as npt
 import psutil
 from safetensors import safe_open
 
-from deepfsi.base import InputError, check_unpacked, content_of, open_regular
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import check_unpacked, content_of, open_regular
 
 HDF5_ENDINGS = (".h5", ".hdf5")
 """Ends of the names of HDF5 files."""

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepfsi.base import WINDOWS_ENCODING, InputError, check_unpacked, open_regular, read_text
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import WINDOWS_ENCODING, check_unpacked, open_regular, read_text
 from deepfsi.base.numeric.arrays import VARIABLE_ENDINGS, read_array, split_variable
 
 if TYPE_CHECKING:

@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import InputError
-from deepfsi.camera import DmdGrid
-from deepfsi.datasets import write_pictures
+from deepfsi.base.errors import InputError
+from deepfsi.camera.layout import DmdGrid
+from deepfsi.datasets.display import write_pictures
 from deepfsi.hardware.calibration.view import geometry_matrix
-from deepfsi.hardware.counting import Calibration, Counts
-from deepfsi.hardware.patterns import Patterns
+from deepfsi.hardware.counting.acquisition import Calibration
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.patterns.folder import Patterns
 
 WHITE = "white.png"
 BLACK = "black.png"

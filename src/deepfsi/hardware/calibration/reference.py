@@ -14,11 +14,15 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, write_atomically
-from deepfsi.camera import DmdLayout
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import write_atomically
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.camera.layout import DmdLayout
 from deepfsi.hardware.calibration.fit import DisplayedScenes
-from deepfsi.hardware.counting import Counts, ReferenceVerdict
-from deepfsi.hardware.patterns import Manifest, Patterns
+from deepfsi.hardware.counting.acquisition import ReferenceVerdict
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.manifest import Manifest
 
 REFERENCE = "reference.png"
 EXPECTED = "reference.csv"

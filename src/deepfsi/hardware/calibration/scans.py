@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base import InputError, check_choice, write_atomically
-from deepfsi.camera import DetectorMap
-from deepfsi.hardware.counting import Counts
-from deepfsi.hardware.light import SPOILING
-from deepfsi.hardware.patterns import DesignRails, Patterns
+from deepfsi.base.errors import InputError, check_choice
+from deepfsi.base.files import write_atomically
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.light.checks import SPOILING
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
 
 SCAN_NAMES = ("raster", "hadamard")
 """Scans by name: one cell after another, or Hadamard masks of two frames each."""

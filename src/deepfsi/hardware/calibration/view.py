@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepfsi.base import InputError
-from deepfsi.datasets import Dataset
-from deepfsi.hardware.counting import Calibration
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.hardware.counting.acquisition import Calibration
 
 if TYPE_CHECKING:
     from scipy import sparse

@@ -27,21 +27,17 @@ from pydantic import (
     model_validator,
 )
 
-from deepfsi.base import (
-    InputError,
-    as_input_error,
-    hash_file,
-    new_folder,
-    plural,
-    read_regular,
-    read_text,
-    time_text,
-    write_atomically,
-)
-from deepfsi.base.models import Amount, Positive, Share, StrictModel
-from deepfsi.camera import MOST_INPUTS, CounterEffects, DeadTime, LiveSettings
-from deepfsi.hardware.patterns import GatePlan, Manifest, Patterns, read_patterns
-from deepfsi.hardware.photons import PtuFile
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import hash_file, new_folder, read_regular, read_text, write_atomically
+from deepfsi.base.models.strict import Amount, Positive, Share, StrictModel
+from deepfsi.base.quantities import plural, time_text
+from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.camera.detectors import MOST_INPUTS
+from deepfsi.camera.stop_rule import LiveSettings
+from deepfsi.hardware.patterns.folder import Patterns, read_patterns
+from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.hardware.patterns.timing import GatePlan
+from deepfsi.hardware.photons.reader import PtuFile
 
 MOST_READOUTS = 2**21
 """Gates, and readouts, that are counted at once, at most."""

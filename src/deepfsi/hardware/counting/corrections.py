@@ -27,10 +27,10 @@ from typing import Self
 
 import numpy as np
 
-from deepfsi.base import InputError
-from deepfsi.camera import CorrectionFactors, CounterEffects, DeadTime
+from deepfsi.base.errors import InputError
+from deepfsi.camera.dead_time import CorrectionFactors, CounterEffects, DeadTime
 from deepfsi.hardware.counting.counts import LEAST_UNFIRED, RunLight
-from deepfsi.hardware.patterns import Frame, Manifest
+from deepfsi.hardware.patterns.manifest import Frame, Manifest
 
 Gains = tuple[float, ...]
 """Relative efficiency of each detector; empty for equal ones."""

@@ -12,8 +12,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, time_text
-from deepfsi.camera import NO_EFFECTS, CounterEffects
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.base.quantities import time_text
+from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects
 from deepfsi.hardware.counting.acquisition import Calibration, Run, read_run
 from deepfsi.hardware.counting.corrections import (
     ALL_OFF,
@@ -37,16 +39,10 @@ from deepfsi.hardware.counting.windows import (
     count_in_windows,
     sum_exposures,
 )
-from deepfsi.hardware.light import (
-    PARTS_OF_FRAME,
-    Arrivals,
-    Fault,
-    check_light,
-    find_lateness,
-    name_inputs,
-)
-from deepfsi.hardware.patterns import GatePlan
-from deepfsi.hardware.photons import PhotonSource, summarise
+from deepfsi.hardware.light.checks import Fault, check_light, find_lateness
+from deepfsi.hardware.light.curves import PARTS_OF_FRAME, Arrivals, name_inputs
+from deepfsi.hardware.patterns.timing import GatePlan
+from deepfsi.hardware.photons.reader import PhotonSource, summarise
 
 LEAST_GATE_TICKS = 10
 """Ticks of the counter that a gate must have at least."""

@@ -18,24 +18,19 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import (
-    InputError,
-    count_text,
-    hash_file,
-    read_regular,
-    time_text,
-    write_atomically,
-)
-from deepfsi.base.models import Amount, Count, Positive, StrictModel
-from deepfsi.base.numeric import npy_header
-from deepfsi.camera import NO_EFFECTS, CounterEffects
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import hash_file, read_regular, write_atomically
+from deepfsi.base.models.strict import Amount, Count, Positive, StrictModel
+from deepfsi.base.numeric.arrays import npy_header
+from deepfsi.base.quantities import count_text, time_text
+from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects
 from deepfsi.hardware.counting.acquisition import (
     MOST_READOUTS,
     Run,
     read_run,
 )
-from deepfsi.hardware.light import SPOILING, Fault
-from deepfsi.hardware.photons import PtuFile
+from deepfsi.hardware.light.checks import SPOILING, Fault
+from deepfsi.hardware.photons.reader import PtuFile
 
 LARGEST_COUNTS = 2**27
 """Bytes of counts.npz at most."""

@@ -26,12 +26,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, time_text
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.base.quantities import time_text
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.windows import FrameStarts, count_overlapping, in_ticks
-from deepfsi.hardware.light import CERTAIN_SIGMAS, Fault
-from deepfsi.hardware.patterns import Manifest
-from deepfsi.hardware.photons import PhotonSource, marker_slack_s, read_markers
+from deepfsi.hardware.light.checks import Fault
+from deepfsi.hardware.light.curves import CERTAIN_SIGMAS
+from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.hardware.photons.reader import PhotonSource, read_markers
+from deepfsi.hardware.photons.records import marker_slack_s
 
 MOST_RESTORED = 3
 """Missing markers in a row that are restored; after more it is not sure that frames were shown."""

@@ -15,19 +15,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.base import InputError, time_text
-from deepfsi.camera import CorrectionFactors, LiveSettings
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import time_text
+from deepfsi.camera.dead_time import CorrectionFactors
+from deepfsi.camera.stop_rule import LiveSettings
 from deepfsi.hardware.counting.corrections import correct, corrections_of
 from deepfsi.hardware.counting.markers import MOST_EXTRA, MOST_RATE
-from deepfsi.hardware.light import PARTS_OF_FRAME
-from deepfsi.hardware.patterns import Frame, Manifest
-from deepfsi.hardware.photons import (
-    Part,
-    PtuStream,
-    WindowCounter,
-    cut_windows,
-    marker_slack_s,
-)
+from deepfsi.hardware.light.curves import PARTS_OF_FRAME
+from deepfsi.hardware.patterns.manifest import Frame, Manifest
+from deepfsi.hardware.photons.reader import PtuStream, WindowCounter, cut_windows
+from deepfsi.hardware.photons.records import Part, marker_slack_s
 
 BEFORE_ALL = -(2**62)
 """A time before all others, ticks."""

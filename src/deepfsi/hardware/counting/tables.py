@@ -26,9 +26,10 @@ from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
 
-from deepfsi.base import InputError, Message, check_choice, closest_choice, time_text
-from deepfsi.base.numeric import NumberTable
-from deepfsi.camera import NO_EFFECTS, CounterEffects
+from deepfsi.base.errors import InputError, Message, check_choice, closest_choice
+from deepfsi.base.numeric.tables import NumberTable
+from deepfsi.base.quantities import time_text
+from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.counting.corrections import (
     ALL_OFF,
@@ -43,8 +44,9 @@ from deepfsi.hardware.counting.corrections import (
     variance_of_clicks,
 )
 from deepfsi.hardware.counting.counts import Counts, RunLight
-from deepfsi.hardware.light import CERTAIN_SIGMAS, Arrivals, Fault, check_light
-from deepfsi.hardware.patterns import Manifest
+from deepfsi.hardware.light.checks import Fault, check_light
+from deepfsi.hardware.light.curves import CERTAIN_SIGMAS, Arrivals
+from deepfsi.hardware.patterns.manifest import Manifest
 
 ROLL_OVER = 2**32
 """Counts after which a cumulative counter begins again."""

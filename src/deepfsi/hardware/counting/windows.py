@@ -12,11 +12,13 @@ from typing import Self
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS
-from deepfsi.hardware.light import Fault
-from deepfsi.hardware.patterns import GatePlan, Manifest
-from deepfsi.hardware.photons import PhotonSource, count_windows
+from deepfsi.hardware.light.checks import Fault
+from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.hardware.patterns.timing import GatePlan
+from deepfsi.hardware.photons.reader import PhotonSource, count_windows
 
 GUARD_SHARE = 0.5
 """Share of a frame after settling that a guard takes at most, where it is cut in parts."""

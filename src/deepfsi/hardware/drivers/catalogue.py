@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from deepfsi.base import InputError, check_choice
+from deepfsi.base.errors import InputError, check_choice
 from deepfsi.hardware.drivers.dlpc900 import Dlpc900Projector
 from deepfsi.hardware.drivers.file_tail import FollowedCounter
 from deepfsi.hardware.drivers.picoquant import SnapiCounter

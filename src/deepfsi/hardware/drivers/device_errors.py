@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterator
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 
 
 @contextlib.contextmanager

@@ -33,10 +33,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress
-from deepfsi.camera import BIT_PLANES, DEVICES, Device
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.camera.device import BIT_PLANES, DEVICES, Device
 from deepfsi.hardware.drivers.device_errors import let_go, refusals
-from deepfsi.hardware.patterns import Dlpc900, Manifest, read_frames, read_patterns
+from deepfsi.hardware.patterns.controllers import Dlpc900
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.manifest import Manifest
 
 DMDS = {1: "dlp6500", 2: "dlp9000", 3: "dlp670s", 4: "dlp500yx"}
 """Devices by the hardware type that a board reports."""

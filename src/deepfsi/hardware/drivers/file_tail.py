@@ -11,8 +11,8 @@ from contextlib import AbstractContextManager
 from io import FileIO
 from pathlib import Path
 
-from deepfsi.base import InputError
-from deepfsi.hardware.counting import FrameCounter, FrameCounts, FrameGates
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
 
 BYTES_AT_ONCE = 2**21
 """Bytes read at once."""

@@ -17,9 +17,9 @@ import threading
 from pathlib import Path
 from typing import Any, Self
 
-from deepfsi.base import InputError
-from deepfsi.hardware.counting import FrameCounter, FrameCounts, FrameGates
-from deepfsi.hardware.photons import PtuStream
+from deepfsi.base.errors import InputError
+from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
+from deepfsi.hardware.photons.reader import PtuStream
 
 LONGEST_MS = 360_000_000
 """Longest recording that the devices take, 100 hours, milliseconds."""

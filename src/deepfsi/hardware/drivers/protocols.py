@@ -12,8 +12,8 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from deepfsi.base import SILENT, Progress
-from deepfsi.hardware.counting import FrameCounts, FrameGates
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
 
 PATIENCE_S = 5.0
 """Time by which counts may come later than their frames end, seconds."""

@@ -23,12 +23,13 @@ from typing import Any, Self
 import numpy as np
 from pydantic import FiniteFloat
 
-from deepfsi.base import InputError, as_input_error, read_toml
-from deepfsi.base.models import UserModel
-from deepfsi.hardware.counting import FrameCounts, FrameGates
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import read_toml
+from deepfsi.base.models.strict import UserModel
+from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
 from deepfsi.hardware.drivers.device_errors import refusals
 from deepfsi.hardware.drivers.file_tail import FollowedCounter
-from deepfsi.hardware.photons import PtuWriter
+from deepfsi.hardware.photons.ptu import PtuWriter
 
 MODULES = "Swabian.TimeTagger", "TimeTagger"
 """The library as installed by pip, and by the vendor's installer."""

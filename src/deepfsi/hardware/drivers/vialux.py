@@ -30,9 +30,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
 from deepfsi.hardware.drivers.device_errors import let_go, refusals
-from deepfsi.hardware.patterns import Manifest, read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.manifest import Manifest
 
 USUAL_VERSION = "4.3"
 """Version of the ALP interface."""

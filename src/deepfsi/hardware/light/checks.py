@@ -23,9 +23,9 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from deepfsi.base import Message
-from deepfsi.base.models import MessageText, StrictModel
-from deepfsi.camera import DetectorMap
+from deepfsi.base.errors import Message
+from deepfsi.base.models.strict import MessageText, StrictModel
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,
     EXCESS,
@@ -38,7 +38,7 @@ from deepfsi.hardware.light.curves import (
     excess_chance,
 )
 from deepfsi.hardware.light.flux import HARMLESS, HARMLESS_DARK, Background, Flux
-from deepfsi.hardware.patterns import Brightness, Manifest
+from deepfsi.hardware.patterns.manifest import Brightness, Manifest
 
 MARKER_FAULTS = ("missing", "extra", "late", "lost")
 """Faults of the markers; the others are of the light."""

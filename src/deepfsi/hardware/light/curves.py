@@ -11,7 +11,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from deepfsi.hardware.patterns import Frame
+from deepfsi.hardware.patterns.manifest import Frame
 
 PARTS_OF_FRAME = 8
 """Parts of each frame that are counted by themselves."""

@@ -17,7 +17,7 @@ from typing import Self
 import numpy as np
 
 from deepfsi.hardware.light.curves import LightCurve, change_chance
-from deepfsi.hardware.patterns import Brightness
+from deepfsi.hardware.patterns.manifest import Brightness
 
 HARMLESS = 0.05
 """Change of a light that is left alone, as a share of it."""

@@ -27,7 +27,7 @@ from deepfsi.hardware.light.curves import (
     excess_chance,
 )
 from deepfsi.hardware.light.flux import Background, allowed_ratio
-from deepfsi.hardware.patterns import Manifest
+from deepfsi.hardware.patterns.manifest import Manifest
 
 NO_LIGHT = 0.01
 """Chance at most by which a scene without light is taken for one with light, before its looks."""

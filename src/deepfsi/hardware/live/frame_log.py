@@ -12,9 +12,10 @@ from typing import ClassVar, Self
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from deepfsi.base import InputError, read_regular
-from deepfsi.base.models import StrictModel, WholeNumber
-from deepfsi.hardware.light import Fault
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import read_regular
+from deepfsi.base.models.strict import StrictModel, WholeNumber
+from deepfsi.hardware.light.checks import Fault
 from deepfsi.hardware.live.looks import FrameList
 
 DARK_SCENE = -1

@@ -10,12 +10,16 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from deepfsi.base import InputError
-from deepfsi.camera import StopRule
-from deepfsi.designfile import DesignFile, SceneModel, TrainingScenes, read_loop
-from deepfsi.hardware.counting import FrameCounts
-from deepfsi.hardware.light import Arrivals
-from deepfsi.hardware.patterns import Manifest, Patterns, read_patterns
+from deepfsi.base.errors import InputError
+from deepfsi.camera.stop_rule import StopRule
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.loop_file import read_loop
+from deepfsi.designfile.provenance import TrainingScenes
+from deepfsi.designfile.view_test import SceneModel
+from deepfsi.hardware.counting.streaming import FrameCounts
+from deepfsi.hardware.light.curves import Arrivals
+from deepfsi.hardware.patterns.folder import Patterns, read_patterns
+from deepfsi.hardware.patterns.manifest import Manifest
 
 DECISION_S = 0.4e-3
 """Usual time from the counts to the class and the next dwells, seconds (`benchmarks/live.py`)."""

@@ -20,10 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import InputError, Table, count_text, time_text
-from deepfsi.camera import LIGHT_LAWS, Camera
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import Table, count_text, time_text
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.hardware.live.observer import margin_ns
-from deepfsi.hardware.patterns import DesignRails, FrameSettings, GatePlan, Manifest
+from deepfsi.hardware.patterns.folder import FrameSettings
+from deepfsi.hardware.patterns.manifest import DesignRails, Manifest
+from deepfsi.hardware.patterns.timing import GatePlan
 
 LOSS_CAUSES = {
     "alignment": "all-ON and all-OFF frames",

@@ -24,11 +24,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepfsi.base import InputError, Message
-from deepfsi.camera import TOO_DIM
-from deepfsi.designfile import REFUSED, UNSURE, SceneReadouts, ViewResult, ViewTest
-from deepfsi.hardware.counting import Acquisition
-from deepfsi.hardware.light import SPOILING, Arrivals, Fault, LightMonitor
+from deepfsi.base.errors import InputError, Message
+from deepfsi.camera.light import TOO_DIM
+from deepfsi.designfile.distribution import REFUSED, UNSURE
+from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
+from deepfsi.hardware.counting.acquisition import Acquisition
+from deepfsi.hardware.light.checks import SPOILING, Fault
+from deepfsi.hardware.light.curves import Arrivals
+from deepfsi.hardware.light.monitor import LightMonitor
 from deepfsi.hardware.live.looks import (
     AllOnCounts,
     ExposureState,
@@ -39,7 +42,7 @@ from deepfsi.hardware.live.looks import (
     ShownLooks,
     rows_of,
 )
-from deepfsi.hardware.patterns import Manifest
+from deepfsi.hardware.patterns.manifest import Manifest
 
 MARGIN_NS = 2000
 """Time by which a picture outlasts its gate at least, so that markers may be off, ns."""

@@ -18,11 +18,14 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, hash_file, write_atomically
-from deepfsi.base.numeric import read_npz
-from deepfsi.designfile import SceneReadouts
-from deepfsi.hardware.counting import Acquisition, FrameCounts, read_run
-from deepfsi.hardware.light import PARTS_OF_FRAME
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import hash_file, write_atomically
+from deepfsi.base.numeric.arrays import read_npz
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.designfile.view_test import SceneReadouts
+from deepfsi.hardware.counting.acquisition import Acquisition, read_run
+from deepfsi.hardware.counting.streaming import FrameCounts
+from deepfsi.hardware.light.curves import PARTS_OF_FRAME
 from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedList, LoggedScene
 from deepfsi.hardware.live.looks import FrameList, LiveExposure, LookChooser
 from deepfsi.hardware.live.observer import (
@@ -32,8 +35,8 @@ from deepfsi.hardware.live.observer import (
     SceneObserver,
 )
 from deepfsi.hardware.live.results import LiveAnswers, LiveScene
-from deepfsi.hardware.patterns import Manifest
-from deepfsi.hardware.photons import count_windows, cut_windows, read_markers
+from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.hardware.photons.reader import count_windows, cut_windows, read_markers
 
 PHOTONS = "photons.ptu"
 """File of the recording."""

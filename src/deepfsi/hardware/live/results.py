@@ -5,10 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from deepfsi.base import InputError, Message, Table, plural
-from deepfsi.designfile import Score, ViewResult, was_trained_on
-from deepfsi.hardware.counting import Scene
-from deepfsi.hardware.light import SPOILING, Fault
+from deepfsi.base.errors import InputError, Message
+from deepfsi.base.quantities import Table, plural
+from deepfsi.designfile.provenance import was_trained_on
+from deepfsi.designfile.score import Score
+from deepfsi.designfile.view_test import ViewResult
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.light.checks import SPOILING, Fault
 from deepfsi.hardware.live.looks import LookChooser
 from deepfsi.hardware.live.observer import Decision
 

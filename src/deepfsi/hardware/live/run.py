@@ -18,24 +18,23 @@ from typing import Self
 
 import numpy as np
 
-from deepfsi.base import (
-    GrowingFile,
-    InputError,
-    Progress,
-    as_input_error,
-    note_saved_work,
-    progress_bar,
-)
-from deepfsi.camera import NO_EFFECTS, CounterEffects, LiveSettings, StopRule
-from deepfsi.hardware.counting import Acquisition, FrameCounts, FrameGates, Scene, prepare_run
-from deepfsi.hardware.drivers import (
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import GrowingFile
+from deepfsi.base.interrupts import note_saved_work
+from deepfsi.base.progress import Progress, progress_bar
+from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects
+from deepfsi.camera.stop_rule import LiveSettings, StopRule
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
+from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
+from deepfsi.hardware.drivers.protocols import (
     PATIENCE_S,
     PassProjector,
     Setup,
     StreamingCounter,
     StreamingProjector,
 )
-from deepfsi.hardware.light import NO_LIGHT, excess_chance
+from deepfsi.hardware.light.curves import excess_chance
+from deepfsi.hardware.light.monitor import NO_LIGHT
 from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedList, LoggedScene
 from deepfsi.hardware.live.looks import FixedMaskLooks, FrameList, LookChooser
 from deepfsi.hardware.live.observer import (
@@ -46,7 +45,8 @@ from deepfsi.hardware.live.observer import (
     margin_ns,
 )
 from deepfsi.hardware.live.results import LiveScene
-from deepfsi.hardware.patterns import Manifest, read_patterns
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns.manifest import Manifest
 
 
 def plan_live(

@@ -18,7 +18,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from deepfsi.base import InputError, read_regular
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import read_regular
 from deepfsi.hardware.patterns.frames import AGAIN, FRAME_FORMATS, PLANES_FORMAT
 from deepfsi.hardware.patterns.manifest import Manifest
 

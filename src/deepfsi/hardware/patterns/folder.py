@@ -17,30 +17,14 @@ from typing import Any, ClassVar, get_args
 
 import numpy as np
 
-from deepfsi.base import (
-    SILENT,
-    InputError,
-    Message,
-    Progress,
-    as_input_error,
-    check_choice,
-    check_disk_space,
-    check_unpacked,
-    hash_file,
-    new_folder,
-    plural,
-    read_text,
-    time_text,
-)
-from deepfsi.base.numeric import npy_header
-from deepfsi.camera import (
-    LIGHT_LAWS,
-    LONGEST_PICTURE_S,
-    Device,
-    DmdLayout,
-    LightLawName,
-    find_grid,
-)
+from deepfsi.base.errors import InputError, Message, as_input_error, check_choice
+from deepfsi.base.files import check_disk_space, check_unpacked, hash_file, new_folder, read_text
+from deepfsi.base.numeric.arrays import npy_header
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.base.quantities import plural, time_text
+from deepfsi.camera.device import LONGEST_PICTURE_S, Device
+from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.camera.names import LIGHT_LAWS, LightLawName
 from deepfsi.hardware.patterns.controllers import check_tables, controller_tables
 from deepfsi.hardware.patterns.frames import (
     AGAIN,

@@ -30,9 +30,11 @@ from typing import IO, TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
-from deepfsi.base import InputError, open_regular
-from deepfsi.base.numeric import npy_header
-from deepfsi.camera import Device, DmdGrid
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import open_regular
+from deepfsi.base.numeric.arrays import npy_header
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import DmdGrid
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -26,25 +26,18 @@ from typing import Any, ClassVar, Literal, Self, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepfsi.base import InputError, as_input_error, check_choice
-from deepfsi.base.models import Amount, Count, LaterFields, Share, StrictModel
-from deepfsi.camera import (
-    DEVICE_SOURCES,
-    DEVICES,
-    LIGHT_LAWS,
-    DetectorMap,
-    Device,
-    DmdGrid,
-    DmdLayout,
-    LightLawName,
-    Readout,
-    SeveralDetectors,
-    SummedReflectance,
-    find_grid,
-)
-from deepfsi.designfile import DesignFile, check_masks, loop_bytes
+from deepfsi.base.errors import InputError, as_input_error, check_choice
+from deepfsi.base.models.strict import Amount, Count, LaterFields, Share, StrictModel
+from deepfsi.camera.detectors import DetectorMap, SeveralDetectors
+from deepfsi.camera.device import DEVICE_SOURCES, DEVICES, Device
+from deepfsi.camera.layout import DmdGrid, DmdLayout, find_grid
+from deepfsi.camera.names import LIGHT_LAWS, LightLawName, Readout, SummedReflectance
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.loop_file import loop_bytes
+from deepfsi.designfile.provenance import check_masks
 from deepfsi.hardware.patterns.frames import Format, Selection, make_frame
-from deepfsi.jobs import EVERY_PIXEL, STATIC
+from deepfsi.jobs.designs import EVERY_PIXEL
+from deepfsi.jobs.exposures import STATIC
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepfsi.base import InputError, check_ending, write_atomically
-from deepfsi.designfile import DesignFile, damaged_design
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import check_ending, write_atomically
+from deepfsi.designfile.design_file import DesignFile, damaged_design
 
 PHOTOMASK_ENDS = (".svg", ".png")
 """Ends of the names of files of a photomask."""

@@ -6,7 +6,8 @@ from typing import Self
 
 import numpy as np
 
-from deepfsi.base import InputError, time_text
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import time_text
 from deepfsi.hardware.patterns.manifest import Manifest
 
 SHORTEST_GATE_S = 1e-15

@@ -18,7 +18,8 @@ from typing import Any, BinaryIO, ClassVar, Literal, Self
 
 import numpy as np
 
-from deepfsi.base import GrowingFile, InputError, open_atomically, open_regular
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import GrowingFile, open_atomically, open_regular
 
 MAGIC = b"PQTTTR"
 """First bytes of a file."""

@@ -21,8 +21,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, Table, open_regular, time_text
-from deepfsi.base.models import StrictModel
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import open_regular
+from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.base.quantities import Table, time_text
 from deepfsi.hardware.photons import records
 from deepfsi.hardware.photons.ptu import GENERIC_T2, Header, parse_header, read_header
 from deepfsi.hardware.photons.records import EARLIEST_TICK, LATEST_TICK, Decoder, Part

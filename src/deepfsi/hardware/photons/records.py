@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepfsi.base import InputError
+from deepfsi.base.errors import InputError
 from deepfsi.hardware.photons.ptu import PICOHARP_T2, PICOHARP_T3, Kind
 
 RECORDS_IN_MEMORY = 2**19

@@ -16,7 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import SILENT, InputError, Progress, plural, write_atomically
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import write_atomically
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.base.quantities import plural
 from deepfsi.hardware.photons.ptu import Header
 from deepfsi.hardware.photons.reader import PtuFile, count_windows, cut_windows, read_markers
 

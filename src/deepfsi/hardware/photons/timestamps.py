@@ -17,14 +17,9 @@ from typing import Protocol
 
 import numpy as np
 
-from deepfsi.base import InputError, Message
-from deepfsi.base.numeric import (
-    HDF5_ENDINGS,
-    list_variables,
-    read_variable,
-    read_whole_numbers,
-    whole_numbers,
-)
+from deepfsi.base.errors import InputError, Message
+from deepfsi.base.numeric.arrays import HDF5_ENDINGS, list_variables, read_variable
+from deepfsi.base.numeric.tables import read_whole_numbers, whole_numbers
 from deepfsi.hardware.photons.ptu import TICKS_S, PtuWriter, refuse_foreign
 
 MOST_EVENTS_READ = 2**28

@@ -19,8 +19,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from deepfsi.base import InputError, Message, check_choice
-from deepfsi.hardware.light import FALSE_ALARMS
+from deepfsi.base.errors import InputError, Message, check_choice
+from deepfsi.hardware.light.curves import FALSE_ALARMS
 
 CUTS = 20
 """Parts that a sequence is cut into, each of which is left out in turn for an interval."""

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import InputError, closest_choice
-from deepfsi.camera import DetectorMap
-from deepfsi.hardware.counting import read_counts, read_run
+from deepfsi.base.errors import InputError, closest_choice
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.hardware.counting.acquisition import read_run
+from deepfsi.hardware.counting.counts import read_counts
 
 LEAST_SINGULAR_VALUE = 1e-3
 """Least singular value that a picture is made from, of the sensing matrix's largest."""

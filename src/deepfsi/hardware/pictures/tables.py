@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base import InputError, plural
-from deepfsi.base.numeric import read_table, split_variable
+from deepfsi.base.errors import InputError
+from deepfsi.base.numeric.arrays import split_variable
+from deepfsi.base.numeric.tables import read_table
+from deepfsi.base.quantities import plural
 from deepfsi.hardware.pictures.rail_sums import (
     RailSums,
     check_rail_sums,
@@ -25,7 +27,8 @@ from deepfsi.hardware.pictures.solve import (
     split_levels,
     wavelet_of,
 )
-from deepfsi.jobs import FORMULAS, formula_masks, read_matrix
+from deepfsi.jobs.designs import FORMULAS, formula_masks
+from deepfsi.jobs.mask_files import read_matrix
 
 MEDIAN_OF_NORMAL = 0.6745
 """Median of the size of a standard normal number."""

@@ -23,29 +23,19 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, FiniteFloat, field_validator
 
-from deepfsi.base import (
-    SILENT,
-    InputError,
-    Message,
-    Progress,
-    as_input_error,
-    check_disk_space,
-    closest_choice,
-    new_folder,
-    read_toml,
-)
-from deepfsi.base.models import WholeNumber
-from deepfsi.camera import Camera, Device, DmdGrid
-from deepfsi.hardware.counting import Acquisition, Scene, prepare_run
-from deepfsi.hardware.patterns import (
-    GatePlan,
-    Manifest,
-    Patterns,
-    read_frames,
-    read_patterns,
-    unpack,
-)
-from deepfsi.hardware.photons import PtuWriter
+from deepfsi.base.errors import InputError, Message, as_input_error, closest_choice
+from deepfsi.base.files import check_disk_space, new_folder, read_toml
+from deepfsi.base.models.strict import WholeNumber
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import DmdGrid
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
+from deepfsi.hardware.patterns.folder import Patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.frames import unpack
+from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.hardware.patterns.timing import GatePlan
+from deepfsi.hardware.photons.ptu import PtuWriter
 from deepfsi.hardware.virtual.detector import (
     DETECTOR_TICK_S,
     Detector,

@@ -15,12 +15,14 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base import SILENT, InputError, Progress
-from deepfsi.base.models import StrictModel
-from deepfsi.hardware.counting import Acquisition, FrameCounter, FrameCounts, FrameGates
-from deepfsi.hardware.drivers import Setup
-from deepfsi.hardware.patterns import check_patterns, read_patterns
-from deepfsi.hardware.photons import PtuWriter
+from deepfsi.base.errors import InputError
+from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.hardware.counting.acquisition import Acquisition
+from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
+from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
+from deepfsi.hardware.photons.ptu import PtuWriter
 from deepfsi.hardware.virtual.camera import (
     FRAME_MARKER,
     MirrorLight,

@@ -9,9 +9,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from deepfsi.base import plural, write_atomically
-from deepfsi.camera import LIGHT_LAWS
-from deepfsi.report import LAW_TERMS, render
+from deepfsi.base.files import write_atomically
+from deepfsi.base.quantities import plural
+from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.report.rendering import LAW_TERMS, render
 from deepfsi.report.style import photons_text
 
 _Payload = Mapping[str, Any]

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 
-from deepfsi.base import write_atomically
+from deepfsi.base.files import write_atomically
 from deepfsi.report.style.palette import CSS_NAMES, MUTED, SMALL, STYLE
 
 _Args = ParamSpec("_Args")
