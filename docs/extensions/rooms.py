@@ -1,7 +1,7 @@
 """Rooms of the package, counted in its source while the site is built.
 
-The directive `rooms` makes a table of all rooms: their modules, lines, and names that their doors
-export, and the rooms that they import from. Nothing in it is written by hand.
+The directive `rooms` makes a table of all rooms: their modules, lines, and the rooms that they
+import from. Nothing in it is written by hand.
 """
 
 import sys
@@ -26,16 +26,16 @@ def lines(modules):
 def counted(house):
     """Text and table of a house."""
     rows, every = [], house.modules.values()
-    for room, exports in sorted(house.exports.items()):
+    for room in sorted(house.rooms):
         inside = [module for module in every if module.room == room]
         used = [house.room(each.target) for each in house.imports if each.source in inside]
         counts = Counter(other for other in used if other not in (None, room)).most_common()
         others = ", ".join(f"{name} {count}" for name, count in counts)
-        numbers = [str(number) for number in (len(inside) - 1, lines(inside), len(exports))]
+        numbers = [str(number) for number in (len(inside) - 1, lines(inside))]
         rows.append([f"`{room}`", *numbers, others or "none"])
     modules = sum(not module.is_door for module in every)
     text = f"The package has {len(rows)} rooms, {modules} modules and {lines(every)} lines."
-    heads = ["room", "modules", "lines", "exports", "imports from, how many names"]
+    heads = ["room", "modules", "lines", "imports from, how many names"]
     return f"{text}\n\n{table(heads, rows)}"
 
 

@@ -30,11 +30,10 @@ training = { epochs = 2, batch = 32 }
 """
 START = "interrupts.install_handler(); print('armed', flush=True)"
 ARMED = f"""
-import deepfsi.base
 from deepfsi import __main__
 from deepfsi.base import interrupts
 {START}
-deepfsi.base.interrupts.install_handler = lambda: None
+interrupts.install_handler = lambda: None
 __main__.main()
 """
 """The command line, once Ctrl-C is handled; before, Python itself starts."""

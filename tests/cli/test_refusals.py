@@ -317,7 +317,7 @@ def no_training(monkeypatch):
         raise AssertionError("trained before all was checked")
 
     monkeypatch.setattr("deepfsi.sweeps.run.SweepRun.finish", train)
-    monkeypatch.setattr(learning, "learn", train)
+    monkeypatch.setattr(learning, "optimise", train)
 
 
 pytestmark = pytest.mark.usefixtures("no_training")

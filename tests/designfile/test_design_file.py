@@ -69,7 +69,9 @@ def test_what_it_cannot_do_is_said(good):
 
 def test_torch_is_not_needed():
     code = (
-        "import sys; from deepfsi.designfile.design_file import DesignFile; from deepfsi.designfile.published import find_design\n"
+        "import sys\n"
+        "from deepfsi.designfile.design_file import DesignFile\n"
+        "from deepfsi.designfile.published import find_design\n"
         "file = DesignFile.read(find_design('dmd-mnist'))\n"
         "file.chances(file.inputs(file.arrays['mean']), 1e4)\n"
         "assert 'torch' not in sys.modules and 'scipy.stats' not in sys.modules"

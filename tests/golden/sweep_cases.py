@@ -101,13 +101,9 @@ RECIPES = {
 @CASES.of(RECIPES)
 def keys_of(name: str) -> dict[str, Any]:
     """Keys of two trials of each part of a recipe, on scenes that no file holds."""
-    try:
-        from deepfsi.sweeps.plan import plan_trials
-        from deepfsi.sweeps.recipe import Recipe, only
-    except ImportError:  # the package of the stored commit
-        from deepfsi.sweeps.trial import plan as plan_trials
+    from deepfsi.sweeps.plan import plan_trials
+    from deepfsi.sweeps.recipe import Recipe, only
 
-        from deepfsi.sweeps.recipe import Recipe, only
     images = np.random.default_rng(0).integers(0, 256, (200, 32, 32), np.uint8)
     spectra = np.random.default_rng(1).random((320, 200))
     every = {

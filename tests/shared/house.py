@@ -1,7 +1,7 @@
-"""The house as its text has it, and the rules of rooms, doors, imports and names.
+"""The house as its text has it, and the rules of rooms, imports and names.
 
-A room is a folder of modules with an ``__init__``, its door. Nothing is imported here: everything
-is read from the source, so the rules can be tried on a small package that was made up for them.
+A room is a folder of modules. Nothing is imported here: everything is read from the source, so the
+rules can be tried on a small package that was made up for them.
 """
 
 import ast
@@ -31,6 +31,9 @@ DESCRIBED = re.compile(
     r"^\s*(Parameters|Attributes)\n\s*---|[Pp]arameters? (as|of)\b|[Ss]hapes as\b", re.M
 )
 """What a docstring has that says what the parameters are."""
+
+DOORS = ("cli", "report.style")
+"""Rooms whose names are imported from their ``__init__``."""
 
 ROOMS_OF_WORK = ("hardware", "designfile")
 """Rooms that no option needs: the help of a command takes two thirds of the time without."""
@@ -99,12 +102,9 @@ def import_statements(tree: ast.Module) -> Iterator[tuple[ast.Import | ast.Impor
 
 
 class House:
-    """The packages of a folder, `users` of them (pages and scripts), and reasons for exceptions.
+    """The packages of a folder: `lonely` modules may have one importer, `words` are of files."""
 
-    `lonely` gives reasons of modules with one importer, `words` names that files have.
-    """
-
-    def __init__(self, source: Path, users=(), lonely=(), words=()) -> None:
+    def __init__(self, source: Path, lonely=(), words=()) -> None:
         every = (_module(source, path, tree) for path, tree in trees(source).items())
         self.everything = {each.name: each for each in every}
         own = (each for each in self.everything.values() if each.name.split(".")[0] == "deepfsi")
@@ -114,9 +114,6 @@ class House:
             if module.room and not module.is_door:
                 self.rooms[module.room].append(module)
         self.lonely, self.words = set(lonely), set(words)
-        files = [file for user in users for file in [user, *sorted(user.rglob("*"))]]
-        written = [f for f in files if f.suffix in {".py", ".md"} and "_build" not in f.parts]
-        self.users_text = "\n".join(file.read_text() for file in written)
         self.imports = [one for module in self.everything.values() for one in self._imports(module)]
 
     def _imports(self, module: Module) -> Iterator[Import]:
@@ -135,7 +132,7 @@ class House:
 
     @cached_property
     def exports(self) -> dict[str, dict[str, str]]:
-        """Names that the door of each room exports, each with the module that it comes from."""
+        """Names that the door of a room imports, each with the module that it comes from."""
         out = {room: {} for room in self.rooms}
         for each in self.imports:
             if each.source.is_door and each.source.room in out and each.target in self.modules:
@@ -147,7 +144,7 @@ class House:
         return self.modules[module].room or None if module in self.modules else None
 
     def home(self, target: str, name: str | None) -> str:
-        """Module that a name comes from, which may be taken through one or two doors."""
+        """Module that a name comes from, which may be taken from one of `DOORS`."""
         behind = self.exports.get(self.room(target), {}).get(name)
         is_door = target in self.modules and self.modules[target].is_door
         return self.home(behind, name) if is_door and behind not in (None, target) else target
@@ -178,14 +175,14 @@ def rule(check):
 
 @rule
 def few_modules(house):
-    """A room has at most 12 modules, its door not counted."""
+    """A room has at most 12 modules, its ``__init__`` not counted."""
     sizes = {room: len(modules) for room, modules in house.rooms.items()}
     return [f"{room} has {size} modules" for room, size in sizes.items() if size > 12]
 
 
 @rule
 def shared_modules(house):
-    """A module with one importer, doors not counted, has a reason, and no other has one."""
+    """A module with one importer has a reason, and no other has one."""
     importers = defaultdict(set)
     for each in house.imports:
         home, is_door = house.home(each.target, each.name), each.source.is_door
@@ -196,67 +193,12 @@ def shared_modules(house):
 
 
 @rule
-def doors(house):
-    """A room is imported through its door, by code and by pages."""
-    for each in house.imports:
-        room = house.room(each.target)
-        inside = house.room(each.source.name) == room
-        if room and not inside and not house.modules[each.target].is_door:
-            yield f"{each.source.name} imports {each.name or each.target} past the door of {room}"
-    named = set(re.findall(r"(?:from|import) ([\w.]+)", house.users_text))
-    held = {module.name for modules in house.rooms.values() for module in modules}
-    yield from (f"a page or script imports {name}" for name in sorted(held & named))
-
-
-@rule
-def plain_doors(house):
-    """A door is a docstring, imports and a sorted list of what they import."""
-    for room, exports in house.exports.items():
+def bare_rooms(house):
+    """The ``__init__`` of a room is its docstring, and of `DOORS` imports and ``__all__``, too."""
+    for room in house.rooms:
         tree = house.modules[f"deepfsi.{room}"].tree
-        body = [node for node in tree.body if not isinstance(node, ast.ImportFrom)]
-        if not ast.get_docstring(tree) or len(body) != 2 or _target(body[1]) != "__all__":
-            yield f"the door of {room} is not a docstring, imports and __all__"
-            continue
-        listed = ast.literal_eval(body[1].value)
-        if set(listed) != set(exports):
-            yield f"the door of {room} imports or lists alone: {set(listed) ^ set(exports)}"
-        if listed != sorted(listed, key=_order):
-            yield f"__all__ of {room} is not sorted"
-
-
-def _target(node: ast.stmt) -> str | None:
-    return ast.unparse(node.targets[0]) if isinstance(node, ast.Assign) else None
-
-
-def _order(name: str) -> tuple[int, list[str | int]]:
-    """Constants, then classes, then functions, numbers in them by their size: as ruff sorts."""
-    kind = 0 if name.isupper() and len(name) > 1 else 1 if name[0].isupper() else 2
-    return kind, [int(w) if w.isdigit() else w for w in re.findall(r"\d+|\D+", name)]
-
-
-@rule
-def used_exports(house):
-    """What a door exports is used outside: by code, a page, or as a name of the package."""
-    taken = {
-        (house.room(each.target), each.name)
-        for each in house.imports
-        if house.room(each.source.name) != house.room(each.target)
-    }
-    for node in house.modules["deepfsi"].all(ast.Dict):
-        pairs = zip(node.keys, node.values, strict=True)
-        taken |= {(getattr(v, "value", None), getattr(k, "value", None)) for k, v in pairs}
-    for room, exports in house.exports.items():
-        door, text = re.escape(f"deepfsi.{room}"), house.users_text
-        pages = re.findall(rf"from {door} import (\([^)]*\)|[^\n]*)|{door}\.(\w+)", text)
-        shown = {word for pair in pages for text in pair for word in re.findall(r"\w+", text)}
-        yield from (f"{n} of {room}" for n in exports if (room, n) not in taken and n not in shown)
-
-
-@rule
-def narrow_doors(house):
-    """A room of the hardware exports at most 16 names."""
-    doors = [(r, len(names)) for r, names in house.exports.items() if r.startswith("hardware.")]
-    return [f"{room} exports {count} names" for room, count in doors if count > 16]
+        if not ast.get_docstring(tree) or (len(tree.body) > 1 and room not in DOORS):
+            yield f"the __init__ of {room} is no docstring alone"
 
 
 @rule
