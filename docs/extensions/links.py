@@ -1,7 +1,7 @@
 """Pages are plain Markdown in the repository; Sphinx reads them with what only the site has.
 
 - Links to files outside `docs/` and to scripts lead to their pages on the site.
-- ``Fields: [deepfsi.camera.camera.Camera](…)`` and ``Modules: [physics](…)`` become what is made of them.
+- ``Fields: [….Camera](…)`` and ``Modules: [physics](…)`` become what is made of them.
 - Lines that begin with ``Source:`` are left out.
 - Directives stand in comments: ``<!-- index ! resume -->``.
 - A page that is one link to a file at the root of the repository becomes this file.

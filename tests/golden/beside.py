@@ -33,7 +33,7 @@ from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
-REFERENCE = "7f3a79fa8e28805991b4f3eea6b26d6170103b3e"
+REFERENCE = "bce962a228c9afd474411b9b8ac1b4f7cf7f3092"
 """Commit of the package with which floats and bytes are compared."""
 
 HERE = Path(__file__).parent
