@@ -102,9 +102,9 @@ def import_statements(tree: ast.Module) -> Iterator[tuple[ast.Import | ast.Impor
 
 
 class House:
-    """The packages of a folder: `lonely` modules may have one importer, `words` are of files."""
+    """The packages of a folder; `words` are those of files."""
 
-    def __init__(self, source: Path, lonely=(), words=()) -> None:
+    def __init__(self, source: Path, words=()) -> None:
         every = (_module(source, path, tree) for path, tree in trees(source).items())
         self.everything = {each.name: each for each in every}
         own = (each for each in self.everything.values() if each.name.split(".")[0] == "deepfsi")
@@ -113,7 +113,7 @@ class House:
         for module in self.modules.values():
             if module.room and not module.is_door:
                 self.rooms[module.room].append(module)
-        self.lonely, self.words = set(lonely), set(words)
+        self.words = set(words)
         self.imports = [one for module in self.everything.values() for one in self._imports(module)]
 
     def _imports(self, module: Module) -> Iterator[Import]:
@@ -130,24 +130,9 @@ class House:
                 target = target if target in self.everything else target.partition(".")[0]
                 yield Import(module, target, name, late, typed)
 
-    @cached_property
-    def exports(self) -> dict[str, dict[str, str]]:
-        """Names that the door of a room imports, each with the module that it comes from."""
-        out = {room: {} for room in self.rooms}
-        for each in self.imports:
-            if each.source.is_door and each.source.room in out and each.target in self.modules:
-                out[each.source.room] |= {each.name: each.target} if each.name else {}
-        return out
-
     def room(self, module: str) -> str | None:
         """Room of a module; None outside the package and for the package itself."""
         return self.modules[module].room or None if module in self.modules else None
-
-    def home(self, target: str, name: str | None) -> str:
-        """Module that a name comes from, which may be taken from one of `DOORS`."""
-        behind = self.exports.get(self.room(target), {}).get(name)
-        is_door = target in self.modules and self.modules[target].is_door
-        return self.home(behind, name) if is_door and behind not in (None, target) else target
 
     def needs_torch(self, target: str) -> bool:
         room = self.room(target)
@@ -178,18 +163,6 @@ def few_modules(house):
     """A room has at most 12 modules, its ``__init__`` not counted."""
     sizes = {room: len(modules) for room, modules in house.rooms.items()}
     return [f"{room} has {size} modules" for room, size in sizes.items() if size > 12]
-
-
-@rule
-def shared_modules(house):
-    """A module with one importer has a reason, and no other has one."""
-    importers = defaultdict(set)
-    for each in house.imports:
-        home, is_door = house.home(each.target, each.name), each.source.is_door
-        if home != each.source.name and not (is_door and each.source.room in house.rooms):
-            importers[home].add(each.source.name)
-    lonely = {m.name for held in house.rooms.values() for m in held if len(importers[m.name]) < 2}
-    return sorted(lonely ^ house.lonely)
 
 
 @rule
