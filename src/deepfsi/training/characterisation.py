@@ -14,7 +14,16 @@ import torch
 from pydantic import BaseModel
 from torch import Tensor
 
-from deepfsi.adaptive.exposure import AdaptiveExposure, LeftOutAnswers
+from deepfsi.adaptive.dictionary import MaskDictionary
+from deepfsi.adaptive.exposure import (
+    MISFIT_BUDGETS,
+    AdaptiveExposure,
+    AdaptiveTraining,
+    LeftOutAnswers,
+    LeftOutScenes,
+    measure,
+    prior_of,
+)
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile.distribution import FrameLight, ReadoutDistribution
@@ -190,6 +199,41 @@ class PosteriorScenes(CalibrationScenes):
         """Log odds (len(places), S, C) after some looks."""
         budget = self.answers.budgets.tolist().index(photons)
         return self.answers.odds[budget, list(places)].numpy()
+
+
+@torch.no_grad()
+def fold_answers(
+    folds: Sequence[Dataset],
+    training: AdaptiveTraining,
+    job: Job,
+    dictionary: MaskDictionary | None,
+) -> LeftOutAnswers:
+    """Answers to few scenes in folds, each by a prior that was made without its fold.
+
+    A scene taken out of a prior of few leaves its trace in the components, which tell its class.
+    """
+    budgets = np.array(MISFIT_BUDGETS) * job.photons
+    odds = []
+    for fold in folds:
+        settings = training.settings
+        if settings.clusters is not None:
+            smallest = int(np.bincount(fold.y_train, minlength=len(fold.classes)).min())
+            most = min(settings.clusters, max(1, smallest // 2))
+            settings = settings.model_copy(update={"clusters": most})
+        made = AdaptiveExposure(
+            prior_of(fold, settings),
+            settings,
+            shape=fold.image_shape,
+            counted=torch.zeros(settings.looks),
+            optics=job.model_dump(mode="json")["camera"],
+            dictionary=dictionary,
+        )
+        scenes = LeftOutScenes(torch.from_numpy(fold.x_test), torch.from_numpy(fold.y_test), None)
+        optics = [made.optics_at(budget, job.optics) for budget in budgets.tolist()]
+        generator = torch.Generator().manual_seed(job.seed)
+        odds.append(measure(made, optics, scenes, generator)[2])
+    labels = torch.from_numpy(np.concatenate([fold.y_test for fold in folds]))
+    return LeftOutAnswers(budgets, torch.cat(odds, dim=2), labels)
 
 
 def calibrate_posterior(

@@ -42,6 +42,7 @@ from deepfsi.training.characterisation import (
     calibrate_posterior,
     characterise,
     detector_shares,
+    fold_answers,
     folds_of,
     provenance,
 )
@@ -437,18 +438,23 @@ def _counting_exposure(
     training: AdaptiveTraining, job: Job, info: dict[str, Any], *, report: Progress
 ) -> AdaptiveExposure:
     """Exposure of a job with a detector that counts; its provenance gets what was measured."""
+    data = training.data
     dictionary = training.dictionary(job)
     shares, misfit, answers = training.finish(job, dictionary)
     report(0.5)
     made = AdaptiveExposure(
         training.prior,
         training.settings,
-        shape=training.data.image_shape,
+        shape=data.image_shape,
         counted=shares,
         usual_misfit=misfit,
         optics=info["job"]["camera"],
         dictionary=dictionary,
     )
+    folds = folds_of(data)
+    if folds:
+        answers = fold_answers(folds, training, job, dictionary)
+        made, info["left_out"] = calibrate_posterior(made, answers, data, job)
     if training.settings.cap > 1:
         longest = training.longest(made, job, report.between(0.5, 1.0))
         if isinstance(job.exposure, SharedLight) and job.exposure.least_cap is not None:
@@ -457,7 +463,8 @@ def _counting_exposure(
             made = made.of_looks(min(rules).stops)
         made = longest.shared(made)
         answers = longest.answers(made)
-    made, info["left_out"] = calibrate_posterior(made, answers, training.data, job)
+    if not folds:
+        made, info["left_out"] = calibrate_posterior(made, answers, data, job)
     if made.settings.until < 1:  # a cap that is found may be 1: all exposures are whole then
         made = longest.shared(made)  # the same light, by the probabilities that it states
         info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
