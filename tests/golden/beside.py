@@ -33,7 +33,7 @@ from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
-REFERENCE = "bce962a228c9afd474411b9b8ac1b4f7cf7f3092"
+REFERENCE = "5d24e83be273693f2f5be596c5aea7ddbae0204c"
 """Commit of the package with which floats and bytes are compared."""
 
 HERE = Path(__file__).parent
