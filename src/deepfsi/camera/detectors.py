@@ -23,7 +23,21 @@ DetectorSetting = str | Sequence[int] | np.ndarray
 
 
 class DetectorMap(StrictModel):
-    """Detectors of a device, or of each of its two arms."""
+    """Detectors of a device, or of each of its two arms.
+
+    Attributes
+    ----------
+    count : int
+        D, detectors of an arm.
+    cells : tuple of int, or None
+        Detector of each cell (N,), 0 .. D-1; None where that is not known, as before a calibration,
+        and of one detector that sees all.
+    shares : tuple of tuple of float, or None
+        Share of each detector in the light of each class of the training, (classes, D); None where
+        that is not known.
+    spread : tuple of float
+        Standard deviation of a scene's shares about those of its class, (D,).
+    """
 
     count: int = Field(ge=1, le=MOST_DETECTORS)  # D, detectors of an arm
     cells: tuple[WholeNumber, ...] | None = None  # detector of each cell (N,), 0 .. D-1

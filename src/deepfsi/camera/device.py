@@ -36,7 +36,36 @@ Controller = Literal["any", "alp", "dlpc900", "dlpc350", "dlpc347x"]
 
 
 class Device(UserModel):
-    """A micromirror device and its controller."""
+    """A micromirror device and its controller.
+
+    Attributes
+    ----------
+    name : str
+        By which messages and results name it.
+    columns, rows : int
+        Mirrors across and down, as they are addressed.
+    shortest_us, longest_us : int
+        Shortest and longest picture time, µs.
+    settle_us : float
+        Time after the start of a frame in which mirrors still move, µs.
+    patterns : int or None
+        Frames that the controller holds for one sequence; None where as many fit as its memory
+        allows.
+    video_us : int or None
+        Shortest video frame, µs, of a controller that takes frames as a video's bit-planes and
+        shows all for one time; None of one that stores frames.
+    load_us : int or None
+        Time to bring another frame into the device while a run goes on, µs; None of a controller
+        that cannot.
+    lattice : {"square", "diamond"}
+        Places of the mirrors.
+    pitch_um : float or None
+        Side of a mirror with its gap, µm.
+    controller : {"any", "alp", "dlpc900", "dlpc350", "dlpc347x"}
+        It decides which frame files the device takes; "any" takes packed frames.
+    planes : str
+        Colours of a 24-bit picture in the order of bit positions, eight of each, lowest bit first.
+    """
 
     name: str  # by which messages and results name it
     columns: int = Field(ge=1, le=MOST_MIRRORS)

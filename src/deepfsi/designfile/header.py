@@ -44,7 +44,21 @@ class MlpEntry(StrictModel, strict=True):
 
 
 class VitEntry(StrictModel, strict=True):
-    """Entry of the header for a `Vit`: its parameters of the same names."""
+    """Entry of the header for a `Vit`: its parameters of the same names.
+
+    Attributes
+    ----------
+    patches : int
+        Patches of an image.
+    width : int
+        Numbers that stand for a patch.
+    depth : int
+        Transformer blocks.
+    heads : int
+        Attention heads of a block.
+    hidden : int
+        Hidden units of a block's feed-forward network.
+    """
 
     kind: Literal["vit"]
     patches: Count  # patches of an image
@@ -55,7 +69,15 @@ class VitEntry(StrictModel, strict=True):
 
 
 class CustomEntry(StrictModel, strict=True):
-    """Entry of the header for an `OwnClassifier`: its parameters of the same names."""
+    """Entry of the header for an `OwnClassifier`: its parameters of the same names.
+
+    Attributes
+    ----------
+    factory : str
+        module:name of the function or class that makes the module; empty of one given as an object.
+    arguments : dict
+        Its keyword arguments.
+    """
 
     kind: Literal["own"]
     factory: str = Field(pattern=f"^({IMPORT_PATH})?$")
@@ -64,7 +86,33 @@ class CustomEntry(StrictModel, strict=True):
 
 
 class MaskHeader(StrictModel, strict=True, populate_by_name=True):
-    """Header of a design whose masks are known before an exposure."""
+    """Header of a design whose masks are known before an exposure.
+
+    Attributes
+    ----------
+    name : str
+        Which design, such as deepfsi.
+    light : str
+        Light law that the rails obey.
+    summed_reflectance : float
+        s, the training scenes' mean summed reflectance: λ = Φ x / s.
+    image_shape : tuple of int
+        Rows and columns of a scene, or values of a spectrum.
+    classes : tuple of str
+        Names, in the order of the classifier's outputs; none of a design that estimates values.
+    values : tuple of str
+        Names of these, likewise.
+    info : dict
+        Provenance: settings of the training, data and their hash, versions, device, seconds.
+    schema_number : int
+        `DESIGN_SCHEMA`; "schema" in the file.
+    deepfsi : str
+        Version of the package that wrote it.
+    readout : str
+        What is read of two rails, of `detection.Detection`.
+    exposure, classifier
+        Kind and sizes: what rebuilds them, with the tensors.
+    """
 
     schema_number: Literal[1] = Field(DESIGN_SCHEMA, alias="schema")
     deepfsi: str = version("deepfsi")  # version of the package that wrote it

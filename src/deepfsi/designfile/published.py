@@ -42,7 +42,23 @@ ShortText = Annotated[str, Field(max_length=200, pattern="^[^\x00-\x1f\x7f-\x9f]
 
 
 class PublishedDesign(StrictModel):
-    """A published design, as an index tells it."""
+    """A published design, as an index tells it.
+
+    Attributes
+    ----------
+    sha256 : str
+        Of the file NAME.safetensors, in hex.
+    recognises : str
+        What it tells apart, in words.
+    data : str
+        Data set that it was trained on.
+    photons : float
+        Budget Φ of its training.
+    accuracy, low, high : float
+        On the test scenes at that budget, with its 95 % interval, which the card explains.
+    recipe : str
+        SHA-256 of the settings that it was made with.
+    """
 
     sha256: _Hash  # of the file NAME.safetensors, in hex
     recognises: ShortText  # what it tells apart, in words
@@ -55,7 +71,15 @@ class PublishedDesign(StrictModel):
 
 
 class CollectionIndex(StrictModel):
-    """Index of a collection, the file `designs.json`."""
+    """Index of a collection, the file `designs.json`.
+
+    Attributes
+    ----------
+    schema_version : int
+        Version of the format.
+    designs : dict of str to Published
+        By name.
+    """
 
     schema_version: Literal[1] = 1  # version of the format
     designs: dict[DesignName, PublishedDesign] = Field({})

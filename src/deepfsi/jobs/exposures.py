@@ -192,7 +192,15 @@ class FixedEntry(_Entry):
 
 
 class _SharingEntry(LaterFields, _Entry):
-    """Entry of an exposure that may end when a class is sure."""
+    """Entry of an exposure that may end when a class is sure.
+
+    Attributes
+    ----------
+    cap : float
+        Light of a whole exposure over the budget, which above 1 is the mean of all exposures.
+    until : float
+        Probability of a class above which an exposure ends; 1 for never.
+    """
 
     LATER: ClassVar = ("cap", "until")
 
@@ -291,7 +299,23 @@ class Nested(_Conditioned, _Sharing):
 
 
 class ConditionedEntry(_SharingEntry):
-    """Exposure of fixed dwells whose classifier reads budget and number of masks, too."""
+    """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
+
+    Attributes
+    ----------
+    photons : float
+        Lowest budget of the training.
+    span : float
+        Highest over lowest.
+    masks : int
+        m, of the whole sequence.
+    nested : int
+        Smallest number of first masks that can be classified alone; 0 if only all can.
+    width : int
+        Features of each mask.
+    used : float
+        Share of the light law that the masks take within the whole sequence.
+    """
 
     photons: Positive  # lowest budget of the training
     span: Annotated[float, Field(ge=1, allow_inf_nan=False)]  # highest over lowest
@@ -384,7 +408,17 @@ class Looks(_Sharing):
 
 
 class LooksEntry(_SharingEntry):
-    """Exposure of several looks, whose dwells a network chooses from the counts so far."""
+    """Exposure of several looks, whose dwells a network chooses from the counts so far.
+
+    Attributes
+    ----------
+    looks : int
+        K, each 1 / K of the whole exposure.
+    hidden : tuple of int
+        Widths of the hidden layers of the network that chooses dwells.
+    shortest : float
+        Shortest dwell of a frame, a share of the exposure.
+    """
 
     looks: Annotated[int, Field(ge=2, le=64)]  # K, each 1 / K of the whole exposure
     hidden: Widths  # widths of the hidden layers of the network that chooses dwells
@@ -471,7 +505,13 @@ def cut_patches(scenes: Any, image_shape: tuple[int, ...], side: int) -> Any:
 
 
 class PatchesEntry(_Entry):
-    """Exposure of fixed dwells, with a detector for each patch of an image."""
+    """Exposure of fixed dwells, with a detector for each patch of an image.
+
+    Attributes
+    ----------
+    side : int
+        Of a patch, pixels.
+    """
 
     side: Count
     kind: Literal["patches"] = "patches"

@@ -48,7 +48,21 @@ class DataTerms(StrictModel):
 
 
 class DesignRecipe(StrictModel):
-    """A published design before it is made."""
+    """A published design before it is made.
+
+    Attributes
+    ----------
+    recognises : str
+        What it tells apart, in words.
+    data : str
+        Name or path of the data set.
+    rescale, split, size : optional
+        As `load_dataset` takes them.
+    note : str
+        What its card says besides.
+    settings : dict
+        Single settings of a job, as options of `deepfsi design` are.
+    """
 
     recognises: ShortText  # what it tells apart, in words
     data: ShortText  # name or path of the data set
@@ -80,7 +94,15 @@ class DesignRecipe(StrictModel):
 
 
 class Collection(StrictModel):
-    """Designs to be made, and whose data they are trained on: a list in a TOML file."""
+    """Designs to be made, and whose data they are trained on: a list in a TOML file.
+
+    Attributes
+    ----------
+    designs : dict of str to DesignRecipe
+        By name.
+    data : dict of str to DataTerms
+        By the data of the designs.
+    """
 
     designs: dict[DesignName, DesignRecipe] = Field(min_length=1)
     data: dict[str, DataTerms]  # by the data of the designs
