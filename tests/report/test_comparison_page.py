@@ -12,6 +12,7 @@ from deepfsi.report import comparison_page, rendering
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import write_report
 from deepfsi.report.rendering import LAW_TERMS
+from deepfsi.report.style import photons_text
 from deepfsi.report.verdict import verdict_of
 from deepfsi.sweeps.results import write_results
 from shared.pages import assert_explained, assert_headed, assert_whole, run_without_torch, words_of
@@ -375,8 +376,8 @@ def test_confusion_matrices_are_those_of_the_chosen_mask_counts(tmp_path):
     chosen = [point for point in points if point.best]
     assert page.count("<table class='confusion'>") == len(chosen) > 1
     hidden = re.findall(r'<div class="scroll matrix" id="(\S+)"[^>]* hidden>', page)
-    [opened] = re.findall(r'<option value="(\S+)" selected>PCA \(FSI\), 100 photons', page)
-    assert verdict_of(results).photons == 100
+    [(opened, name)] = re.findall(r'<option value="(\S+)" selected>([^<]+)', page)
+    assert f", {photons_text(verdict_of(results).photons)} photons" in name
     assert len(hidden) == len(chosen) - 1
     assert opened not in hidden
     assert words_of(page).count("87.5 12.5") == len(chosen)
