@@ -110,7 +110,8 @@ def exposures(designs, digits, double):
                 masks = choice.next_masks(state, share, generator(int(noise.initial_seed())))
                 mean = state.expected(masks, torch.from_numpy(x)[None].double(), share)
                 counts = torch.poisson(mean, generator=noise)
-                before, sure = choice.candidate_masks(state)[0].tolist(), float(state.chances.max())
+                before = choice.candidate_masks(state)[0].tolist()
+                sure = float(state.class_weights.max())  # by which scenes are drawn: not calibrated
                 state.update(masks, counts, share)
                 looks.append(
                     {

@@ -588,7 +588,7 @@ class AdaptiveTraining:
         )
 
     @torch.no_grad()
-    def longest(self, made: AdaptiveExposure, job: Job, report: Progress) -> "LongestExposures":
+    def longest(self, made: AdaptiveExposure, job: Job, report: Progress) -> LongestExposures:
         """Exposures that do not stop, by which a job's light is shared among scenes."""
         generator = torch.Generator().manual_seed(job.seed ^ 2**31)
         left_out = self.left_out(SHARING_SCENES, generator)
@@ -623,21 +623,29 @@ class AdaptiveTraining:
             masks += [look.masks.bool() for look in looks]
         return MaskDictionary.drawn(torch.cat(masks), count, generator)
 
+    def measured(
+        self,
+        left_out: LeftOutScenes,
+        job: Job,
+        dictionary: MaskDictionary | None,
+        generator: torch.Generator,
+    ) -> tuple[np.ndarray, Tensor, LeftOutAnswers]:
+        """Misfit and counts, as of `measure`, and answers of left-out scenes at several budgets."""
+        shape = self.data.image_shape
+        counted = torch.zeros(self.settings.looks)
+        made = AdaptiveExposure(self.prior, self.settings, shape, counted, dictionary=dictionary)
+        budgets = np.array(MISFIT_BUDGETS) * job.photons
+        optics = [LookOptics.of(job.optics, shape, each) for each in budgets.tolist()]
+        logarithms, counts, odds = measure(made, optics, left_out, generator)
+        return logarithms, counts, LeftOutAnswers(budgets, odds, left_out.labels)
+
     def finish(
         self, job: Job, dictionary: MaskDictionary | None = None
     ) -> tuple[Tensor, UsualMisfit | None, LeftOutAnswers]:
         """Share of the budget (K,) that each look counts, misfit and answers of left-out scenes."""
-        settings = self.settings
-        shape = self.data.image_shape
-        exposure = AdaptiveExposure(
-            self.prior, settings, shape, torch.zeros(settings.looks), dictionary=dictionary
-        )
         generator = torch.Generator().manual_seed(job.seed)
         left_out = self.left_out(MISFIT_SCENES, generator)
-        budgets = np.array(MISFIT_BUDGETS) * job.photons
-        optics = [LookOptics.of(job.optics, shape, each) for each in budgets.tolist()]
-        logarithms, counts, odds = measure(exposure, optics, left_out, generator)
+        logarithms, counts, answers = self.measured(left_out, job, dictionary, generator)
         shares = (counts[MISFIT_BUDGETS.index(1.0)] / job.photons).float()
         few = len(left_out.scenes) < FEWEST_MISFIT_SCENES
-        misfit = None if few else UsualMisfit(budgets, logarithms)
-        return shares, misfit, LeftOutAnswers(budgets, odds, left_out.labels)
+        return shares, None if few else UsualMisfit(answers.budgets, logarithms), answers

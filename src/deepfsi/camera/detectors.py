@@ -39,8 +39,8 @@ class DetectorMap(StrictModel):
         Standard deviation of a scene's shares about those of its class, (D,).
     """
 
-    count: int = Field(ge=1, le=MOST_DETECTORS)  # D, detectors of an arm
-    cells: tuple[WholeNumber, ...] | None = None  # detector of each cell (N,), 0 .. D-1
+    count: int = Field(ge=1, le=MOST_DETECTORS)
+    cells: tuple[WholeNumber, ...] | None = None
     shares: tuple[tuple[Share, ...], ...] | None = None
     spread: tuple[Amount, ...] = ()
 

@@ -67,18 +67,18 @@ class Device(UserModel):
         Colours of a 24-bit picture in the order of bit positions, eight of each, lowest bit first.
     """
 
-    name: str  # by which messages and results name it
+    name: str
     columns: int = Field(ge=1, le=MOST_MIRRORS)
     rows: int = Field(ge=1, le=MOST_MIRRORS)
     shortest_us: int = Field(default=44, ge=1, le=LONGEST_PICTURE_US)
     longest_us: int = Field(default=LONGEST_PICTURE_US, ge=1, le=LONGEST_PICTURE_US)
     settle_us: float = Field(default=10.0, ge=0, allow_inf_nan=False)
-    patterns: Count | None = None  # frames that the controller holds for one sequence
+    patterns: Count | None = None
     video_us: int | None = Field(default=None, ge=1, le=LONGEST_PICTURE_US)
     load_us: int | None = Field(default=None, ge=1, le=LONGEST_PICTURE_US)
-    lattice: Lattice = "square"  # places of the mirrors
-    pitch_um: Positive | None = None  # side of a mirror with its gap, µm
-    controller: Controller = "any"  # it decides which frame files the device takes
+    lattice: Lattice = "square"
+    pitch_um: Positive | None = None
+    controller: Controller = "any"
     planes: str = "BGR"
 
     @model_validator(mode="after")

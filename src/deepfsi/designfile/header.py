@@ -61,11 +61,11 @@ class VitEntry(StrictModel, strict=True):
     """
 
     kind: Literal["vit"]
-    patches: Count  # patches of an image
-    width: Count  # numbers that stand for a patch
+    patches: Count
+    width: Count
     depth: int = Field(ge=1, le=MOST_LAYERS)
-    heads: Count  # attention heads of a block
-    hidden: Count  # hidden units of a block's feed-forward network
+    heads: Count
+    hidden: Count
 
 
 class CustomEntry(StrictModel, strict=True):
@@ -81,7 +81,7 @@ class CustomEntry(StrictModel, strict=True):
 
     kind: Literal["own"]
     factory: str = Field(pattern=f"^({IMPORT_PATH})?$")
-    arguments: dict[str, Any]  # its keyword arguments
+    arguments: dict[str, Any]
     patches: ClassVar = 1
 
 
@@ -115,14 +115,14 @@ class MaskHeader(StrictModel, strict=True, populate_by_name=True):
     """
 
     schema_number: Literal[1] = Field(DESIGN_SCHEMA, alias="schema")
-    deepfsi: str = version("deepfsi")  # version of the package that wrote it
-    name: Annotated[str, AfterValidator(check_design)]  # which design, such as deepfsi
-    light: LightLawName  # light law that the rails obey
-    readout: Readout  # what is read of two rails, of `detection.Detection`
+    deepfsi: str = version("deepfsi")
+    name: Annotated[str, AfterValidator(check_design)]
+    light: LightLawName
+    readout: Readout
     summed_reflectance: SummedReflectance
-    image_shape: tuple[Count, ...]  # rows and columns of a scene, or values of a spectrum
-    classes: tuple[str, ...]  # names, in the order of the classifier's outputs
-    values: tuple[str, ...] = ()  # names of these, likewise
+    image_shape: tuple[Count, ...]
+    classes: tuple[str, ...]
+    values: tuple[str, ...] = ()
     exposure: ExposureEntry
     classifier: Annotated[MlpEntry | VitEntry | CustomEntry, Field(discriminator="kind")]
     info: DesignInfo

@@ -60,14 +60,14 @@ class PublishedDesign(StrictModel):
         SHA-256 of the settings that it was made with.
     """
 
-    sha256: _Hash  # of the file NAME.safetensors, in hex
-    recognises: ShortText  # what it tells apart, in words
-    data: ShortText  # data set that it was trained on
-    photons: Positive  # budget Φ of its training
+    sha256: _Hash
+    recognises: ShortText
+    data: ShortText
+    photons: Positive
     accuracy: Share
     low: Share
     high: Share
-    recipe: _Hash  # SHA-256 of the settings that it was made with
+    recipe: _Hash
 
 
 class CollectionIndex(StrictModel):
@@ -81,7 +81,7 @@ class CollectionIndex(StrictModel):
         By name.
     """
 
-    schema_version: Literal[1] = 1  # version of the format
+    schema_version: Literal[1] = 1
     designs: dict[DesignName, PublishedDesign] = Field({})
 
     @classmethod

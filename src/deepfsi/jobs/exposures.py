@@ -317,12 +317,12 @@ class ConditionedEntry(_SharingEntry):
         Share of the light law that the masks take within the whole sequence.
     """
 
-    photons: Positive  # lowest budget of the training
-    span: Annotated[float, Field(ge=1, allow_inf_nan=False)]  # highest over lowest
-    masks: Count  # m, of the whole sequence
-    nested: WholeNumber = 0  # smallest number of first masks that can be classified alone
-    width: Count = 1  # features of each mask
-    used: Positive = 1.0  # share of the light law that the masks take within the whole sequence
+    photons: Positive
+    span: Annotated[float, Field(ge=1, allow_inf_nan=False)]
+    masks: Count
+    nested: WholeNumber = 0
+    width: Count = 1
+    used: Positive = 1.0
     kind: Literal["conditioned"] = "conditioned"
 
     def count_stops(self, masks: int) -> int:
@@ -420,8 +420,8 @@ class LooksEntry(_SharingEntry):
         Shortest dwell of a frame, a share of the exposure.
     """
 
-    looks: Annotated[int, Field(ge=2, le=64)]  # K, each 1 / K of the whole exposure
-    hidden: Widths  # widths of the hidden layers of the network that chooses dwells
+    looks: Annotated[int, Field(ge=2, le=64)]
+    hidden: Widths
     shortest: Annotated[float, Field(ge=0, lt=1)]
     kind: Literal["adaptive"] = "adaptive"
 

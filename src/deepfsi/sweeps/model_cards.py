@@ -64,13 +64,13 @@ class DesignRecipe(StrictModel):
         Single settings of a job, as options of `deepfsi design` are.
     """
 
-    recognises: ShortText  # what it tells apart, in words
-    data: ShortText  # name or path of the data set
+    recognises: ShortText
+    data: ShortText
     rescale: tuple[float, float] | None = None
     split: str | None = None
     size: tuple[int, int] | None = None
-    note: str = ""  # what its card says besides
-    settings: dict[str, Any]  # single settings of a job, as options of `deepfsi design` are
+    note: str = ""
+    settings: dict[str, Any]
 
     @property
     def job(self) -> Job:
@@ -105,7 +105,7 @@ class Collection(StrictModel):
     """
 
     designs: dict[DesignName, DesignRecipe] = Field(min_length=1)
-    data: dict[str, DataTerms]  # by the data of the designs
+    data: dict[str, DataTerms]
 
     @model_validator(mode="after")
     def _sound(self) -> "Collection":

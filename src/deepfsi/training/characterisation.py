@@ -16,13 +16,10 @@ from torch import Tensor
 
 from deepfsi.adaptive.dictionary import MaskDictionary
 from deepfsi.adaptive.exposure import (
-    MISFIT_BUDGETS,
     AdaptiveExposure,
     AdaptiveTraining,
     LeftOutAnswers,
     LeftOutScenes,
-    measure,
-    prior_of,
 )
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
@@ -201,7 +198,6 @@ class PosteriorScenes(CalibrationScenes):
         return self.answers.odds[budget, list(places)].numpy()
 
 
-@torch.no_grad()
 def fold_answers(
     folds: Sequence[Dataset],
     training: AdaptiveTraining,
@@ -212,28 +208,19 @@ def fold_answers(
 
     A scene taken out of a prior of few leaves its trace in the components, which tell its class.
     """
-    budgets = np.array(MISFIT_BUDGETS) * job.photons
-    odds = []
+    parts = []
     for fold in folds:
         settings = training.settings
         if settings.clusters is not None:
             smallest = int(np.bincount(fold.y_train, minlength=len(fold.classes)).min())
             most = min(settings.clusters, max(1, smallest // 2))
             settings = settings.model_copy(update={"clusters": most})
-        made = AdaptiveExposure(
-            prior_of(fold, settings),
-            settings,
-            shape=fold.image_shape,
-            counted=torch.zeros(settings.looks),
-            optics=job.model_dump(mode="json")["camera"],
-            dictionary=dictionary,
-        )
         scenes = LeftOutScenes(torch.from_numpy(fold.x_test), torch.from_numpy(fold.y_test), None)
-        optics = [made.optics_at(budget, job.optics) for budget in budgets.tolist()]
         generator = torch.Generator().manual_seed(job.seed)
-        odds.append(measure(made, optics, scenes, generator)[2])
-    labels = torch.from_numpy(np.concatenate([fold.y_test for fold in folds]))
-    return LeftOutAnswers(budgets, torch.cat(odds, dim=2), labels)
+        without = AdaptiveTraining(fold, settings)
+        parts.append(without.measured(scenes, job, dictionary, generator)[2])
+    odds = torch.cat([part.odds for part in parts], dim=2)
+    return LeftOutAnswers(parts[0].budgets, odds, torch.cat([part.labels for part in parts]))
 
 
 def calibrate_posterior(
@@ -250,8 +237,8 @@ def calibrate_posterior(
     fitted = fit_temperatures(scenes, answers.budgets, trained_on=False, seed=job.seed)
     # beyond the light that is measured as at its ends
     logs = np.pad(fitted.logs, ((0, made.count - looks), (1, 1)), mode="edge")
-    ends = [job.photons / CALIBRATION_REACH], [job.photons * CALIBRATION_REACH]
-    temperatures = Temperatures(logs, np.concatenate([ends[0], answers.budgets, ends[1]]))
+    ends = job.photons / CALIBRATION_REACH, job.photons * CALIBRATION_REACH
+    temperatures = Temperatures(logs, np.array([ends[0], *answers.budgets, ends[1]]))
     test = measure_left_out(scenes, temperatures, job.photons, _guess(data), seed=job.seed)
     prior = made.prior.with_temperatures(temperatures)
     return replace(made, prior=prior), test.as_dict()
