@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src"
 
 LINES = {
-    "adaptive": 2175,
+    "adaptive": 2172,
     "base": 1479,
     "base.models": 97,
     "base.numeric": 1575,
@@ -47,7 +47,7 @@ LINES = {
     "report.playground": 225,
     "report.style": 276,
     "sweeps": 3448,
-    "training": 2243,
+    "training": 2241,
 }
 """Lines of each room, which may only fall: lower the number with them."""
 

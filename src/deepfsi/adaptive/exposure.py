@@ -623,29 +623,26 @@ class AdaptiveTraining:
             masks += [look.masks.bool() for look in looks]
         return MaskDictionary.drawn(torch.cat(masks), count, generator)
 
-    def measured(
+    def finish(
         self,
-        left_out: LeftOutScenes,
         job: Job,
-        dictionary: MaskDictionary | None,
-        generator: torch.Generator,
-    ) -> tuple[np.ndarray, Tensor, LeftOutAnswers]:
-        """Misfit and counts, as of `measure`, and answers of left-out scenes at several budgets."""
+        dictionary: MaskDictionary | None = None,
+        left_out: LeftOutScenes | None = None,
+    ) -> tuple[Tensor, UsualMisfit | None, LeftOutAnswers]:
+        """Share of the budget (K,) that each look counts, misfit and answers of left-out scenes.
+
+        They are drawn of the training scenes unless given.
+        """
         shape = self.data.image_shape
         counted = torch.zeros(self.settings.looks)
         made = AdaptiveExposure(self.prior, self.settings, shape, counted, dictionary=dictionary)
+        generator = torch.Generator().manual_seed(job.seed)
+        if left_out is None:
+            left_out = self.left_out(MISFIT_SCENES, generator)
         budgets = np.array(MISFIT_BUDGETS) * job.photons
         optics = [LookOptics.of(job.optics, shape, each) for each in budgets.tolist()]
         logarithms, counts, odds = measure(made, optics, left_out, generator)
-        return logarithms, counts, LeftOutAnswers(budgets, odds, left_out.labels)
-
-    def finish(
-        self, job: Job, dictionary: MaskDictionary | None = None
-    ) -> tuple[Tensor, UsualMisfit | None, LeftOutAnswers]:
-        """Share of the budget (K,) that each look counts, misfit and answers of left-out scenes."""
-        generator = torch.Generator().manual_seed(job.seed)
-        left_out = self.left_out(MISFIT_SCENES, generator)
-        logarithms, counts, answers = self.measured(left_out, job, dictionary, generator)
         shares = (counts[MISFIT_BUDGETS.index(1.0)] / job.photons).float()
         few = len(left_out.scenes) < FEWEST_MISFIT_SCENES
-        return shares, None if few else UsualMisfit(answers.budgets, logarithms), answers
+        misfit = None if few else UsualMisfit(budgets, logarithms)
+        return shares, misfit, LeftOutAnswers(budgets, odds, left_out.labels)

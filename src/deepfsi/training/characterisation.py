@@ -216,9 +216,7 @@ def fold_answers(
             most = min(settings.clusters, max(1, smallest // 2))
             settings = settings.model_copy(update={"clusters": most})
         scenes = LeftOutScenes(torch.from_numpy(fold.x_test), torch.from_numpy(fold.y_test), None)
-        generator = torch.Generator().manual_seed(job.seed)
-        without = AdaptiveTraining(fold, settings)
-        parts.append(without.measured(scenes, job, dictionary, generator)[2])
+        parts.append(AdaptiveTraining(fold, settings).finish(job, dictionary, scenes)[2])
     odds = torch.cat([part.odds for part in parts], dim=2)
     return LeftOutAnswers(parts[0].budgets, odds, torch.cat([part.labels for part in parts]))
 
