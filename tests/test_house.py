@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import deepfsi
+from deepfsi.cli.app import Group, app
 from shared.house import DESCRIBED, RULES, Function, House, trees
 
 ROOT = Path(__file__).parents[1]
@@ -79,6 +80,21 @@ def test_no_room_grows(house):
         lines = sum(len(path.read_text().splitlines()) for path in files)
         assert ceiling - 40 <= lines <= ceiling, f"{room}: {lines} lines, {ceiling} allowed"
     assert set(LINES) == set(house.rooms)
+
+
+COMMANDS, OPTIONS = 39, 64
+"""Commands, and options of `design`: they may only leave."""
+
+
+def test_no_command_comes_and_no_option():
+    groups, commands = [app], []
+    for group in groups:
+        entries = [group.get_command(None, name) for name in group.list_commands(None)]
+        groups += [entry for entry in entries if isinstance(entry, Group)]
+        commands += [entry for entry in entries if not isinstance(entry, Group)]
+    assert len(commands) == COMMANDS
+    [design] = (one for one in commands if one.name == "design")
+    assert sum(one.opts[0].startswith("-") for one in design.params) == OPTIONS
 
 
 TABLES = """from deepfsi.base.errors import InputError

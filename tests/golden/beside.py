@@ -5,10 +5,10 @@
 writes `exact/` anew from the reference, for cases that are new. Nothing is ever stored from the
 package that is tested.
 
-    python tests/golden/beside.py know
+    python tests/golden/beside.py know [MODULE …]
 
-adds what the reference gives on this processor to `known.json`, as a hash for each case: facts with
-such a hash are the reference's, which then need not run.
+adds what the reference gives on this processor to `known.json`, as a hash for each case that gives
+other facts: facts with such a hash are the reference's, which then need not run.
 """
 
 import contextlib
@@ -161,13 +161,7 @@ def _state(module: str) -> str:
     processor = re.findall("model name.*", about.read_text())[:1] if about.exists() else []
     processor += [platform.machine(), platform.processor()]
     machine = [*processor, sys.version, numpy.__version__, torch.__version__]
-    return digest([_cases_state(module), *machine, os.environ.get("DEEPFSI_DATA")])
-
-
-@functools.cache
-def _cases_state(module: str) -> str:
-    """Hash of the reference and of the cases of a module, without the machine."""
-    state = sha256(REFERENCE.encode())
+    state = sha256(json.dumps([REFERENCE, *machine, os.environ.get("DEEPFSI_DATA")]).encode())
     shared = [path for path in HERE.glob("*.py") if path.stem not in (*MODULES, *APART)]
     for path in sorted([HERE / f"{module}.py", *shared, *(HERE / "inputs").rglob("*")]):
         if path.is_file():
@@ -177,15 +171,14 @@ def _cases_state(module: str) -> str:
 
 @functools.cache
 def known() -> dict[str, Any]:
-    """Of each module the state of its cases, and the hashes of the reference's facts by case."""
-    return json.loads(KNOWN.read_text())
+    """Of each module and case the hashes of the facts that the reference gave."""
+    content = json.loads(KNOWN.read_text())
+    return content["cases"] if content["reference"] == REFERENCE else {}
 
 
 def is_known(module: str, name: str, of_case: dict[str, Any]) -> bool:
     """True if facts are, bit for bit, what the reference gave on one of the known processors."""
-    of_module = known().get(module, {})
-    fresh = of_module.get("state") == _cases_state(module)  # of the same reference and cases
-    return fresh and fingerprint(of_case) in of_module["cases"].get(name, "").split()
+    return fingerprint(of_case) in known().get(module, {}).get(name, "").split()
 
 
 def fingerprint(of_case: dict[str, Any]) -> str:
@@ -193,22 +186,19 @@ def fingerprint(of_case: dict[str, Any]) -> str:
     return digest([of_case["exact"], of_case["bits"]])
 
 
-def know() -> None:
-    """Add what the reference gives on this processor to the known hashes."""
-    found = {}
+def know(modules: list[str]) -> None:
+    """Add what the reference gives on this processor to the known hashes; cases that left go."""
+    content = {"reference": REFERENCE, "cases": dict(known())}
     with reference() as ask:
-        for module in MODULES:
-            state = _cases_state(module)
-            of_module = known().get(module, {})
-            before = of_module["cases"] if of_module.get("state") == state else {}
-            hashes = {name: set(own.split()) for name, own in before.items()}
-            for name in cases(module):
-                hashes.setdefault(name, set()).add(fingerprint(ask(module, name)))
-            found[module] = {
-                "state": state,
-                "cases": {name: " ".join(sorted(own)) for name, own in sorted(hashes.items())},
-            }
-    KNOWN.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n")
+        for module in modules or MODULES:
+            hashes = {}
+            for name in sorted(cases(module)):
+                before = set(known().get(module, {}).get(name, "").split())
+                if not before & {fingerprint(facts(module, name))}:
+                    before.add(fingerprint(ask(module, name)))
+                hashes[name] = " ".join(sorted(before))
+            content["cases"][module] = hashes
+    KNOWN.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n")
 
 
 def _source() -> Path | None:
@@ -268,7 +258,4 @@ MISSING = "missing"
 if __name__ == "__main__":
     sys.path[0] = str(HERE.parent)
     here = importlib.import_module("golden.beside")
-    if sys.argv[1:] == ["know"]:
-        here.know()
-    else:
-        here.store(sys.argv[2:])
+    {"know": here.know, "store": here.store}[sys.argv[1]](sys.argv[2:])

@@ -29,21 +29,6 @@ ADDED = {
 """Settings that came after the reference, and are left out of what is listed."""
 
 
-@CASES
-def help() -> dict[str, Any]:
-    """Options of every command, and the commands of every group, as `--help` lists them."""
-    out, left = {}, [""]
-    while left:
-        command = left.pop()
-        said = say(*command.split(), "--help")
-        options = re.findall(r"^  (?:-\w, )?(--[a-z-]+)", said.out, re.MULTILINE)
-        options = [option for option in options if option.removeprefix("--") not in ADDED]
-        commands = re.findall(r"^  ([a-z]+)  ", said.out, re.MULTILINE)
-        out[command] = {"code": said.code, "listed": options, "commands": commands}
-        left += [f"{command} {name}".strip() for name in commands]
-    return out
-
-
 EXPORTED = {
     **{
         device: ("single", f"--device {device}")

@@ -43,3 +43,11 @@ def test_facts_are_known_only_as_they_were():
     assert now["bits"]
     for kind in ("exact", "bits"):
         assert not beside.is_known(module, name, {**now, kind: [now[kind], "more"]})
+
+
+@pytest.mark.parametrize("module", beside.MODULES)
+def test_every_stored_case_runs(module):
+    """So none vanishes with a neighbour; some run only beside real files."""
+    stored, run = set(beside.stored(module)), set(beside.cases(module))
+    assert stored - run <= set(getattr(beside.content_of(module), "REAL_CASES", ()))
+    assert run <= stored
