@@ -24,10 +24,10 @@ LINES = {
     "base.models": 97,
     "base.numeric": 1575,
     "camera": 1623,
-    "cli": 3952,
+    "cli": 3860,
     "datasets": 3879,
     "design": 1407,
-    "designfile": 2139,
+    "designfile": 1996,
     "evaluation": 1637,
     "exposure": 2564,
     "hardware.calibration": 1181,
@@ -47,7 +47,7 @@ LINES = {
     "report": 1572,
     "report.playground": 225,
     "report.style": 276,
-    "sweeps": 3448,
+    "sweeps": 3197,
     "training": 2241,
 }
 """Lines of each room, which may only fall: lower the number with them."""
@@ -82,7 +82,7 @@ def test_no_room_grows(house):
     assert set(LINES) == set(house.rooms)
 
 
-COMMANDS, OPTIONS = 39, 64
+COMMANDS, OPTIONS = 37, 64
 """Commands, and options of `design`: they may only leave."""
 
 

@@ -6,7 +6,6 @@ import shutil
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ from deepfsi.camera.device import find_device
 from deepfsi.cli.studies import read_recipe
 from deepfsi.designfile.loop_file import read_loop
 from deepfsi.designfile.provenance import trained_on
-from deepfsi.designfile.published import CollectionIndex
 from deepfsi.evaluation import stopping
 from deepfsi.hardware.counting import tables
 from deepfsi.hardware.counting.acquisition import Calibration, read_run
@@ -39,7 +37,6 @@ from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.lab.looks import camera_of, design_rails
 from deepfsi.lab.scenes import read_scenes
 from deepfsi.report.comparison_page import write_report
-from deepfsi.sweeps.model_cards import Collection
 from deepfsi.sweeps.plan import check_settings
 from deepfsi.sweeps.recipe import only
 from deepfsi.sweeps.results import read_results
@@ -138,11 +135,6 @@ def use_recipe(path: Path) -> None:
     check_settings(only(read_recipe(str(path))), lambda recipe: data)
 
 
-def use_collection(path: Path) -> None:
-    for recipe in Collection.read(path).designs.values():
-        _ = recipe.job, recipe.hash
-
-
 def build_report(folder: Path) -> None:
     try:
         write_report(folder)
@@ -205,8 +197,6 @@ READERS = {
                      (changed_json,), 0.4),
     "report's design": Reader("out/designs/key.safetensors",
                               lambda path: build_report(path.parents[1]), (changed_tensors,), 0.4),
-    "index": Reader("published/designs.json", lambda path: CollectionIndex.read(path.parent), JSON),
-    "list of designs": Reader("collection.toml", use_collection, TOML),
     "npz": Reader("data.npz", load_dataset, (changed_zip, changed_zip, mangled), 8),
     "zip": Reader("pictures.zip", load_small, ZIP, 5),
     "zip of images": Reader("pictures.zip", load_dataset, (changed_zip,), 2),
@@ -250,8 +240,6 @@ STORED = {
     **{name: INPUTS / "recordings" / name for name in ("clicks", "lost", "live")},
     "virtual.toml": INPUTS / "ambient.toml",
     "device/device.toml": INPUTS / "loading.toml",
-    "published/designs.json": files("deepfsi.designfile") / "shipped" / "designs.json",
-    "collection.toml": files("deepfsi.sweeps") / "collection.toml",
 }  # fmt: skip
 """Samples that are stored elsewhere."""
 

@@ -169,7 +169,7 @@ def described() -> dict[str, Any]:
 
 @CASES
 def devices_and_data() -> dict[str, Any]:
-    """Lists of devices, data sets and designs; scenes as pictures."""
+    """Lists of devices and data sets; scenes as pictures."""
     return {
         "devices": answer("dmd", "devices"),
         "check": answer("data", "check", "digits"),
@@ -178,7 +178,6 @@ def devices_and_data() -> dict[str, Any]:
         "small": answer("data", "export", "digits", "--size", 4, "-o", "s"),
         "files": files("."),
         "names": [one["name"] for one in say("data", "list", "--json").json["data_sets"]],
-        "designs": answer("designs", "list"),
         "version": say("--version").code,
         "module": say("nosuch").refused(),
         "option": say("design", "--nosuch").refused(),

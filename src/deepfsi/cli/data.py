@@ -1,21 +1,17 @@
-"""Commands of data sets and of published designs, which go by a name."""
+"""Commands of data sets."""
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from deepfsi.base.models.strict import Count, WholeNumber
-from deepfsi.base.quantities import Table, budget_text, rate_text
+from deepfsi.base.quantities import Table
 from deepfsi.cli.command import Command
-from deepfsi.cli.fields import Names, Output, Size, argument, check_design_file, option, required
+from deepfsi.cli.fields import Output, Size, argument, check_design_file, option, required
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets.catalog import check, download, list_datasets
 from deepfsi.datasets.display import write_display
 from deepfsi.datasets.load import load_dataset
-
-if TYPE_CHECKING:
-    from deepfsi.designfile.published import PublishedDesign
 
 
 class DataList(Command):
@@ -109,90 +105,3 @@ def pictures_written(written: list[Path], folder: Path) -> Outcome:
         {"folder": str(folder), "pictures": [str(path) for path in written]},
         [f"{len(written)} pictures: {folder}"],
     )
-
-
-class DesignsMake(Command):
-    """`deepfsi designs make`.
-
-    Designs that are already in the folder are kept. Ctrl-C keeps those that are finished, and the
-    same command goes on.
-
-    Example: deepfsi designs make -o published
-    """
-
-    out: Annotated[Path, Output()] = required("output folder")
-    source: Path | None = argument(
-        "your own list, TOML; the package's unless given", "[LIST]", default=None
-    )
-    only: Names | None = option("names, separated by commas; all unless given")
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Designs of the list, each with its test."""
-        from deepfsi.sweeps.model_cards import Collection, make_collection
-
-        entries = {}
-        command = "deepfsi designs make" + (f" {self.source.name}" if self.source else "")
-        names = None if self.only is None else list(self.only)
-        collection = Collection.read(self.source)
-        for one in make_collection(
-            collection, self.out, names, command=command, bar=terminal.progress
-        ):
-            entries[one.name] = one.entry
-            accuracy = rate_text(one.entry.accuracy, one.entry.low, one.entry.high)
-            terminal.say(
-                f"{one.name}: {'there already, ' * one.there}test accuracy {accuracy} at "
-                f"{budget_text(one.entry.photons)} photons"
-            )
-        last = next(reversed(entries))
-        return Outcome(
-            {"folder": str(self.out), "designs": _dumped(entries)},
-            [
-                f"open one with DEEPFSI_DESIGNS={self.out} and its name, as "
-                f'deepfsi.load_design("{last}")'
-            ],
-        )
-
-
-class DesignsList(Command):
-    """`deepfsi designs list`.
-
-    They are those that come with the package, and those in the folder, or at the address, that
-    DEEPFSI_DESIGNS names.
-
-    Example: deepfsi designs list
-    """
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Designs of every collection at hand."""
-        from deepfsi.designfile.published import SHIPPED_DESIGNS, read_indexes
-
-        collections = {
-            "shipped with the package" if where == str(SHIPPED_DESIGNS) else where: designs
-            for where, designs in read_indexes().items()
-        }
-        content = [
-            {"where": where, "designs": _dumped(designs)} for where, designs in collections.items()
-        ]
-        return Outcome(
-            {**content[0], "collections": content},
-            [
-                Table(
-                    where,
-                    ("name", "recognises", "photons", "accuracy"),
-                    [
-                        (
-                            name,
-                            each.recognises,
-                            budget_text(each.photons),
-                            rate_text(each.accuracy, each.low, each.high),
-                        )
-                        for name, each in designs.items()
-                    ],
-                )
-                for where, designs in collections.items()
-            ],
-        )
-
-
-def _dumped(designs: "Mapping[str, PublishedDesign]") -> dict[str, dict[str, Any]]:
-    return {name: entry.model_dump() for name, entry in designs.items()}

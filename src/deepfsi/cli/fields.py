@@ -24,6 +24,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import MOST_INPUTS
 from deepfsi.camera.names import find_noise
 from deepfsi.datasets.load import check_source
+from deepfsi.designfile.published import find_design
 from deepfsi.jobs.exposures import EXPOSURE_FIELDS, EXPOSURE_KINDS
 from deepfsi.jobs.job import SETTING_ALIASES, Job
 from deepfsi.jobs.training import Training
@@ -203,8 +204,6 @@ def _check_writable(path: Path, folder: Path) -> None:
 
 def check_design_file(path: Path) -> Path:
     """Path of a design file, of a folder of patterns, or of a published design by its name."""
-    from deepfsi.designfile.published import find_design
-
     file = find_design(path)
     if not file.exists():
         raise InputError(f"no design file at {path}: make one with `deepfsi design`")

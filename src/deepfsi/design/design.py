@@ -784,8 +784,8 @@ def load_design(
     Parameters
     ----------
     path : str or path
-        Design file; or the name of a published design, such as ``"dmd-mnist"``, in the folder or at
-        the address of the environment variable `DEEPFSI_DESIGNS` (`published.find_design`).
+        Design file; or the name of a published design, ``"dmd-mnist"`` or
+        ``"adaptive-mnist"``.
     device : str or torch.device
         Adaptive masks are computed on the processor.
     trust : bool
@@ -795,7 +795,7 @@ def load_design(
     ------
     InputError
         If the file is missing, damaged, truncated, not a design, or of a newer schema; if a
-        published design is unknown, out of reach, or has another hash than its index says.
+        published design is unknown.
 
     Examples
     --------
