@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-FEW = ("--epochs", 15, "--hidden", "16", "--dropout", "0")
+FEW = ("--epochs", 15, "--hidden", "16")
 
 
 def lines(seed, each, columns="label,clock,laser,v1,v2,v3"):

@@ -32,9 +32,6 @@ REFUSED = {
         --epochs 3 --hidden 20,10 --lr 0.1 | leave --epochs out
         --batch 40 | leave --batch out
         --mask-lr 0.1 | leave --mask-lr out
-        --dropout 0.1 | leave --dropout out
-        --scale each | leave --scale out
-        --decay 0.1 | leave --decay out
         --balance | leave --balance out
         --start random | leave --start out
         --train-noise poisson | leave --train-noise out
@@ -79,7 +76,6 @@ REFUSED = {
         --epochs 10000000000000000000000 | 10000000000000000000000
         --hidden 0 | hidden.0 = '0': give 1 or more
         --lr -1 | lr = '-1': give more than 0
-        --dead-time 1h | dead_time = '1h'
         --exposure soon | exposure = 'soon': 'soon' is not a time
         --levels 1 | levels = '1'
         --size 4x | --size: '4x'

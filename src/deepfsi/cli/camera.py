@@ -1,7 +1,7 @@
 """Commands that describe a camera, and that calibrate a real one."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from deepfsi.base.files import write_atomically
 from deepfsi.base.models.strict import Count
@@ -18,10 +18,6 @@ class DescribeCamera(Command):
     Example: deepfsi camera describe --template my-lab.toml
     """
 
-    settings: Annotated[
-        dict[str, Any],
-        fields.OptionsOf({name: ("Camera", each) for name, each in Camera.model_fields.items()}),
-    ]
     source: Path | None = fields.argument(
         "camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper), a TOML file, a design file, or "
         "a folder of patterns or of a run; dmd unless given",
@@ -45,9 +41,9 @@ class DescribeCamera(Command):
             )
         name = "dmd" if self.source is None else str(self.source)
         if name in PRESETS or name.lower().endswith(".toml") or not Path(name).exists():
-            camera = Camera.load(name, **self.settings)
+            camera = Camera.load(name)
         else:
-            camera = camera_of(Path(name), self.settings)
+            camera = camera_of(Path(name))
         return Outcome(
             {
                 "camera": camera.model_dump(mode="json"),

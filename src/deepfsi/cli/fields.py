@@ -38,8 +38,11 @@ FIRST = "Options"
 JOB_FIELDS = ("design", "masks", "photons", "camera", "seed")
 """Fields of a job that are settings themselves."""
 
-NO_OPTIONS = ("classifier_arguments",)
-"""Fields that a recipe or Python gives."""
+NO_OPTIONS = (
+    *("region", "stretch", "dead_time", "dead_time_model", "fluctuation", "contrast"),
+    *("classifier_arguments", "dropout", "scale", "decay", "precision", "loss", "start_counts"),
+)
+"""Rarer fields, which a camera's file gives, and a recipe or Python."""
 
 COUNTER_EFFECTS = ("dead_time", "dead_time_model")
 """Fields of a camera that say what its counts are corrected for."""

@@ -410,7 +410,7 @@ def _readouts_options() -> fields.OptionsOf:
     """Options of a training, with the defaults of readouts."""
     options = fields.job_options().fields
     changed = {}
-    for name in READOUTS_SETTINGS:
+    for name in filter(options.__contains__, READOUTS_SETTINGS):
         heading, field = options[name]
         field = copy(field)
         field.default = READOUTS_TRAINING.get(name, field.default)
