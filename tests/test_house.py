@@ -20,11 +20,11 @@ SOURCE = ROOT / "src"
 
 LINES = {
     "adaptive": 2172,
-    "base": 1479,
+    "base": 1523,
     "base.models": 97,
     "base.numeric": 1575,
     "camera": 1623,
-    "cli": 3859,
+    "cli": 3814,
     "datasets": 3879,
     "design": 1407,
     "designfile": 1996,
@@ -32,7 +32,7 @@ LINES = {
     "exposure": 2564,
     "hardware.calibration": 1181,
     "hardware.counting": 3313,
-    "hardware.drivers": 1612,
+    "hardware.drivers": 126,
     "hardware.light": 1357,
     "hardware.live": 2097,
     "hardware.patterns": 2082,

@@ -216,8 +216,6 @@ REFUSED = {
     f"camera live looks --scene few --virtual ideal {FAST}": """
         --projector dlp | unknown projector
         --projector vialux | do not go together
-        --counter-config levels.ini | for --counter picoquant
-        --alp-version 4.1 | for --projector vialux
         --latency comand=1ms | did you mean 'command'
         --latency command=fast | is not a time
         --latency block=0 | block
@@ -234,7 +232,8 @@ REFUSED = {
     """,
     REAL: """
         | ALP4lib
-        --counter-config levels.ini | levels.ini
+        --counter picoquant,config=levels.ini | levels.ini
+        --projector vialux,trigger=8 | trigger = '8': unexpected keyword argument
         --flux 1e7 | --flux is for virtual devices
         --virtual pmt | --virtual is for virtual devices
         --latency command=1ms | --latency is for virtual devices

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -15,6 +14,7 @@ from deepfsi.base.models.strict import Count, WholeNumber
 from deepfsi.base.numeric.tables import read_table
 from deepfsi.base.progress import SILENT
 from deepfsi.base.quantities import seconds, time_text
+from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.device import find_device
 from deepfsi.cli import fields
@@ -23,7 +23,6 @@ from deepfsi.cli.terminal import Outcome, Terminal
 
 if TYPE_CHECKING:
     from deepfsi.hardware.counting.acquisition import Acquisition
-    from deepfsi.hardware.drivers.catalogue import DeviceSettings
     from deepfsi.hardware.drivers.protocols import Setup
     from deepfsi.hardware.virtual.setup import Latencies
 
@@ -222,19 +221,11 @@ class _DeviceRun(Command):
     settings: dict[str, Any]
     scene: Path
     out: NewRun
-    projector: str = fields.option("virtual, vialux; for recorded runs also dlpc900", "virtual")
+    projector: str = fields.option(
+        "virtual, or NAME[,SETTING=VALUE...] of a driver, such as vialux,version=4.1", "virtual"
+    )
     counter: str = fields.option(
-        "virtual, picoquant, swabian, or followed: its software writes OUT/photons.ptu", "virtual"
-    )
-    counter_config: Path | None = fields.option(
-        "file with the trigger levels of the inputs. picoquant: snAPI's .ini file; swabian: TOML, "
-        "a table [trigger_levels] of channels and volts"
-    )
-    marker_channel: int | None = fields.option(
-        "swabian: channel of the trigger, negative for falling edges"
-    )
-    alp_version: str | None = fields.option(
-        "vialux: version of the ALP interface, 4.3 unless given"
+        "virtual, or NAME[,SETTING=VALUE...] of a driver, such as swabian,trigger=8", "virtual"
     )
     virtual: VirtualName = None
     latency: tuple[str, ...] = fields.option(
@@ -250,42 +241,14 @@ class _DeviceRun(Command):
 
     def check_devices(self) -> None:
         """Raise `InputError` for devices or options that do not go together."""
-        from deepfsi.hardware.drivers.catalogue import COUNTERS, PROJECTORS
-
-        check_choice("projector", self.projector, ("virtual", *PROJECTORS))
-        check_choice("counter", self.counter, ("virtual", *COUNTERS))
+        for role, text in (("projector", self.projector), ("counter", self.counter)):
+            check_choice(role, text.partition(",")[0], ("virtual", *installed().devices[role]))
         if self.is_virtual != (self.counter == "virtual"):
             raise InputError("virtual and real devices do not go together: give both, or neither")
-        takers: dict[str, list[str]] = {name: ["virtual devices"] for name in self.OF_VIRTUAL}
-        for option, drivers in (("--counter", COUNTERS), ("--projector", PROJECTORS)):
-            for name, driver in drivers.items():
-                for setting in driver.settings:
-                    takers.setdefault(setting, []).append(f"{option} {name}")
-        chosen = {
-            f"--counter {self.counter}",
-            "virtual devices" if self.is_virtual else f"--projector {self.projector}",
-        }
-        given = self.settings.keys() | self.model_fields_set
-        for setting, devices in takers.items():
-            if setting in given and not chosen & set(devices):
+        for setting in () if self.is_virtual else self.OF_VIRTUAL:
+            if setting in self.settings.keys() | self.model_fields_set:
                 option = self.option(setting)
-                raise InputError(f"{option} is for {' or '.join(devices)}: leave it out")
-        if self.counter_config is not None:
-            fields.check_there(self.counter_config, "counter configuration")
-
-    def devices(self, terminal: Terminal) -> "DeviceSettings":
-        """Settings of real devices, before they are wired."""
-        from deepfsi.hardware.drivers.catalogue import DeviceSettings
-
-        def ask_to_record(path: Path, seconds: float) -> None:
-            terminal.warn(f"record {path} with the counter's software: begin within {seconds:g} s")
-
-        return DeviceSettings(
-            counter_config=self.counter_config,
-            marker_channel=self.marker_channel,
-            alp_version=self.alp_version,
-            ask_to_record=ask_to_record,
-        )
+                raise InputError(f"{option} is for virtual devices: leave it out")
 
     @property
     def latencies(self) -> "Latencies":
@@ -302,18 +265,16 @@ class _DeviceRun(Command):
 
     def wire(self, projector: Any, acquisition: "Acquisition", terminal: Terminal) -> "Setup[Any]":
         """Real devices of a run: someone shows the scenes, whose names are asked for."""
-        from deepfsi.hardware.drivers.catalogue import open_counter
         from deepfsi.hardware.drivers.protocols import Setup
 
-        devices = replace(
-            self.devices(terminal), inputs=acquisition.inputs, marker_bit=acquisition.marker_bit
-        )
+        wiring = {"inputs": acquisition.inputs, "marker_bit": acquisition.marker_bit}
+        counter = installed().open_device("counter", self.counter, **wiring)
 
         def display(scene: int) -> None:
             name = acquisition.scenes[scene].name
             terminal.ask(f"show {name}" if scene >= 0 else "make the scenes dark")
 
-        return Setup(projector, open_counter(self.counter, devices), display)
+        return Setup(projector, counter, display)
 
 
 class RecordRun(_DeviceRun):
@@ -344,7 +305,6 @@ class RecordRun(_DeviceRun):
         """Counts of the run."""
         from deepfsi.hardware.counting.acquisition import Acquisition, read_run
         from deepfsi.hardware.counting.count import CountSettings, count_run
-        from deepfsi.hardware.drivers.catalogue import open_projector
         from deepfsi.hardware.drivers.protocols import PassProjector, Setup
         from deepfsi.hardware.live.run import record_run
         from deepfsi.hardware.patterns.folder import read_patterns
@@ -378,15 +338,13 @@ class RecordRun(_DeviceRun):
                     self.patterns, images.x, acquisition, latencies, report=report
                 )
         else:
-            projector = open_projector(self.projector, self.devices(terminal))
+            projector = installed().open_device("projector", self.projector)
             setup = self.wire(projector, acquisition, terminal)
         loading = SILENT if terminal.as_json else None
         recorded = record_run(self.out, self.patterns, acquisition, setup, report=loading)
         with closing(recorded) as scenes_so_far:
             for scene in scenes_so_far:
                 terminal.say(str(scene))
-        if self.counter == "followed":
-            terminal.ask("end the recording in the counter's software")
         settings = CountSettings(
             effects=camera.counter_effects(self.settings), clicks=camera_of(self.patterns).clicks
         )
@@ -430,7 +388,6 @@ class RunLive(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the scenes, each said as it is decided."""
-        from deepfsi.hardware.drivers.catalogue import open_list_projector
         from deepfsi.hardware.drivers.protocols import Setup, StreamingProjector
         from deepfsi.hardware.live.results import LiveAnswers
         from deepfsi.hardware.live.run import plan_live, run_live
@@ -444,7 +401,7 @@ class RunLive(_DeviceRun):
         latencies = self.latencies
         projector = None
         if not self.is_virtual:
-            projector = open_list_projector(self.projector, self.devices(terminal))
+            projector = installed().open_device("list projector", self.projector)
         camera = camera_of(self.source, self.settings)
         exposure_s = exposure_of(camera)
         others = self.explicit(("inputs", "marker_bit"))
@@ -497,8 +454,6 @@ class RunLive(_DeviceRun):
                         decisions.append(step.decision)
                         for line in step.answer.lines(exposure_s):
                             terminal.say(line)
-            if self.counter == "followed":
-                terminal.warn("end the recording in the counter's software")
         run = LiveAnswers.of(exposure_s, answers, decisions)
         run.check_classes(self.out)
         content = run.as_dict()

@@ -12,12 +12,12 @@ from deepfsi.camera.device import find_device
 from deepfsi.hardware.calibration.scans import scan_rails
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, read_run
 from deepfsi.hardware.counting.count import count_run
-from deepfsi.hardware.drivers import swabian as swabian_module
 from deepfsi.hardware.live import run as record
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual.camera import CAMERAS
 from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
-from hardware.drivers import swabian_fake
+from deepfsi_drivers import swabian as swabian_module
+from drivers import swabian_fake
 from shared.pictures import save_images
 
 
@@ -117,19 +117,18 @@ def test_real_devices_are_asked_by_the_same_options(refuse, patterns, tmp_path, 
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     vialux, dlpc900 = "--projector vialux", "--projector dlpc900 --counter picoquant"
     swabian = f"{vialux} --counter swabian"
-    config = f"{swabian} --marker-channel 8 --counter-config"
+    config = f"{swabian},trigger=8,config="
     for words, said in (
         (f"{vialux} --counter picoquant", "ALP4lib"),
         (dlpc900, "pip install hidapi"),
-        (f"{dlpc900} --alp-version 4.1", "for --projector vialux"),
         (vialux, "do not go together"),
         (f"{vialux} --counter picoquant --flux 1e6", "for virtual devices"),
-        (swabian, "needs --marker-channel"),
-        (f"{swabian} --marker-channel 1", "no detector's"),
-        (f"{swabian} --marker-channel -8", "ALP4lib"),
-        (f"{config} {levels}", f"{levels} cannot be used at trigger_levels.1"),
-        (f"{config} {tmp_path / 'right.toml'}", "ALP4lib"),
-        (f"{vialux} --counter picoquant --marker-channel 8", "is for --counter swabian"),
+        (swabian, "such as trigger=8"),
+        (f"{swabian},trigger=1", "no detector's"),
+        (f"{swabian},trigger=-8", "ALP4lib"),
+        (f"{config}{levels}", f"{levels} cannot be used at trigger_levels.1"),
+        (f"{config}{tmp_path / 'right.toml'}", "ALP4lib"),
+        (f"{vialux} --counter picoquant,trigger=8", "trigger = '8': unexpected"),
     ):
         run = ("--scene", scenes, "-o", tmp_path / "run", *words.split())
         assert said in refuse("camera", "record", patterns, *run)

@@ -12,9 +12,9 @@ from driver_samples import check_counts, check_refused_before_a_recording, colle
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates
-from deepfsi.hardware.drivers import picoquant
 from deepfsi.hardware.photons.ptu import PtuWriter
 from deepfsi.hardware.photons.reader import PtuFile
+from deepfsi_drivers import picoquant
 
 TICK_S, FRAME = 5e-12, 10**7
 GATES = FrameGates.of(10e-6, np.linspace(5e-6, 30e-6, 12))
@@ -129,14 +129,15 @@ def api(monkeypatch, tmp_path):
 
 
 def test_counts_are_those_of_the_file_that_is_left(api, tmp_path):
-    path, settings = tmp_path / "photons.ptu", {"serial": "1045483", "config": Path("a.ini")}
+    path, settings = tmp_path / "photons.ptu", {"serial": "1045483", "config": tmp_path / "a.ini"}
+    settings["config"].touch()
     with picoquant.SnapiCounter((2, 0), marker_bit=2, **settings) as counter:
         counter.start(path)
         counter.expect(GATES)
         api.shown.set()
         found = collect(counter, 12)
     check_counts(found, path, GATES, (2, 0), TICK_S)
-    asked = "getDevice 1045483", "loadIniConfig a.ini"
+    asked = "getDevice 1045483", f"loadIniConfig {settings['config']}"
     assert {*asked, "setMarkerEnable 0 1 0 0", "setMarkerEdges 0 1 0 0"} <= {*api.steps}
     assert api.steps[-2:] == ["stopMeasure", "closeDevice"]
 

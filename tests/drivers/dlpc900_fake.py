@@ -10,7 +10,7 @@ import types
 import numpy as np
 
 from deepfsi.camera.device import DEVICES
-from deepfsi.hardware.drivers import dlpc900
+from deepfsi_drivers import dlpc900
 
 BUSY = 3  # how often the fake says that its sequencer runs, for each start
 STOPPED, STARTED, ON_THE_FLY = 0, 2, 3

@@ -8,8 +8,8 @@ from vialux_fake import DEVICE, install
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
 from deepfsi.camera.device import Device
-from deepfsi.hardware.drivers import vialux
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi_drivers import vialux
 
 
 @pytest.fixture

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.hardware.drivers import file_tail, swabian, vialux
 from deepfsi.hardware.drivers.protocols import Setup
 from deepfsi.hardware.live import frame_log
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.photons.ptu import PtuWriter
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
-from hardware.drivers import swabian_fake
-from hardware.drivers.vialux_fake import install
+from deepfsi_drivers import file_tail, swabian, vialux
+from drivers import swabian_fake
+from drivers.vialux_fake import install
 from shared.live_samples import LOOKS, bench, check_replay, live, make_patterns, scenes_of
 
 SCENES, FLUX = 3, 1e7

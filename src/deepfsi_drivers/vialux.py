@@ -29,12 +29,13 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from pydantic import validate_call
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
-from deepfsi.hardware.drivers.device_errors import let_go, refusals
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi_drivers.device_errors import let_go, refusals
 
 USUAL_VERSION = "4.3"
 """Version of the ALP interface."""
@@ -94,10 +95,11 @@ class Alp:
 class _Board(ABC):
     """A Vialux device that is open, and the frames in it."""
 
+    @validate_call
     def __init__(
-        self, version: str | None = None, library: Path | None = None, serial: int | None = None
+        self, version: str = USUAL_VERSION, library: Path | None = None, serial: int | None = None
     ) -> None:
-        self.version = version or USUAL_VERSION
+        self.version = version
         self.library = library
         self.serial = serial
         self._alp: Any = None
@@ -284,9 +286,10 @@ class VialuxLooks(_Board):
     are longer than the controller's table are shown with a longer picture time.
     """
 
+    @validate_call
     def __init__(
         self,
-        version: str | None = None,
+        version: str = USUAL_VERSION,
         library: Path | None = None,
         serial: int | None = None,
         trigger_s: float | None = None,

@@ -11,9 +11,9 @@ from driver_samples import check_counts, check_refused_before_a_recording, colle
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates
-from deepfsi.hardware.drivers import swabian
 from deepfsi.hardware.photons.reader import read_markers
-from hardware.drivers.swabian_fake import ERROR, MISSED, OVERFLOW_BEGIN, OVERFLOW_END, install
+from deepfsi_drivers import swabian
+from drivers.swabian_fake import ERROR, MISSED, OVERFLOW_BEGIN, OVERFLOW_END, install
 
 FRAME, FRAMES = 10**8, 12  # ps
 GATES = FrameGates.of(10e-6, np.linspace(5e-6, 80e-6, FRAMES))

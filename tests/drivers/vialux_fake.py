@@ -7,7 +7,7 @@ import types
 import numpy as np
 
 from deepfsi.camera.device import Device
-from deepfsi.hardware.drivers import vialux
+from deepfsi_drivers import vialux
 
 DEVICE = Device(name="small", columns=64, rows=24)
 PACKED_ROW = {1024: 128, 1920: 256, 1400: 176}  # alp.h, at ALP_DATA_BINARY_TOPDOWN

@@ -5,6 +5,7 @@ them back: look at how often the file grows before the time that a decision take
 """
 
 import os
+import sys
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -29,24 +30,24 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
         inputs: tuple[int, ...] = (0,),
         marker_bit: int = 1,
         appears_s: float = 60.0,
-        waits: Callable[[Path, float], None] | None = None,
+        ask: Callable[[str], None] | None = None,
     ) -> None:
         self._inputs = inputs
         self._bit = marker_bit
         self._appears_s = appears_s
-        self._waits = waits
+        self._ask = ask
         self._buffer = memoryview(bytearray(BYTES_AT_ONCE))
         self._file: FileIO | None = None
         self._frames: FrameCounter | None = None
 
     def __exit__(self, *error: object) -> None:
-        self.stop()
+        self._close()
 
     def start(self, path: Path) -> None:
         """Follow a file from its beginning; waits until it is there."""
-        self.stop()
-        if self._waits is not None:
-            self._waits(path, self._appears_s)
+        self._close()
+        if self._ask is not None:
+            self._ask(f"begin to record {path} with the counter's software")
         end = time.monotonic() + self._appears_s
         while not path.exists():
             if time.monotonic() > end:
@@ -94,7 +95,12 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
             )
 
     def stop(self) -> None:
-        """Follow no longer; what records the file is not stopped."""
+        """Follow no longer; someone is asked to stop what records the file."""
+        if self._ask is not None and self._file is not None:
+            self._ask("end the recording in the counter's software")
+        self._close()
+
+    def _close(self) -> None:
         if self._file is not None:
             self._file.close()
         self._file = self._frames = None
@@ -103,6 +109,16 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
         if self._file is None or self._frames is None:
             raise InputError("no recording is followed: start one first")
         return self._file, self._frames
+
+
+def open_followed(inputs: tuple[int, ...], marker_bit: int) -> FollowedCounter:
+    """Counter whose recordings someone begins and ends, who is asked on standard error."""
+
+    def ask(what: str) -> None:
+        print(f"{what}, then press Enter", file=sys.stderr, flush=True)
+        sys.stdin.readline()
+
+    return FollowedCounter(inputs, marker_bit, ask=ask)
 
 
 def _open_at_once(path: str, flags: int) -> int:

@@ -17,6 +17,8 @@ import threading
 from pathlib import Path
 from typing import Any, Self
 
+from pydantic import FilePath, validate_call
+
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
 from deepfsi.hardware.photons.reader import PtuStream
@@ -31,12 +33,13 @@ SNAPI_POLL_S = 0.0002
 class SnapiCounter:
     """Streaming counter of a PicoQuant device. Untested on hardware: see the module."""
 
+    @validate_call
     def __init__(
         self,
         inputs: tuple[int, ...] = (0,),
         marker_bit: int = 1,
         serial: str | None = None,
-        config: Path | None = None,
+        config: FilePath | None = None,
         buffer: int = 2**24,
     ) -> None:
         self.inputs = inputs

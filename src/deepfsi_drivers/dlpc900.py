@@ -36,10 +36,10 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.device import BIT_PLANES, DEVICES, Device
-from deepfsi.hardware.drivers.device_errors import let_go, refusals
 from deepfsi.hardware.patterns.controllers import Dlpc900
 from deepfsi.hardware.patterns.folder import read_frames, read_patterns
 from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi_drivers.device_errors import let_go, refusals
 
 DMDS = {1: "dlp6500", 2: "dlp9000", 3: "dlp670s", 4: "dlp500yx"}
 """Devices by the hardware type that a board reports."""
@@ -271,6 +271,14 @@ class Dlpc900Projector:
         self._device = self._board = None
         self._pass_s = 0.0
         device.close()
+
+
+def refuse_lists() -> None:
+    """Say why the board takes no part in live runs."""
+    raise InputError(
+        "live runs choose frames while they run, and a DLPC900 shows a table that is loaded "
+        "before: use projector vialux, or `deepfsi camera record` of a fixed design"
+    )
 
 
 def _healthy(link: _Link) -> int:

@@ -10,8 +10,8 @@ from driver_samples import collect
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameCounter, FrameGates
-from deepfsi.hardware.drivers import file_tail as followed
 from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi_drivers import file_tail as followed
 
 GATES = FrameGates.of(10e-6, [60e-6] * 20)
 
@@ -48,16 +48,18 @@ def test_a_growing_file_gives_the_counts_of_the_whole_one(tmp_path, content, mak
         assert len(counter.counts_since_marker(0.0).counts) == 0
 
 
-def test_the_wait_for_a_recording_is_announced(tmp_path, content):
+def test_someone_is_asked_to_begin_and_to_end_a_recording(tmp_path, content):
     path, said = tmp_path / "photons.ptu", []
 
-    def record(at: Path, seconds: float) -> None:
-        said.append((at, seconds))
-        at.write_bytes(content)
+    def ask(what: str) -> None:
+        said.append(what.split()[0])
+        path.write_bytes(content)
 
-    with followed.FollowedCounter(waits=record) as counter:
+    with followed.FollowedCounter(ask=ask) as counter:
         counter.start(path)
-    assert said == [(path, 60.0)]
+        assert said == ["begin"]
+        counter.stop()
+    assert said == ["begin", "end"]
 
 
 def test_what_is_not_there_is_named(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ import types
 
 import numpy as np
 
-from deepfsi.hardware.drivers import swabian
+from deepfsi_drivers import swabian
 
 STARTED_PS = 5 * 10**17  # tags count from the start-up of the device: it has been on for days
 TAG, ERROR, OVERFLOW_BEGIN, OVERFLOW_END, MISSED = range(5)

@@ -21,15 +21,15 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from pydantic import FiniteFloat
+from pydantic import FilePath, FiniteFloat, validate_call
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_toml
 from deepfsi.base.models.strict import UserModel
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
-from deepfsi.hardware.drivers.device_errors import refusals
-from deepfsi.hardware.drivers.file_tail import FollowedCounter
 from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi_drivers.device_errors import refusals
+from deepfsi_drivers.file_tail import FollowedCounter
 
 MODULES = "Swabian.TimeTagger", "TimeTagger"
 """The library as installed by pip, and by the vendor's installer."""
@@ -60,22 +60,6 @@ class TaggerSettings(UserModel):
     """Settings of a Time Tagger, as a TOML file has them."""
 
     trigger_levels: dict[int, FiniteFloat]  # of channels, V; the others have the device's own
-
-
-def open_tagger(
-    inputs: tuple[int, ...], marker_bit: int, *, trigger: int | None, config: Path | None
-) -> "TaggerCounter":
-    """Time Tagger with the channel of the trigger, and the settings of a TOML file."""
-    if trigger is None:
-        raise InputError(
-            "counter swabian needs {marker_channel}, that of the trigger: such as 8",
-            setting="marker_channel",
-        )
-    settings = None
-    if config is not None:
-        with as_input_error(str(config)):
-            settings = TaggerSettings.model_validate(read_toml(config))
-    return TaggerCounter(inputs, marker_bit, trigger=trigger, settings=settings)
 
 
 class TaggerCounter(AbstractContextManager["TaggerCounter"]):
@@ -195,6 +179,23 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
         self._tagger = None
         if tagger is not None:
             self._module.freeTimeTagger(tagger)
+
+
+@validate_call
+def open_tagger(
+    inputs: tuple[int, ...],
+    marker_bit: int,
+    trigger: int | None = None,
+    config: FilePath | None = None,
+) -> TaggerCounter:
+    """Time Tagger with the channel of the trigger, and the settings of a TOML file."""
+    if trigger is None:
+        raise InputError("counter swabian needs the channel of the trigger: such as trigger=8")
+    settings = None
+    if config is not None:
+        with as_input_error(str(config)):
+            settings = TaggerSettings.model_validate(read_toml(config))
+    return TaggerCounter(inputs, marker_bit, trigger=trigger, settings=settings)
 
 
 class _Tags:

@@ -1,0 +1,44 @@
+"""Parts that packages beside the core provide, found by their entry points of group ``deepfsi``."""
+
+from functools import cache
+from typing import Any
+
+from deepfsi.base.errors import as_input_error, check_choice
+from deepfsi.base.plugins import load_plugin
+
+
+class Registry:
+    """Parts by their names, each with its import path: it is loaded when it is used."""
+
+    def __init__(self) -> None:
+        self.devices: dict[str, dict[str, str]] = {
+            "projector": {},  # of passes of all frames: a `PassProjector`
+            "list projector": {},  # of frames that are chosen meanwhile: a `StreamingProjector`
+            "counter": {},  # a `StreamingCounter`
+        }
+
+    def add_device(self, role: str, name: str, target: str) -> None:
+        """Add a driver: a class or function whose keywords are the settings of the device."""
+        self.devices[role][name] = target
+
+    def open_device(self, role: str, text: str, **wiring: Any) -> Any:
+        """Driver of a device by ``NAME[,SETTING=VALUE...]``, not yet taken hold of."""
+        name, *settings = text.split(",")
+        check_choice(role, name, self.devices[role])
+        with as_input_error():
+            return load_plugin(self.devices[role][name])(
+                **wiring, **dict(setting.partition("=")[::2] for setting in settings)
+            )
+
+
+@cache
+def installed() -> Registry:
+    """Parts of all packages that are installed; one that was removed is left out."""
+    from importlib.metadata import entry_points
+    from importlib.util import find_spec
+
+    registry = Registry()
+    for point in entry_points(group="deepfsi"):
+        if find_spec(point.module.partition(".")[0]):
+            point.load()(registry)
+    return registry
