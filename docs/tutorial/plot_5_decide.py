@@ -6,7 +6,6 @@ At the end of this page you have a decision: the photons and the exposure time t
 needs. You also know how much light is saved when exposures stop early.
 """
 
-import json
 import os
 from pathlib import Path
 
@@ -15,17 +14,19 @@ import numpy as np
 
 import deepfsi
 from deepfsi.evaluation.stopping import stop
+from deepfsi.sweeps.results import read_results
+from deepfsi.sweeps.target import needs_of
 
 # %%
 # From an accuracy to photons
 # ---------------------------
 #
-# Say that 80 % of the answers must be right. ``plan`` trains each design at a few budgets, and then
-# again near the budget at which its accuracy meets the target.
+# Say that 80 % of the answers must be right. ``compare`` trains each design at each budget. With
+# ``--target`` it says where the accuracy meets 0.8.
 
 os.system(
-    "deepfsi plan --data my-pictures --target 0.8 --designs pca,deepfsi "
-    "--photons 1e2,1e3,1e4 --masks 8 --trials 1 --epochs 15 --workers 1 -o plan"
+    "deepfsi compare --data my-pictures --target 0.8 --designs pca,deepfsi "
+    "--photons 1e2,1e3,2e3,1e4 --masks 8 --trials 1 --epochs 15 --workers 1 -o target"
 )
 
 # %%
@@ -33,14 +34,15 @@ os.system(
 # budgets that were tried. In the figure it is the thick bar at an accuracy of 0.8. Thin bars are
 # 95 % intervals over test pictures.
 
-needs = json.loads(Path("plan/plan.json").read_text())["needs"]
+results = read_results(Path("target/results.json"))
+needs = needs_of(results, 0.8)
 figure, ax = plt.subplots(layout="constrained")
-for need, marker, colour in zip(needs, "Do", ("#0072b2", "#d55e00"), strict=True):
-    tried = need["tried"]
-    photons = [each["photons"] for each in tried]
-    accuracy = np.array([each["accuracy"] for each in tried])
-    low = accuracy - [each["low"] for each in tried]
-    high = [each["high"] for each in tried] - accuracy
+for need, marker, colour in zip(needs, "oD", ("#d55e00", "#0072b2"), strict=True):
+    tried = [each for each in results.points if each.design == need["design"]]
+    photons = [each.photons for each in tried]
+    accuracy = np.array([each.accuracy for each in tried])
+    low = accuracy - [each.low for each in tried]
+    high = [each.high for each in tried] - accuracy
     style = {"color": colour, "marker": marker, "capsize": 3}
     ax.errorbar(photons, accuracy, (low, high), label=need["title"], **style)
     ends = need["low"] or photons[0], need["high"] or photons[-1]
@@ -131,8 +133,8 @@ print(f"At 10⁴ photons, stopping early uses {found.used.mean:.0%} of the light
 #
 #    The photons needed stay: they depend on the pictures and the design. The time halves.
 #
-# **2.** Your task needs 0.99 instead. ``plan`` says that the target is above the highest budget
-# tried. What do you try?
+# **2.** Your task needs 0.99 instead. The table says that the target is above the
+# highest budget tried. What do you try?
 #
 # .. dropdown:: Answer
 #

@@ -15,6 +15,7 @@ from deepfsi.base.numeric.intervals import (
     all_above,
     auc_terms,
     balanced_interval,
+    find_crossing,
     image_interval,
     mean_of_trials,
     pack_values,
@@ -246,3 +247,88 @@ def test_few_images_that_differ_may_be_of_one_sign_by_chance():
         for more, told in ((5, False), (6, True)):
             right = wrong + size * (np.arange(images) < more)
             assert (paired_difference(right, wrong).low > 0) is told
+
+
+DECADES = (1e2, 1e3, 1e4, 1e5, 1e6)
+TARGET, REPEATS = 0.9, 100
+
+
+class MadeUp:
+    """Accuracy that rises with log Φ in an S from chance to a ceiling, tested on the same images.
+
+    An image is classified right where the accuracy exceeds its own threshold, so that all budgets
+    err together; each training is off by some more.
+    """
+
+    def __init__(self, rng: np.random.Generator, width: float, ceiling: float, images: int) -> None:
+        self.rng, self.width, self.ceiling = rng, width, ceiling
+        self.middle = rng.uniform(3.2, 4.8)
+        self.thresholds = np.sort(rng.random(images))
+
+    def accuracy(self, photons: float) -> float:
+        steps = (np.log10(photons) - self.middle) / self.width
+        return 0.1 + (self.ceiling - 0.1) / (1 + np.exp(-steps))
+
+    @property
+    def crossing(self) -> float:
+        odds = (TARGET - 0.1) / (self.ceiling - TARGET)
+        return 10 ** (self.middle + self.width * np.log(odds))
+
+    def tested(self, photons: float) -> float:
+        true = self.accuracy(photons) + 0.004 * self.rng.standard_normal()
+        return float(np.searchsorted(self.thresholds, true)) / len(self.thresholds)
+
+
+@pytest.mark.parametrize("images", [300, 10_000])
+@pytest.mark.parametrize(("width", "ceiling"), [(0.15, 0.95), (0.3, 0.97), (0.5, 1.0)])
+def test_the_crossing_is_in_the_interval_at_the_stated_rate(width, ceiling, images):
+    rng = np.random.default_rng(images)
+    inside = 0
+    for _ in range(REPEATS):
+        curve = MadeUp(rng, width, ceiling, images)
+        tests = [[curve.tested(budget) for _ in range(3)] for budget in DECADES]
+        found = find_crossing(DECADES, tests, images, TARGET)
+        low, high = found.low or 0.0, found.high or np.inf
+        inside += low <= curve.crossing <= high
+    assert inside / REPEATS >= 0.95 - 5 * np.sqrt(0.95 * 0.05 / REPEATS)
+
+
+def test_a_budget_that_is_tried_at_the_crossing_is_it():
+    found = find_crossing([1e2, 1e3, 1e4], [[0.2], [0.9], [0.95]], 10**12, 0.9)
+    assert found.photons == pytest.approx(1e3)
+    assert (found.low, found.high) == pytest.approx((1e3, 1e3), rel=0.02)
+
+
+def test_more_seeds_that_differ_more_widen_the_interval():
+    means = (0.2, 0.6, 0.85, 0.95, 0.97)
+    calm, wild = (
+        find_crossing(DECADES, [[p - off, p + off] for p in means], 10**6, 0.9)
+        for off in (0.001, 0.02)
+    )
+    assert calm.photons == pytest.approx(wild.photons)
+    assert wild.low < calm.low < calm.high < wild.high
+
+
+@pytest.mark.parametrize(
+    ("accuracies", "found", "low", "high"),
+    [
+        ((0.5, 0.6, 0.7), "beyond", (1e4, 1e4), None),
+        ((0.5, 0.6, 0.899), "beyond", (1e3, 0.999e4), None),
+        ((0.95, 0.96, 0.97), "below", None, (1e2, 1e2)),
+        ((0.901, 0.96, 0.97), "below", None, (1.001e2, 1e3)),
+    ],
+    ids=["surely beyond", "perhaps beyond", "surely below", "perhaps below"],
+)
+def test_targets_beyond_what_was_tried(accuracies, found, low, high):
+    """An interval's end that is not known is None, and what is known of it lies within bounds."""
+    crossing = find_crossing([1e2, 1e3, 1e4], [[accuracy] for accuracy in accuracies], 300, 0.9)
+    assert (crossing.photons, crossing.found) == (None, found)
+    for end, bounds in ((crossing.low, low), (crossing.high, high)):
+        assert end is None if bounds is None else bounds[0] <= end <= bounds[1]
+
+
+def test_accuracies_out_of_order_are_brought_to_order():
+    found = find_crossing(DECADES, [[0.2], [0.9], [0.86], [0.95], [0.97]], 1000, 0.9)
+    assert found.found == "within"
+    assert 1e4 < found.photons < 1e5
+    assert 1e2 < found.low < 1e3

@@ -5,12 +5,11 @@ import pty
 import re
 import subprocess
 import sys
-import time
 
 import pytest
 
 from deepfsi.base import progress
-from deepfsi.base.progress import Moments, terminal_bar
+from deepfsi.base.progress import terminal_bar
 from shared.waiting import until
 
 
@@ -64,14 +63,3 @@ def test_a_bar_on_a_terminal_shows_the_time_left_however_rarely_work_ends(tmp_pa
     os.close(screen)
     assert "[a class]" in shown
     assert re.search(r"\d:\d\d:\d\d \S*\s*\S*\d:\d\d:\d\d", re.sub(r"\x1b\[[\d;?]*\w", "", shown))
-
-
-def test_moments_are_those_at_which_a_share_is_first_reached(monkeypatch):
-    clock = iter([0.0, 1.0, 2.0, 5.0])
-    monkeypatch.setattr(time, "perf_counter", lambda: next(clock))
-    moments = Moments()
-    for share in (0.0, 0.3, 0.5, 1.0):
-        moments.report(share)
-    assert moments.epochs(2) == [2.0, 3.0]
-    with pytest.raises(StopIteration):
-        moments.reached(1.1)

@@ -61,17 +61,6 @@ def test_a_dictionary_is_exported_whole_or_not_at_all(call, ready, tmp_path, hel
         assert [each.name for each in tmp_path.iterdir()] == ["small.toml"]
 
 
-def test_losses_of_a_dictionary_have_no_loading(done, refuse, ready):
-    told = json.loads(done("plan", "--losses", ready, "--dmd", "dlp7000", "--json"))
-    waits = told["waits_s"]
-    assert (waits["loading"], waits["decision"]) == (0, 0)
-    assert waits["settling"] == pytest.approx(3 * 10e-6)
-    assert not any("on the device before" in each["change"] for each in told["changes"])
-    assert "masks that are chosen in no time" in told["assumed"]
-    said = refuse("plan", "--losses", ready, "--dmd", "dlp4500")
-    assert "64 frames do not fit dlp4500, whose controller holds 48" in said
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [

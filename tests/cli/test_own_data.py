@@ -151,7 +151,6 @@ def test_pictures_that_were_trained_on_are_told_apart_in_a_live_run(
     [
         "design --design pca --photons 1e4",
         "compare --designs pca --workers 1 --photons 1e4",
-        "plan --designs pca --workers 1 --trials 1 --target 0.4",
     ],
 )
 def test_pictures_that_cannot_be_read_are_left_out_and_named(

@@ -128,16 +128,14 @@ REFUSED = {
         vast-pca.toml | 1000000000 trials
         vast-deepfsi.toml | 1000000000 trials
         split.toml | digits: a split was given; only a hyperspectral image takes one
-        split.toml --dry-run | digits: a split was given; only a hyperspectral image takes one
         halves.toml | 'random' or 'blocks'
     """,
     "reproduce nosuch": "| unknown experiment 'nosuch'",
-    "plan": """
-        --target 2 | target 2 is not allowed
-        --target 0.5 --designs pca --masks 3 --detectors gap.npy | from 0 without a gap
-        | give --target, such as 0.95, or --losses
-        a.safetensors --target 0.5 | a design file is for --losses
-        --target 0.5 --efficiency 0.5 | --efficiency is for --losses
+    "compare --target": """
+        2 | --target 2 is not allowed
+        0.05 | give an accuracy below 1 and above 0.1
+        0.5 --photons 1e3 | give two budgets of --photons or more
+        0.5 --designs pca --masks 3 --detectors gap.npy | from 0 without a gap
     """,
     "design --photons 1e4 --masks 3 --light free-dwell --rails single --detectors": """
         9x9 | do not divide scenes of 8x8: give ROWSxCOLUMNS from 1x1 to 8x8
@@ -322,7 +320,7 @@ OUT = {
     "show": "out.png",
     "page": "out.html",
     "export": "out.onnx",
-    **dict.fromkeys(("compare", "sweep", "plan", "reproduce", "dmd export", "data export"), "out"),
+    **dict.fromkeys(("compare", "sweep", "reproduce", "dmd export", "data export"), "out"),
     **{f"camera {name}": "out" for name in ("simulate", "record", "live", "spots", "prepare")},
     "camera calibrate": "out",
 }
@@ -357,7 +355,7 @@ def test_what_cannot_be_is_one_line_that_names_it(refuse, monkeypatch, folder, l
     [
         ("compare", "photons"),
         ("compare", "ratios"),
-        ("plan", "target"),
+        ("compare", "target"),
         ("design --masks 2", "photons"),
         ("evaluate a.safetensors", "photons"),
         ("stop a.safetensors", "photons"),
@@ -397,7 +395,7 @@ def test_ten_mistakes_of_a_recipe_are_told_at_once(refuse, tmp_path):
 
 
 FOLDERS = [
-    *("compare", "sweep baseline", "reproduce mnist", "plan --target 0.5"),
+    *("compare", "sweep baseline", "reproduce mnist"),
     *("data export digits", "camera spots", "dmd export a.safetensors"),
     "camera simulate looks --scene few --flux 1e7 --exposure 1ms",
     "camera calibrate run --spots spots",
@@ -462,7 +460,6 @@ compare --data none.npz
 compare --recipe none.toml
 sweep none.toml
 report none
-plan --target 0.5 --data none.npz
 design --photons 1e3 -o d.safetensors --data none.npz
 evaluate none.safetensors --photons 1e3
 stop none.safetensors --photons 1e3

@@ -22,7 +22,7 @@ from golden.facts import (
 CASES = Cases()
 
 ADDED = {
-    *("fluctuation", "cap", "mean-light", "losses", "efficiency", "decision", "dictionary"),
+    *("fluctuation", "cap", "mean-light", "dictionary"),
     "start-counts",
     "least-cap",
 }

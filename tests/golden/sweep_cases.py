@@ -124,10 +124,3 @@ def keys_of(name: str) -> dict[str, Any]:
         for quick in (False, True)
         for scenes, data in every.items()
     }
-
-
-@CASES
-def planned() -> dict[str, Any]:
-    """A plan of photons for a target accuracy."""
-    words = ("--data", "digits", "--designs", "pca", "--target", 0.5, "--masks", 4, "--epochs", 1)
-    return {"said": timeless(answer("plan", *words, "--hidden", 8, "--workers", 1, "-o", "plan"))}

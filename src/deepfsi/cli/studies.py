@@ -1,6 +1,5 @@
-"""Commands that train many designs: compare, plan, sweep, reproduce, report."""
+"""Commands that train many designs: compare, sweep, reproduce, report."""
 
-import json
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import asdict, replace
@@ -8,13 +7,12 @@ from importlib import import_module
 from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
 from deepfsi.base.errors import InputError, closest_choice
-from deepfsi.base.files import read_toml, write_atomically
+from deepfsi.base.files import read_toml
 from deepfsi.base.models.strict import Count
 from deepfsi.base.plugins import check_report
 from deepfsi.base.quantities import Table
@@ -40,17 +38,6 @@ PAPER_PACKAGE = "deepfsi_paper"
 
 QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": {"epochs": 30}}
 """Recipe of a comparison on digits, where no ratios, masks or trials are given."""
-
-PLANNED: dict[str, Any] = {
-    "designs": ("impulse", "raster", "truncated-hadamard", "pca", "deepfsi"),
-    "photons": (1e2, 1e3, 1e4, 1e5, 1e6),
-    "ratios": (0.01, 0.04, 0.16),
-    "trials": 2,
-}
-"""Recipe of a plan where nothing else is given; budgets are added where the target is met."""
-
-MOST_PLANNED = 10_000
-"""Masks of a table of losses at most."""
 
 OF_ONE_DESIGN = ("design", "seed", "least_cap")
 """Settings of a job that a comparison does not have: its own, and a cap that a training finds."""
@@ -89,6 +76,9 @@ class CompareDesigns(Command):
     recipe: str | None = fields.option(
         "name of a recipe, or TOML file; options given here override it"
     )
+    target: fields.Number | None = fields.option(
+        "accuracy, such as 0.9: read off the curves the photons and masks that it needs"
+    )
     device: fields.TorchDevice = "auto"
     workers: fields.WorkerCount = None
     force: fields.Force = False
@@ -101,6 +91,7 @@ class CompareDesigns(Command):
         from deepfsi.sweeps.plan import check_used, with_adaptive
         from deepfsi.sweeps.recipe import only
         from deepfsi.sweeps.run import check_kept, compare
+        from deepfsi.sweeps.target import check_target
         from deepfsi.sweeps.workers import Workers
 
         matrix = None if self.matrix is None else read_matrix(self.matrix)
@@ -115,6 +106,8 @@ class CompareDesigns(Command):
         recipe, scenes = _checked(recipe_settings(self.settings, chosen, base), matrix)
         if unnamed:
             recipe = with_adaptive(recipe, scenes)
+        if self.target is not None:
+            check_target(self.target, recipe, scenes)
         check_used(recipe, self.settings)
         fields.check_sigma(self.settings, (*recipe.noises, *recipe.test_noise))
         if not self.force:
@@ -130,143 +123,7 @@ class CompareDesigns(Command):
                 workers=Workers(self.workers),
                 report=report,
             )
-        return results_outcome(results, self.out)
-
-
-class PlanPhotons(Command):
-    """`deepfsi plan`.
-
-    Every design is trained at a few budgets, then near the budget at which its accuracy meets the
-    target. Accuracies in between are interpolated; the interval covers any shape that the curve may
-    plausibly have there.
-
-    A stopped plan goes on when it is run again with the same output folder, also with another
-    target.
-
-    With --losses nothing is trained: of the light that arrives it says what OFF mirrors, moving
-    mirrors, loading, detector and dead time lose, and what another camera would count.
-
-    Example: deepfsi plan --data mnist --target 0.9 --designs pca,deepfsi -o runs/plan
-    """
-
-    OF_LOSSES: ClassVar = ("file", "efficiency", "decision")
-    """Settings that need --losses."""
-
-    file: Path | None = fields.argument(
-        "with --losses: design file, whose masks' throughput is taken; masks with half of their "
-        "mirrors ON unless given",
-        "[file]",
-        default=None,
-    )
-
-    settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=OF_ONE_DESIGN)]
-    target: fields.Number | None = fields.option("target accuracy, such as 0.95")
-    losses: bool = fields.flag("say where the camera loses light, and train nothing")
-    efficiency: Annotated[float, Field(gt=0, le=1)] = fields.option(
-        "with --losses: share of photons that a detector sees", 1.0
-    )
-    decision: fields.Time = fields.option(
-        "with --losses: time to choose the next mask of adaptive masks, such as 10ms", 0.0
-    )
-    out: fields.StudyFolder = Path("runs/plan")
-    data: fields.TrainingData = "digits"
-    size: fields.Size = None
-    skip_bad: fields.SkipBad = False
-    designs: fields.Designs = None
-    ratios: fields.Ratios = None
-    trials: fields.Trials = None
-    device: fields.TorchDevice = "auto"
-    workers: fields.WorkerCount = None
-    force: fields.Force = False
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Photons, masks and detectors that each design needs; or where light is lost."""
-        if self.losses:
-            return self._losses()
-        for name in self.OF_LOSSES:
-            if name in self.model_fields_set:
-                raise InputError(
-                    "{given} is for {losses}: leave it out, or add that",
-                    setting="losses",
-                    given="a design file" if name == "file" else self.option(name),
-                )
-        if self.target is None:
-            raise InputError(
-                "a plan needs an accuracy: give {target}, such as 0.95, or {losses}, which trains "
-                "nothing",
-                setting=("target", "losses"),
-            )
-        from deepfsi.sweeps.forecast import check_plan, photons_needed, plan_lines
-        from deepfsi.sweeps.plan import check_used
-        from deepfsi.sweeps.results import write_results
-        from deepfsi.sweeps.run import check_kept
-        from deepfsi.sweeps.workers import Workers
-
-        chosen = self.explicit(RECIPE_FIELDS)
-        chosen["data"] = self.data
-        recipe, scenes = _checked(recipe_settings(self.settings, chosen, PLANNED))
-        check_used(recipe, self.settings)
-        fields.check_sigma(self.settings, recipe.noises)
-        check_plan(recipe, scenes, self.target)
-        if not self.force:
-            check_kept(self.out, recipe, scenes)
-        with terminal.progress("plan") as report:
-            plan, results = photons_needed(
-                recipe,
-                scenes,
-                self.target,
-                self.out,
-                command=terminal.command_line,
-                device=self.device,
-                workers=Workers(self.workers),
-                report=report,
-            )
-        write_atomically(self.out / "plan.json", json.dumps(plan, indent=1).encode())
-        write_results(self.out / "results.json", results)
-        return Outcome(
-            plan, [*data_lines(scenes), *plan_lines(plan), f"plan: {self.out / 'plan.json'}"]
-        )
-
-    def _losses(self) -> Outcome:
-        """Where the light of the camera is lost."""
-        from deepfsi.lab.losses import plan_losses
-
-        others = self.model_fields_set - {"settings", "losses", *self.OF_LOSSES}
-        tables = {name: find_table(name) for name in self.settings}
-        trained = [
-            name
-            for name, (table, _) in tables.items()
-            if table != "camera" and name not in ("camera", "masks")
-        ]
-        for name in (*sorted(others), *trained):
-            raise InputError(
-                "{given} is of trainings, and {losses} trains nothing: leave it out",
-                setting="losses",
-                given=self.option(name),
-            )
-        masks = None
-        if "masks" in self.settings:
-            masks = fields.parse_option("masks", fields.whole_number, self.settings["masks"])
-            if not 1 <= masks <= MOST_PLANNED:
-                raise InputError(f"--masks {masks} is not allowed: give 1 to {MOST_PLANNED} masks")
-        settings = {tables[name][1]: value for name, value in self.settings.items()}
-        settings.pop("masks", None)
-        planned = plan_losses(
-            None if self.file is None else fields.check_design_file(self.file),
-            settings,
-            masks=masks,
-            efficiency=self.efficiency,
-            decision_s=self.decision,
-        )
-        return Outcome(
-            {
-                "camera": planned.camera.model_dump(mode="json"),
-                **planned.losses.as_dict(),
-                "assumed": list(planned.assumed),
-            },
-            [*planned.losses.lines(), *(f"assumed: {each}" for each in planned.assumed)],
-            schema="plan.losses",
-        )
+        return results_outcome(results, self.out, self.target)
 
 
 class SweepRecipe(Command):
@@ -290,15 +147,13 @@ class SweepRecipe(Command):
     workers: fields.WorkerCount = None
     ray: fields.Ray = None
     device: fields.TorchDevice = "auto"
-    dry_run: bool = fields.flag("estimate the time on this machine, and stop")
     table: Path | None = fields.option("write all records as one table, .csv or .parquet")
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Results and a page of them; or how long they would take."""
-        if not self.dry_run:
-            check_report()
-            fields.check_folder(self.out)
+        """Results and a page of them."""
+        check_report()
+        fields.check_folder(self.out)
         if self.table is not None:
             fields.check_file(self.table, fields.TABLE_FILES, self.force, made=self.out)
         file = read_recipe(self.recipe)
@@ -311,8 +166,6 @@ class SweepRecipe(Command):
             {**only(file, self.part_name, self.quick), **self.explicit(("camera", "folds"))}
         )
         workers = Workers(self.workers, self.ray)
-        if self.dry_run:
-            return self._forecast(recipe, scenes, terminal)
         if not self.force:
             check_kept(self.out, recipe, scenes)
         with terminal.progress("sweep") as report:
@@ -330,16 +183,6 @@ class SweepRecipe(Command):
             return outcome
         write_table(records, self.table)
         return replace(outcome, lines=[*outcome.lines, f"table: {self.table}"])
-
-    def _forecast(self, recipe: "Recipe", scenes: Dataset, terminal: Terminal) -> Outcome:
-        """Time that the trials would take here."""
-        from deepfsi.sweeps.forecast import forecast_cost
-
-        with terminal.progress("timing a few steps of each kind") as report:
-            cost = forecast_cost(
-                recipe, scenes, self.out, device=self.device, workers=self.workers, report=report
-            )
-        return Outcome(asdict(cost), cost.lines(), schema="sweep.forecast")
 
 
 class ReproducePaper(Command):
@@ -553,8 +396,8 @@ def _checked(
 # results
 
 
-def results_outcome(results: "Results", folder: Path) -> Outcome:
-    """Write the results of trials and their page, and say them."""
+def results_outcome(results: "Results", folder: Path, target: float | None = None) -> Outcome:
+    """Write the results of trials and their page, and say them, with what a target needs."""
     from deepfsi.report.comparison_page import (
         comparison_lines,
         leader_differences,
@@ -563,6 +406,7 @@ def results_outcome(results: "Results", folder: Path) -> Outcome:
     )
     from deepfsi.report.verdict import verdict_of
     from deepfsi.sweeps.results import write_results
+    from deepfsi.sweeps.target import needs_of, needs_table
 
     write_results(folder / "results.json", results)
     page = write_report(folder)
@@ -571,10 +415,12 @@ def results_outcome(results: "Results", folder: Path) -> Outcome:
     content = results.as_dict()
     for point in content["points"]:
         point.pop("terms", None)
+    needs = [] if target is None else needs_of(results, target)
     return Outcome(
         {
             "report": str(page),
             "verdict": verdict.text,
+            **({} if target is None else {"target": target, "needs": needs}),
             **content,
             "notes": notes,
             "differences": list(leader_differences(results)),
@@ -582,6 +428,7 @@ def results_outcome(results: "Results", folder: Path) -> Outcome:
         [
             *data_lines(results.data, notes),
             *comparison_lines(results),
+            *([] if target is None else [needs_table(target, needs)]),
             f"report: {page}",
         ],
     )
