@@ -208,7 +208,6 @@ REFUSED = {
     "camera classify a.safetensors run": "| counts.npz is missing",
     "camera image run --out x.txt": "| end the name in .png",
     "camera inspect a.safetensors": "| is not a PTU file",
-    "camera scan run/photons.ptu --out s.npz": "| give --line-start",
     "camera calibrate run --spots nosuch": "| no picture at nosuch",
     "camera check run": "| counts.npz is missing",
     f"camera live looks --scene few --virtual ideal {FAST}": """
@@ -472,7 +471,6 @@ camera simulate none --scene none --flux 1e7 --exposure 1ms -o run
 camera count none
 camera classify none.safetensors run
 camera image none
-camera picture none.npy --masks hadamard-natural -o picture
 camera inspect none.ptu
 camera prepare none --scenes none -o run
 """.strip()

@@ -35,7 +35,6 @@ report .
 page b.safetensors -o page.html
 show b.safetensors -o b.png
 camera image frames
-camera picture counts.npy --masks hadamard-natural -o picture
 reproduce list
 """.strip().splitlines()
 

@@ -1,7 +1,6 @@
 """Runs that are stored, recorded, counted, classified, lived and replayed; tables of counts."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -434,40 +433,6 @@ def imported() -> dict[str, Any]:
 
 
 @CASES
-def pictured() -> dict[str, Any]:
-    """Pictures of tables of counts behind named masks, and a verdict on their light."""
-    from scipy.linalg import hadamard
-
-    rng, masks = np.random.default_rng(0), hadamard(64)
-    scene = np.zeros((8, 8))
-    scene[2:6, 3:5] = 40.0
-    mean = np.stack([(masks > 0) @ scene.ravel(), (masks < 0) @ scene.ravel()], axis=1)
-    np.save("steady.npy", rng.poisson(mean))
-    np.save("lamp.npy", rng.poisson(mean * rng.lognormal(0, 0.1, 64)[:, None]))
-    np.savetxt("turns.csv", rng.poisson(mean).reshape(-1), fmt="%d")
-    np.savetxt("single.csv", rng.poisson(mean[:, 0]), fmt="%d")
-    np.save("other.npy", scene)
-    words = (
-        "steady.npy --masks hadamard-natural",
-        "steady.npy lamp.npy --masks hadamard-natural --exposures 1ms,1ms --block 16",
-        "turns.csv --masks hadamard-natural --rails turns --compare other.npy",
-        "single.csv --masks hadamard-sequency --rails single --size 8x8",
-        "single.csv --masks raster --rails single",
-        "steady.npy --masks wavelet-haar-1",
-        "steady.npy --masks hadamrd",
-        "turns.csv --masks hadamard-natural --size 16x16",
-    )
-    out = {}
-    for number, one in enumerate(words):
-        said = answer("camera", "picture", *one.split(), "-o", f"p{number}")
-        out[one] = {"said": said}
-        if Path(f"p{number}").exists():
-            out[one]["pictures"] = np.load(f"p{number}/pictures.npy")
-            out[one]["names"] = sorted(os.listdir(f"p{number}"))
-    return out
-
-
-@CASES
 def calibrated() -> dict[str, Any]:
     """Spots through a tilted camera, the view fitted to them, and scenes checked."""
     Path("tilted.toml").write_text(
@@ -514,34 +479,9 @@ def public_names() -> dict[str, Any]:
 
 @REAL_CASES
 def real_photons() -> dict[str, Any]:
-    """Files of PicoQuant devices: listed, and refused or scanned."""
+    """Files of PicoQuant devices: listed, or refused."""
     out = {}
     for name in ("hydraharp_v20_t2", "hydraharp_v20_t3", "picoharp_v30_t2"):
         out[name] = answer("camera", "inspect", DATA / "ptu" / f"{name}.ptu")
-    said = answer("camera", "scan", DATA / "ptu/hazelnut_flim.ptu", "--pixels", 16, "-o", "s.npz")
-    out["scan"] = said
-    if Path("s.npz").exists():
-        out["lines"] = arrays("s.npz")
     out["spc"] = answer("camera", "inspect", DATA / "bh/test_noise.spc")
-    return out
-
-
-@REAL_CASES
-def real_pictures() -> dict[str, Any]:
-    """Counts of a photon counter and coefficients of wavelets."""
-    out = {}
-    counter, wavelet = DATA / "spc_photon_counter", DATA / "spc_wavelet"
-    for number, words in enumerate(
-        (
-            f"{counter}/240324_14_256_1000_0.npy --masks hadamard-natural --rails turns",
-            f"{counter}/240321_13_1024_20000_150_0.npy {counter}/240321_13_1024_40000_150_0.npy "
-            "--masks hadamard-natural --block 64 --exposures 20ms,40ms",
-            f"{wavelet}/Jaszczak_Haar_4_128x128.mat:W --masks wavelet-haar-4 "
-            f"--compare {wavelet}/Jaszczak_Haar_4_128x128.mat:F",
-            f"{wavelet}/Jaszczak_Haar_4_128x128.mat --masks wavelet-haar-4",
-        )
-    ):
-        out[str(number)] = answer("camera", "picture", *words.split(), "-o", f"p{number}")
-        if Path(f"p{number}").exists():
-            out[f"pictures {number}"] = np.load(f"p{number}/pictures.npy")
     return out

@@ -18,7 +18,7 @@ BELOW_THE_WALL = ("base", "datasets", "camera", "jobs", "designfile", "measures"
 
 HEAVY = """
     PIL h5py hashlib importlib inspect matplotlib numpy onnx onnxruntime platform polars pooch
-    psutil pydantic pywt ray rich scipy shutil skimage sklearn spectral tensorly threadpoolctl
+    psutil pydantic ray rich scipy shutil skimage sklearn spectral tensorly threadpoolctl
     tomllib torch
 """
 """Libraries that a function may import, since they are slow to load or optional. Python's own among

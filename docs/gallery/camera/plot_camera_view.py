@@ -14,9 +14,9 @@ import numpy as np
 
 import deepfsi
 from deepfsi.camera.device import find_device
+from deepfsi.hardware.calibration.reconstruction import reconstruct
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-from deepfsi.hardware.pictures.solve import reconstruct
 from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, record_scenes
 from deepfsi.lab.looks import design_rails
 

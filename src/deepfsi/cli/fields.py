@@ -399,11 +399,8 @@ Inputs = Annotated[
 ]
 """Inputs of a counter, from 0, where people count from 1."""
 
-MarkerNumber = Annotated[int, Field(ge=0, le=3)]
-"""Number of a marker input."""
-
 MarkerBit = Annotated[
-    Annotated[MarkerNumber, AfterValidator(lambda number: 1 << number)] | None,
+    Annotated[int, Field(ge=0, le=3), AfterValidator(lambda number: 1 << number)] | None,
     Field(
         alias="marker",
         description="marker input of the trigger, 0 for the first, as `inspect` numbers them",

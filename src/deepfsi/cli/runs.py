@@ -1,18 +1,13 @@
 """Commands that read what was recorded: photon files, runs, tables of counts, and readouts."""
 
 from copy import copy
-from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from pydantic import Field
-
 from deepfsi.base.errors import InputError, check_choice
-from deepfsi.base.files import DESIGN_ENDINGS, new_folder, write_atomically
+from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
 from deepfsi.base.models.strict import Count
 from deepfsi.base.numeric.tables import TABLE_ENDINGS, is_table, read_table
-from deepfsi.base.quantities import seconds
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
@@ -22,8 +17,6 @@ from deepfsi.jobs.training import READOUTS_TRAINING
 if TYPE_CHECKING:
     from deepfsi.hardware.counting.tables import TableSettings
 
-
-OF_HEADER = "marker input, 0 to 3; that of the header unless given"
 
 READOUTS_SETTINGS = ("epochs", "batch", "lr", "hidden", "dropout", "decay")
 """Settings of a job that a training of readouts has."""
@@ -222,8 +215,8 @@ class ReconstructScenes(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of each scene."""
+        from deepfsi.hardware.calibration.reconstruction import reconstruct
         from deepfsi.hardware.counting.acquisition import read_run
-        from deepfsi.hardware.pictures.solve import reconstruct
         from deepfsi.report.pictures import pictures_figure
         from deepfsi.report.style import write_figure
 
@@ -231,129 +224,6 @@ class ReconstructScenes(Command):
         names = [scene.name for scene in read_run(self.folder).acquisition.scenes]
         write_figure(pictures_figure(reconstruct(self.folder), names), out)
         return Outcome({"picture": str(out)}, [f"drawn: {out}"])
-
-
-class DrawTables(Command):
-    """`deepfsi camera picture`.
-
-    A mask and its inverse together see all the light. So their sums have one mean, and scatter as
-    Poisson counts do if the light is steady. Any excess is measured, and the command says where in
-    the sequence it lies. Of several tables it says what is alike in them.
-
-    Example: deepfsi camera picture counts.npy --masks hadamard-natural -o picture
-    """
-
-    tables: tuple[str, ...] = fields.argument(
-        "table of counts behind each mask, .npy .csv .mat .parquet .h5 (FILE:VARIABLE); several of "
-        "the same masks are compared",
-        "COUNTS...",
-    )
-    masks: str = fields.required(
-        "hadamard-natural (of scipy.linalg.hadamard), hadamard-sequency or hadamard-walsh, "
-        "hadamard (of the design), raster; wavelet-haar-4 and the like, of coefficients; or a file "
-        "of masks (m, N) or (m, H, W)"
-    )
-    out: Annotated[Path, fields.Output(new=True)] = fields.required("folder of the pictures, new")
-    size: fields.HeightWidth | None = fields.option(
-        "HEIGHTxWIDTH of the picture; a square unless given"
-    )
-    rails: str | None = fields.option(
-        "mask and inverse as two columns, in one column in turns or as two halves, or single "
-        "masks: columns, turns, halves, single; by the shape unless given"
-    )
-    exposures: fields.Names | None = fields.option(
-        "time of a picture in each table, such as 20ms,40ms"
-    )
-    block: Annotated[int, Field(ge=2)] | None = fields.option(
-        "pictures that were uploaded and shown at a time, such as 64"
-    )
-    compare: str | None = fields.option(
-        "picture of another camera, FILE or FILE:VARIABLE, to compare with"
-    )
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Pictures, and the verdict on their light."""
-        from deepfsi.hardware.pictures.tables import TableMasks, compare_picture, read_pictures
-        from deepfsi.report.pictures import pictures_figure, rail_light_figure
-        from deepfsi.report.style import write_figure
-
-        times = self.exposures or ()
-        exposures_s = [fields.parse_option("exposures", seconds, time) for time in times]
-        settings = TableMasks(
-            self.masks,
-            self.size,
-            self.rails,
-            exposures_s=tuple(exposures_s) or None,
-            block=self.block,
-        )
-        tables = read_pictures(self.tables, settings)
-        names = list(times if len(set(times)) == len(self.tables) else tables.names)
-        pictures = tables.pictures / tables.brightness
-        if self.compare is not None:
-            tables = compare_picture(tables, self.compare)
-        figures = {}
-        if tables.sums is not None and tables.fine is not None:
-            figures["light.png"] = rail_light_figure(tables.sums, tables.fine, names)
-        if tables.agreement is not None:
-            other = tables.agreement.reference / tables.brightness[0]
-            pictures = np.concatenate([pictures, other[None]])
-            names.append("compared with")
-        figures["picture.png"] = pictures_figure(pictures, names)
-        content = tables.as_dict()
-        with new_folder(self.out) as draft:
-            np.save(draft / "pictures.npy", tables.pictures)
-            for name, figure in figures.items():
-                write_figure(figure, draft / name)
-            (draft / "verdict.json").write_text(dumps(content, indent=1))
-        return Outcome(
-            {"folder": str(self.out), **content}, [*tables.lines(), f"pictures: {self.out}"]
-        )
-
-
-class CountScan(Command):
-    """`deepfsi camera scan`.
-
-    Lines that lack a marker are left out and named, as are frames of an unusual number of lines.
-
-    Example: deepfsi camera scan leaf.ptu --pixels 256 -o leaf.npz --figure leaf.png
-    """
-
-    file: Path = fields.argument("PicoQuant .ptu file of an image scan")
-    out: Annotated[Path, fields.Output((".npz",))] = fields.required("counts of the lines, .npz")
-    pixels: Count = fields.option("equal pixels of a line", 1)
-    inputs: fields.Inputs = ()
-    line_start: fields.MarkerNumber | None = fields.option(f"start of a line: {OF_HEADER}")
-    line_end: fields.MarkerNumber | None = fields.option(f"end of a line: {OF_HEADER}")
-    frame: fields.MarkerNumber | None = fields.option(f"start or end of a frame: {OF_HEADER}")
-    figure: Annotated[Path | None, fields.Output(fields.PICTURES)] = fields.option(
-        "picture of the frames, .png"
-    )
-    force: fields.Force = False
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Counts of the scan."""
-        from deepfsi.hardware.photons.scan import ScanMarkers, count_scan
-
-        if self.figure is not None and self.pixels == 1:
-            raise InputError(
-                "a picture needs pixels: give --pixels, 2 or more, or leave --figure out"
-            )
-        markers = ScanMarkers(self.line_start, self.line_end, self.frame)
-        with terminal.progress("lines") as report:
-            scan = count_scan(self.file, markers, self.pixels, self.inputs or (0,), progress=report)
-        scan.save(self.out)
-        drawn = []
-        if self.figure is not None:
-            from deepfsi.report.pictures import pictures_figure
-            from deepfsi.report.style import write_figure
-
-            names = [f"frame {number + 1}" for number in range(len(scan.frames))]
-            write_figure(pictures_figure(scan.frames, names), self.figure)
-            drawn = [f"drawn: {self.figure}"]
-        return Outcome(
-            {"counts": str(self.out), **scan.as_dict()},
-            [*scan.lines(), f"counts: {self.out}", *drawn],
-        )
 
 
 class FindTransits(Command):

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, Message, check_choice
+from deepfsi.base.errors import InputError, check_choice
 from deepfsi.camera.names import RailsKind
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.levels import StoredScenes, is_stored
@@ -241,47 +241,8 @@ def sequency_hadamard(order: int) -> np.ndarray:
     """Walsh functions ±1, (order, order): Hadamard rows by their number of sign changes."""
     import scipy.linalg
 
-    return _by_sequency(scipy.linalg.hadamard(order).astype(np.float64))
-
-
-def _by_sequency(rows: np.ndarray) -> np.ndarray:
-    """Rows ±1 by their number of sign changes."""
+    rows = scipy.linalg.hadamard(order).astype(np.float64)
     return rows[np.argsort((np.diff(rows, axis=1) != 0).sum(axis=1), kind="stable")]
-
-
-MOST_FORMULA_PIXELS = 128 * 128
-"""Pixels of masks from a formula at most: a matrix of a byte an entry is then 256 MiB."""
-
-FORMULAS = ("hadamard-natural", "hadamard-sequency", "hadamard-walsh", "hadamard", "raster")
-"""Complete sets of masks that have a name: Sylvester's order, that of the sequency of all pixels
-in a line (Walsh's, under two names), the design's order of 2-D sequencies, and
-one pixel after another."""
-
-
-def formula_masks(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
-    """Complete set of masks (N, N) of ±1, or of 0 and 1 for raster, by the name of its formula.
-
-    "hadamard-natural" is `scipy.linalg.hadamard(N)`, "hadamard-sequency" and "hadamard-walsh" are
-    its rows by their sign changes, and "hadamard" is that of `hadamard_masks`. A row of the matrix
-    is a mask, its pixels row by row.
-    """
-    check_choice(Message("{masks}", setting="masks"), name, FORMULAS)
-    pixels = int(np.prod(image_shape))
-    size = "x".join(map(str, image_shape))
-    if pixels > MOST_FORMULA_PIXELS:
-        raise InputError(
-            f"{name} of {size} pixels is too large: give {MOST_FORMULA_PIXELS} pixels at most"
-        )
-    if name == "raster":
-        return np.eye(pixels, dtype=np.int8)
-    if pixels & (pixels - 1) or (name == "hadamard" and padded_shape(image_shape) != image_shape):
-        raise InputError(f"{name} has no {size} pixels: give powers of two, such as 32x32")
-    if name == "hadamard":
-        return hadamard_masks(image_shape, pixels)
-    import scipy.linalg
-
-    natural = scipy.linalg.hadamard(pixels, dtype=np.int8)
-    return natural if name == "hadamard-natural" else _by_sequency(natural)
 
 
 def hadamard_masks(image_shape: tuple[int, ...], masks: int) -> np.ndarray:

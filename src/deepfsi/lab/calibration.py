@@ -7,6 +7,7 @@ from deepfsi.base.progress import SILENT, Progress
 from deepfsi.datasets.display import read_display
 from deepfsi.designfile.view_test import SceneReadouts
 from deepfsi.hardware.calibration.fit import calibrate_run
+from deepfsi.hardware.calibration.reconstruction import reconstruct
 from deepfsi.hardware.calibration.reference import (
     ReferenceFit,
     find_reference,
@@ -16,7 +17,6 @@ from deepfsi.hardware.calibration.scans import find_detectors, find_gains, save_
 from deepfsi.hardware.counting.acquisition import Calibration, read_run
 from deepfsi.hardware.counting.counts import Counts, read_counts
 from deepfsi.hardware.live.replay import LiveCounts, is_live, replay_run
-from deepfsi.hardware.pictures.solve import reconstruct
 from deepfsi.lab.looks import open_looks
 
 

@@ -8,7 +8,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from deepfsi.base.errors import InputError
-from deepfsi.report.style import GREYS, GRID, INK, PAGE_WIDTH, SMALL, plain_bar, styled
+from deepfsi.report.style import GREYS, GRID, PAGE_WIDTH, SMALL, plain_bar, styled
 
 _MOST_PICTURES = 48
 """Pictures that one figure holds."""
@@ -59,39 +59,4 @@ def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
         ScalarMappable(norm, GREYS), ax=list(figure.axes), aspect=24, pad=0.015, label="light"
     )
     plain_bar(bar)
-    return figure
-
-
-_TONES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
-"""Colours of runs."""
-
-
-@styled
-def rail_light_figure(sums: np.ndarray, fine: np.ndarray, names: Sequence[str]) -> Figure:
-    """Rail sums (runs, m) over their mean, as they were shown, and by how fine masks are.
-
-    `fine` (m, axes) are the edges of a mask along each axis. A band shows 95 % of Poisson's.
-    """
-    relative = sums / sums.mean(axis=1, keepdims=True)
-    figure = Figure(figsize=(PAGE_WIDTH, 3.1), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.5, 1))
-    for run, (row, name) in enumerate(zip(relative, names, strict=True)):
-        tone = _TONES[run % len(_TONES)]
-        left.plot(row, ".", ms=2.5, color=tone, label=name, alpha=0.7)
-    half = 1.96 / np.sqrt(sums.mean(axis=1).max())
-    left.axhspan(1 - half, 1 + half, color=GRID, zorder=0)
-    left.set_xlabel("pair of mask and inverse, in order")
-    left.set_ylabel("light of the pair / mean")
-    figure.legend(fontsize=SMALL, frameon=False, markerscale=3, loc="outside upper left", ncols=4)
-    every = relative.mean(axis=0)
-    if fine.shape[1] == 1:
-        right.plot(fine[:, 0], every, ".", ms=2.5, color=INK)
-        right.set_xlabel("edges of a mask")
-        return figure
-    order = np.argsort(every)
-    dots = right.scatter(fine[order, 1], fine[order, 0], c=every[order], s=12, marker="s", lw=0)
-    right.set_aspect("equal")
-    right.set_xlabel("edges of a mask across")
-    right.set_ylabel("edges down")
-    plain_bar(figure.colorbar(dots, ax=right, label="light / mean"))
     return figure

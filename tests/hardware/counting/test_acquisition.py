@@ -6,11 +6,11 @@ import recording_samples
 from recording_samples import named, patterns_of
 
 from deepfsi.base.errors import InputError
+from deepfsi.hardware.calibration.reconstruction import reconstruct
 from deepfsi.hardware.counting import acquisition
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.pictures.solve import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 

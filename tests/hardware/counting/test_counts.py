@@ -7,8 +7,8 @@ import pytest
 import recording_samples
 
 from deepfsi.base.errors import InputError
+from deepfsi.hardware.calibration.reconstruction import reconstruct
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.pictures.solve import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 

@@ -19,11 +19,11 @@ from recording_samples import (
 )
 
 from deepfsi.base.errors import InputError
+from deepfsi.hardware.calibration.reconstruction import reconstruct
 from deepfsi.hardware.counting import markers
 from deepfsi.hardware.counting.count import CountSettings, count_run
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.photons.reader import PtuFile, read_markers
-from deepfsi.hardware.pictures.solve import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 

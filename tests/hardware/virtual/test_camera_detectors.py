@@ -16,10 +16,10 @@ from virtual_samples import (
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
+from deepfsi.hardware.calibration.reconstruction import reconstruct
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.photons import ptu
-from deepfsi.hardware.pictures.solve import reconstruct
 from deepfsi.hardware.virtual import camera as camera_module
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
 from deepfsi.physics.detection import Detection

@@ -6,9 +6,9 @@ from virtual_samples import SUMMED_REFLECTANCE, every_optics, expected, patterns
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.hardware.calibration.reconstruction import reconstruct
 from deepfsi.hardware.counting.count import CountSettings, count_run
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.pictures.solve import reconstruct
 from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.lab.calibration import check_view, gains_of
 

@@ -1,7 +1,7 @@
 """Calibrations fitted to pictures of spots, of uniform white and of uniform black.
 
 Show the scenes of `spot_scenes`, one of uniform white and one of uniform black, take a picture of
-each (`reconstruct` of `hardware.counting`) and give them to `fit_calibration`.
+each (`reconstruct`) and give them to `fit_calibration`.
 
 The centre of one spot in a picture is biased where a spot is smaller than a cell, and lost where it
 is faint. So the centres give a first homography alone. Then each picture is compared with what the

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from deepfsi.hardware.calibration.reconstruction import reconstruct
 from deepfsi.hardware.counting.acquisition import prepare_run
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
 from deepfsi.hardware.patterns.manifest import DesignRails
-from deepfsi.hardware.pictures.solve import reconstruct
 from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, Run, named, split, train
 
 

@@ -1,0 +1,51 @@
+"""The page that gives a run's counts to other packages: its readouts are A x, to their noise."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import nnls
+
+from deepfsi.camera.device import Device
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.physics.laws import light_law
+
+PAGE = (Path(__file__).parents[1] / "docs/do/pictures.md").read_text()
+[CODE] = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+SHAPE = (2, 4)
+SCENES = np.random.default_rng(4).uniform(0.1, 1, (3, *SHAPE))
+
+
+@pytest.mark.parametrize(
+    ("light", "rails"), [("equal-dwell", "dual"), ("free-dwell", "single"), ("two-arm", "dual")]
+)
+def test_readouts_are_the_matrix_times_the_scene(tmp_path, light, rails):
+    wild = np.random.default_rng(3).random((20, 8)) - (0.5 if rails == "dual" else 0)
+    fitted = light_law(light).fit(torch.from_numpy(wild), rails).numpy()
+    export_patterns(
+        DesignRails(fitted, light, SHAPE, 5.0),
+        FrameSettings(Device(name="small", columns=40, rows=20, shortest_us=10), 1e-3),
+        tmp_path / "patterns",
+    )
+    settings = RecordingSettings(VirtualCamera(dark=1e6), 5e7, 5e-3, repeats=2)
+    run = tmp_path / "run"
+    record_scenes(tmp_path / "patterns", SCENES, ("a", "b", "c"), None, run, settings)
+    count_run(run)
+    names: dict[str, Any] = {}
+    exec(CODE, names)
+    y, variance, matrix = names["linear_model"](run)
+    scenes, read = SCENES.reshape(3, 8), variance.min(axis=0) > 0
+    off = ((y - scenes @ matrix.T)[:, read] / variance[:, read] ** 0.5).ravel()
+    assert abs(off.mean()) < 5 / len(off) ** 0.5
+    assert abs((off**2).mean() - 1) < 5 * (2 / len(off)) ** 0.5
+    weights = variance[0, read] ** -0.5
+    weighted = matrix[read] * weights[:, None]
+    error = np.linalg.inv(weighted.T @ weighted).diagonal() ** 0.5
+    found = nnls(weighted, y[0, read] * weights)[0]
+    assert (abs(found - scenes[0]) / error).max() < 4.5
