@@ -1,10 +1,10 @@
 """Peak memory and time of a training on large uint8 data, by the form in which they are given.
 
     python benchmarks/memory.py                     # 50 000 scenes of 64 x 64, 0.2 GB
-    python benchmarks/memory.py --scenes 25000 --forms array mapped --designs deepfsi
+    python benchmarks/memory.py --scenes 25000 --forms mapped --designs deepfsi
 
-Every row is a process of its own. Memory is the most that it took (`VmHWM`, mapped files included),
-less what the same process takes for a few scenes; "beyond the data" is that less the data's bytes.
+Every row is a process of its own. Memory is the most that it took (`RssAnon`, without files),
+less what the same process takes for a few scenes.
 Seconds are those of the processor, so that other programs do not count: of the whole call, loading
 included, and of one epoch of it.
 """
@@ -17,12 +17,13 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
 
-FORMS = ("array", "mapped", "npz", "folder")
-"""An array in memory, a memory-mapped .npy file, an .npz file, a folder of PNG pictures."""
+FORMS = ("array", "mapped")
+"""An array in memory, a memory-mapped .npy file."""
 
 MASKS = 20
 CLASSES = 10
@@ -46,26 +47,15 @@ def write(form: str, folder: Path, scenes: int, side: int) -> Path:
     x, labels = synthetic(scenes, side)
     made = folder / f"{form}-{scenes}"
     made.mkdir()
-    if form == "npz":
-        np.savez(made / "scenes.npz", x=x, y=labels)
-        return made / "scenes.npz"
-    if form != "folder":
-        np.save(made / "x.npy", x)
-        np.save(made / "y.npy", labels)
-        return made
-    from PIL import Image
-
-    for place, label in enumerate(labels):
-        (made / str(label)).mkdir(exist_ok=True)
-        Image.fromarray(x[place]).save(made / str(label) / f"{place}.png", compress_level=1)
+    np.save(made / "x.npy", x)
+    np.save(made / "y.npy", labels)
     return made
 
 
-def peak() -> float:
-    """Most memory that this process took so far, GB."""
-    # `ru_maxrss` would begin with that of the process that started this one
+def memory() -> float:
+    """Memory that this process takes without files, GB."""
     lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) * 1.024e-6 for line in lines if line.startswith("VmHWM"))
+    return next(int(line.split()[1]) * 1.024e-6 for line in lines if line.startswith("RssAnon"))
 
 
 def train_once(form: str, path: Path, design: str, epochs: int) -> dict[str, float]:
@@ -74,13 +64,19 @@ def train_once(form: str, path: Path, design: str, epochs: int) -> dict[str, flo
     from deepfsi.base.progress import Progress
 
     marks: list[tuple[float, float]] = []
+    taken, done = [memory()], Event()
+
+    def watch() -> None:
+        while not done.wait(0.005):
+            taken.append(memory())
+
+    watching = Thread(target=watch)
+    watching.start()
     began = time.process_time()
-    source: Any = path
-    if form in ("array", "mapped"):
-        source = tuple(
-            np.load(path / name, mmap_mode="r" if form == "mapped" else None)
-            for name in ("x.npy", "y.npy")
-        )
+    source: Any = tuple(
+        np.load(path / name, mmap_mode="r" if form == "mapped" else None)
+        for name in ("x.npy", "y.npy")
+    )
     learn(
         source,
         design=design,
@@ -92,9 +88,11 @@ def train_once(form: str, path: Path, design: str, epochs: int) -> dict[str, flo
         report=Progress(lambda share, what: marks.append((share, time.process_time()))),
     )
     whole = time.process_time() - began
+    done.set()
+    watching.join()
     first = max(at for share, at in marks if share <= 0)
     last = min(at for share, at in marks if share >= 1)
-    return {"peak": peak(), "seconds": whole, "epoch": (last - first) / epochs}
+    return {"peak": max(taken), "seconds": whole, "epoch": (last - first) / epochs}
 
 
 def measured(form: str, path: Path, design: str, epochs: int) -> dict[str, float]:
@@ -120,8 +118,8 @@ def main(words: Sequence[str] | None = None) -> None:
     given = parser.parse_args(words)
     size = given.scenes * given.side**2 / 1e9
     print(f"{given.scenes} scenes of {given.side} x {given.side}, {size:.2f} GB as uint8\n")
-    print("| data | design | peak, GB | beyond the data, GB | whole call, s | an epoch, s |")
-    print("| --- | --- | --- | --- | --- | --- |")
+    print("| data | design | peak, GB | whole call, s | an epoch, s |")
+    print("| --- | --- | --- | --- | --- |")
     with tempfile.TemporaryDirectory() as folder:
         for form in given.forms:
             few = write(form, Path(folder), FEW, given.side)
@@ -129,9 +127,8 @@ def main(words: Sequence[str] | None = None) -> None:
             for design in given.designs:
                 least = measured(form, few, design, epochs=1)["peak"]
                 row = measured(form, path, design, epochs=given.epochs)
-                own = row["peak"] - least
                 print(
-                    f"| {form} | {design} | {own:.2f} | {own - size:.2f} "
+                    f"| {form} | {design} | {row['peak'] - least:.2f} "
                     f"| {row['seconds']:.1f} | {row['epoch']:.2f} |",
                     flush=True,
                 )

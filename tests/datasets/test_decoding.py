@@ -10,7 +10,6 @@ from dataset_samples import not_loaded, refused
 from PIL import Image, PngImagePlugin
 
 from deepfsi.datasets.display import read_display
-from deepfsi.datasets.load import load_dataset
 
 GREY = (np.arange(48).reshape(6, 8) * 5).astype(np.uint8)
 UPRIGHT = {1: GREY, 3: GREY[::-1, ::-1], 6: np.rot90(GREY, -1), 8: np.rot90(GREY), 4: GREY[::-1]}
@@ -117,67 +116,10 @@ def test_what_is_no_image_is_named(images, content, said):
     not_loaded(images, f"000.png ({said}")
 
 
-SHAPE = (5, 7)
-
-
-def write_tiff(path, colours, **options):
-    extra = {"extrasamples": ["unassalpha"]} if colours.shape[2] == 4 else {}
-    tifffile.imwrite(path.with_suffix(".tif"), colours, photometric="rgb", **extra, **options)
-
-
-WRITERS = {
-    "png": png,
-    "little-endian": lambda path, colours: write_tiff(path, colours, byteorder="<"),
-    "big-endian": lambda path, colours: write_tiff(path, colours, byteorder=">"),
-    "compressed": lambda path, colours: write_tiff(path, colours, compression="zlib"),
-    "predicted": lambda path, colours: write_tiff(path, colours, compression="zlib", predictor=2),
-    "big-endian, compressed": lambda path, colours: write_tiff(
-        path, colours, byteorder=">", compression="zlib"
-    ),
-}
-
-
-def folder_of(tmp_path, write, channels, highest):
-    """Two classes of five images, and their colours in the order of their names."""
-    rng = np.random.default_rng(5)
-    every = rng.integers(0, highest + 1, (10, *SHAPE, channels), dtype=np.uint16)
-    every[0, 0, 0] = highest
-    for place, colours in enumerate(every):
-        path = tmp_path / "deep" / "ab"[place // 5] / f"{place:02}"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(path, colours)
-    return tmp_path / "deep", every
-
-
-def rows(data):
-    """Scenes of both parts, in an order that does not depend on the split."""
-    return np.array(sorted(map(tuple, np.r_[data.x_train, data.x_test])))
-
-
-@pytest.mark.parametrize("channels", [3, 4])
-@pytest.mark.parametrize("highest", [65535, 4095])
-@pytest.mark.parametrize("writer", WRITERS)
-def test_colours_of_16_bits_are_read_whole(tmp_path, writer, highest, channels):
-    folder, every = folder_of(tmp_path, WRITERS[writer], channels, highest)
-    data = load_dataset(folder)
-    levels = np.rint(every[..., :3] @ [0.299, 0.587, 0.114]).reshape(10, -1) / highest
-    assert rows(data) == pytest.approx(np.array(sorted(map(tuple, levels))), abs=1e-6)
-    assert data.white == highest
-    bits = {65535: 16, 4095: 12}[highest]
-    assert f"divided by {highest} ({bits} bits)" in data.preprocessing
-
-
-def test_grey_of_16_bits_with_transparency_is_read_whole(tmp_path):
-    folder, every = folder_of(tmp_path, png, 2, 4095)
-    data = load_dataset(folder)
-    levels = every[..., 0].reshape(10, -1) / data.white
-    assert rows(data) == pytest.approx(np.array(sorted(map(tuple, levels))), abs=1e-6)
-    assert "10 with transparency, left out" in data.preprocessing
-
-
-def test_an_order_that_cannot_be_read_is_refused(tmp_path):
-    def planes(path, colours):
-        write_tiff(path, np.moveaxis(colours, 2, 0), planarconfig="separate")
-
-    folder, _ = folder_of(tmp_path, planes, 3, 65535)
-    not_loaded(folder, "00.tif has colours of more than 8 bits", "side by side")
+def test_colours_of_more_than_8_bits_are_refused(tmp_path):
+    colours = np.full((5, 7, 3), 4095, np.uint16)
+    png(tmp_path / "a", colours)
+    tifffile.imwrite(tmp_path / "b.tif", colours, photometric="rgb")
+    for name in ("a.png", "b.tif"):
+        with refused(f"{name} has colours of more than 8 bits"):
+            read_display(tmp_path / name)

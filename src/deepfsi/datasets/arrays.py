@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import prod
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias
 from unicodedata import category, normalize
 
 import numpy as np
@@ -18,13 +18,12 @@ from deepfsi.datasets.dataset import Dataset, Ends, Labels, LoadOptions, Reflect
 from deepfsi.datasets.levels import (
     LARGE,
     AnyArray,
-    StoredScenes,
     ValueRange,
     grey,
-    is_stored,
     mapped,
     measure_levels,
     reflectance,
+    taken,
 )
 
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
@@ -196,13 +195,13 @@ def split_arrays(
     y = targets.y
     if targets.y_test is None:
         order, drawn = draw_fifth(len(y), y if targets.classes else None, seed)
-        tested = _taken(scenes[0], drawn), y[drawn]
+        tested = taken(scenes[0], drawn), y[drawn]
     else:
         order = np.random.default_rng(seed).permutation(len(y))
         tested = scenes[1], targets.y_test
     data = assemble(
         name,
-        (_taken(scenes[0], order), y[order]),
+        (taken(scenes[0], order), y[order]),
         tested,
         described=described or words,
         rescale=rescale,
@@ -210,11 +209,6 @@ def split_arrays(
         values=targets.values,
     )
     return replace(data, white=levels.chosen_white, drawn=targets.y_test is None)
-
-
-def _taken(x: Reflectance, rows: npt.NDArray[np.intp]) -> Reflectance:
-    """Some scenes, read where they are stored only when they are needed."""
-    return cast(Reflectance, x.taken(rows)) if is_stored(x) else x[rows]
 
 
 Parts: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike | None]
@@ -319,10 +313,7 @@ def _scenes(
     white: float | None = None,
     levels: ValueRange | None = None,
 ) -> tuple[list[Reflectance], str, ValueRange]:
-    """Reflectance (n, H, W) or (n, N) of each part, changes in words, levels.
-
-    Large scenes are stored as they are.
-    """
+    """Reflectance (n, H, W) or (n, N) of each part, changes in words, levels."""
     read: dict[str, AnyArray] = {}
     colours = ""
     for part, what in zip(parts, (f"{name}: x", f"{name}: x_test"), strict=False):
@@ -346,16 +337,14 @@ def _scenes(
     levels = levels or measure_levels(read, white)
     words = levels.words[0].upper() + levels.words[1:]
     size = sum(part.size for part in read.values())
-    if 4 * size > LARGE:
-        stored = [cast(Reflectance, StoredScenes(part, levels)) for part in read.values()]
-        return stored, words + colours, levels
-    count = sum(len(part) for part in read.values())
-    check_memory(
-        SCENE_BYTES * size,
-        free_memory(),
-        f"{name}: {count} scenes of {shapes[0]} values",
-        "give fewer or smaller ones",
-    )
+    if 4 * size <= LARGE:
+        count = sum(len(part) for part in read.values())
+        check_memory(
+            SCENE_BYTES * size,
+            free_memory(),
+            f"{name}: {count} scenes of {shapes[0]} values",
+            "give fewer or smaller ones",
+        )
     return [reflectance(part, levels) for part in read.values()], words + colours, levels
 
 
@@ -441,12 +430,7 @@ def assemble(
         raise InputError(f"rescale ({low}, {high}): give low and high with 0 <= low < high <= 1")
     if not train[0].any():
         raise InputError(f"{name}: every training scene is dark, all 0; give scenes with light")
-    x_train, x_test = (
-        cast(Reflectance, x.mapped(low, high))
-        if is_stored(x)
-        else mapped(x, low, high).reshape(len(x), -1)
-        for x, _ in (train, test)
-    )
+    x_train, x_test = (mapped(x, low, high).reshape(len(x), -1) for x, _ in (train, test))
     ends = "" if (low, high) == (0, 1) else f", then mapped from [0, 1] to [{low:g}, {high:g}]"
     return Dataset(
         name=name,

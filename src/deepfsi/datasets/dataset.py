@@ -11,7 +11,6 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
 
 from deepfsi.base.errors import InputError
-from deepfsi.datasets.levels import is_stored
 
 Reflectance: TypeAlias = npt.NDArray[np.float32]
 Labels: TypeAlias = npt.NDArray[np.int64]
@@ -83,7 +82,7 @@ class Dataset:
         Name in tables and records.
     x_train, x_test : array, shape (n, N), float32
         Reflectance after preprocessing, dimensionless in [0, 1]. Of large data it is a
-        `datasets.StoredScenes`, whose rows are read from the values as they came.
+        file that has no name.
     y_train, y_test : array
         Class of each scene, 0 .. C-1, (n,) int64; or its values, (n, q) float32.
     image_shape : tuple of int
@@ -174,8 +173,7 @@ class Dataset:
         words = json.dumps([shapes, self.image_shape, self.classes or self.values])
         digest = hashlib.sha256(words.encode())
         for array in arrays:
-            for part in array.parts() if is_stored(array) else [array]:
-                digest.update(np.ascontiguousarray(part).data)
+            digest.update(np.ascontiguousarray(array).data)
         return digest.hexdigest()
 
     def hold_out(self, count: int | None = None) -> "Dataset":

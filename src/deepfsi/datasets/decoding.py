@@ -1,12 +1,6 @@
-"""Images that Pillow opens as grey levels of their own depth, and a tally of what they were.
-
-Pillow gives colours of 16 bits by their upper bytes alone. The lower ones are what it gives of the
-same file when it is told that the bytes of each value stand the other way around.
-"""
+"""Images that Pillow opens as grey levels of their own depth, and a tally of what they were."""
 
 import math
-import sys
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -17,7 +11,7 @@ import numpy.typing as npt
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import kind_of_content
 from deepfsi.base.quantities import plural
-from deepfsi.datasets.levels import Family, ValueRange, family_of, grey, levels_of
+from deepfsi.datasets.levels import Family, ValueRange, family_of, levels_of
 
 if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage
@@ -47,19 +41,6 @@ FLOATS = 3
 
 ORIENTATION_TAG = 274
 """Tag of EXIF and of a TIFF file that says how a picture is to be turned."""
-
-OTHER = {"L": "B", "B": "L", "N": "B" if sys.byteorder == "little" else "L"}
-"""Orders of the bytes of a value, little-endian, big-endian and native, each with its other one."""
-
-SWAPPED = {
-    f"{mode};16{order}": f"{mode};16{other}"
-    for mode in ("RGB", "RGBA", "RGBX")
-    for order, other in OTHER.items()
-}
-"""Pillow's names of 16-bit colours in a file, and of those with the bytes of a value swapped."""
-
-WITH_TRANSPARENCY = "LA;16B"
-"""Pillow's name of grey levels of 16 bits with transparency, which PNG files have."""
 
 TURNS = {
     2: "FLIP_LEFT_RIGHT",
@@ -102,19 +83,13 @@ class Tally:
     low: float = math.inf
     high: float = -math.inf
 
-    def grey(
-        self, image: "PillowImage", where: str, again: Callable[[], "PillowImage"]
-    ) -> "PillowImage":
-        """Count an image and give it in grey: mode L of 8 bits, else F in its own values.
-
-        `again` opens it a second time.
-        """
+    def grey(self, image: "PillowImage", where: str) -> "PillowImage":
+        """Count an image and give it in grey: mode L of 8 bits, else F in its own values."""
         from PIL import Image
         from PIL.Image import Transpose
 
         coloured = image.mode not in GREY_MODES and not image.mode.startswith("I;16")
-        deep = coloured and is_deep(image)
-        values = _deep_values(image, where, again) if deep else _values(image, where)
+        values = _values(image, where)
         family = family_of(values.dtype, where)
         if self.family not in (None, family):
             raise InputError(
@@ -188,55 +163,22 @@ def check_grey_levels(image: "PillowImage", where: str) -> None:
     wide = image.mode in ("I", "F") or image.mode.startswith("I;16")
     if wide and tags.get(PHOTOMETRIC_TAG) == 0:  # Pillow inverts bytes alone
         raise InputError(f"{where} has 0 for white; save it with 0 for black")
+    if not wide and _is_deep(image):
+        raise InputError(f"{where} has colours of more than 8 bits: save it in grey levels")
     if not wide and SIGNED in tags.get(KIND_TAG, ()):
         raise InputError(
             f"{where} has signed integers of 8 bits; save it with unsigned ones, or floats"
         )
 
 
-def is_deep(image: Any) -> bool:
-    """True for an image of Pillow's, not yet decoded, of which it gives the upper bytes alone."""
+def _is_deep(image: Any) -> bool:
+    """True for an image of which Pillow gives the upper bytes of each value alone."""
     if max(getattr(image, "tag_v2", {}).get(BITS_TAG, ()), default=8) > 8:
         return True
     return any(
-        ";16" in _kind(tile) or (tile[0] == "ppm" and tile[3][1] > 255)
+        ";16" in str(tile[3]) or (tile[0] == "ppm" and tile[3][1] > 255)
         for tile in getattr(image, "tile", ())
     )
-
-
-def _deep_values(image: Any, where: str, again: Callable[[], Any]) -> npt.NDArray[np.int64]:
-    """Grey levels (H, W) of an image that `is_deep`, which `again` opens a second time."""
-    kinds = {_kind(tile) for tile in image.tile}
-    if kinds == {WITH_TRANSPARENCY}:
-        grey_bytes = _decoded(image, {WITH_TRANSPARENCY: "RGBA"})
-        return 256 * grey_bytes[..., 0] + grey_bytes[..., 1]
-    if not kinds <= SWAPPED.keys():
-        raise InputError(
-            f"{where} has colours of more than 8 bits in an order that is not read "
-            f"({', '.join(sorted(kinds))}): save it in RGB of 16 bits, with the three values of a "
-            "pixel side by side"
-        )
-    upper = _decoded(image, {kind: kind for kind in kinds})
-    lower = _decoded(again(), SWAPPED)
-    return grey(256 * upper[None] + lower, where)[0]
-
-
-def _kind(tile: Any) -> str:
-    """Pillow's name of the values in a part of a file."""
-    return tile[3] if isinstance(tile[3], str) else str(tile[3][0])
-
-
-def _decoded(image: Any, names: Mapping[str, str]) -> npt.NDArray[np.int64]:
-    """Values of an image as if its file had others of Pillow's names."""
-
-    def renamed(tile: Any) -> Any:
-        name = names[_kind(tile)]
-        values = (*tile[:3], name if isinstance(tile[3], str) else (name, *tile[3][1:]))
-        return getattr(type(tile), "_make", tuple)(values)  # a named tuple in newer Pillows
-
-    image.tile = [renamed(tile) for tile in image.tile]
-    image.load()  # raises what is wrong; numpy would not
-    return np.asarray(image).astype(np.int64)
 
 
 def unread_kind(content: IO[bytes]) -> str:

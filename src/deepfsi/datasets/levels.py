@@ -7,14 +7,17 @@ scenes together, unless it is given. A data set and a design remember it, so tha
 divided by the same.
 """
 
+import shutil
+import tempfile
 from collections.abc import Iterator, Mapping
-from functools import cached_property
-from typing import Any, Literal, NamedTuple, TypeGuard
+from math import prod
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
+from deepfsi.base.numeric.arrays import check_memory
 
 LUMA = (0.299, 0.587, 0.114)
 """Weights of red, green and blue in a grey level (ITU-R BT.601, those of Pillow)."""
@@ -29,7 +32,7 @@ GREY_AT_ONCE = 4096
 """Scenes whose colours are turned to grey at once."""
 
 LARGE = 2**28
-"""Bytes as float32 above which scenes keep their type, and are read part by part."""
+"""Bytes as float32 above which scenes are kept in a file, and are read part by part."""
 
 VALUES_AT_ONCE = 2**22
 """Values that are read at once."""
@@ -115,120 +118,45 @@ def family_of(dtype: np.dtype[Any], what: str) -> Family:
     return kinds[dtype.kind]
 
 
+def empty_scenes(shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
+    """Array for reflectance; a large one is a file that has no name and ends with it."""
+    size = 4 * prod(shape)
+    if size <= LARGE:
+        return np.empty(shape, np.float32)
+    folder = tempfile.gettempdir()
+    check_memory(
+        size,
+        shutil.disk_usage(folder).free,
+        f"{shape[0]} scenes of {prod(shape[1:])} values, in {folder}",
+        "give fewer or smaller ones, or set TMPDIR to a folder with more room",
+    )
+    with tempfile.TemporaryFile() as file:
+        return np.asarray(np.memmap(file, np.float32, "w+", shape=shape))
+
+
+def slices(shape: tuple[int, ...]) -> Iterator[slice]:
+    """Scenes of an array of a shape, some after others."""
+    step = max(1, VALUES_AT_ONCE // prod(shape[1:]))
+    return (slice(first, first + step) for first in range(0, shape[0], step))
+
+
 def reflectance(values: AnyArray, levels: ValueRange) -> npt.NDArray[np.float32]:
     """Reflectance of values, a copy of them, in [0, 1] but for the rounding of floats."""
-    if levels.white == 1:
-        return values.astype(np.float32)
-    return np.divide(values, levels.white, dtype=np.float32)
+    out = empty_scenes(values.shape)
+    for part in slices(values.shape):
+        if levels.white == 1:
+            out[part] = values[part]
+        else:
+            np.divide(values[part], levels.white, dtype=np.float32, out=out[part])
+    return out
 
 
-class StoredScenes:
-    """Scenes (n, ...) in the type that they came in, which are reflectance where they are read.
-
-    They stand for the float32 array of their reflectance, which may be too large for the memory:
-    `len`, `shape` and `dtype` are those of that array, a slice is a view, and rows by index or by
-    truth values, and ``numpy.asarray``, are float32 arrays. Sums and means are taken in float64.
-    """
-
-    dtype = np.dtype(np.float32)
-
-    def __init__(
-        self,
-        values: AnyArray,
-        levels: ValueRange,
-        rows: npt.NDArray[np.integer[Any]] | None = None,
-        ends: tuple[float, float] = (0.0, 1.0),
-    ) -> None:
-        self._values = values
-        self._levels = levels
-        self._rows = np.arange(len(values)) if rows is None else rows
-        self._ends = ends
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Scenes, and the shape of one."""
-        return len(self), *self._values.shape[1:]
-
-    @property
-    def size(self) -> int:
-        """Values of all scenes."""
-        return int(np.prod(self.shape))
-
-    def __getitem__(self, key: Any) -> Any:
-        if isinstance(key, slice):
-            return self.taken(np.arange(len(self))[key])
-        if isinstance(key, tuple):
-            rows, columns = key
-            return np.concatenate([part[:, columns] for part in self[rows].parts()])
-        x = reflectance(self._values[self._rows[key]], self._levels)
-        low, high = self._ends
-        # bytes are in [0, 1], as they would be after it
-        bytes_as_they_are = family_of(self._values.dtype, "x") == "byte" and high - low == 1
-        return x if bytes_as_they_are else mapped(x, low, high)
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
-        scenes = np.empty(self.shape, np.float32)
-        first = 0
-        for part in self.parts():
-            scenes[first : first + len(part)] = part
-            first += len(part)
-        return scenes if dtype is None else scenes.astype(dtype, copy=False)
-
-    @property
-    def step(self) -> int:
-        """Scenes of a part."""
-        return max(1, VALUES_AT_ONCE * len(self) // max(1, self.size))
-
-    def parts(self) -> Iterator[npt.NDArray[np.float32]]:
-        """All scenes, some after others."""
-        for first in range(0, len(self), self.step):
-            yield self[np.arange(first, min(first + self.step, len(self)))]
-
-    def taken(self, rows: npt.NDArray[Any]) -> "StoredScenes":
-        """Some scenes, by index or truth values."""
-        return StoredScenes(self._values, self._levels, self._rows[rows], self._ends)
-
-    def mapped(self, low: float, high: float) -> "StoredScenes":
-        """The scenes as rows (n, N), with [0, 1] mapped to low and high."""
-        rows = self._values.reshape(len(self._values), -1)
-        return StoredScenes(rows, self._levels, self._rows, (low, high))
-
-    def any(self) -> bool:
-        """True if any scene has light."""
-        return any(bool(part.any()) for part in self.parts())
-
-    @cached_property
-    def _reach(self) -> npt.NDArray[np.float32]:
-        """Smallest and largest value (2, N) of each pixel."""
-        reach = [(part.min(axis=0), part.max(axis=0)) for part in self.parts()]
-        low, high = zip(*reach, strict=True)
-        return np.stack([np.min(low, axis=0), np.max(high, axis=0)])
-
-    def min(self, axis: int | None = None) -> Any:
-        """Smallest value of each pixel (N,) for axis 0, or of all."""
-        return self._reach[0] if axis == 0 else self._reach[0].min()
-
-    def max(self, axis: int | None = None) -> Any:
-        """Largest value of each pixel (N,) for axis 0, or of all."""
-        return self._reach[1] if axis == 0 else self._reach[1].max()
-
-    def sum(self, axis: int | None = None, dtype: Any = np.float64) -> Any:
-        """Sums over scenes (N,) for axis 0, over pixels (n,) for axis 1, or of all."""
-        sums = [part.sum(axis=axis, dtype=np.float64) for part in self.parts()]
-        return np.concatenate(sums) if axis == 1 else np.sum(sums, axis=0)
-
-    def mean(self, axis: int | None = None, dtype: Any = np.float32) -> Any:
-        """Means, as of `sum`, in a type."""
-        count = self.size if axis is None else self.shape[axis]
-        return np.divide(self.sum(axis), count).astype(dtype)
-
-
-def is_stored(x: object) -> TypeGuard[StoredScenes]:
-    """True for scenes that are read part by part."""
-    return isinstance(x, StoredScenes)
+def taken(x: npt.NDArray[np.float32], rows: npt.NDArray[np.intp]) -> npt.NDArray[np.float32]:
+    """Some scenes, a copy of them."""
+    out = empty_scenes((len(rows), *x.shape[1:]))
+    for part in slices(out.shape):
+        out[part] = x[rows[part]]
+    return out
 
 
 def mapped(x: npt.NDArray[np.float32], low: float, high: float) -> npt.NDArray[np.float32]:

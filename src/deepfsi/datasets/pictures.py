@@ -9,15 +9,12 @@ sizes it declares and the images' own sizes are all checked before memory is spe
 import io
 import os
 import re
-import shutil
-import tempfile
 import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache, partial
-from math import prod
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeAlias
 
@@ -26,7 +23,7 @@ import numpy.typing as npt
 
 from deepfsi.base.errors import InputError, Message
 from deepfsi.base.files import check_unpacked, read_regular, readable_name
-from deepfsi.base.numeric.arrays import check_memory, open_zip, read_zip_entry
+from deepfsi.base.numeric.arrays import open_zip, read_zip_entry
 from deepfsi.base.numeric.tables import (
     LABEL_HEADS,
     WITHOUT_VALUE,
@@ -39,7 +36,6 @@ from deepfsi.base.numeric.tables import (
 from deepfsi.datasets.arrays import check_no_classes, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, LoadOptions
 from deepfsi.datasets.decoding import PICTURE_FORMATS, PictureSize, Tally, unread_kind
-from deepfsi.datasets.levels import LARGE
 
 Label: TypeAlias = str | tuple[float, ...]
 """Class of an image, or its values."""
@@ -451,7 +447,7 @@ def decode_pictures(
                 continue
             if not tally.kept:
                 _check_total(len(pictures), image.shape)
-                grey = _empty((len(pictures), *image.shape), image.dtype)
+                grey = np.empty((len(pictures), *image.shape), image.dtype)
             if image.shape != grey.shape[1:]:
                 raise InputError(
                     f"images differ in size: {tally.first} is {grey.shape[1]}x{grey.shape[2]}, "
@@ -476,21 +472,6 @@ def _check_total(images: int, shape: tuple[int, ...]) -> None:
             f"{images} images of {height}x{width} pixels need "
             f"{images * height * width * 4e-9:.1f} GB; give a smaller size, or fewer images"
         )
-
-
-def _empty(shape: tuple[int, ...], kind: np.dtype[Any]) -> npt.NDArray[Any]:
-    """Array for the values of images; of many a file that has no name and ends with it."""
-    if 4 * prod(shape) <= LARGE:
-        return np.empty(shape, kind)
-    folder = tempfile.gettempdir()
-    check_memory(
-        prod(shape) * kind.itemsize,
-        shutil.disk_usage(folder).free,
-        f"{shape[0]} images of {shape[1]}x{shape[2]} pixels, in {folder}",
-        "give a smaller size or fewer images, or set TMPDIR to a folder with more room",
-    )
-    with tempfile.TemporaryFile() as file:
-        return np.memmap(file, kind, "w+", shape=shape)
 
 
 def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:
@@ -518,17 +499,15 @@ def _read(
         with picture.open() as stream:
             size = stream.seek(0, io.SEEK_END)
 
-            def again() -> Image.Image:
-                stream.seek(0)
-                try:
-                    return Image.open(stream, formats=PICTURE_FORMATS)
-                except UnidentifiedImageError:
-                    raise _Unreadable(unread_kind(stream)) from None
-
-            with again() as image:
+            stream.seek(0)
+            try:
+                opened = Image.open(stream, formats=PICTURE_FORMATS)
+            except UnidentifiedImageError:
+                raise _Unreadable(unread_kind(stream)) from None
+            with opened as image:
                 pixels = image.width * image.height
                 check_unpacked(pixels, size, picture.where, "replace or remove it")
-                grey = tally.grey(image, picture.where, again)
+                grey = tally.grey(image, picture.where)
         tally.packed += size
     except InputError:
         raise

@@ -3,7 +3,6 @@
 Products are of bfloat16 where its rounding stays under the noise.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import cast
@@ -16,7 +15,7 @@ from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.camera.light import summed_reflectance
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName, find_noise
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.levels import StoredScenes, is_stored
+from deepfsi.datasets.levels import LARGE
 from deepfsi.designfile.provenance import TrainingScenes
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.jobs.exposures import Exposure
@@ -41,7 +40,9 @@ class TrainingSet:
         self.summed_reflectance = summed_reflectance(data.x_train)
         self.values = Values.of(data)
         self.labels = self.truth_of(data.y_train)
-        self.full = _on_device(data.x_train, self.device)
+        # a cluster shares arrays read-only
+        scenes = torch.from_numpy(np.require(data.x_train, requirements="W"))
+        self.full = scenes.to(self.device)
         self.matrices = {} if matrices is None else matrices
         self._centred: dict[tuple[torch.dtype, bool, bytes], Tensor] = {}
         self._views: dict[Exposure, TrainingSet] = {}
@@ -67,14 +68,20 @@ class TrainingSet:
         """Hashes of its scenes, which designs keep."""
         return TrainingScenes.of(self.data)
 
+    @property
+    def in_file(self) -> bool:
+        """True for scenes that are large and stay where they are."""
+        return self.device.type == "cpu" and self.full.nbytes > LARGE
+
+    @property
+    def held(self) -> int:
+        """Bytes of scenes that it keeps in memory."""
+        return 0 if self.in_file else self.full.nbytes
+
     @cached_property
     def varying(self) -> Tensor:
         """Which pixels (N,) differ anywhere in the training set; the first if none does."""
-        varying = (
-            torch.from_numpy(self.full.stored.min(axis=0) != self.full.stored.max(axis=0))
-            if isinstance(self.full, _ReadScenes)
-            else (self.full != self.full[0]).any(dim=0)
-        )
+        varying = self.full.amin(dim=0) != self.full.amax(dim=0)
         varying[0] |= not varying.any()
         return varying
 
@@ -93,7 +100,7 @@ class TrainingSet:
         if key not in self._centred:
             mean = torch.where(self.varying, self.full.mean(dim=0), self.full[0])
             seen = detection.of_pixels(pixels)
-            if isinstance(self.full, _ReadScenes):
+            if self.in_file:
                 every = _CentredScenes(self.full, mean, pixels, kind=kind, detection=seen)
                 self._centred[key] = cast(Tensor, every)
             else:
@@ -128,54 +135,17 @@ class TrainingSet:
         return self.matrices[key][:masks]
 
 
-READ_VALUES = 2**24
-"""Values of scenes that are read at once."""
-
-
-class _ReadScenes:
-    """Scenes (n, N) that are read where they are needed, used as a tensor of all would be."""
-
-    device = torch.device("cpu")
-    nbytes = 0
-    """Bytes of reflectance that it keeps."""
-
-    def __init__(self, stored: StoredScenes) -> None:
-        self.stored = stored
-        self.shape = torch.Size(stored.shape)
-
-    def __len__(self) -> int:
-        return len(self.stored)
-
-    def __getitem__(self, rows: Tensor | np.ndarray | int) -> Tensor:
-        places = rows.numpy() if isinstance(rows, Tensor) else rows
-        return torch.from_numpy(self.stored[places])
-
-    def index_select(self, dim: int, rows: Tensor) -> Tensor:
-        """Scenes (B, N) of places (B,)."""
-        return self[rows]
-
-    def split(self, most: int) -> Iterator[Tensor]:
-        """All scenes in their order, so many at once, or fewer large ones."""
-        step = max(1, min(most, READ_VALUES // self.shape[1]))
-        for rows in torch.arange(len(self)).split(step):
-            yield self[rows]
-
-    def mean(self, dim: int) -> Tensor:
-        """Mean scene (N,)."""
-        return torch.from_numpy(self.stored.mean(axis=dim))
-
-
 @dataclass(frozen=True, eq=False)
 class _CentredScenes:
-    """Pixels (n + 1, P) of scenes that are read where they are needed, less their mean."""
+    """Pixels (n + 1, P) of scenes in a file, less their mean."""
 
-    scenes: _ReadScenes  # (n, N)
+    scenes: Tensor  # (n, N)
     mean: Tensor  # (N,), which is the last row
     pixels: Tensor  # (N,), True for those that are kept
     kind: torch.dtype
     detection: Detection  # of these pixels, which are arranged by it
 
-    device = _ReadScenes.device
+    device = torch.device("cpu")
 
     def index_select(self, dim: int, rows: Tensor) -> Tensor:
         """Rows (B, P) of places (B,), of which that of the mean is the last, if it is there."""
@@ -187,20 +157,6 @@ class _CentredScenes:
         if not self.pixels.all():
             x = x[:, self.pixels]
         return self.detection.arrange(x).to(self.kind)
-
-
-def _on_device(x: np.ndarray, device: torch.device) -> Tensor:
-    """Scenes (n, N) on a device; stored ones of the processor stay where they are."""
-    if not is_stored(x):
-        # a cluster shares arrays read-only
-        return torch.from_numpy(np.require(x, requirements="W")).to(device)
-    if device.type == "cpu":
-        return cast(Tensor, _ReadScenes(x))
-    parts = map(torch.from_numpy, x.parts())
-    whole = torch.empty(x.shape, device=device)
-    for rows, part in zip(whole.split(x.step), parts, strict=True):
-        rows.copy_(part)
-    return whole
 
 
 BFLOAT16_COUNTS = 2.0**14

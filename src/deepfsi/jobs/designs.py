@@ -8,21 +8,21 @@ is arbitrary here (`LightLaw.fit` brings it to a light law) but for `impulse` an
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from deepfsi.base.errors import InputError, check_choice
 from deepfsi.camera.names import RailsKind
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.levels import StoredScenes, is_stored
+from deepfsi.datasets.levels import LARGE, slices
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import LinearOperator
 
 FULL_BASIS_PIXELS = 2048
 """Pixels up to which all principal components are computed at once, which takes their cube; of
 larger scenes only those that are asked for."""
-
-SCATTER_PIXELS = 4096
-"""Pixels up to which the scatter matrix of large data is made whole: 134 MB."""
 
 
 Shape = tuple[int, ...]
@@ -272,18 +272,18 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     pixels = x.shape[1]
     varying = np.flatnonzero(x.max(axis=0) != x.min(axis=0))
     few = FULL_BASIS_PIXELS < len(varying) > 4 * masks < len(x)
-    if is_stored(x):
+    if x.nbytes > LARGE:
         mean = x.mean(axis=0, dtype=np.float64)[varying]
+        read = (x[part][:, varying] for part in slices(x.shape))
         if few:
-            power, directions = _leading_of_parts(x, varying, mean, count=masks)
+            power, directions = _leading(_scatter(read, mean.astype(x.dtype)), masks)
         else:
-            read = (part[:, varying] for part in x.parts())
             power, directions = scipy.linalg.eigh(_scatter(read, mean))
     else:
         lit = x[:, varying]
         mean = lit.mean(axis=0, dtype=np.float64)
         if few:
-            power, directions = _leading(lit, mean, masks)
+            power, directions = _leading(_scatter_operator(lit, mean), masks)
         else:
             parts = iter(np.array_split(lit, -(-len(lit) // 8192)))
             power, directions = scipy.linalg.eigh(_scatter(parts, mean))
@@ -310,43 +310,23 @@ def _scatter(parts: Iterator[np.ndarray], mean: np.ndarray) -> np.ndarray:
     return scatter
 
 
-def _leading(x: np.ndarray, mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Largest eigenvalues of the scatter matrix, rising, and their vectors (N, count)."""
-    # The matrix itself, N² numbers, is not made: it is applied to vectors, of scenes that are
-    # centred once
-    from scipy.sparse.linalg import LinearOperator, eigsh
+def _scatter_operator(x: np.ndarray, mean: np.ndarray) -> "LinearOperator":
+    """Scatter matrix (N, N) of scenes (n, N) about their mean, which is applied and not made."""
+    from scipy.sparse.linalg import LinearOperator
 
     centred = x - mean.astype(x.dtype)
-    scatter = LinearOperator(
+    return LinearOperator(
         (x.shape[1], x.shape[1]),
         matvec=lambda vector: centred.T @ (centred @ vector.ravel()),
         dtype=x.dtype,
     )
-    start = np.random.default_rng(0).standard_normal(x.shape[1], dtype=np.float32)
-    power, directions = eigsh(scatter, k=count, v0=start)
-    return power.astype(np.float64), directions.astype(np.float64)
 
 
-def _leading_of_parts(
-    x: StoredScenes, varying: np.ndarray, mean: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """`_leading` of some pixels of scenes that are read part by part."""
-    # Every product with a vector would read all scenes: up to some size the matrix takes less time
-    from scipy.sparse.linalg import LinearOperator, eigsh
+def _leading(scatter: "np.ndarray | LinearOperator", count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Largest eigenvalues of a scatter matrix (N, N), rising, and their vectors (N, count)."""
+    from scipy.sparse.linalg import eigsh
 
-    middle = mean.astype(np.float32)
-
-    def product(vector: np.ndarray) -> np.ndarray:
-        flat = vector.ravel().astype(np.float32)
-        centred = (part[:, varying] - middle for part in x.parts())
-        return np.sum([part.T @ (part @ flat) for part in centred], axis=0)
-
-    scatter = (
-        _scatter((part[:, varying] for part in x.parts()), middle)
-        if len(mean) <= SCATTER_PIXELS
-        else LinearOperator((len(mean), len(mean)), matvec=product, dtype=np.float32)
-    )
-    start = np.random.default_rng(0).standard_normal(len(mean), dtype=np.float32)
+    start = np.random.default_rng(0).standard_normal(scatter.shape[0], dtype=np.float32)
     power, directions = eigsh(scatter, k=count, v0=start)
     return power.astype(np.float64), directions.astype(np.float64)
 

@@ -9,7 +9,7 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_unpacked, open_regular
 from deepfsi.base.numeric.arrays import read_array, split_variable
-from deepfsi.datasets.decoding import PICTURE_FORMATS, check_grey_levels, is_deep, unread_kind
+from deepfsi.datasets.decoding import PICTURE_FORMATS, check_grey_levels, unread_kind
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""
@@ -90,11 +90,6 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
                 check_unpacked(pixels, file.stat().st_size, str(file), "replace it")
                 for page in ImageSequence.Iterator(image):
                     check_grey_levels(page, str(file))
-                    grey = page.mode in ("F", "I") or page.mode.startswith("I;16")
-                    if is_deep(page) and not grey:
-                        raise InputError(
-                            f"{file} has colours of more than 8 bits: save it in grey levels"
-                        )
                     if page.mode == "I":
                         raise InputError(
                             f"{file} has 32 bits a pixel, of unknown full scale: save it with 8 "
