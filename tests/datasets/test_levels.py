@@ -131,8 +131,8 @@ def test_a_file_of_large_scenes_has_no_name_and_needs_room(tmp_path, large, monk
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_memory_of_a_training_is_that_of_its_data_and_little_more(tmp_path):
-    """At most 0.1 GB beyond that of few scenes, where the scenes as float32 take 0.27 GB."""
-    memory, count = benchmark("memory"), 1 + arrays.LARGE // (4 * SIDE**2)
+    """At most 0.2 GB beyond that of few scenes, where training scenes as float32 take 0.27."""
+    memory, count = benchmark("memory"), 2 + 5 * arrays.LARGE // (16 * SIDE**2)
     paths = [memory.write("mapped", tmp_path, scenes, SIDE) for scenes in (memory.FEW, count)]
     words = (
         "import sys; from shared.benchmarks import benchmark; memory = benchmark('memory')\n"
@@ -142,4 +142,4 @@ def test_memory_of_a_training_is_that_of_its_data_and_little_more(tmp_path):
     command = [sys.executable, "-c", words, *map(str, paths)]
     child = subprocess.run(command, cwd=TESTS, check=True, capture_output=True, text=True)
     few, many = map(float, child.stdout.split())
-    assert many - few < 0.1, (few, many)
+    assert many - few < 0.2, (few, many)

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from pydantic import Field
 
 from deepfsi.base.errors import InputError, as_input_error, check_choice
-from deepfsi.base.files import write_atomically
-from deepfsi.base.models.strict import Count, WholeNumber
-from deepfsi.base.numeric.tables import read_table
+from deepfsi.base.models.strict import WholeNumber
 from deepfsi.base.progress import SILENT
 from deepfsi.base.quantities import seconds, time_text
 from deepfsi.base.registry import installed
@@ -32,9 +30,6 @@ MOST_EVENTS = 1e8
 
 EVENT_BYTES = 4
 """Bytes of a photon in its file."""
-
-SERIES = "--cumulative or --bins"
-"""Options of counts that are no events."""
 
 NewRun = Annotated[Path, fields.Output(new=True), Field(description="acquisition folder, new")]
 ShownScenes = Annotated[
@@ -489,55 +484,43 @@ class ImportRecording(Command):
     """`deepfsi camera import`.
 
     Time stamps become a photon file, their trigger marker 0. Without a trigger it has no markers,
-    as for `camera transits`. Cumulative counts, and counts in even
-    time bins, become a table with a row for each pass, for `camera classify`.
+    as for `camera transits`.
 
     Example: deepfsi camera import tags.txt --unit 81ps --marker-channel 8 -o run_lab/photons.ptu
     """
 
     events: Path = fields.argument(
-        "time stamps: two columns, time and channel (.txt .csv .npy .parquet), or a Photon-HDF5 "
-        "file; with --cumulative or --bins a table with a column for each input"
+        "time stamps: two columns, time and channel (.txt .csv .npy .parquet)"
     )
-    out: Path = fields.required("photon file, .ptu, new; with --cumulative or --bins a table, .csv")
-    marker_channel: int | None = fields.option(
-        "time stamps: channel of the device's trigger; none unless given"
-    )
+    out: Annotated[Path, fields.Output((".ptu",))] = fields.required("photon file, .ptu, new")
+    unit: fields.Time = fields.required("unit of the times, such as 1ps")
+    marker_channel: int | None = fields.option("channel of the device's trigger; none unless given")
     channels: tuple[int, ...] = fields.option(
         "channel of each detector, in order; all others unless given", (), alias="channel"
     )
-    unit: fields.Time | None = fields.option(
-        "unit of the times, such as 1ps; the file's own unless given"
-    )
-    cumulative: bool = fields.flag("cumulative counts, latched by the trigger of each frame (NI)")
-    bins: fields.Time | None = fields.option(
-        "counts in even bins of this time, such as 100us (Hamamatsu units)"
-    )
-    patterns: Path | None = fields.option("--cumulative and --bins: folder of the patterns shown")
-    passes: Count | None = fields.option("--cumulative and --bins: passes; as many as there are")
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Photon file or table that was written."""
+        """Photon file that was written."""
+        from deepfsi.hardware.photons.events import read_events, write_ptu
         from deepfsi.hardware.photons.reader import summarise
-        from deepfsi.hardware.photons.timestamps import read_timestamps
 
-        if self.cumulative or self.bins is not None:
-            return self._import_series()
-        if self.patterns is not None or self.passes is not None:
-            raise InputError(f"--patterns and --passes are for {SERIES}: leave them out")
-        fields.check_file(self.out, (".ptu",), self.force)
-        events = read_timestamps(self.events, self.unit)
-        channels = events.write(self.out, self.marker_channel, self.channels or None)
+        times, numbers = read_events(self.events)
+        channels = write_ptu(
+            self.out,
+            times,
+            numbers,
+            marker=self.marker_channel,
+            inputs=self.channels,
+            tick_s=self.unit,
+        )
         contents = summarise(self.out)
         photons = {number + 1: contents.photons.get(number, 0) for number in range(len(channels))}
         triggers = contents.markers.get(1, 0)
-        left_out = len(events.times) - sum(photons.values()) - triggers
+        left_out = len(times) - sum(photons.values()) - triggers
         marker = f"channel {self.marker_channel}: {triggers} markers on 0"
         if self.marker_channel is None:
-            marker = (
-                f"no trigger, so no markers: give --marker-channel if a channel has it, or {SERIES}"
-            )
+            marker = "no trigger, so no markers: give --marker-channel if a channel has it"
         return Outcome(
             {
                 "file": str(self.out),
@@ -558,49 +541,3 @@ class ImportRecording(Command):
                 f"photons: {self.out}",
             ],
         )
-
-    def _import_series(self) -> Outcome:
-        """Table of cumulative counts, or of counts in bins."""
-        from deepfsi.hardware.counting.tables import table_of_series
-        from deepfsi.hardware.patterns.folder import read_patterns
-
-        events = self.explicit(("marker_channel", "channels", "unit"))
-        for name in events:
-            raise InputError(f"{self.option(name)} is for time stamps: leave it out, or {SERIES}")
-        fields.check_file(self.out, (".csv",), self.force)
-        if self.patterns is None:
-            raise InputError(f"{SERIES} need the patterns that were shown: give --patterns")
-        table, names = table_of_series(
-            read_table(self.events).values,
-            read_patterns(self.patterns).manifest,
-            bin_s=self.bins,
-            passes=self.passes,
-            name=str(self.events),
-        )
-        rows = [",".join(names), *(",".join(map(str, row)) for row in table.tolist())]
-        write_atomically(self.out, "\n".join([*rows, ""]).encode())
-        has_ends = "on" in {name.split("/")[0] for name in names}
-        needs = [] if has_ends else ["--photons", "--background"]
-        settle = ""
-        if self.bins is not None:
-            settle = f" --settle {time_text(self.bins).replace(' ', '').replace('µ', 'u')}"
-        return Outcome(
-            {
-                "file": str(self.out),
-                "passes": len(table),
-                "values": len(names),
-                "settle_s": self.bins or 0.0,
-                "needs": needs,
-            },
-            [
-                f"{len(table)} passes of {len(names)} values",
-                f"table: {self.out}",
-                *(
-                    ["the last frame of a pass has no end: all-ON and all-OFF frames are left out; "
-                     f"give {' and '.join(needs)} to classify"]
-                    if needs
-                    else []
-                ),
-                f"then: deepfsi camera classify {self.patterns} {self.out}{settle}",
-            ],
-        )  # fmt: skip

@@ -23,7 +23,7 @@ from deepfsi.datasets.levels import (
     mapped,
     measure_levels,
     reflectance,
-    taken,
+    select_scenes,
 )
 
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
@@ -195,13 +195,13 @@ def split_arrays(
     y = targets.y
     if targets.y_test is None:
         order, drawn = draw_fifth(len(y), y if targets.classes else None, seed)
-        tested = taken(scenes[0], drawn), y[drawn]
+        tested = select_scenes(scenes[0], drawn), y[drawn]
     else:
         order = np.random.default_rng(seed).permutation(len(y))
         tested = scenes[1], targets.y_test
     data = assemble(
         name,
-        (taken(scenes[0], order), y[order]),
+        (select_scenes(scenes[0], order), y[order]),
         tested,
         described=described or words,
         rescale=rescale,

@@ -151,7 +151,9 @@ def reflectance(values: AnyArray, levels: ValueRange) -> npt.NDArray[np.float32]
     return out
 
 
-def taken(x: npt.NDArray[np.float32], rows: npt.NDArray[np.intp]) -> npt.NDArray[np.float32]:
+def select_scenes(
+    x: npt.NDArray[np.float32], rows: npt.NDArray[np.intp]
+) -> npt.NDArray[np.float32]:
     """Some scenes, a copy of them."""
     out = empty_scenes((len(rows), *x.shape[1:]))
     for part in slices(out.shape):

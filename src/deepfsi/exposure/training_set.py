@@ -74,7 +74,7 @@ class TrainingSet:
         return self.device.type == "cpu" and self.full.nbytes > LARGE
 
     @property
-    def held(self) -> int:
+    def memory(self) -> int:
         """Bytes of scenes that it keeps in memory."""
         return 0 if self.in_file else self.full.nbytes
 

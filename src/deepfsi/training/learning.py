@@ -474,7 +474,7 @@ def _counting_exposure(
 def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 1) -> None:
     """Raise `InputError` where training jobs together would take more memory than is free."""
     scenes, pixels = training_set.full.shape
-    held = training_set.held
+    held = training_set.memory
     check_memory(
         footprint(training_set, jobs) * processes - held,
         memory_for(training_set.device),
@@ -509,4 +509,4 @@ def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
     step = FEATURE_COPIES * batch * (masks + replicas * sum(job.training.hidden))
     step *= job.exposure.parts
-    return 3 * training_set.held + FLOAT_BYTES * (learned + products_of_all + step)
+    return 3 * training_set.memory + FLOAT_BYTES * (learned + products_of_all + step)

@@ -1,18 +1,16 @@
 """Tables of any counter: readouts by the scanner's law, and one line for what does not fit."""
 
-import json
-
 import numpy as np
 import pytest
 import torch
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.numeric.tables import NumberTable, read_table
+from deepfsi.base.numeric.tables import NumberTable
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.hardware.counting import tables
-from deepfsi.hardware.counting.tables import TableSettings, count_table, table_of_series
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.counting.tables import TableSettings, count_table
+from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
 from deepfsi.hardware.patterns.manifest import DesignRails, Manifest
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 from deepfsi.physics.laws import light_law
@@ -197,131 +195,3 @@ def test_clicks_that_cannot_be_or_tell_no_budget_are_refused(counted):
         assert count_table(table, manifest, TableSettings(clicks=8, photons=9.0))[0].valid.all()
     bare = NumberTable(table.values[:, 2:-2], table.names[2:-2])
     refuse(manifest, "no all-ON and all-OFF frames, which tell the budget", bare, clicks=8)
-
-
-# Series
-
-
-MASKS, BRIGHT, BIN_US = 8, 2e7, 100
-"""Masks of a series, its flux, counts/s, and its bins, µs."""
-
-LIT_SCENES = np.random.default_rng(4).uniform(0.5, 1, (5, *SHAPE)).astype(np.float32)
-
-
-@pytest.fixture(scope="module", params=[1, 2], ids=["one", "two"])
-def shown(request, tmp_path_factory):
-    """Patterns with pictures of ten bins, and rates (S, F, inputs) of some scenes."""
-    folder = tmp_path_factory.mktemp("series") / "patterns"
-    rails = np.random.default_rng(3).integers(0, 2, (1, MASKS, 12)).astype(np.float32) / MASKS
-    cells = DetectorMap(count=2, cells=(0, 1) * 6) if request.param == 2 else None
-    made = DesignRails(rails, "equal-dwell", SHAPE, float(LIT_SCENES.sum() / 5), detectors=cells)
-    export_patterns(made, FrameSettings(DEVICE, BIN_US * 10e-6), folder)
-    rates = arrival_rates(folder, LIT_SCENES, VirtualCamera(dark=200.0), BRIGHT)
-    return folder, read_patterns(folder).manifest, rates
-
-
-def in_bins(manifest, rates: np.ndarray, seed: int):
-    """Counts (n, inputs) in bins, any phase and any pauses, and the true first bins of passes."""
-    rng, width = np.random.default_rng(seed), BIN_US * 1e-6
-    starts, rows, edges, at = [], [], [0.0], 0.0
-    for each in rates:
-        pause = float(rng.uniform(3, 40)) * width
-        rows += [rates[0, 1], *each]  # all OFF, then a pass
-        at += pause
-        starts.append(at)
-        edges += [at, *(at + np.cumsum(manifest.picture_s))]
-        at += manifest.pass_s
-    rows.append(rates[0, 1])
-    edges.append(at + 20 * width)
-    grid = np.arange(0, edges[-1], width)
-    whole = np.concatenate([[np.zeros(rates.shape[2])], np.diff(edges)[:, None] * np.array(rows)])
-    light = np.cumsum(whole, axis=0)
-    mean = np.stack([np.interp(grid, edges, light[:, k]) for k in range(rates.shape[2])], axis=1)
-    return rng.poisson(np.diff(mean, axis=0)), np.floor(np.array(starts) / width).astype(int)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_passes_in_bins_are_found_where_they_are(shown, seed):
-    _, manifest, rates = shown
-    counts, starts = in_bins(manifest, rates, seed)
-    rows, names = table_of_series(counts.astype(float), manifest, bin_s=BIN_US * 1e-6)
-    assert names == tables.column_names(manifest)
-    frames = 10 * np.arange(MASKS + 4)
-    for row, start in zip(rows, starts, strict=True):
-        firsts = start + frames + 1
-        clean = [
-            np.array([counts[f - early : f + 9 - early].sum(axis=0) for f in firsts]).ravel()
-            for early in (0, 1)  # where an edge of bins is an edge of frames, either is left out
-        ]
-        assert any(np.array_equal(row, each) for each in clean)
-
-
-def test_a_series_is_imported_as_the_function_reads_it(shown, done, tmp_path):
-    folder, manifest, rates = shown
-    counts, _ = in_bins(manifest, rates, 0)
-    np.savetxt(tmp_path / "bins.txt", counts, fmt="%d")
-    words = ("camera", "import", tmp_path / "bins.txt", "--bins", "100us", "--patterns", folder)
-    said = json.loads(done(*words, "--passes", 5, "--json", "-o", tmp_path / "table.csv"))
-    assert (said["passes"], said["settle_s"]) == (5, pytest.approx(1e-4))
-    rows, names = table_of_series(counts.astype(float), manifest, bin_s=1e-4)
-    table = read_table(tmp_path / "table.csv")
-    assert np.array_equal(table.values, rows)
-    assert list(table.names) == names
-
-
-def test_bins_that_do_not_tell_are_refused(shown):
-    _, manifest, rates = shown
-    counts = in_bins(manifest, rates, 1)[0].astype(float)
-    alike = np.tile(np.repeat([1000.0, 0.0], 10), 3 * len(manifest.frames) // 2)[:, None]
-    for bins, asked, match in (
-        (counts, {"passes": 6}, r"5 passes .* and 6 are asked for"),
-        (counts, {"bin_s": 30e-6}, "not whole numbers of bins of 30 µs"),
-        (np.ones_like(counts), {}, "0 passes"),
-        (counts - 0.5, {}, "no count"),
-        (counts[:, [0, 0, 0]], {}, "a column for each"),
-        # masks that are all ON or all OFF:
-        (np.repeat(alike, counts.shape[1], axis=1), {}, "counts do not tell"),
-    ):
-        with pytest.raises(InputError, match=match):
-            table_of_series(bins, manifest, **{"bin_s": BIN_US * 1e-6, **asked})
-
-
-@pytest.mark.parametrize("first", [0, tables.ROLL_OVER - 1000])
-def test_cumulative_counts_become_those_of_frames(shown, first):
-    """Also where the counter begins again within a pass."""
-    _, manifest, rates = shown
-    rng, inputs = np.random.default_rng(0), rates.shape[2]
-    counts = rng.poisson(rates * manifest.picture_s[:, None])
-    pauses = rng.poisson(50, (len(rates), 1, inputs))
-    steps = np.concatenate([pauses, counts], axis=1)  # from the trigger before each latch
-    latched = (first + steps.reshape(-1, inputs).cumsum(axis=0)) % tables.ROLL_OVER
-    rows, names = table_of_series(latched.astype(float), manifest)
-    assert names == tables.column_names(manifest)
-    np.testing.assert_array_equal(rows, counts.reshape(len(rates), -1))
-    starts = latched.reshape(len(rates), -1, inputs)[:, :-1]  # no trigger at the end of a pass
-    rows, names = table_of_series(starts.reshape(-1, inputs).astype(float), manifest)
-    assert names == tables.column_names(manifest)[2 * inputs : -2 * inputs]
-    np.testing.assert_array_equal(rows, counts[:, 2:-2].reshape(len(rates), -1))
-
-
-def test_latches_that_are_not_of_whole_passes_are_refused(shown, refuse, tmp_path):
-    _, manifest, rates = shown
-    frames, inputs = len(manifest.frames), rates.shape[2]
-    rising = np.arange(frames * (frames + 1) * inputs, dtype=float).reshape(-1, inputs)
-    for passes in (frames, frames + 1):
-        assert len(table_of_series(rising, manifest, passes=passes)[0]) == passes
-    for latched, passes, match in (
-        (rising, None, "how many `passes`"),
-        (rising[:-1], None, "whole passes"),
-        (rising[::-1], frames, "fall within a pass"),
-    ):
-        with pytest.raises(InputError, match=match):
-            table_of_series(latched, manifest, passes=passes)
-    np.savetxt(tmp_path / "n.txt", rising, fmt="%d")
-    words = ("camera", "import", tmp_path / "n.txt", "-o", tmp_path / "t.csv")
-    assert "--patterns" in refuse(*words, "--cumulative")
-    assert "for time stamps" in refuse(*words, "--cumulative", "--marker-channel", 1)
-    assert "not events, give --cumulative or --bins" in refuse(*words[:-1], tmp_path / "t.ptu")
-    told = refuse(*words[:-1], tmp_path / "t.ptu", "--marker-channel", 1, "--passes", 3)
-    assert "are for --cumulative or --bins" in told
-    assert not (tmp_path / "t.csv").exists()

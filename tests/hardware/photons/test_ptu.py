@@ -45,7 +45,7 @@ BAD_HEADERS = {
     "histogram": (b"PQHISTO\0" + HEADER[8:] + END + WORD, "a histogram, which has no times"),
     "pt3": (b"PicoHarp 300\0\0\0\0" + bytes(700), "older format .* phconvert"),
     "ht2": (b"HydraHarp\0\0\0\0\0\0\0" + bytes(700), "older format .* phconvert"),
-    "hdf5": (b"\x89HDF\r\n" + bytes(700), "HDF5 file: .* camera import"),
+    "hdf5": (b"\x89HDF\r\n" + bytes(700), "HDF5 file: .*write_ptu"),
     "ttbin": (b"SITT" + bytes(700), "Swabian .* FileReader"),
     "text": (b"time,channel\n" * 100, "not a PTU file"),
     "magic only": (HEADER[:16], "without an end"),

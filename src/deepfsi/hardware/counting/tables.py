@@ -7,20 +7,8 @@ the time T_f, becomes that of its gate,
     value · share_f · E / T_f,      E = Σ T_f / Σ share_f  over the masks' frames,
 
 and the budget is the flux times E: all the light of these frames.
-
-Counters that give no events give cumulative counts at triggers, or counts in even time bins: both
-become such a table, a row for each pass and a value for each frame and input. Bins have no marker,
-so passes are found by their light: all ON, then all OFF, at both ends, and no frame brighter. Of
-the places s that fit it is the one at which counts are most likely to be constant within each
-frame, by the logarithm of the likelihood
-
-    G(s) = Σ_f [S_f log(S_f / n_f) − Σ_b k_b log k_b],    S_f the counts k_b of the n_f bins of f.
-
-The first bin of each frame may hold light of the frame before and is left out: a frame is counted
-one bin less than it is shown.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Self, get_args
 
@@ -45,20 +33,11 @@ from deepfsi.hardware.counting.corrections import (
 )
 from deepfsi.hardware.counting.counts import Counts, RunLight
 from deepfsi.hardware.light.checks import Fault, check_light
-from deepfsi.hardware.light.curves import CERTAIN_SIGMAS, Arrivals
+from deepfsi.hardware.light.curves import Arrivals
 from deepfsi.hardware.patterns.manifest import Manifest
-
-ROLL_OVER = 2**32
-"""Counts after which a cumulative counter begins again."""
-
-CERTAIN_GAIN = 10.0
-"""Logarithm of the odds by which one place of a pass is likelier than any other."""
 
 SMALLEST = float(np.nextafter(0, 1))
 """Smallest number above 0."""
-
-LEAST_BINS = 2
-"""Bins that a frame is shown for at least, one of which is left out."""
 
 Along = Literal["rows", "columns"]
 """Exposures are the rows of a table, or its columns."""
@@ -448,145 +427,3 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
         dark_rate=manifest.by_rail(dark),
         faults=faults,
     )
-
-
-def table_of_series(
-    values: np.ndarray,
-    manifest: Manifest,
-    *,
-    bin_s: float | None = None,
-    passes: int | None = None,
-    name: str = "the file",
-) -> tuple[np.ndarray, list[str]]:
-    """Table of a counter that gives no events: cumulative counts at triggers, or even time bins."""
-    inputs = manifest.inputs
-    columns = values.T if values.shape[1] != inputs and values.shape[0] == inputs else values
-    if columns.shape[1] != inputs:
-        raise InputError(
-            f"{name} has {values.shape[1]} columns, and these patterns have {inputs} inputs: give "
-            "a column for each"
-        )
-    if (columns < 0).any() or (columns % 1 != 0).any() or columns.max() > 2.0**53:
-        raise InputError(f"{name} holds what is no count: give whole numbers, 0 or more")
-    counts = columns.astype(np.int64)
-    if bin_s is None:
-        return _of_cumulative(counts, manifest, passes, name)
-    return _of_bins(counts, manifest, bin_s, passes=passes, name=name)
-
-
-def _of_cumulative(
-    counts: np.ndarray, manifest: Manifest, passes: int | None, name: str
-) -> tuple[np.ndarray, list[str]]:
-    """Rows of a table, and its columns, of counts (n, inputs) that a trigger latched."""
-    # One latch at the start of each frame. With one more at the end of a pass the last frame has an
-    # end and is counted; else the all-ON and all-OFF frames are left out
-    frames = len(manifest.frames)
-    names = column_names(manifest)
-    fits = [
-        latches
-        for latches in (frames + 1, frames)
-        if passes in (None, len(counts) / latches) and len(counts) % latches == 0
-    ]
-    if len(fits) != 1:
-        raise InputError(
-            "{name} has {count} cumulative counts, and a pass has {frames} frames, whose trigger "
-            "gives as many, or one more at its end: "
-            + ("say how many {passes} there are" if fits else "give those of whole passes"),
-            setting="passes",
-            name=name,
-            count=len(counts),
-            frames=frames,
-        )
-    steps = np.diff(counts.reshape(-1, fits[0], manifest.inputs), axis=1) % ROLL_OVER
-    if (steps > ROLL_OVER / 2).any():
-        raise InputError(
-            f"{name} has counts that fall within a pass: give cumulative ones, in the order of "
-            "their triggers"
-        )
-    if fits[0] > frames:
-        return steps.reshape(len(steps), -1), names
-    return steps[:, 2 : frames - 2].reshape(len(steps), -1), names[
-        2 * manifest.inputs : -2 * manifest.inputs
-    ]
-
-
-def _of_bins(
-    counts: np.ndarray, manifest: Manifest, bin_s: float, *, passes: int | None, name: str
-) -> tuple[np.ndarray, list[str]]:
-    """Rows of a table, and its columns, of counts (n, inputs) in even time bins."""
-    lengths = manifest.picture_s / bin_s
-    bins = np.rint(lengths).astype(np.int64)
-    if abs(lengths - bins).max() > 1e-6 * max(lengths.max(), 1) or bins.min() < LEAST_BINS:
-        times = sorted({round(one * 1e6) for one in manifest.picture_s.tolist()})
-        raise InputError(
-            f"pictures of {times[0]} to {times[-1]} µs are not whole numbers of bins of "
-            f"{bin_s * 1e6:g} µs, {LEAST_BINS} or more: export an equal-dwell design or a scan "
-            "with such a --dwell, or record in other bins"
-        )
-    total = np.concatenate([np.zeros((1, manifest.inputs), np.int64), counts.cumsum(axis=0)])
-    places = np.array(sorted(_find_passes(total, bins, manifest, passes)), np.int64)
-    if not len(places) or len(places) != (passes or len(places)):
-        raise InputError(
-            f"{name} has {len(places)} passes that begin and end with a bright and a dark frame"
-            f"{'' if passes is None else f', and {passes} are asked for'}: give the patterns that "
-            "were shown, and the length of the bins"
-        )
-    ends = places[:, None] + np.cumsum(bins)
-    rows = total[ends] - total[ends - bins + 1]
-    return rows.reshape(len(rows), -1), column_names(manifest)
-
-
-def _find_passes(
-    total: np.ndarray, bins: np.ndarray, manifest: Manifest, passes: int | None
-) -> Iterator[int]:
-    """First bins of passes, the surest first; `InputError` where a place is not certain."""
-    # total (n + 1, inputs): counts before each bin
-    length = int(bins.sum())
-    starts = len(total) - length
-    if starts < 1:
-        return
-    gain = _pass_gains(total, bins, manifest.arm)
-    while passes is None or passes > 0:
-        best = int(np.argmax(gain))
-        if gain[best] == -np.inf:
-            return
-        near = slice(max(best - length + 1, 0), best + length)
-        rivals = gain[near].copy()
-        rivals[max(best - 1, 0) - near.start : best + 2 - near.start] = -np.inf
-        if rivals.max() > gain[best] - CERTAIN_GAIN:
-            raise InputError(
-                f"a pass begins at bin {best} or {near.start + int(np.argmax(rivals))}, and the "
-                "counts do not tell: use more light, or longer pictures"
-            )
-        gain[near] = -np.inf
-        passes = None if passes is None else passes - 1
-        yield best
-
-
-def _pass_gains(total: np.ndarray, bins: np.ndarray, arm: slice) -> np.ndarray:
-    """G (starts,) of a pass that begins at each bin; -inf where it cannot."""
-    from scipy.special import xlogy
-
-    starts = len(total) - int(bins.sum())
-    gain = np.zeros(starts)
-    single = np.diff(total, axis=0)
-    saturated = np.concatenate([[0.0], xlogy(single, single).sum(axis=1).cumsum()])
-    brightest = np.zeros(starts)
-    ends = []  # counts of the arm in the all-ON and all-OFF frames, and the bins that they are of
-    stops = zip(np.cumsum(bins).tolist(), (bins - 1).tolist(), strict=True)
-    for frame, (stop, width) in enumerate(stops):
-        counts = total[stop : stop + starts] - total[stop - width : stop - width + starts]
-        gain += xlogy(counts, counts / width).sum(axis=1)
-        gain -= saturated[stop : stop + starts] - saturated[stop - width : stop - width + starts]
-        of_arm = counts[:, arm].sum(axis=1)
-        if 2 <= frame < len(bins) - 2:  # kept as a maximum: all of these would not fit the memory
-            least = of_arm / width - CERTAIN_SIGMAS * np.sqrt(of_arm) / width
-            brightest = np.maximum(brightest, least)
-        else:
-            ends.append((of_arm, width))
-    fits = np.ones(starts, bool)
-    for (on, on_bins), (off, off_bins) in (ends[:2], ends[2:]):
-        noise = np.sqrt(on / on_bins**2 + off / off_bins**2)
-        fits &= on / on_bins - off / off_bins > CERTAIN_SIGMAS * noise
-        fits &= on / on_bins + CERTAIN_SIGMAS * np.sqrt(on) / on_bins >= brightest
-    return np.where(fits, gain, -np.inf)

@@ -54,7 +54,7 @@ FOREIGN = {
     b"PicoHarp 300": f"is a file of a PicoHarp 300 in an older format (.pt2, .pt3): {CONVERT}",
     b"HydraHarp": f"is a file of a HydraHarp in an older format (.ht2, .ht3): {CONVERT}",
     b"TimeHarp": f"is a file of a TimeHarp in an older format (.t3r): {CONVERT}",
-    b"\x89HDF": "is an HDF5 file: if it is Photon-HDF5, give it to `deepfsi camera import`",
+    b"\x89HDF": "is an HDF5 file: if it is Photon-HDF5, give its times and channels to `write_ptu`",
     b"SITT": "is a stream of a Swabian Time Tagger (.ttbin): read it with the class FileReader of "
     "its package, save times and channels as two columns, and give these to `camera import`",
 }
@@ -70,8 +70,8 @@ FOREIGN_ENDS = {
     **dict.fromkeys((".t2r", ".t3r"), FOREIGN[b"TimeHarp"]),
     **dict.fromkeys((".phu", ".phd", ".hhd", ".thd"), f"is by its name {NO_TIMES}"),
     ".ttbin": FOREIGN[b"SITT"],
-    ".spc": "is by its name a file of Becker & Hickl: the package phconvert writes a Photon-HDF5 "
-    "file of those of some cards, which `deepfsi camera import` reads",
+    ".spc": "is by its name a file of Becker & Hickl: the package phconvert reads those of some "
+    "cards, for `write_ptu`",
     ".sdt": "is by its name a file of Becker & Hickl with histograms or pictures, which have no "
     "times of photons: record in FIFO mode, as .spc",
     **dict.fromkeys(TABLE_ENDS, f"is no PTU file: {_TO_TAGS}"),
