@@ -24,11 +24,11 @@ from deepfsi.base.progress import Moments, Progress
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.exposure.training_set import TrainingSet, network_dtype
-from deepfsi.jobs.exposures import Patches
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.tiles import sensing_matrix
-from deepfsi.networks.classifiers import Vit
 from deepfsi.training.learning import train
+from deepfsi_paper.patches.settings import Patches
+from deepfsi_paper.patches.transformer import Vit
 from deepfsi_paper.studies import find
 
 BUDGET, CLASSES = 1e4, 10

@@ -13,16 +13,15 @@ from conftest import generator, quick
 from deepfsi import Mlp, load_design
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.variants import ambient
-from deepfsi.exposure.kinds import build_training
-from deepfsi.exposure.training import JobGroup
+from deepfsi.exposure.training import JobGroup, build_training
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.hardware.patterns.frames import recount, unpack
-from deepfsi.jobs.exposures import Patches, cut_patches
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from deepfsi.physics.noise import attach_gradient
 from deepfsi.training.learning import train
+from deepfsi_paper.patches.settings import Patches, cut_patches
 from shared.benchmarks import benchmark
 
 DRAWS = 400_000

@@ -43,6 +43,7 @@ LACKS = {
         "camera record frames --scene images --projector vialux --counter swabian -o lab",
         "unknown projector 'vialux'",
     ),
+    "deepfsi_paper": ("reproduce mnist -o paper", "install deepfsi again"),
 }
 """A command for which a package is needed, and what is said without it."""
 

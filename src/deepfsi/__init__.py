@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from deepfsi.jobs.exposures import Looks as Looks
     from deepfsi.jobs.exposures import Nested as Nested
     from deepfsi.jobs.exposures import Passing as Passing
-    from deepfsi.jobs.exposures import Patches as Patches
     from deepfsi.jobs.exposures import Range as Range
     from deepfsi.jobs.exposures import SharedLight as SharedLight
     from deepfsi.jobs.job import Job as Job
@@ -58,7 +57,6 @@ _HOMES = {
     "Nested": "jobs.exposures",
     "OwnClassifier": "networks.custom",
     "Passing": "jobs.exposures",
-    "Patches": "jobs.exposures",
     "Range": "jobs.exposures",
     "Result": "measures.results",
     "Scanner": "physics.scanner",
@@ -90,7 +88,6 @@ __all__ = [
     "Nested",
     "OwnClassifier",
     "Passing",
-    "Patches",
     "Range",
     "Result",
     "Scanner",

@@ -5,9 +5,10 @@ import shutil
 import pytest
 
 from conftest import synthetic
-from deepfsi import Fixed, Job, Looks, Nested, Passing, Patches, Range
+from deepfsi import Fixed, Job, Looks, Nested, Passing, Range
 from deepfsi.base.errors import InputError
 from deepfsi.jobs.exposures import find_exposure
+from deepfsi_paper.patches.settings import Patches
 from golden.file_cases import FOLDER
 from shared.design_files import refused, rewrite
 from shared.jobs import job, learn
@@ -94,7 +95,6 @@ PASSING = {"bins": 6}
         (PAPER | PATCH | {"train_noise": "poisson"}, ["trained under photon noise"]),
         (PAPER | PATCH | {"design": "random"}, ["random is not for patches"]),
         (PAPER | PATCH | {"design": "control"}, ["control is not for patches"]),
-        (PAPER | PATCH | {"classifier": "mlp"}, ["give classifier vit"]),
         (DMD | PASSING, []),
         (DMD | PASSING | {"design": "pca"}, ["pca is a set of masks"]),
         (DMD | PASSING | {"masks": 5}, ["5 masks and 6 bins are one number"]),
@@ -118,7 +118,8 @@ def test_every_fault_of_an_exposure_is_told(settings, faults):
     ("settings", "match"),
     [
         ({"hidden": (8,)}, "are of the usual classifier"),
-        ({"patch": 0}, "vit reads patches, and nothing else does"),
+        ({"patch": 0}, "vit reads features of patches, and the exposure"),
+        ({"classifier": "mlp"}, "mlp reads features of whole scenes"),
         ({"patch": 3, "masks": 9}, "cannot be cut in patches of 3x3"),
         ({"classifier_arguments": {"breadth": 3}}, "whole numbers of width, depth, heads, hidden"),
         ({"classifier_arguments": {"width": 0}}, "whole numbers of width, depth, heads, hidden"),

@@ -14,8 +14,7 @@ from torch import Tensor
 from conftest import generator, once
 from deepfsi import Scanner
 from deepfsi.datasets.arrays import from_arrays
-from deepfsi.exposure.kinds import build_training
-from deepfsi.exposure.training import JobGroup
+from deepfsi.exposure.training import JobGroup, build_training
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics.training_noise import Draws
 from shared.jobs import job

@@ -5,8 +5,7 @@ from collections import Counter
 import pytest
 from torch.profiler import ProfilerActivity, profile
 
-from deepfsi.exposure.kinds import build_training
-from deepfsi.exposure.training import JobGroup
+from deepfsi.exposure.training import JobGroup, build_training
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics.training_noise import Draws
 from shared.jobs import job

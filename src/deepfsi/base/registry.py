@@ -16,6 +16,17 @@ class Registry:
             "list projector": {},  # of frames that are chosen meanwhile: a `StreamingProjector`
             "counter": {},  # a `StreamingCounter`
         }
+        # Of kinds of entries: the setting that asks for an exposure, and its class
+        self.schemes: dict[str, tuple[str, str]] = {}
+        self.classifiers: dict[str, str] = {}
+
+    def add_scheme(self, kind: str, setting: str, target: str) -> None:
+        """Add a kind of exposure: its settings, one of which asks for it, an `Exposure`."""
+        self.schemes[kind] = setting, target
+
+    def add_classifier(self, name: str, target: str) -> None:
+        """Add a classifier: its `ClassifierFacts`."""
+        self.classifiers[name] = target
 
     def add_device(self, role: str, name: str, target: str) -> None:
         """Add a driver: a class or function whose keywords are the settings of the device."""

@@ -22,9 +22,9 @@ def check_readouts(
     dwell: Any,
     wanted: tuple[int, ...],
     frames: tuple[int, ...] | None = None,
-    patches: tuple[int, ...] = (),
+    parts: tuple[int, ...] = (),
 ) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Counts (..., *patches, *wanted), budgets (..., 1) and dwells as counts, checked."""
+    """Counts (..., *parts, *wanted), budgets (..., 1) and dwells as counts, checked."""
 
     def tensor(values: Any) -> Tensor:
         return torch.from_numpy(np.asarray(values, dtype=np.float32).copy())
@@ -35,7 +35,7 @@ def check_readouts(
         shown = None if dwell is None else tensor(dwell)
     except (TypeError, ValueError):
         raise InputError("counts, photons and dwell must be arrays of numbers") from None
-    shape = (*patches, *wanted)
+    shape = (*parts, *wanted)
     if tuple(read.shape[-len(shape) :]) != shape:
         raise InputError(
             f"counts of shape {tuple(read.shape)} do not fit this design: give (..., "

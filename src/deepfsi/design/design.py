@@ -355,7 +355,7 @@ class Design:
             for some in scenes.split(EXPOSED_AT_ONCE)
         ]
         counts = torch.cat(parts)
-        return counts.view(*lead, *exposure.patch_axis, *self.counts_shape).cpu().numpy()
+        return counts.view(*lead, *exposure.part_axis, *self.counts_shape).cpu().numpy()
 
     @library_defaults(grad=False)
     def predict(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
@@ -518,8 +518,8 @@ class Design:
         ----------
         counts : array, shape (..., 2, m) for dual-rail designs, (..., m) for single-rail ones
             Counts of each readout, first the positive rails, then the negative ones. A dark rail
-            reads 0. Of D detectors there are D for each, (..., 2, m, D) or (..., m, D). Of images
-            in P patches the axis before is theirs, (..., P, 2, m) or (..., P, m).
+            reads 0. Of D detectors there are D for each, (..., 2, m, D) or (..., m, D). Where P
+            parts of a scene have detectors of their own, theirs is the axis before, (..., P, 2, m).
         photons : float or array, shape (...)
             Budget Φ of each exposure, or an estimate of it (an all-ON frame gives one).
         dwell : array, shape (..., m), optional
@@ -569,7 +569,7 @@ class Design:
             dwell,
             wanted=self.counts_shape,
             frames=frames,
-            patches=exposure.patch_axis,
+            parts=exposure.part_axis,
         )
         check_counts.check_click_counts(read, self.gates)
         device = exposure.device
@@ -602,7 +602,7 @@ class Design:
         ------
         InputError
             As for `classify`, or if it is of several looks, which live runs test, or has no
-            `distribution`: one of patches, less than 100 training scenes or 50 of a class.
+            `distribution`: one of less than 100 training scenes or 50 of a class.
         """
         self.exposure.check("comparison")
         if self.distribution is None:
@@ -669,7 +669,7 @@ class Design:
         Raises
         ------
         InputError
-            If the patterns are of a design of another shape, or this one is of patches.
+            If the patterns are of a design of another shape, or no frames can show this one.
         """
         self.exposure.check("frames")
         check_counts.check_dimmed(dimmed, self.gates)

@@ -10,13 +10,13 @@ from torch import Tensor, nn
 
 from deepfsi.adaptive.clicking import adaptive_kind
 from deepfsi.base.errors import InputError
+from deepfsi.base.plugins import load_plugin
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.designfile.design_file import DesignFile, damaged_design
 from deepfsi.designfile.header import AdaptiveHeader, CustomEntry, DesignHeader, MaskHeader
 from deepfsi.exposure.kind import Clicks, TrainedMasks
-from deepfsi.exposure.kinds import MASK_KINDS
 from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.networks.classifiers import CLASSIFIER_TYPES, Classifier, restore_network
+from deepfsi.networks.classifiers import Classifier, find_network, restore_network
 from deepfsi.networks.custom import OwnClassifier
 from deepfsi.networks.values import Values
 from deepfsi.physics.detection import Detection
@@ -140,7 +140,8 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
         **{name: torch.from_numpy(file.arrays[name]) for name in FEATURE_STATISTICS},
     )
     weights = {name: torch.from_numpy(array) for name, array in file.arrays_of("exposure").items()}
-    exposure = MASK_KINDS[header.exposure.kind].restored(header.exposure, weights, optics)
+    kind = load_plugin(header.exposure.restored_by)
+    exposure = kind.restored(header.exposure, weights, optics)
     scales = {name: torch.from_numpy(array) for name, array in file.arrays_of("values").items()}
     return {
         "exposure": exposure,
@@ -161,7 +162,7 @@ def _classifier(file: DesignFile, header: MaskHeader, inputs: int) -> nn.Module:
     if isinstance(sizes, CustomEntry):
         return OwnClassifier(None, sizes.factory, sizes.arguments, weights)
     return restore_network(
-        CLASSIFIER_TYPES[sizes.kind],
+        find_network(sizes.kind),
         weights,
         inputs=inputs,
         classes=len(header.classes or header.values),

@@ -130,8 +130,8 @@ class DesignFile:
             raise ValueError("statistics are not those of the masks")
         if not (self.arrays["std"] > 0).all():
             raise ValueError("standard deviations are not above 0")
-        if math.prod(self.header.image_shape) != pixels * self.header.classifier.patches:
-            raise ValueError("images have other pixels than masks on all patches")
+        if math.prod(self.header.image_shape) != pixels * self.header.classifier.parts:
+            raise ValueError("images have other pixels than masks of all parts")
         _ = self.distribution, self.scene_model, self.temperatures
 
     # What it is

@@ -8,14 +8,14 @@ import math
 from importlib.metadata import version
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, SerializeAsAny, model_validator
 
-from deepfsi.base.models.strict import Count, StrictModel
+from deepfsi.base.models.strict import Count, StrictModel, of_kinds
 from deepfsi.base.plugins import IMPORT_PATH
 from deepfsi.camera.names import LightLawName, Readout, SummedReflectance
 from deepfsi.jobs.designs import check_design
 from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
-from deepfsi.jobs.training import MOST_LAYERS, Widths, find_classifier
+from deepfsi.jobs.training import Widths, find_classifier
 
 DESIGN_SCHEMA: Literal[1] = 1
 """Number of the design file's schema."""
@@ -40,32 +40,7 @@ class MlpEntry(StrictModel, strict=True):
     kind: Literal["mlp"]
     hidden: Widths  # widths of the hidden layers
     dropout: float = Field(ge=0, lt=1)  # share of hidden units left out in a step of training
-    patches: ClassVar = 1
-
-
-class VitEntry(StrictModel, strict=True):
-    """Entry of the header for a `Vit`: its parameters of the same names.
-
-    Attributes
-    ----------
-    patches : int
-        Patches of an image.
-    width : int
-        Numbers that stand for a patch.
-    depth : int
-        Transformer blocks.
-    heads : int
-        Attention heads of a block.
-    hidden : int
-        Hidden units of a block's feed-forward network.
-    """
-
-    kind: Literal["vit"]
-    patches: Count
-    width: Count
-    depth: int = Field(ge=1, le=MOST_LAYERS)
-    heads: Count
-    hidden: Count
+    parts: ClassVar = 1
 
 
 class CustomEntry(StrictModel, strict=True):
@@ -82,7 +57,7 @@ class CustomEntry(StrictModel, strict=True):
     kind: Literal["own"]
     factory: str = Field(pattern=f"^({IMPORT_PATH})?$")
     arguments: dict[str, Any]
-    patches: ClassVar = 1
+    parts: ClassVar = 1
 
 
 class MaskHeader(StrictModel, strict=True, populate_by_name=True):
@@ -124,23 +99,24 @@ class MaskHeader(StrictModel, strict=True, populate_by_name=True):
     classes: tuple[str, ...]
     values: tuple[str, ...] = ()
     exposure: ExposureEntry
-    classifier: Annotated[MlpEntry | VitEntry | CustomEntry, Field(discriminator="kind")]
+    classifier: Annotated[
+        SerializeAsAny[Annotated[MlpEntry | CustomEntry, Field(discriminator="kind")]],
+        of_kinds((MlpEntry, CustomEntry), lambda kind: find_classifier(str(kind)).entry),
+    ]
     info: DesignInfo
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if find_classifier(self.classifier.kind).reads_patches != (self.exposure.kind == "patches"):
-            raise ValueError("a transformer reads patches, and nothing else does")
+        if find_classifier(self.classifier.kind).features != self.exposure.features:
+            raise ValueError("classifier and masks have features of different kinds")
         if bool(self.classes) == bool(self.values):
             raise ValueError("a design answers either classes or values")
         return self
 
     @property
     def mask_shape(self) -> tuple[int, ...]:
-        """Shape of a mask: that of a scene, or of a patch."""
-        if self.exposure.kind == "patches":
-            return self.exposure.side, self.exposure.side
-        return self.image_shape
+        """Shape of a mask."""
+        return self.exposure.mask_shape(self.image_shape)
 
 
 class AdaptiveHeader(StrictModel, populate_by_name=True):

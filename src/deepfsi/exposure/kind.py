@@ -589,8 +589,8 @@ class MaskExposure(ExposureKind):
         return self.image_shape
 
     @property
-    def patch_axis(self) -> tuple[int, ...]:
-        """Axis (P,) of counts that comes before those of a patch; none of whole images."""
+    def part_axis(self) -> tuple[int, ...]:
+        """Axis (P,) of counts of parts of a scene, before those of masks; none of whole scenes."""
         return ()
 
     def quantised(self, levels: int) -> Self:
@@ -763,7 +763,7 @@ class MaskExposure(ExposureKind):
             gain, offset = to_training_light(
                 photons / trained,
                 optics.mean * trained,
-                optics.shares * trained / prod(self.patch_axis),
+                optics.shares * trained / prod(self.part_axis),
                 optics.clicks.gates,
             )
             seen = replace(seen, features=seen.features * gain + offset / trained)

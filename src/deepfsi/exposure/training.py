@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base.errors import InputError
+from deepfsi.base.plugins import load_plugin
 from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.exposure.kind import MaskExposure, TrainedMasks, whole_exposure
 from deepfsi.exposure.training_set import TrainingSet, product_dtype
@@ -105,7 +106,7 @@ class ExposureTraining(ABC):
         self.detection = Detection.of(self.camera, self.training_set.data.image_shape)
         self.choose = Replicas([], stacked=False)
         self.input_count = self.job.features(self.training_set.data.image_shape)
-        self.tokens = self.training_set.data.pixels // self.scenes.data.pixels
+        self.parts = self.training_set.data.pixels // self.scenes.data.pixels
 
     @abstractmethod
     def prepare(self) -> None:
@@ -237,7 +238,7 @@ class ExposureTraining(ABC):
                 summed_reflectance=s,
                 mean=statistics.mean[job] / budget,
                 std=statistics.std[job] / budget,
-                shares=statistics.light[job] / budget * self.tokens,
+                shares=statistics.light[job] / budget * self.parts,
             )
             made.append(replace(exposure, optics=optics))  # type: ignore[type-var]
         return made
@@ -315,3 +316,8 @@ def moments(parts: Iterable[Tensor]) -> tuple[Tensor, Tensor]:
         sums.append(torch.stack([wide.sum(dim=0), wide.square().sum(dim=0)]))
     mean, square = torch.stack(sums).sum(dim=0) / count
     return mean.to(part), (square - mean.square()).clamp(min=0).to(part)
+
+
+def build_training(group: JobGroup) -> ExposureTraining:
+    """Masks of jobs before their training, and networks beside the classifiers."""
+    return load_plugin(group.jobs[0].exposure.trained_by)(group)

@@ -4,7 +4,6 @@
     Range     the same for a range of budgets, and the network is told the budget
     Nested    the first masks alone give an answer, too, and the network is told how many
     Looks     several looks; the counts so far choose the dwells of the next
-    Patches   an image seen patch by patch, with a detector for each patch and mask
     Passing   a scene that passes a static pattern, of which each time bin is a readout
     SharedLight  adaptive masks whose exposures end when a class is sure, at a mean budget
 
@@ -19,7 +18,7 @@ does with its masks is in `exposure`.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import ceil
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from pydantic import (
@@ -38,7 +37,10 @@ from deepfsi.base.models.strict import (
     StrictModel,
     UserModel,
     WholeNumber,
+    of_kinds,
 )
+from deepfsi.base.plugins import load_plugin
+from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, find_noise
 from deepfsi.datasets.dataset import Dataset
@@ -78,8 +80,14 @@ class Exposure(UserModel):
     of_classes: ClassVar[bool] = False
     """Whether it is decided by the probabilities of classes."""
 
-    of_patches: ClassVar[bool] = False
-    """Whether classifiers get the features of every patch of an image."""
+    features: ClassVar[str] = ""
+    """Parts of scenes whose features classifiers get; none of whole scenes."""
+
+    trained_by: ClassVar[str] = "deepfsi.exposure.fixed:fixed_training"
+    """Import path of the training of its masks."""
+
+    entry_type: ClassVar[type["Entry"]]
+    """Entry in a header, of an exposure that a package beside the core has."""
 
     takes_start: ClassVar[bool] = True
     """Whether masks that learn can start from a design or a matrix."""
@@ -166,8 +174,21 @@ class _Sharing(LaterFields, Exposure):
             )
 
 
-class _Entry(StrictModel, strict=True):
+class Entry(StrictModel, strict=True):
     """Entry of a design file's header: no further fields, and no conversions."""
+
+    features: ClassVar[str] = ""
+    """As of `Exposure`."""
+
+    no_frames: ClassVar[str] = ""
+    """Why frames of a device cannot show the masks, where they cannot."""
+
+    restored_by: ClassVar[str] = "deepfsi.exposure.fixed:FixedExposure"
+    """Import path of the exposure of the masks of a file."""
+
+    def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
+        """Shape of a mask."""
+        return image_shape
 
     def count_stops(self, masks: int) -> int:
         """K, numbers of masks, of m, or of looks, after which an exposure can be classified."""
@@ -185,13 +206,13 @@ class Fixed(Exposure):
     """
 
 
-class FixedEntry(_Entry):
+class FixedEntry(Entry):
     """Exposure of which all masks are needed, each with its own dwell."""
 
     kind: Literal["fixed"] = "fixed"
 
 
-class _SharingEntry(LaterFields, _Entry):
+class _SharingEntry(LaterFields, Entry):
     """Entry of an exposure that may end when a class is sure.
 
     Attributes
@@ -211,6 +232,7 @@ class _SharingEntry(LaterFields, _Entry):
 class _Conditioned(Exposure):
     """Base of those whose network is told the budget, and how many masks were shown."""
 
+    trained_by: ClassVar[str] = "deepfsi.exposure.conditioned:ConditionedTraining"
     span: float
 
     def highest(self, photons: float) -> float:
@@ -324,6 +346,7 @@ class ConditionedEntry(_SharingEntry):
     width: Count = 1
     used: Positive = 1.0
     kind: Literal["conditioned"] = "conditioned"
+    restored_by: ClassVar[str] = "deepfsi.exposure.conditioned:ConditionedExposure"
 
     def count_stops(self, masks: int) -> int:
         """K, numbers of first masks, of m, that can be classified alone."""
@@ -344,6 +367,7 @@ class Looks(_Sharing):
     """
 
     of_classes: ClassVar[bool] = True
+    trained_by: ClassVar[str] = "deepfsi.exposure.looks:LooksTraining"
 
     training: ClassVar[dict[str, Any]] = {"start": "class-pairs"}
     """On MNIST's validation images at 1e4 photons, 64 masks and 4 looks 0.866; 0.845 from pca."""
@@ -424,97 +448,11 @@ class LooksEntry(_SharingEntry):
     hidden: Widths
     shortest: Annotated[float, Field(ge=0, lt=1)]
     kind: Literal["adaptive"] = "adaptive"
+    restored_by: ClassVar[str] = "deepfsi.exposure.looks:LooksExposure"
 
     def count_stops(self, masks: int) -> int:
         """K, an answer after each look."""
         return self.looks
-
-
-class Patches(Exposure):
-    """An image seen patch by patch: the same masks for all patches, read by a transformer.
-
-    A patch has a detector for each mask, and a budget is of the whole image, which the patches
-    share as they share its light.
-
-    Examples
-    --------
-    >>> import deepfsi
-    >>> seen = deepfsi.Patches(patch=4)
-    >>> deepfsi.Job(masks=8, photons=1e4, camera="paper", exposure=seen).training.classifier
-    'vit'
-    """
-
-    training: ClassVar[dict[str, Any]] = {
-        "start": "pca",
-        "classifier": "vit",
-        "epochs": 15,
-        "batch": 100,
-        "lr": 2e-3,
-        "mask_lr": 2e-2,
-        "decay": 0.05,
-    }
-
-    side_by_side: ClassVar[bool] = False
-    of_patches: ClassVar[bool] = True
-    allow_bf16: ClassVar[bool] = False
-
-    patch: int = Field(ge=2, description="side of a patch, pixels, of an image seen by patches")
-
-    def view(self, data: Dataset) -> Dataset:
-        """Every patch of the training images as a scene of its own; no test scenes."""
-        if len(data.image_shape) != 2:
-            raise InputError(f"{data.name} holds no images: patches need two sides")
-        patches = cut_patches(np.asarray(data.x_train), data.image_shape, self.patch)
-        return replace(
-            data,
-            x_train=patches.reshape(-1, self.patch**2),
-            y_train=np.repeat(data.y_train, patches.shape[1], axis=0),
-            x_test=np.zeros((0, self.patch**2), np.float32),
-            y_test=data.y_test[:0],
-            image_shape=(self.patch, self.patch),
-        )
-
-    def allow_bf16_networks(self, device: str, wide: bool) -> bool:
-        """True on a GPU: a processor is slower with it at a transformer's size."""
-        return device == "cuda"
-
-    def faults(self, job: "Job") -> Iterator[str]:
-        """Optics that no patch has, and noise that was not tried."""
-        camera = job.optics
-        if LIGHT_LAWS[camera.light].in_turn:
-            yield "a patch has a detector for each readout: give the light law column"
-        if job.code.seeded or job.code.learned_under or job.code.is_custom:
-            yield f"{job.design} is not for patches: give deepfsi or a named design"
-        if not find_noise(job.noise).stands_for or camera.mask_levels((self.patch, self.patch)):
-            yield "patches are trained under photon noise, with continuous masks"
-        if not job.training.classifier_facts.reads_patches:
-            yield "patches are classified by a transformer: give classifier vit"
-
-
-def cut_patches(scenes: Any, image_shape: tuple[int, ...], side: int) -> Any:
-    """Patches (..., P, side²) of images (..., H · W), row by row."""
-    height, width = image_shape
-    if height % side or width % side:
-        raise InputError(
-            f"images of {height}x{width} pixels cannot be cut in patches of {side}x{side}: give a "
-            "side that divides both"
-        )
-    images = scenes.shape[:-1]
-    blocks = scenes.reshape(*images, height // side, side, width // side, side)
-    return blocks.swapaxes(-3, -2).reshape(*images, -1, side * side)
-
-
-class PatchesEntry(_Entry):
-    """Exposure of fixed dwells, with a detector for each patch of an image.
-
-    Attributes
-    ----------
-    side : int
-        Of a patch, pixels.
-    """
-
-    side: Count
-    kind: Literal["patches"] = "patches"
 
 
 class Passing(Exposure):
@@ -533,6 +471,7 @@ class Passing(Exposure):
 
     training: ClassVar[dict[str, Any]] = {"start": "random"}
     takes_start: ClassVar[bool] = False
+    trained_by: ClassVar[str] = "deepfsi.exposure.passing:PassingTraining"
     allow_bf16: ClassVar[bool] = False
 
     bins: int = Field(
@@ -640,7 +579,7 @@ class Passing(Exposure):
             )
 
 
-class PassingEntry(_Entry):
+class PassingEntry(Entry):
     """Scenes that pass a pattern, which is a tensor of the file."""
 
     shape: tuple[Count, Count]  # rows and columns of a scene
@@ -649,11 +588,20 @@ class PassingEntry(_Entry):
     jitter: Amount  # standard deviation of the place of an exposure, pixels
     speed_jitter: Amount  # standard deviation of its speed over the mean one
     kind: Literal["passing"] = "passing"
+    no_frames: ClassVar[str] = STATIC
+    restored_by: ClassVar[str] = "deepfsi.exposure.passing:PassingExposure"
 
 
+def _registered_entry(kind: Any) -> type[Entry] | None:
+    """Entry of a kind that a package beside the core has."""
+    _, path = installed().schemes.get(str(kind), ("", ""))
+    return load_plugin(path).entry_type if path else None
+
+
+_Entries = FixedEntry | ConditionedEntry | LooksEntry | PassingEntry
 ExposureEntry = Annotated[
-    FixedEntry | ConditionedEntry | LooksEntry | PatchesEntry | PassingEntry,
-    Field(discriminator="kind"),
+    SerializeAsAny[Annotated[_Entries, Field(discriminator="kind")]],
+    of_kinds(get_args(_Entries), _registered_entry),
 ]
 """Field of a header: how the masks of a design are exposed, where they are known before."""
 
@@ -844,7 +792,6 @@ def check_dictionary_camera(camera: Camera) -> None:
 
 EXPOSURE_KINDS: dict[str, type[Exposure]] = {
     "looks": Looks,
-    "patch": Patches,
     "nested": Nested,
     "span": Range,
     "cap": SharedLight,
@@ -853,10 +800,10 @@ EXPOSURE_KINDS: dict[str, type[Exposure]] = {
 }
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 
-EXPOSURE_FIELDS = ("nested", "looks", "patch", "cap", "least_cap", *Passing.model_fields)
+EXPOSURE_FIELDS = ("nested", "looks", "cap", "least_cap", *Passing.model_fields)
 """Settings that ask for an exposure by an option of their own; a range is one of budgets."""
 
-NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "patch": "0", "cap": "1", "bins": "0"}
+NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "cap": "1", "bins": "0"}
 """Values of these settings that ask for nothing."""
 
 
@@ -869,7 +816,11 @@ def find_exposure(given: Any) -> Any:
         for name, value in given.items()
         if str(value).removesuffix(".0") != NEUTRAL.get(name)
     }
-    for name, kind in EXPOSURE_KINDS.items():
+    kinds = EXPOSURE_KINDS
+    if asked.keys() - kinds.keys():
+        beside = {name: load_plugin(path) for name, path in installed().schemes.values()}
+        kinds = {**beside, **kinds}
+    for name, kind in kinds.items():
         if name not in asked:
             continue
         if strange := asked.keys() - kind.model_fields.keys():
@@ -881,7 +832,7 @@ def find_exposure(given: Any) -> Any:
     if asked:
         [strange, *_] = asked
         raise InputError(
-            f"an exposure has no setting {strange!r}: {closest_choice(strange, EXPOSURE_KINDS)}"
+            f"an exposure has no setting {strange!r}: {closest_choice(strange, kinds)}"
         )
     return Fixed()
 

@@ -34,9 +34,9 @@ from deepfsi.jobs.exposures import (
 )
 from deepfsi.jobs.tiles import check_count, count_allowed
 from deepfsi.jobs.training import (
-    CLASSIFIERS,
     FEW_COUNTS,
     MLP,
+    MLP_FACTS,
     PRIOR_SETTINGS,
     TUNED,
     Training,
@@ -270,19 +270,18 @@ class Job(UserModel):
         mine = self.training
         facts = mine.classifier_facts
         usual = Training()
-        others = [name for name in CLASSIFIERS[MLP].settings if name not in facts.settings]
+        others = [name for name in MLP_FACTS.settings if name not in facts.settings]
         if any(getattr(mine, name) != getattr(usual, name) for name in others):
             yield Message(
                 "{hidden} and {dropout} are of the usual classifier: give them to a "
                 "classifier of your own as its arguments",
                 setting=("hidden", "dropout"),
             )
-        if facts.reads_patches and not self.exposure.of_patches:
-            yield Message(
-                "{name} reads patches, and nothing else does: give {patch}, or {usual}",
-                setting="patch",
-                name=mine.classifier,
-                usual=MLP,
+        if facts.features != self.exposure.features:
+            yield (
+                f"{classifier_name(mine.classifier)} reads features of "
+                f"{facts.features or 'whole scenes'}, and the exposure gives those of "
+                f"{self.exposure.features or 'whole scenes'}: give another classifier"
             )
         if mine.is_custom:
             return
@@ -311,7 +310,7 @@ class Job(UserModel):
                 Message(
                     "counts within a budget are of learned masks that are shown once each, or of "
                     "adaptive masks for clicks: leave {counts} or {photons} out, or give "
-                    "{design:deepfsi} without looks, nested, span or patch, or {noise:click}",
+                    "{design:deepfsi} without looks, nested or span, or {noise:click}",
                     setting=("counts", "photons", "design", "noise"),
                 )
             ]
@@ -408,7 +407,7 @@ class Job(UserModel):
                 most=fewest // 2,
             )
         if not isinstance(self.exposure, Fixed | SharedLight):
-            yield "adaptive masks have a look each: give no looks, nested, span or patch"
+            yield "adaptive masks have a look each: give no looks, nested or span"
         most = self.exposure.most_light
         if self.camera.clicks is not None:
             if len(data.x_train) < FEW_SCENES:

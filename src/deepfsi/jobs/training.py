@@ -20,8 +20,9 @@ from pydantic import (
 )
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import Count, LaterFields, Positive, UserModel
-from deepfsi.base.plugins import IMPORT_PATH, UNNAMED_PLUGIN, import_path
+from deepfsi.base.models.strict import Count, LaterFields, Positive, StrictModel, UserModel
+from deepfsi.base.plugins import IMPORT_PATH, UNNAMED_PLUGIN, import_path, load_plugin
+from deepfsi.base.registry import installed
 from deepfsi.camera.names import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
 
@@ -38,14 +39,14 @@ class ClassifierFacts:
 
     settings: tuple[str, ...] = ()  # settings of `Training` that are of this classifier
     sizes: tuple[str, ...] = ()  # its arguments, whole numbers of 1 or more
-    reads_patches: bool = False
+    features: str = ""  # what it reads features of, as of `Exposure`
+    # Of one that a package beside the core has: its entry in a header, and import path of its class
+    entry: type[StrictModel] | None = None
+    network: str = ""
 
 
-CLASSIFIERS = {
-    MLP: ClassifierFacts(settings=("hidden", "dropout")),
-    "vit": ClassifierFacts(sizes=("width", "depth", "heads", "hidden"), reads_patches=True),
-}
-"""Classifiers of the package by name; `networks.CLASSIFIER_TYPES` has their classes."""
+MLP_FACTS = ClassifierFacts(settings=("hidden", "dropout"))
+"""Facts of the paper's."""
 
 CUSTOM_CLASSIFIER = ClassifierFacts(settings=("classifier_arguments",))
 """A user's own."""
@@ -53,7 +54,10 @@ CUSTOM_CLASSIFIER = ClassifierFacts(settings=("classifier_arguments",))
 
 def find_classifier(name: str) -> ClassifierFacts:
     """Facts of a classifier that settings or a design file name; those of a user's own, else."""
-    return CLASSIFIERS.get(name, CUSTOM_CLASSIFIER)
+    if name == MLP:
+        return MLP_FACTS
+    path = installed().classifiers.get(name)
+    return load_plugin(path) if path else CUSTOM_CLASSIFIER
 
 
 READOUTS_TRAINING: dict[str, Any] = {
@@ -112,7 +116,9 @@ def _classifier(given: Any) -> Any:
     if not (isinstance(given, str) or callable(given)):
         raise ValueError(f"give {MLP}, or a module or factory of your own")
     name = classifier_name(given)
-    if name not in (*CLASSIFIERS, UNNAMED_PLUGIN) and not re.fullmatch(IMPORT_PATH, name):
+    if not re.fullmatch(IMPORT_PATH, name) and (
+        name != UNNAMED_PLUGIN and find_classifier(name) is CUSTOM_CLASSIFIER
+    ):
         raise ValueError(f"give {MLP}, or module:factory of your own")
     return given
 
@@ -273,7 +279,7 @@ class Training(LaterFields, UserModel):
     @property
     def is_custom(self) -> bool:
         """True if the classifier is a user's own."""
-        return classifier_name(self.classifier) not in CLASSIFIERS
+        return self.classifier_facts is CUSTOM_CLASSIFIER
 
     @property
     def classifier_facts(self) -> ClassifierFacts:

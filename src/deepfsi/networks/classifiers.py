@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base.errors import InputError
-from deepfsi.jobs.training import Training
+from deepfsi.base.plugins import load_plugin
+from deepfsi.jobs.training import MLP, Training, find_classifier
 
 
 class Classifier(nn.Module, ABC):
@@ -33,11 +33,11 @@ class Sizes(NamedTuple):
 
     inputs: int  # m, features of a scene, or of each of its parts
     classes: int  # C, outputs
-    parts: int  # parts of a scene that are exposed by themselves, such as patches
+    parts: int  # parts of a scene that are exposed by themselves
 
 
-class _NamedClassifier(Classifier):
-    """A classifier of the package, which settings name: one of `CLASSIFIER_TYPES`."""
+class NamedClassifier(Classifier):
+    """A classifier of the package, which settings name: as `find_network` finds it."""
 
     @classmethod
     @abstractmethod
@@ -45,7 +45,7 @@ class _NamedClassifier(Classifier):
         """Untrained classifier of a training."""
 
 
-class Mlp(_NamedClassifier):
+class Mlp(NamedClassifier):
     """The paper's classifier: fully connected hidden layers, each with dropout, then ReLU.
 
     Parameters
@@ -92,7 +92,7 @@ class Mlp(_NamedClassifier):
 
     @classmethod
     def of_settings(cls, settings: Training, sizes: Sizes, generator: torch.Generator) -> Self:
-        """Untrained classifier of a training, as `_NamedClassifier` says."""
+        """Untrained classifier of a training, as `NamedClassifier` says."""
         return cls(sizes.inputs, sizes.classes, settings.hidden, settings.dropout, generator)
 
     @property
@@ -137,75 +137,12 @@ class Mlp(_NamedClassifier):
         return kept * (1 / (1 - self.dropout))
 
 
-class Vit(_NamedClassifier):
-    """A vision transformer on the features of image patches: torch's own encoder, before a mean.
-
-    Each patch's features are embedded by one linear layer and get a learned position; `depth`
-    layers of attention over the patches follow (normalised first, as deep ones train best), then
-    the mean over patches and a linear layer. There is no dropout.
-    """
-
-    def __init__(
-        self,
-        inputs: int,
-        patches: int,
-        classes: int,
-        width: int = 64,
-        depth: int = 2,
-        heads: int = 4,
-        hidden: int = 128,
-        generator: torch.Generator | None = None,
-    ) -> None:
-        super().__init__()
-        if width % heads:
-            raise InputError(f"{heads} heads cannot share a width of {width}: give a multiple")
-        self.sizes = {"patches": patches, "width": width, "depth": depth}
-        self.sizes |= {"heads": heads, "hidden": hidden}
-        with torch.device("meta"):  # torch would draw weights from its global generator
-            layer = nn.TransformerEncoderLayer(
-                width, heads, hidden, 0.0, "gelu", batch_first=True, norm_first=True
-            )
-            self.embedding = nn.Linear(inputs, width)
-            self.position = nn.Parameter(torch.empty(patches, width))
-            self.encoder = nn.TransformerEncoder(
-                layer, depth, nn.LayerNorm(width), enable_nested_tensor=False
-            )
-            self.head = nn.Linear(width, classes)
-        self.to_empty(device=torch.get_default_device() if generator is None else generator.device)
-        for name, parameter in self.named_parameters():
-            if name == "position":
-                nn.init.normal_(parameter, std=0.02, generator=generator)
-            elif parameter.ndim == 2:
-                nn.init.xavier_uniform_(parameter, generator=generator)
-            else:
-                nn.init.constant_(parameter, float("norm" in name and "weight" in name))
-
-    @classmethod
-    def of_settings(cls, settings: Training, sizes: Sizes, generator: torch.Generator) -> Self:
-        """Untrained classifier of a training, as `_NamedClassifier` says."""
-        chosen = {"patches": sizes.parts, **settings.classifier_arguments}
-        return cls(sizes.inputs, classes=sizes.classes, **chosen, generator=generator)
-
-    @property
-    def header(self) -> dict[str, Any]:
-        """Entry of a design file's header: kind, and parameters but inputs and classes."""
-        return {"kind": "vit", **self.sizes}
-
-    @property
-    def title(self) -> str:
-        """Name."""
-        return "vision transformer"
-
-    def forward(self, features: Tensor) -> Tensor:
-        """Logits (B, C) of standardised features (B, P, m)."""
-        tokens = self.encoder(self.embedding(features) + self.position)
-        return self.head(tokens.mean(dim=1))
+def find_network(name: str) -> type[NamedClassifier]:
+    """Class of a classifier that settings and design files name."""
+    return Mlp if name == MLP else load_plugin(find_classifier(name).network)
 
 
-CLASSIFIER_TYPES: dict[str, type[_NamedClassifier]] = {"mlp": Mlp, "vit": Vit}
-"""Classifiers of the package, by the name that settings and design files have for them."""
-
-Network = TypeVar("Network", bound=_NamedClassifier)
+Network = TypeVar("Network", bound=NamedClassifier)
 
 
 def restore_network(kind: type[Network], weights: Mapping[str, Tensor], **sizes: Any) -> Network:

@@ -131,7 +131,7 @@ def _calibration_scenes(
         return CalibrationScenes(parts, stops, draws, doubt=DOUBT)
     held = data.held_out > 0
     x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
-    readouts = prod(design.counts_shape) * prod(design.mask_exposure.patch_axis)
+    readouts = prod(design.counts_shape) * prod(design.mask_exposure.part_axis)
     rows = sample_scenes(len(x), readouts, job.seed)
     part = Exposed(design, design.front_end(job.camera), x[rows], labels[rows])
     return CalibrationScenes([part], stops, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)

@@ -29,8 +29,7 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.exposure.kind import Clicks
-from deepfsi.exposure.kinds import build_training
-from deepfsi.exposure.training import ExposureTraining, JobGroup, matrix_seeds
+from deepfsi.exposure.training import ExposureTraining, JobGroup, build_training, matrix_seeds
 from deepfsi.exposure.training_set import TrainingSet, dtypes
 from deepfsi.jobs.exposures import DICTIONARY_SPREAD, AdaptiveMasks, ExposureSource, SharedLight
 from deepfsi.jobs.job import Job, find_job, table_advice
@@ -121,7 +120,7 @@ def learn(
     camera : Camera, str, path or mapping, optional
         The camera, a preset's name, a TOML file or fields; ``"dmd"`` unless given.
     exposure : Exposure or mapping, optional
-        `Looks`, `Nested`, `Range`, `Patches`, `Passing` or their fields; `Fixed` unless given.
+        `Looks`, `Nested`, `Range`, `Passing` or their fields; `Fixed` unless given.
     training : Training or mapping, optional
         Settings of the training; those tuned for the design unless given.
     seed : int
@@ -392,7 +391,7 @@ def _first_share(
     exposure = build_training(JobGroup.of(training_set, [job], matrix=matrix, start=start))
     exposure.fix()
     light = exposure.masks().total[0] @ exposure.scenes.full.mean(dim=0)
-    return float(light.sum()) * exposure.tokens / training_set.summed_reflectance
+    return float(light.sum()) * exposure.parts / training_set.summed_reflectance
 
 
 def _adaptive_designs(

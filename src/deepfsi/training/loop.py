@@ -23,7 +23,7 @@ from deepfsi.base.progress import SILENT, Progress
 from deepfsi.exposure.training import ExposureTraining
 from deepfsi.exposure.training_set import network_dtype
 from deepfsi.jobs.training import Training
-from deepfsi.networks.classifiers import CLASSIFIER_TYPES, Classifier, Mlp, Replicas, Sizes
+from deepfsi.networks.classifiers import Classifier, Mlp, Replicas, Sizes, find_network
 from deepfsi.networks.custom import make_custom, seeded
 from deepfsi.physics.training_noise import Draws
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
@@ -62,7 +62,7 @@ def optimise(
     steps = draws.steps
     total = settings.epochs * steps
     exposure.prepare()
-    scene_loss = find_loss(settings, exposure.training_set, settings.classifier_facts.reads_patches)
+    scene_loss = find_loss(settings, exposure.training_set, bool(exposure.job.exposure.features))
     cost = None if settings.counts is None else CountsCost(settings.counts, total)
     groups = [_parameter_group(classify, settings.lr, settings.decay)]
     if choose.networks:
@@ -83,7 +83,7 @@ def optimise(
         total=total,
         cost=cost,
     )
-    elements = batch * len(exposure.jobs) * exposure.tokens * max(job.masks, *settings.hidden, 1)
+    elements = batch * len(exposure.jobs) * exposure.parts * max(job.masks, *settings.hidden, 1)
     of_torch = seeded(job.seed) if settings.is_custom else nullcontext()
     watching = hooks.of_loop(exposure, state, scene_loss, networks)
     with _threads(elements), of_torch, checkpoint.of_loop(state), watching as watch:
@@ -175,8 +175,8 @@ def _classifiers(exposure: ExposureTraining) -> list[Classifier]:
             raise InputError("the classifier has no parameter that learns: give another module")
         return [made.to(device).train()]
     seeds = [torch.Generator(device).manual_seed(job.seed) for job in exposure.jobs]
-    network = CLASSIFIER_TYPES[settings.classifier]
-    sizes = Sizes(inputs, classes, exposure.tokens)
+    network = find_network(settings.classifier)
+    sizes = Sizes(inputs, classes, exposure.parts)
     return [network.of_settings(settings, sizes, seed) for seed in seeds]
 
 

@@ -1,6 +1,8 @@
 """Bases of the models of settings and of what files hold, and the types of their fields."""
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, dataclass_transform
+import json
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, dataclass_transform, get_args
 
 from pydantic import (
     BaseModel,
@@ -8,6 +10,7 @@ from pydantic import (
     ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
+    ValidationInfo,
     ValidatorFunctionWrapHandler,
     WrapValidator,
     model_serializer,
@@ -26,6 +29,25 @@ class StrictModel(BaseModel):
     """Model that is never changed once it is made, and knows no other fields than its own."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+
+def of_kinds(
+    core: Iterable[type[StrictModel]], find: Callable[[Any], type[StrictModel] | None]
+) -> WrapValidator:
+    """Validator of a field that is of a `kind` of the core, or of a package beside it."""
+    kinds = {get_args(each.model_fields["kind"].annotation)[0]: each for each in core}
+
+    def validate(given: Any, handler: Any, info: ValidationInfo) -> Any:
+        if not isinstance(given, Mapping):
+            return given
+        model = kinds.get(given.get("kind")) or find(given.get("kind"))
+        if model is None:
+            return handler(given)
+        # A wrapped validator gets lists of JSON, which strict models take from JSON alone
+        as_json = info.mode == "json"
+        return model.model_validate_json(json.dumps(given)) if as_json else model(**given)
+
+    return WrapValidator(validate)
 
 
 class LaterFields(BaseModel):

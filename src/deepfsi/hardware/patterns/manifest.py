@@ -37,7 +37,6 @@ from deepfsi.designfile.loop_file import loop_bytes
 from deepfsi.designfile.provenance import check_masks
 from deepfsi.hardware.patterns.frames import Format, Selection, make_frame
 from deepfsi.jobs.designs import EVERY_PIXEL
-from deepfsi.jobs.exposures import STATIC
 
 MOST_FRAMES = 2**20
 """Frames of one pass at most, sentinels among them."""
@@ -227,13 +226,8 @@ class DesignRails:
             raise InputError(
                 "impulse imaging has a detector for each pixel: no one device can show it"
             )
-        if header.exposure.kind == "patches":
-            raise InputError(
-                "this design is of image patches, each with a detector of its own, which frames of "
-                "one device cannot show: use Design.classify"
-            )
-        if header.exposure.kind == "passing":
-            raise InputError(STATIC)
+        if header.exposure.no_frames:
+            raise InputError(header.exposure.no_frames)
         if header.exposure.kind == "conditioned" and header.exposure.cap > 1:
             raise InputError(
                 "nested masks that share light end when a class is sure, and frames of a run are "

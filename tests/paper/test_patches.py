@@ -6,11 +6,10 @@ import torch
 from conftest import FLOAT32, assert_moments, generator, synthetic
 from deepfsi import Scanner
 from deepfsi.camera.light import photons_per_pixel
-from deepfsi.exposure.kinds import build_training
-from deepfsi.exposure.training import JobGroup
+from deepfsi.exposure.training import JobGroup, build_training
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.designs import DESIGNS as CODES
-from deepfsi.jobs.exposures import cut_patches
+from deepfsi_paper.patches.settings import cut_patches
 from shared.jobs import job
 
 BUDGET = 1e4

@@ -2,21 +2,15 @@
 
 from dataclasses import KW_ONLY, dataclass
 from math import prod
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from torch import Tensor
 
 from deepfsi.exposure.kind import UNTRAINED, MaskExposure, TrainedMasks, Use
 from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
-from deepfsi.jobs.exposures import Patches, PatchesEntry, cut_patches
 from deepfsi.physics.scanner import Scanner, project
 from deepfsi.physics.training_noise import Draws
-
-OF_PATCHES = (
-    "this design is of image patches, each with a detector of its own, which frames of one device "
-    "or one graph cannot: use Design.classify"
-)
-"""Why patches are not for frames, or a graph."""
+from deepfsi_paper.patches.settings import OF_PATCHES, Patches, PatchesEntry, cut_patches
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +32,7 @@ class PatchExposure(MaskExposure):
         "shows one device: give a design of whole scenes",
     }
 
-    def entry(self) -> PatchesEntry:
+    def entry(self) -> Any:
         """Entry of the design file's header."""
         return PatchesEntry(side=self.side)
 
@@ -55,7 +49,7 @@ class PatchExposure(MaskExposure):
         return self.side, self.side
 
     @property
-    def patch_axis(self) -> tuple[int, ...]:
+    def part_axis(self) -> tuple[int, ...]:
         """Axis (P,) of counts, in which patches follow row by row."""
         return (prod(self.image_shape) // self.side**2,)
 
@@ -81,7 +75,7 @@ class PatchTraining(ExposureTraining):
     def prepare(self) -> None:
         """Cut images (n, P, N) to patches of the pixels that the masks have."""
         lit = self.scenes.varying
-        patches = self.scenes.full.view(-1, self.tokens, self.scenes.data.pixels)
+        patches = self.scenes.full.view(-1, self.parts, self.scenes.data.pixels)
         self.x = patches[..., lit] if self.learns and not lit.all() else patches
         self.mean = self.x.mean(dim=(0, 1))
         self.scanner = Scanner(self.masks, self.noise.of_jobs(slice(1)).kind)
