@@ -35,7 +35,6 @@ KINDS: dict[str, dict[str, Any]] = {
         "camera": "paper",
         "exposure": {"span": 1e2},
     },
-    "4 looks, 10⁴": {"masks": 32, "photons": 1e4, "camera": "dmd", "exposure": {"looks": 4}},
     "clicks, 4 gates, 1500": {
         "masks": 60,
         "photons": 1500,

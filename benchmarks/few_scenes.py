@@ -27,7 +27,6 @@ from deepfsi.networks.temperatures import stop_temperatures
 DESIGNS: dict[str, dict[str, Any]] = {
     "adaptive masks": {"design": "adaptive", "masks": 16},
     "learned masks": {"masks": 16},
-    "learned masks in 4 looks": {"masks": 16, "exposure": {"looks": 4}},
 }
 """Settings of the designs."""
 

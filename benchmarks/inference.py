@@ -7,8 +7,7 @@ Both do the same work on one core, in turn, one exposure a call, from numpy coun
 probabilities: `Design.classify`, and the graph that `deepfsi export` writes of that design
 in onnxruntime. What they give is compared before. Weights do not matter to the time, so that the
 designs are trained for one epoch. A frame of a fast DMD takes 50 µs, an exposure as many as it has
-frames. Then, in torch, what one look of a design of several takes between its counts and the dwells
-of the next: both networks.
+frames.
 """
 
 import argparse
@@ -94,24 +93,6 @@ def main(words: list[str] | None = None) -> None:
             f"| {medians['torch'] / medians['onnxruntime']:.1f} |",
             flush=True,
         )
-    looks, exposures = 8, max(arguments.exposures // 8, 1)
-    design = learn(
-        data,
-        design="truncated-hadamard",
-        photons=PHOTONS,
-        masks=arguments.masks[-1],
-        exposure={"looks": looks},
-        training={"hidden": hidden, "epochs": 1},
-    )
-    rng, spans = np.random.default_rng(0), []
-    for _ in range(exposures):
-        began = time.perf_counter_ns()
-        design.classify_live(lambda dwell: rng.poisson(PHOTONS * 0.3 * dwell), PHOTONS)
-        spans.append((time.perf_counter_ns() - began) / 1e3 / looks)
-    print(
-        f"one look of {looks}, {design.masks} masks: {statistics.median(spans):.0f} µs, "
-        f"99 % under {np.quantile(spans, 0.99):.0f}"
-    )
 
 
 if __name__ == "__main__":

@@ -1,11 +1,4 @@
-"""How fast photons are counted while their bytes arrive, and how soon a look is decided upon.
-
-    python benchmarks/live.py decision                    # a minute, one core
-
-A decision is the class and the next look's dwells, from counts to gates, in NumPy on one core. From
-marker to decision is from the block of bytes that ends a look until the next list of frames has
-been told to the counter, in the process that reads all photons. Times of the processor are those
-that one core needs; on the clock other programs' work counts too.
+"""How fast photons are counted while their bytes arrive.
 
     python benchmarks/live.py reader                      # 100 million records, 400 MB
     python benchmarks/live.py reader --records 5e7 --frame 1e-4 --inputs 2 --blocks 4096 65536
@@ -25,7 +18,6 @@ the process held (Linux's `VmHWM`), less what it held when everything was import
 """
 
 import argparse
-import itertools
 import json
 import re
 import statistics
@@ -38,26 +30,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.camera.device import find_device
-from deepfsi.designfile.design_file import DesignFile
-from deepfsi.designfile.header import MaskHeader
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
-from deepfsi.hardware.drivers.protocols import Setup
-from deepfsi.hardware.live.looks import FixedMaskLooks, FrameList
-from deepfsi.hardware.live.observer import SceneObserver
-from deepfsi.hardware.live.run import plan_live, run_live
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.counting.streaming import FrameCounter, FrameGates
 from deepfsi.hardware.photons.ptu import PtuWriter
 from deepfsi.hardware.photons.reader import PtuFile, count_windows, read_markers
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.hardware.virtual.setup import (
-    Latencies,
-    VirtualCounter,
-    VirtualOptics,
-    VirtualProjector,
-)
 
 FLUX, TICK_S, SETTLE_S = 1e7, 1e-12, 1e-5
 GATE = 0.8
@@ -178,136 +153,6 @@ def reader(arguments: argparse.Namespace) -> None:
         )
 
 
-LOOKS, MASKS, EXPOSURE_S = 4, 60, 10e-3
-"""Of the loop that is timed: those of the README's design."""
-
-
-def made_design(masks: int, hidden: Sequence[int]) -> DesignFile:
-    """A design of several looks of some size, whose masks and weights are drawn."""
-    rng = np.random.default_rng(0)
-    header = MaskHeader(
-        name="deepfsi", light="free-dwell", readout="difference", summed_reflectance=32.0,
-        image_shape=(8, 8), classes=tuple("0123456789"), info={},
-        exposure={"kind": "adaptive", "looks": LOOKS, "hidden": hidden, "shortest": 0.0},
-        classifier={"kind": "mlp", "hidden": hidden, "dropout": 0.0},
-    )  # fmt: skip
-    mean = np.full(masks, 0.5 / masks, np.float32)
-    arrays = {"mean": mean, "std": mean / 5, "shares": mean}
-    widths = {"classifier": (2 * masks, *hidden, 10), "exposure": (2 * masks + 1, *hidden, masks)}
-    for network, sizes in widths.items():
-        for place, (before, after) in enumerate(itertools.pairwise(sizes)):
-            weight = rng.normal(size=(before, after)).astype(np.float32) / before**0.5
-            arrays[f"{network}.layers.{place}.weight"] = weight.T
-            arrays[f"{network}.layers.{place}.bias"] = np.zeros(after, np.float32)
-    arrays["temperatures.logs"] = np.zeros((LOOKS, 9))
-    arrays["temperatures.budgets"] = np.geomspace(1e2, 1e6, 9)
-    drawn = np.random.default_rng(2).integers(0, 2, (1, masks, 64)) / masks
-    return DesignFile(header, arrays | {"rails": drawn.astype(np.float32)})
-
-
-def decide(design: DesignFile, features: np.ndarray, dwell: np.ndarray) -> None:
-    """Probabilities of the classes, and the dwells of the next look."""
-    inputs = design.inputs(features, dwell)
-    design.chances(inputs, 1e4)
-    design.next_dwell(inputs, 1, 0.003)
-
-
-def now() -> np.ndarray:
-    """Time of the processor, and on the clock, seconds."""
-    return np.array([time.process_time(), time.perf_counter()])
-
-
-def print_times(name: str, seconds: list[np.ndarray]) -> None:
-    middle, most = np.percentile(np.array(seconds) * 1e6, [50, 99], axis=0)
-    print(f"| {name} | {middle[0]:.0f} | {most[0]:.0f} | {middle[1]:.0f} | {most[1]:.0f} |")
-
-
-def decision(arguments: argparse.Namespace) -> None:
-    """Time a decision alone, and from the bytes of a look's last marker to the next list."""
-    print("processor and clock: µs, median and 99th percentile\n")
-    print("| what | processor | 99 % | clock | 99 % |\n| --- | --- | --- | --- | --- |")
-    rng = np.random.default_rng(1)
-    for masks, hidden in ((MASKS, (40, 128)), (96, (512, 256))):
-        design, seconds = made_design(masks, hidden), []
-        for _ in range(arguments.times):
-            features, dwell = rng.random(masks) / masks, rng.dirichlet(np.ones(masks)) / LOOKS
-            began = now()
-            decide(design, features, dwell)
-            seconds.append(now() - began)
-        widths = " and ".join(map(str, hidden))
-        print_times(f"a decision, {masks} masks, hidden layers of {widths}", seconds)
-    for flux in arguments.flux:
-        for hidden in ((40, 128), (512, 256)):
-            widths = " and ".join(map(str, hidden))
-            name = f"marker to decision, {MASKS} masks, {widths}, {flux:.0e} photons/s"
-            with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:
-                print_times(name, marker_to_decision(Path(folder), hidden, flux, arguments))
-
-
-def marker_to_decision(
-    folder: Path, hidden: Sequence[int], flux: float, arguments: argparse.Namespace
-) -> list[np.ndarray]:
-    """Times from the block of bytes that ends a look until the next list has been told, seconds.
-
-    A virtual run is recorded; its file is then read as it came, look by look, in blocks. Reading
-    the last block is part of the time, and so are counts, class, dwells and gates.
-    """
-    design = made_design(MASKS, hidden)
-    rails = DesignRails.of(design, design.to_bytes())
-    export_patterns(rails, FrameSettings(find_device("64x48"), 1e-3), folder / "patterns")
-    x = np.random.default_rng(3).random((arguments.scenes, 8, 8))
-    rates = arrival_rates(folder / "patterns", x, VirtualCamera(), flux)
-    setup = VirtualOptics(rates, VirtualCamera(), Latencies())
-    devices = Setup(VirtualProjector(setup), VirtualCounter(setup, (0,)), setup.display)
-    scenes = tuple(Scene(name=str(k)) for k in range(len(x)))
-    acquisition = plan_live(folder / "patterns", scenes, EXPOSURE_S)
-    wanted = [
-        each.decision.chances
-        for each in run_live(folder / "run", folder / "patterns", acquisition, devices)
-    ]
-    stream = _Replayed(folder / "run" / "photons.ptu", arguments.block)
-    patterns = read_patterns(folder / "patterns")
-    observer = SceneObserver(FixedMaskLooks(design, patterns), patterns.manifest, acquisition)
-    found = []
-    for k in range(len(scenes)):
-        found += [each.chances for each in observer.observe(k, stream)]
-    assert np.array_equal(found, wanted)
-    return stream.seconds
-
-
-class _Replayed:
-    """Recording fed look by look, and how long each took from its last block to the next list."""
-
-    def __init__(self, path: Path, block: int) -> None:
-        header, self.content = PtuFile(path).header, path.read_bytes()
-        words = np.frombuffer(self.content, "<u4", offset=header.offset)
-        markers = np.flatnonzero((words >> 31 != 0) & (words >> 25 & 63 != 63))
-        self.ends = header.offset + 4 * (markers + 1)  # bytes up to each marker's
-        self.counter, self.block = FrameCounter((0,), 1, path), block
-        self.seconds: list[np.ndarray] = []
-        self.began: np.ndarray | None = None
-        self.at = self.markers = self.rests = 0
-
-    def count(self, asked: FrameList) -> FrameCounts:
-        gates = np.append(asked.gate_ns, 0) * 1e-9
-        self.counter.expect(FrameGates.of(SETTLE_S, gates))
-        if self.began is not None:  # all-ON frames follow the last look
-            self.seconds.append(now() - self.began)
-            self.began = None
-        self.markers += len(gates)
-        end = int(self.ends[self.markers - 1])
-        parts = []
-        while self.at < end:
-            size = min(self.block, end - self.at)
-            if self.at + size == end and asked.look >= 0:
-                self.began = now()
-            parts.append(self.counter.feed(self.content[self.at : self.at + size]))
-            self.at += size
-        found = FrameCounts.join(parts, 1)[self.rests :]
-        self.rests = len(gates) - len(found.starts_s)
-        return found[: len(asked.frames)]
-
-
 def main(given: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parts = parser.add_subparsers(required=True)
@@ -319,13 +164,6 @@ def main(given: Sequence[str] | None = None) -> None:
     part.add_argument("--rounds", type=int, default=3)
     part.add_argument("--folder", type=Path, help="for the file, which is removed at the end")
     part.set_defaults(run=reader)
-    part = parts.add_parser("decision", help=decision.__doc__)
-    part.add_argument("--times", type=int, default=5000)
-    part.add_argument("--scenes", type=int, default=250)
-    part.add_argument("--flux", type=float, nargs="+", default=[1e6, 1e7])
-    part.add_argument("--block", type=int, default=40_000, help="bytes that arrive at once")
-    part.add_argument("--folder", type=Path, help="for the files, which are removed at the end")
-    part.set_defaults(run=decision)
     part = parts.add_parser("work", help=work.__doc__)
     part.add_argument("way", choices=WAYS)
     part.add_argument("path", type=Path)

@@ -1,11 +1,11 @@
 """Time an epoch with networks in bfloat16 against the same in float32, and compare the accuracies.
 
-    python benchmarks/networks.py                        # widths and looks, in turn
+    python benchmarks/networks.py                        # widths, in turn
     python benchmarks/networks.py --accuracy             # three seeds, 20 epochs: ten minutes
 
-Only the type of the classifier's products changes (with looks also that of the network that chooses
-dwells): scenes, masks, noise, order and start are the same. The two train in turn, and the ratio is
-of the medians of their epochs. Accuracies are of test images under exact Poisson noise.
+Only the type of the classifier's products changes: scenes, masks, noise, order and start are the
+same. The two train in turn, and the ratio is of the medians of their epochs. Accuracies are of test
+images under exact Poisson noise.
 """
 
 import argparse
@@ -21,7 +21,6 @@ from deepfsi.datasets.load import load_dataset
 from deepfsi.evaluation.accuracy import evaluate
 from deepfsi.exposure import training_set as rules
 from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.jobs.exposures import Fixed, Looks
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
 from deepfsi.training.learning import train
@@ -30,30 +29,25 @@ TYPES = {"float32": 10**9, "bfloat16": 0}
 """Units from which networks are in bfloat16: for none, and for all."""
 
 TIMED = (
-    ("free-dwell", 24, "1x1", 1, (40, 128)),
-    ("free-dwell", 24, "1x1", 1, (128, 128)),
-    ("free-dwell", 24, "1x1", 1, (256, 128)),
-    ("free-dwell", 24, "1x1", 1, (512, 256)),
-    ("free-dwell", 12, "4x4", 1, (512, 256)),
-    ("free-dwell", 12, "4x4", 4, (512, 256)),
-    ("free-dwell", 96, "1x1", 8, (512, 256)),
+    ("free-dwell", 24, "1x1", (40, 128)),
+    ("free-dwell", 24, "1x1", (128, 128)),
+    ("free-dwell", 24, "1x1", (256, 128)),
+    ("free-dwell", 24, "1x1", (512, 256)),
+    ("free-dwell", 12, "4x4", (512, 256)),
 )
-COMPARED = (("free-dwell", 24, "2x2", 1, (512, 256)),)
+COMPARED = (("free-dwell", 24, "2x2", (512, 256)),)
 BUDGETS, SEEDS, EPOCHS = (1e3, 1e4, 1e5), 3, 20
 
 
 def jobs_of(kind: tuple, budgets: tuple[float, ...], seeds: int, epochs: int) -> list[Job]:
-    light, masks, detectors, looks, hidden = kind
-    several = {"lr": 5e-3} if looks > 1 else {}
-    training = Training(epochs=epochs, batch=500, hidden=hidden, **several)
+    light, masks, detectors, hidden = kind
+    training = Training(epochs=epochs, batch=500, hidden=hidden)
     camera = Camera(light=light, rails="single", detectors=detectors, levels=2)
-    exposure = Looks(looks=looks) if looks > 1 else Fixed()
     return [
         Job(
             masks=masks,
             photons=photons,
             camera=camera,
-            exposure=exposure,
             training=training,
             seed=seed,
         )
@@ -110,25 +104,25 @@ def main(words: list[str] | None = None) -> None:
     scenes = TrainingSet(load_dataset(given.data), "cpu")
     print(f"{scenes.data.name}, {len(scenes.labels)} scenes, one thread, torch {torch.__version__}")
     if given.accuracy:
-        print("masks detectors looks photons  float32  bfloat16, mean of seeds    differences")
+        print("masks detectors photons  float32  bfloat16, mean of seeds    differences")
         for kind in COMPARED:
             for photons in BUDGETS:
                 found = accuracies(scenes, kind, photons)
                 means = {name: statistics.mean(values) for name, values in found.items()}
                 apart = [b - a for a, b in zip(*found.values(), strict=True)]
                 print(
-                    f"{kind[1]:5d} {kind[2]:>9} {kind[3]:5d} {photons:7.0e}  "
+                    f"{kind[1]:5d} {kind[2]:>9} {photons:7.0e}  "
                     f"{means['float32']:.4f}   {means['bfloat16']:.4f}             "
                     + " ".join(f"{each:+.4f}" for each in apart),
                     flush=True,
                 )
         return
-    print("masks detectors looks   hidden  float32 s/epoch  bfloat16  ratio")
+    print("masks detectors   hidden  float32 s/epoch  bfloat16  ratio")
     for kind in TIMED:
         found = timed(scenes, kind, given.rounds)
-        hidden = "-".join(map(str, kind[4]))
+        hidden = "-".join(map(str, kind[3]))
         print(
-            f"{kind[1]:5d} {kind[2]:>9} {kind[3]:5d} {hidden:>8} {found['float32']:16.2f} "
+            f"{kind[1]:5d} {kind[2]:>9} {hidden:>8} {found['float32']:16.2f} "
             f"{found['bfloat16']:9.2f} {found['float32'] / found['bfloat16']:6.2f}",
             flush=True,
         )

@@ -54,12 +54,6 @@ CASES = {
     "digits range pca": "--masks 8 --design pca --photons 1e3:1e5 " + DMD,
     "digits nested": "--masks 8 --nested 3 " + DMD,
     "digits nested range": "--masks 8 --nested 3 --photons 1e3:1e5 " + COLUMN,
-    "digits looks": "--masks 8 --looks 3 " + DMD,
-    "digits looks pca": "--masks 8 --looks 3 --design pca " + DMD,
-    "digits looks dual": "--masks 8 --looks 3 --light free-dwell --rails dual --readout both",
-    "digits looks two-arm": "--masks 8 --looks 3 --light two-arm --rails dual",
-    "digits looks detectors": "--masks 6 --looks 3 --detectors 2x2 " + DMD,
-    "digits looks shortest": "--masks 8 --looks 3 --shortest-dwell 400us --exposure 10ms " + DMD,
     "digits shortest": "--masks 12 --shortest-dwell 400us --exposure 10ms " + DMD,
     "digits levels": "--masks 8 --levels 2 " + DMD,
     "digits levels pca": "--masks 8 --levels 4 --design pca " + COLUMN,
@@ -74,7 +68,6 @@ MNIST_CASES = {
     "mnist free-dwell": "--masks 10 " + DMD,
     "mnist nested": "--masks 10 --nested 4 " + DMD,
     "mnist range": "--masks 10 --photons 1e3:1e5 " + DMD,
-    "mnist looks": "--masks 24 --looks 4 " + DMD,
 }
 
 

@@ -1,6 +1,6 @@
 """Charts of the pages, drawn from the tables that stand in them: ``python docs/charts.py``.
 
-The comment ``<!-- chart looks -->`` before a table of a page makes `docs/figures/chart-looks.svg`.
+The comment ``<!-- chart mnist -->`` before a table of a page makes `docs/figures/chart-mnist.svg`.
 Where the heads or the first column are numbers, they are the axis and the others are lines; else
 each row is a group of bars. Behind the name may stand settings in TOML: `show` (the lines that are
 drawn), `x`, `y` (words of the axes) and `log = true`.
@@ -33,7 +33,6 @@ DESIGNS = {
     "adaptive": "adaptive masks",
     "lda": "linear discriminants|lda",
     "random": "random|rnd",
-    "custom": r"\d+ looks",
     "s-matrix": "s-matrix",
     "deepfsi": "deepfsi|dfsi|ovit|learned|fixed dwells",
 }

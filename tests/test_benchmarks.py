@@ -167,7 +167,6 @@ def test_frames_are_compared_on_the_same_work(printed):
 
 
 READER = "--records 2e5 --frame 1e-4 --blocks 65536 --rounds 1"
-DECISIONS = "--times 20 --scenes 3 --flux 1e6 --block 1000"
 ADAPTIVE = "--validation 1100 --scenes 200 --looks 3"
 
 
@@ -176,7 +175,6 @@ ADAPTIVE = "--validation 1100 --scenes 200 --looks 3"
     [
         ("photons", "--records 3e5 --inputs 2 --rounds 2", ["| deepfsi |", "| ptufile + numpy |"]),
         ("live", f"reader {READER}", ["| stream, 65,536 bytes at once |", "| whole file |"]),
-        ("live", f"decision {DECISIONS}", ["| "] * 6),
         ("adaptive", ADAPTIVE, ["| 10000 | 3 | 0."]),
         ("adaptive", f"{ADAPTIVE} --latency", ["one decision: "]),
         ("clicks", "--counts 2 --looks 6 --images 300", ["price ", "| 200 | ", "| 300 | "]),

@@ -23,31 +23,31 @@ LINES = {
     "base": 1516,
     "base.models": 119,
     "base.numeric": 1575,
-    "camera": 1623,
-    "cli": 3465,
+    "camera": 1579,
+    "cli": 3460,
     "datasets": 3712,
-    "design": 1408,
-    "designfile": 1972,
-    "evaluation": 1637,
-    "exposure": 2389,
+    "design": 1245,
+    "designfile": 1637,
+    "evaluation": 1611,
+    "exposure": 1944,
     "hardware.calibration": 1231,
     "hardware.counting": 3150,
     "hardware.drivers": 126,
     "hardware.light": 1357,
-    "hardware.live": 1763,
-    "hardware.patterns": 2076,
+    "hardware.live": 1547,
+    "hardware.patterns": 2014,
     "hardware.photons": 1372,
     "hardware.virtual": 1043,
-    "jobs": 2289,
-    "lab": 1829,
+    "jobs": 2150,
+    "lab": 1827,
     "measures": 740,
     "networks": 501,
-    "physics": 2285,
+    "physics": 2263,
     "report": 1537,
-    "report.playground": 225,
+    "report.playground": 219,
     "report.style": 276,
-    "sweeps": 2839,
-    "training": 2240,
+    "sweeps": 2838,
+    "training": 2184,
 }
 """Lines of each room, which may only fall: lower the number with them."""
 
@@ -80,7 +80,7 @@ def test_no_room_grows(house):
     assert set(LINES) == set(house.rooms)
 
 
-COMMANDS, OPTIONS = 34, 51
+COMMANDS, OPTIONS = 34, 50
 """Commands, and options of `design`: they may only leave."""
 
 

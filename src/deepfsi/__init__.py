@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from deepfsi.evaluation.ideal import IdealObserver as IdealObserver
     from deepfsi.evaluation.ideal import ideal_observer as ideal_observer
     from deepfsi.jobs.exposures import Fixed as Fixed
-    from deepfsi.jobs.exposures import Looks as Looks
     from deepfsi.jobs.exposures import Nested as Nested
     from deepfsi.jobs.exposures import Passing as Passing
     from deepfsi.jobs.exposures import Range as Range
@@ -52,7 +51,6 @@ _HOMES = {
     "IdealObserver": "evaluation.ideal",
     "InputError": "base.errors",
     "Job": "jobs.job",
-    "Looks": "jobs.exposures",
     "Mlp": "networks.classifiers",
     "Nested": "jobs.exposures",
     "OwnClassifier": "networks.custom",
@@ -83,7 +81,6 @@ __all__ = [
     "IdealObserver",
     "InputError",
     "Job",
-    "Looks",
     "Mlp",
     "Nested",
     "OwnClassifier",

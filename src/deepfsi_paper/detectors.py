@@ -11,7 +11,7 @@ from itertools import pairwise
 from math import prod
 
 from deepfsi.base.numeric.intervals import Difference, accuracy_difference, all_above
-from deepfsi.report.style import BUDGET_AXIS, DESIGN_COLOURS, PAPER, photons_text
+from deepfsi.report.style import BUDGET_AXIS, DESIGN_COLOURS, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, budgets, cifar10_here
 from deepfsi_paper.report.lines import Line, lines_figure
@@ -23,9 +23,6 @@ NEAR = 0.02
 SCARCE = 1e5
 """Photons below which more detectors are expected to read more."""
 
-LOOKED = (1e3, 1e4)
-"""Budgets at which looks are expected to gain."""
-
 Targets = Mapping[tuple[str, float], float]
 """Accuracy to be reached, by detectors and budget."""
 
@@ -35,7 +32,7 @@ TARGETS: Targets = {
     ("4x4", 1e3): 0.78,
     ("4x4", 1e4): 0.96,
 }
-"""On MNIST, of one device with fixed dwells."""
+"""On MNIST, of one device."""
 
 PALETTE = ("raster", "hadamard", "truncated-hadamard", "pca", "deepfsi")
 """Designs whose colours lines take, one after another."""
@@ -51,9 +48,8 @@ REFERENCE: Look = {
 """Line of impulse imaging."""
 
 MASKS: Look = {"marker": "o"}
-LOOKS: Look = {"marker": "o", "linestyle": "--", "markerfacecolor": PAPER}
 ON: Look = {"marker": ".", "linestyle": ":"}
-"""Of lines of masks with fixed dwells, of those with looks, and of one frame that is all ON."""
+"""Of lines of masks, and of one frame that is all ON."""
 
 OWN_PAPER = (
     "Not in the paper, whose light law lets every mask see each pixel for the whole "
@@ -75,8 +71,7 @@ def detectors_of(point: Point) -> int:
 def show(results: Results, targets: Targets) -> Finding:
     """Lines against photons and detectors, their table, and claims.
 
-    Parts `looks-…` have several looks, part `on` one frame that is all ON; the others have masks
-    with fixed dwells.
+    Part `on` has one frame that is all ON; the others have masks.
 
     Parameters
     ----------
@@ -84,27 +79,22 @@ def show(results: Results, targets: Targets) -> Finding:
     targets : mapping
         Accuracies that are claimed to be reached.
     """
-    fixed, on, looks = (_chosen(results, kind) for kind in ("fixed", "on", "looks"))
+    fixed, on = (_chosen(results, alone) for alone in (False, True))
     return Finding(
         _found(results, fixed),
-        (_picture(fixed, on, looks),),
+        (_picture(fixed, on),),
         (
             *_target_claims(fixed, targets),
             _more_claim(fixed),
             *_mask_claims(fixed, on),
-            *_look_claims(fixed, looks),
         ),
-        (_table(fixed, on, looks),),
+        (_table(fixed, on),),
     )
 
 
-def _kind(part: str) -> str:
-    return "on" if part == "on" else "looks" if part.startswith("looks-") else "fixed"
-
-
-def _chosen(results: Results, kind: str) -> Chosen:
+def _chosen(results: Results, on: bool) -> Chosen:
     """Of each number of detectors and budget, the start that is best on validation images."""
-    best = (p for p in results.points if p.best and _kind(p.recipe) == kind)
+    best = (p for p in results.points if p.best and (p.recipe == "on") == on)
     rising = sorted(best, key=lambda p: p.validation or 0.0)
     return {(detectors_of(point), point.photons): point for point in rising}
 
@@ -138,8 +128,7 @@ def _target_claims(fixed: Chosen, targets: Targets) -> list[Claim]:
         holds = True if point.low >= target else False if point.high < target else None
         claims.append(
             Claim(
-                f"{detectors} detectors with fixed dwells read at least {target} at "
-                f"{photons_text(photons)} photons",
+                f"{detectors} detectors read at least {target} at {photons_text(photons)} photons",
                 holds,
                 f"{point.accuracy:.3f} [{point.low:.3f}, {point.high:.3f}] with {_frames(point)}",
             )
@@ -178,21 +167,6 @@ def _mask_claims(fixed: Chosen, on: Chosen) -> list[Claim]:
     return claims
 
 
-def _look_claims(fixed: Chosen, looks: Chosen) -> list[Claim]:
-    expected = {place: point for place, point in looks.items() if point.photons in LOOKED}
-    claims = []
-    for detectors, gains in _gains(expected, fixed).items():
-        said = (f"{each} at {photons_text(photons)}" for photons, each in gains.items())
-        claims.append(
-            Claim(
-                f"With {_counted(detectors)} looks read more than fixed dwells",
-                all_above(gains.values()),
-                ", ".join(said) + " photons",
-            )
-        )
-    return claims
-
-
 def _gains(first: Chosen, second: Chosen) -> dict[int, dict[float, Difference]]:
     """First less second, by detectors and by budget, both rising, where both were measured."""
     gains = defaultdict[int, dict[float, Difference]](dict)
@@ -210,21 +184,19 @@ def _frames(point: Point) -> str:
     return f"{point.masks} frame{'s' if point.masks > 1 else ''}"
 
 
-def _picture(fixed: Chosen, on: Chosen, looks: Chosen) -> Picture:
+def _picture(fixed: Chosen, on: Chosen) -> Picture:
     panels = {
-        BUDGET_AXIS: _by_detectors(fixed, looks),
+        BUDGET_AXIS: _by_detectors(fixed),
         "number of detectors": [
             *_by_budget(fixed, MASKS, named=True),
-            *_by_budget(looks, LOOKS),
             *_by_budget(on, ON),
         ],
     }
     return Picture(
         lines_figure(panels),
         "How many detectors do you need? Accuracy against photons, a line for each number of "
-        "detectors, and against detectors, a line for each budget. Dashed and hollow: the dwells "
-        "follow the counts of earlier looks. Dotted: no masks, one frame that is all ON. Bars: "
-        "95 % intervals.",
+        "detectors, and against detectors, a line for each budget. Dotted: no masks, one frame "
+        "that is all ON. Bars: 95 % intervals.",
         "Accuracy against photons and against the number of detectors; numbers in the table.",
     )
 
@@ -233,14 +205,12 @@ def _coloured(look: Look, place: int) -> Look:
     return {**look, "color": DESIGN_COLOURS[PALETTE[place % len(PALETTE)]]}
 
 
-def _by_detectors(fixed: Chosen, looks: Chosen) -> list[Line]:
+def _by_detectors(fixed: Chosen) -> list[Line]:
     *own, last = _numbers(fixed)
     lines = [_line(f"{last}, impulse imaging", REFERENCE, fixed, detectors=last)]
     for place, detectors in reversed(list(enumerate(own))):
         masks = _coloured(MASKS, place)
         lines.append(_line(_counted(detectors), masks, fixed, detectors=detectors))
-        if detectors in _numbers(looks):
-            lines.append(_line("", _coloured(LOOKS, place), looks, detectors=detectors))
     return lines
 
 
@@ -274,23 +244,22 @@ def _line(
     return Line.through(name, look, at)
 
 
-def _table(fixed: Chosen, on: Chosen, looks: Chosen) -> Table:
+def _table(fixed: Chosen, on: Chosen) -> Table:
     lights = budgets(fixed.values())
     rows = [
-        *_rows(fixed, lights, "fixed"),
+        *_rows(fixed, lights, "learned"),
         *_rows(on, lights, "one frame, all ON"),
-        *_rows(looks, lights, "looks"),
     ]
     return Table(
         "Accuracy by detectors and photons, with the number of frames that validation chose, as it "
         "chose the masks that the training starts from",
-        ("detectors", "dwells", *(f"{photons_text(photons)} photons" for photons in lights)),
+        ("detectors", "masks", *(f"{photons_text(photons)} photons" for photons in lights)),
         tuple(rows),
     )
 
 
 def _rows(
-    chosen: Chosen, lights: Sequence[float], dwells: str
+    chosen: Chosen, lights: Sequence[float], masks: str
 ) -> Iterable[tuple[int | str | None, ...]]:
     for detectors in _numbers(chosen):
         at = [chosen.get((detectors, photons)) for photons in lights]
@@ -299,7 +268,7 @@ def _rows(
             f"{point.accuracy:.3f}" + ("" if alone else f" ({point.masks})") if point else None
             for point in at
         )
-        yield (detectors, "impulse imaging" if alone else dwells, *cells)
+        yield (detectors, "impulse imaging" if alone else masks, *cells)
 
 
 MNIST = Experiment(

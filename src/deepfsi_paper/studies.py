@@ -7,7 +7,6 @@ from deepfsi_paper import compression, detectors, mlgauss, quantization
 from deepfsi_paper.adaptive import claims as adaptive
 from deepfsi_paper.camera import claims as camera_study
 from deepfsi_paper.experiment import Experiment
-from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.mnist import accuracy, control, images, masks, starts, training
 from deepfsi_paper.ovit import claims as ovit
@@ -26,7 +25,6 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "ovit-images": (ovit.IMAGES,),
     "ovit-full": (ovit.FULL,),
     "hardware": (camera_study.EXPERIMENT,),
-    "flexible": (flexible.EXPERIMENT,),
     "detectors": (detectors.MNIST, detectors.CIFAR10),
     "adaptive": (adaptive.EXPERIMENT,),
 }

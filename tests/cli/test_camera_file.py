@@ -35,15 +35,15 @@ def lab(tmp_path_factory, digits):
 
 @pytest.mark.parametrize("command", ["simulate", "live"])
 def test_a_camera_file_drives_a_run_as_its_options_do(done, lab, tmp_path, command):
-    """The design, its patterns, the photons and the classes; of looks, the live run."""
-    looks = ("--looks", 2) if command == "live" else ()
+    """The design, its patterns, the photons and the classes; of adaptive masks, the live run."""
+    trained = ("--design", "adaptive", "--masks", 3) if command == "live" else TRAINED
     found = []
     for name, camera, told in (
         ("file", ("--camera", lab / "my-lab.toml"), ()),
         ("words", (*OPTICS, *TIMES[:-2]), TIMES),
     ):
         design, patterns, run = tmp_path / f"{name}.safetensors", tmp_path / name, tmp_path / "run"
-        done("design", *camera, *TRAINED, *looks, "-o", design)
+        done("design", *camera, *trained, "-o", design)
         exported = told and ("--device", "dlp7000", "--exposure", "10ms")
         done("dmd", "export", design, *exported, "-o", patterns)
         done("camera", command, patterns, "--scene", lab / "images", *told, "-o", run)

@@ -25,11 +25,6 @@ camera inspect run/photons.ptu
 camera count run
 camera image run
 camera count run --json
-dmd export looks.safetensors --device dlp7000 --dwell 1ms -o looks
-camera live looks --scene images {LIGHT} -o live
-camera live looks.safetensors --scene images {LIGHT} -o live2
-camera count live
-camera classify looks.safetensors live
 camera prepare frames --scenes images --input 1 -o lab
 """.strip().splitlines()
 DECIDED = "camera classify fixed.safetensors run"
@@ -40,11 +35,10 @@ def designs(digits, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("lab")
     light = {"light": "free-dwell", "rails": "single", "epochs": 1}
     quick(digits, masks=4, **light).save(folder / "fixed.safetensors")
-    quick(digits, masks=4, looks=2, **light).save(folder / "looks.safetensors")
     return folder
 
 
-def test_a_lab_s_computer_shows_counts_and_decides_without_torch(designs, tmp_path):
+def test_a_lab_s_computer_shows_and_counts_without_torch(designs, tmp_path):
     for file in designs.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     done = subprocess.run(
@@ -59,7 +53,6 @@ def test_a_lab_s_computer_shows_counts_and_decides_without_torch(designs, tmp_pa
     exits = [line for line in done.stdout.splitlines() if line.startswith("exit ")]
     assert exits == [*(f"exit 0: {line}" for line in COMMANDS), f"exit 2: {DECIDED}"], done.stderr
     assert f"deepfsi: {plugins.TORCH_MISSING}" in done.stderr.splitlines()
-    assert "as decided in the run: 10 of 10 scenes, bit for bit: 10" in done.stdout
 
 
 def test_python_says_what_to_install_where_torch_is_missing(monkeypatch):

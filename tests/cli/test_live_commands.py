@@ -8,31 +8,22 @@ import sys
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from conftest import quick
-from deepfsi import Design
-from deepfsi.camera.stop_rule import StopRule
-from deepfsi.cli import app
 from deepfsi.datasets.display import write_pictures
 from deepfsi.hardware.counting.acquisition import read_run
+from shared.live_samples import make_patterns
 
 LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--virtual", "ideal"]
 
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory, digits):
-    """A design of three looks, its patterns on a small device, and scenes."""
+    """Patterns of adaptive masks on a small device, and scenes."""
     folder = tmp_path_factory.mktemp("lab")
-    optics = {"light": "free-dwell", "rails": "single", "levels": 2}
-    design = quick(digits.hold_out(300), masks=12, looks=3, photons=1e5, epochs=8, **optics)
-    design.save(folder / "looks.safetensors")
+    make_patterns(folder, digits, photons=1e5)
     shown = [(f"{y}/{k}.png", digits.x_test[k].reshape(8, 8)) for k, y in enumerate(digits.y_test)]
-    for count, name in ((3, "images"), (40, "some"), (150, "many")):
+    for count, name in ((3, "images"), (150, "many")):
         write_pictures(dict(shown[:count]), folder / name)
-    words = ["dmd", "export", folder / "looks.safetensors", "--device", "64x48"]
-    told = CliRunner().invoke(app, [*map(str, words), "-o", str(folder / "patterns")])
-    assert told.exit_code == 0, told.output
     return folder
 
 
@@ -45,10 +36,10 @@ def test_each_decision_is_printed_and_a_replay_agrees(done, refuse, lab, made, t
         assert "confidence 0." in line or "confidence 1." in line
         assert "3 looks, light 10 ms (100%)" in line
     assert "right: " in out
-    out = done("camera", "classify", lab / "looks.safetensors", run)
+    out = done("camera", "classify", lab / "adaptive.safetensors", run)
     assert "as decided in the run: 3 of 3 scenes, bit for bit: 3\n" in out
     assert "a live run: 3 scenes, 9 looks" in done("camera", "count", run)
-    assert done("camera", "classify", lab / "looks.safetensors", run) == out
+    assert done("camera", "classify", lab / "adaptive.safetensors", run) == out
     fixed = made("deepfsi", "free-dwell", "single").save(tmp_path / "fixed.safetensors")
     assert "as it was" in refuse("camera", "count", run, "--exposure", "1ms")
     assert "a live run" in refuse("camera", "image", run)
@@ -57,25 +48,10 @@ def test_each_decision_is_printed_and_a_replay_agrees(done, refuse, lab, made, t
 
 def test_a_design_file_is_exported_for_the_moment(done, lab, tmp_path):
     scene = min((lab / "images").iterdir())
-    words = [lab / "looks.safetensors", "--scene", scene, *LIGHT]
+    words = [lab / "adaptive.safetensors", "--scene", scene, *LIGHT]
     done("camera", "live", *words, "-o", tmp_path / "run")
     assert read_run(tmp_path / "run").patterns.manifest.device.name == "dlp7000"
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
-
-
-def test_the_rule_of_the_design_stops_its_exposures(done, lab, tmp_path):
-    sure, run = tmp_path / "sure.safetensors", tmp_path / "run"
-    words = ["--photons", "1e5", "--draws", 1, "--threshold", 0.5]
-    done("stop", lab / "looks.safetensors", *words, "-o", sure)
-    rule = StopRule.model_validate(Design.load(sure).info["stopping"])
-    assert (rule.threshold, rule.photons) == (0.5, 1e5)
-    done("dmd", "export", sure, "--device", "64x48", "-o", tmp_path / "p")
-    done("camera", "live", tmp_path / "p", "--scene", lab / "some", *LIGHT, "-o", run)
-    assert read_run(run).acquisition.live.rule == rule
-    done("camera", "count", run)
-    told = json.loads(done("camera", "classify", sure, run, "--json"))["scenes"]
-    assert all(each["agrees"] and each["bit_for_bit"] for each in told)
-    assert {each["looks"] for each in told} > {3}
 
 
 def test_the_accuracy_is_that_of_evaluate(done, lab, tmp_path, digits):
@@ -83,7 +59,7 @@ def test_the_accuracy_is_that_of_evaluate(done, lab, tmp_path, digits):
     words = ["--scene", lab / "many", *LIGHT, "-o", tmp_path / "run", "--json"]
     live = json.loads(done("camera", "live", lab / "patterns", *words))["scenes"]
     right = np.mean([each["class"] == each["label"] for each in live])
-    words = ["evaluate", lab / "patterns", "--photons", "1e5", "--json"]
+    words = ["evaluate", lab / "adaptive.safetensors", "--photons", "1e5", "--json"]
     accuracy = json.loads(done(*words))["results"][0]["accuracy"]
     spread = np.sqrt(accuracy * (1 - accuracy) * (1 / 150 + 1 / len(digits.y_test)))
     assert abs(right - accuracy) < 5 * spread
@@ -104,7 +80,7 @@ def test_ctrl_c_keeps_the_scenes_that_are_finished(done, lab, tmp_path):
     assert process.returncode == 130
     assert b"finished scenes are kept" in errors
     done("camera", "count", tmp_path / "run")
-    told = done("camera", "classify", lab / "looks.safetensors", tmp_path / "run", "--json")
+    told = done("camera", "classify", lab / "adaptive.safetensors", tmp_path / "run", "--json")
     scenes = json.loads(told)["scenes"]
     assert 1 <= len(scenes) < 150
     assert all(each["agrees"] and each["bit_for_bit"] for each in scenes)

@@ -49,29 +49,26 @@ REFUSED = {
         --camera papr | did you mean 'paper'
         --camera key.toml | key.toml has an unknown key 'lihgt'
         --camera unit.toml | unit.toml cannot be used at exposure
-        --looks 99 | looks = '99': give 64 or less
-        --looks 3 --nested 2 | nested and looks are of different
+        --bins 3 --nested 2 | bins and nested are of different
         --cap 2 | --cap is of exposures that may end early
         --cap 2 --least-cap 1 | --cap is of exposures that may end early
-        --looks 4 --cap 2 --least-cap 1 | least_cap and looks are of different exposures
+        --nested 2 --cap 2 --least-cap 1 | least_cap and nested are of different exposures
         --least-cap 2 --design adaptive | cap: it is missing
         --least-cap 3 --cap 2 --design adaptive | a cap from 3 to 2: give a lower --least-cap
-        --looks 4 --cap 2 | the threshold of --cap is found on scenes that the training leaves out
-        --looks 4 --cap 2 --hold-out 40 | 40 training scenes say too little of the mean light
-        --looks 2 --cap 3 --hold-out 400 | the first of 2 looks takes 1.5 of the budget
+        --nested 2 --cap 2 | the threshold of --cap is found on scenes that the training leaves out
+        --nested 2 --cap 2 --hold-out 40 | 40 training scenes say too little of the mean light
+        --design adaptive --masks 2 --cap 3 | the first of 2 looks takes 1.5 of the budget
         --nested 3 --cap 2 --hold-out 400 | all 3 masks are needed
         --nested 1 --cap 2 --hold-out 400 --light column | all masks see light at once
         --light two-arm --rails single | use dual rails
         --dmd dlp7000 --light column | device
         --light column --detectors 2x2 | column is other optics
         --readout sum | readout
-        --detectors 2x2 --light free-dwell --rails dual --looks 2 | read by themselves
         --sigma 2 | --sigma is not of poisson noise: leave it out
         --noise none --sigma 5 | --sigma is not of none noise
         --noise poisson --dark 5 | poisson noise has no dark counts
         --noise click --gates 0 | gates = '0': give 1 or more
         --train-noise camera --noise none --dark 5 | none noise has no dark counts
-        --looks 2 --noise gaussian --train-noise poisson | several looks are for photon noise
         --noise nowhere:noise --train-noise ml_gauss | nowhere
         --epochs 10000000000000000000000 | 10000000000000000000000
         --hidden 0 | hidden.0 = '0': give 1 or more
@@ -120,7 +117,7 @@ REFUSED = {
         --designs impulse --dmd dlp7000 | shows no masks: leave --dmd out
     """,
     "compare --designs deepfsi --masks 4 --photons 1e3": """
-        --looks 4 --cap 2 --data few.npz | training scenes say too little of the mean light
+        --nested 2 --cap 2 --data few.npz | training scenes say too little of the mean light
     """,
     "sweep": """
         capped.toml | --cap is of exposures that may end early
@@ -239,8 +236,8 @@ REFUSED = {
         --projector dlpc900 | deepfsi camera record
     """,
     "camera live looks --scene few --exposure 10ms": "| --flux",
-    f"camera live run/patterns --scene few {FAST}": "| fixed dwells",
-    f"camera live clicks --scene few {FAST}": "| fixed dwells",
+    f"camera live run/patterns --scene few {FAST}": "| masks are known before",
+    f"camera live clicks --scene few {FAST}": "| masks are known before",
     "camera prepare looks --scenes few": "| use `deepfsi camera live`",
     "camera simulate looks --scene few --flux 1e7 --exposure 1ms": "| use `deepfsi camera live`",
     f"camera simulate clicks --scene few {FAST}": """
@@ -267,7 +264,7 @@ def folder(tmp_path_factory):
     shutil.copytree(INPUTS / "few", folder / "few")
     with contextlib.chdir(folder):
         recording("jump", "dual")
-        for design, name in (("looks", "looks"), ("click", "clicks")):
+        for design, name in (("adaptive", "looks"), ("click", "clicks")):
             Path(patterns_of(design)).rename(name)
     np.savez(folder / "small.npz", x=np.eye(60, 9), y=np.arange(60) % 2)
     np.savez(folder / "few.npz", x=np.eye(90, 64), y=np.arange(90) % 2)

@@ -63,7 +63,7 @@ def test_an_exposure_that_never_stops_is_a_whole_one(adaptive, few):
     [
         ({"camera": "paper"}, "one device, not column"),
         ({"camera": Camera(noise="gaussian", sigma=2.0)}, "photon counts"),
-        ({"exposure": {"looks": 2}}, "a look each"),
+        ({"exposure": {"nested": 2}}, "a look each"),
         ({"training": {"classifier": torch.nn.Linear}}, "leave `classifier` out"),
         ({"masks": 65}, "1 to 64"),
         ({"camera": Camera(device="dlp7000", exposure="1ms"), "masks": 50}, "give at most [0-9]+ "),

@@ -17,7 +17,6 @@ KINDS = {
     "fixed": {},
     "levels": {"levels": 2},
     "range": {"span": 100.0, "nested": 2},
-    "looks": {"looks": 2, "noise": "poisson", "scale": "common"},
 }
 OPTICS = [
     ("free-dwell", "single", None),
@@ -37,15 +36,7 @@ def trained(digits, kind="fixed", light="free-dwell", rails="single", readout=No
     return once(digits, light=light, rails=rails, **words)
 
 
-@pytest.mark.parametrize(
-    ("kind", "light", "rails", "readout"),
-    [
-        (k, *optics)
-        for k in KINDS
-        for optics in OPTICS
-        if (k, optics[0]) != ("looks", "equal-dwell")
-    ],
-)
+@pytest.mark.parametrize(("kind", "light", "rails", "readout"), CASES)
 def test_every_kind_of_design_works_with_several_detectors(digits, kind, light, rails, readout):
     """It obeys its law, and classifies counts as it was tested."""
     design = trained(digits, kind, light, rails, readout)
@@ -53,8 +44,6 @@ def test_every_kind_of_design_works_with_several_detectors(digits, kind, light, 
     assert design.counts_shape == ((5, 4) if rails == "single" else (2, 5, 4))
     read = "both" if light == "two-arm" else "difference"
     assert design.detection.readout == (readout or read)
-    if kind == "looks":
-        return
     scanner = design.scanner()
     rates = design.rates(scanner, torch.from_numpy(digits.x_test[:30]))
     counts = scanner.read(rates * 1e4, generator(7))
@@ -62,30 +51,6 @@ def test_every_kind_of_design_works_with_several_detectors(digits, kind, light, 
     logits = design.logits(design.detection.features(counts), 1e4).detach()
     by_hand = (logits / stop_temperatures(design.temperatures, 1e4)[-1]).softmax(-1)
     np.testing.assert_allclose(design.classify(shown, 1e4), by_hand, atol=1e-6)
-
-
-@pytest.mark.parametrize(("light", "rails", "readout"), [*OPTICS[:1], *OPTICS[2:]])
-def test_looks_at_a_camera_are_those_of_the_tests(digits, light, rails, readout):
-    """A camera that counts what is expected is classified as `classify` does its sums."""
-    design = trained(digits, "looks", light, rails, readout)
-    scene, seen, shares = torch.from_numpy(digits.x_test[3]), [], []
-    rates = design.rates(design.scanner("none"), scene)  # for frames of equal dwell
-
-    def camera(dwell):
-        shares.append(dwell)
-        frames = 10 if (light, rails) == ("free-dwell", "dual") else 5
-        assert dwell.shape == ((2, 5) if frames == 10 else (5,))
-        scaled = 1e4 * frames * dwell[..., None] * rates.reshape(design.counts_shape).numpy()
-        seen.append(scaled)
-        return scaled
-
-    chances = design.classify_live(camera, 1e4)
-    dwell = np.sum(shares, axis=0)
-    assert dwell.sum() == pytest.approx(1, abs=1e-6)
-    again = design.classify(np.sum(seen, axis=0), 1e4, dwell)
-    np.testing.assert_allclose(chances, again, atol=1e-5)
-    with pytest.raises(InputError, match="a look does not fit"):
-        design.classify_live(lambda dwell: np.zeros(3), 1e4)
 
 
 def test_the_light_of_all_detectors_is_that_of_one(digits):
@@ -106,7 +71,6 @@ def test_the_light_of_all_detectors_is_that_of_one(digits):
         ({"detectors": (0,) * 63}, "give 64 whole numbers"),
         ({"design": "raster", "masks": 64}, "64 masks .* with 4 detectors: give exactly 16"),
         ({"readout": "sum"}, "readout"),
-        ({"kind": "looks", "rails": "dual"}, 'use `readout="both"`'),
     ],
 )
 def test_what_cannot_be_detected_is_told(digits, settings, match):

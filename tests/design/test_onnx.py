@@ -1,4 +1,4 @@
-"""The graph gives what torch and the file of several looks give, and says what it is."""
+"""The graph gives what torch gives."""
 
 import re
 import subprocess
@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import PHOTONS, every_optics, generator, quick
+from conftest import PHOTONS, every_optics, generator
 from deepfsi import Design
-from deepfsi.camera.light import photons_per_pixel, share_out
+from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.onnx import to_onnx
 from deepfsi.hardware.patterns.folder import check_patterns
-from shared.design_files import file_of
 
 onnxruntime = pytest.importorskip("onnxruntime")
 
@@ -89,48 +88,3 @@ def test_a_folder_of_patterns_exports_what_the_device_shows(good, tmp_path, done
     done("export", folder, "-o", tmp_path / "shown.onnx")
     shown = Design.load(folder / "design.safetensors").as_shown(*check_patterns(folder).realised)
     assert (tmp_path / "shown.onnx").read_bytes() == to_onnx(shown) != to_onnx(good)
-
-
-LOOKS = 3
-OPTICS = {
-    "single": {"light": "free-dwell", "rails": "single"},
-    "dual": {"light": "free-dwell", "rails": "dual", "readout": "both"},
-    "two arms": {"light": "two-arm", "readout": "difference"},
-    "detectors": {"light": "free-dwell", "rails": "single", "detectors": "2x2"},
-    "shortest dwell": {"light": "free-dwell", "rails": "single", "shortest_dwell": 0.08},
-}
-
-
-@pytest.fixture(scope="module", params=OPTICS)
-def design(request, digits) -> Design:
-    return quick(digits, masks=5, looks=LOOKS, photons=1e3, **OPTICS[request.param])
-
-
-@pytest.mark.parametrize("shortest", [0.0, 0.07, 0.9])
-def test_a_graph_says_and_chooses_what_the_file_does(design, shortest):
-    """In each look of scenes with any counts and light, also where no frame is long enough."""
-    file, rng, photons = file_of(design), np.random.default_rng(0), 10 ** (2 + shortest)
-    session = opened(to_onnx(design))
-    assert [each.name for each in session.get_outputs()] == ["probabilities", "next"]
-    dwells, batch = design.exposure.dwells, 4
-    rails = (file.rail_count, file.masks, file.detector_count)
-    counts = np.zeros((batch, *design.counts_shape), np.float32)
-    dwell = np.zeros((batch, dwells.count))
-    for look in range(LOOKS):
-        given = {
-            "counts": counts,
-            "photons": np.full(batch, photons, np.float32),
-            "dwell": dwells.by_rail(dwell).astype(np.float32),
-            "left": np.full(batch, 1 - look / LOOKS, np.float32),
-            "shortest": np.full(batch, shortest, np.float32),
-        }
-        chances, asked = session.run(None, given)
-        chosen = dwells.by_mask(asked)
-        for k in range(batch):
-            inputs = file.inputs(file.features(counts[k].reshape(rails)) / photons, dwell[k])
-            wanted = share_out(file.next_dwell(inputs, look), shortest)
-            np.testing.assert_allclose(chosen[k], wanted, rtol=1e-3, atol=1e-7)
-            np.testing.assert_allclose(chances[k], file.chances(inputs, photons), atol=1e-5)
-        dwell = dwell + chosen
-        mean = photons * float(design.shares.mean()) / LOOKS
-        counts = counts + rng.poisson(mean, counts.shape).astype(np.float32)

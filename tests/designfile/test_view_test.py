@@ -24,7 +24,7 @@ def masks(digits):
 
 def exposed(model, masks, scenes, rng):
     """Result of a run of scenes (S, N) behind masks."""
-    test, none = ViewTest(model, SHAPE, 0), np.zeros(MASKS)
+    test, none = ViewTest(model, SHAPE), np.zeros(MASKS)
     for x in scenes:
         read = rng.poisson(masks @ x.clip(min=0)).astype(float)
         test.add(SceneReadouts(masks, read, none, none.astype(int)))

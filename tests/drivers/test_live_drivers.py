@@ -7,13 +7,14 @@ import pytest
 
 from deepfsi.hardware.drivers.protocols import Setup
 from deepfsi.hardware.live import frame_log
-from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.live.run import run_live
 from deepfsi.hardware.photons.ptu import PtuWriter
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
+from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
 from deepfsi_drivers import file_tail, swabian, vialux
 from drivers import swabian_fake
 from drivers.vialux_fake import install
-from shared.live_samples import LOOKS, bench, check_replay, live, make_patterns, scenes_of
+from shared.live_samples import LOOKS, check_replay, live, make_patterns, planned, scenes_of
 
 SCENES, FLUX = 3, 1e7
 
@@ -23,9 +24,11 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     digits, tmp_path, monkeypatch, entries
 ):
     """Also where lists are so long that pictures must last longer than the shortest."""
-    patterns, folder = make_patterns(tmp_path, digits, epochs=1), tmp_path / "run"
+    patterns, folder = make_patterns(tmp_path, digits), tmp_path / "run"
     x, scenes = scenes_of(digits, SCENES)
-    usual, library = bench(patterns, x, FLUX), install(monkeypatch)
+    acquisition, looks = planned(patterns, scenes, 20e-3, FLUX)
+    usual = virtual_setup(patterns, x, acquisition, Latencies())
+    library = install(monkeypatch)
     optics = usual.projector._optics
 
     def on_list(frames, us):
@@ -38,8 +41,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
 
     library.size, library.on_list, library.entries = (64, 48), on_list, entries
     devices = Setup(vialux.VialuxLooks(), Counter(), usual.display)
-    acquisition = plan_live(patterns, scenes, 20e-3)
-    decided = list(run_live(folder, patterns, acquisition, devices))
+    decided = list(run_live(folder, patterns, acquisition, devices, looks))
     optics.written.__exit__(None, None, None)
     assert len(decided) == SCENES * LOOKS
     assert library.calls.count("SeqAlloc") == 1
@@ -59,17 +61,18 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
 
 def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_path, monkeypatch):
     """The same light, through tags of channels in blocks that end anywhere: the same decisions."""
-    patterns = make_patterns(tmp_path, digits, epochs=1)
+    patterns = make_patterns(tmp_path, digits)
     x, scenes = scenes_of(digits, SCENES)
     device = swabian_fake.install(monkeypatch, trigger=-4)
-    devices = bench(patterns, x, FLUX)
+    folder, (acquisition, looks) = tmp_path / "run", planned(patterns, scenes, 20e-3, FLUX)
+    devices = virtual_setup(patterns, x, acquisition, Latencies())
     devices.projector._optics.written = device
-    folder, acquisition = tmp_path / "run", plan_live(patterns, scenes, 20e-3)
     counter = swabian.TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=-4)
-    decided = list(run_live(folder, patterns, acquisition, replace(devices, counter=counter)))
+    devices = replace(devices, counter=counter)
+    decided = list(run_live(folder, patterns, acquisition, devices, looks))
     assert len(decided) == SCENES * LOOKS
     assert device.steps[-2:] == ["stop", "freeTimeTagger"]
     check_replay(folder, decided)
-    usual = live(tmp_path / "usual", patterns, digits, SCENES, FLUX, 20e-3)
+    usual = live(tmp_path / "usual", patterns, digits, SCENES, exposure_s=20e-3, flux=FLUX)
     chances = [each.decision.chances for each in decided]
     assert np.array_equal(chances, [each.decision.chances for each in usual])

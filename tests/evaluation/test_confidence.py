@@ -28,7 +28,6 @@ KINDS = {
     "fixed": TRAINED,
     "range": {**TRAINED, "photons": 1e3, "span": 1e2},
     "nested": {**TRAINED, "nested": 2, **ONE_DEVICE},
-    "looks": {**TRAINED, "looks": 3, **ONE_DEVICE},
 }
 
 

@@ -111,40 +111,6 @@ def test_the_interval_of_the_light_used_is_normal_over_images(nested, digits):
     assert found.used.high - found.used.low == pytest.approx(2 * 1.96 * (variance / images) ** 0.5)
 
 
-def test_a_rule_holds_near_the_light_that_it_was_chosen_at(stopped):
-    rule, sure = stopped.rule, np.array([0.999999999, 1e-9])
-    assert rule.photons == PHOTONS
-    near = [rule.decide(2, sure, PHOTONS * ratio) for ratio in (0.01, 0.3, 0.33, 1, 3, 3.3, 100)]
-    assert near == [False, False, True, True, True, False, False]
-    assert rule.decide(10, sure, 0.01 * PHOTONS)  # the last mask ends it
-
-
-@pytest.fixture(scope="module")
-def looking(digits):
-    """A design of several looks."""
-    settings = {**TRAINED, "nested": 0, "looks": 4, "masks": 16, "photons": 2e4}
-    return quick(digits.hold_out(HELD_OUT), **settings)
-
-
-def test_a_camera_that_looks_again_stops_as_the_study_says(looking, digits):
-    found = stop(looking, digits, 2e4, held_out=HELD_OUT, threshold=0.9, draws=4)
-    rng, patterns = np.random.default_rng(0), looking.rails.plus.numpy() * looking.masks
-    looks, right = [], []
-    for scene, label in zip(digits.x_test, digits.y_test, strict=True):
-        shown = []
-
-        def read(dwell, rates=patterns @ scene * 2e4 / looking.summed_reflectance, shown=shown):
-            shown.append(dwell)
-            return rng.poisson(dwell * rates)
-
-        chances = looking.classify_live(read, 2e4, until=found.rule.decide)
-        assert chances.sum() == pytest.approx(1)
-        looks.append(len(shown) / 4)
-        right.append(chances.argmax() == label)
-    for mine, its in ((looks, found.used), (right, found.stopped)):
-        assert abs(np.mean(mine) - its.mean) < 5 * (1.25 / len(mine)) ** 0.5 * np.std(mine)
-
-
 @pytest.mark.parametrize(
     ("settings", "match"),
     [

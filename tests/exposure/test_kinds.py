@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from conftest import synthetic
-from deepfsi import Fixed, Job, Looks, Nested, Passing, Range
+from deepfsi import Fixed, Job, Nested, Passing, Range
 from deepfsi.base.errors import InputError
 from deepfsi.jobs.exposures import find_exposure
 from deepfsi_paper.patches.settings import Patches
@@ -18,7 +18,6 @@ KINDS = [
     ({"span": 10.0}, Range(span=10.0)),
     ({"nested": 3}, Nested(nested=3)),
     ({"nested": 3, "span": 10.0}, Nested(nested=3, span=10.0)),
-    ({"looks": 4}, Looks(looks=4)),
     ({"patch": 8}, Patches(patch=8)),
     ({"bins": 6, "jitter": 2.0}, Passing(bins=6, jitter=2.0)),
 ]
@@ -38,14 +37,10 @@ def test_settings_ask_for_a_kind_and_come_back_from_json(settings, wanted):
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
-        ({"look": 3}, "no setting 'look': did you mean 'looks'"),
-        ({"bins": 4, "looks": 2}, "bins and looks are of different exposures"),
-        ({"looks": 4, "span": 10.0}, "span and looks are of different exposures"),
-        ({"looks": 4, "nested": 2}, "nested and looks are of different exposures"),
+        ({"nest": 3}, "no setting 'nest': did you mean 'nested'"),
+        ({"bins": 4, "span": 2.0}, "bins and span are of different exposures"),
         ({"patch": 8, "span": 2.0}, "span and patch are of different exposures"),
-        ({"looks": 0}, "looks = 0: give 2 or more"),
-        ({"looks": 65}, "looks = 65: give 64 or less"),
-        ({"looks": 2.5}, "looks = 2.5: give a whole number"),
+        ({"bins": 2.5}, "bins = 2.5: give a whole number"),
         ({"nested": -1}, "nested = -1: give 1 or more"),
         ({"span": 0.5}, "span = 0.5: give more than 1"),
         ({"span": 1e13}, "span = .*give 1e.12 or less"),
@@ -61,7 +56,7 @@ def test_what_is_no_exposure_is_refused(settings, match):
 
 
 DMD, PAPER, TWO_ARMS = {"camera": "dmd"}, {"camera": "paper"}, {"camera": "two-arm"}
-LOOKS, RANGE, PATCH = {"looks": 4}, {"span": 10.0}, {"patch": 4, "classifier": "vit"}
+RANGE, PATCH = {"span": 10.0}, {"patch": 4, "classifier": "vit"}
 PASSING = {"bins": 6}
 
 
@@ -69,18 +64,6 @@ PASSING = {"bins": 6}
     ("settings", "faults"),
     [
         (DMD, []),
-        (DMD | LOOKS, []),
-        (DMD | LOOKS | {"dark": 30.0}, []),
-        (DMD | LOOKS | {"dark": 30.0, "sigma": 2.0}, []),
-        (TWO_ARMS | LOOKS, []),
-        (PAPER | LOOKS, ['`light="free-dwell"` or "two-arm"']),
-        (LOOKS | {"light": "equal-dwell"}, ["not equal-dwell"]),
-        (DMD | LOOKS | {"rails": "dual"}, ['use `readout="both"`, or `rails="single"`']),
-        (DMD | LOOKS | {"noise": "gaussian"}, ["leave gaussian noise out"]),
-        (DMD | LOOKS | {"train_noise": "gaussian"}, ["leave gaussian noise out"]),
-        (DMD | LOOKS | {"shortest_dwell": "0.3s"}, ["give fewer looks, or a longer"]),
-        (DMD | LOOKS | {"design": "control"}, ["control has one look only"]),
-        (PAPER | LOOKS | {"noise": "gaussian"}, ["not column", "leave gaussian noise out"]),
         (DMD | RANGE, []),
         (DMD | RANGE | {"dark": 30.0}, ["leave out camera noise, or train under ml_g"]),
         (DMD | RANGE | {"dark": 30.0, "train_noise": "ml_gauss"}, []),
@@ -140,11 +123,6 @@ DAMAGES = {
         *({"exposure": {name: 0.0}} for name in ("photons", "span")),
         {"exposure": {"used": -1.0}},
         {"exposure": {"nested": 2.5}},
-    ],
-    "looks": [
-        *({"exposure": {"looks": bad}} for bad in (2.5, 10**9, True)),
-        {"exposure": {"hidden": [9]}},
-        {"light": "column"},
     ],
     "patches": [
         *({"classifier": each} for each in ({"width": 32}, {"heads": 5}, {"patches": 3})),

@@ -13,7 +13,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.evaluation.accuracy import evaluate
 from deepfsi.evaluation.stopping import stop
 from deepfsi.exposure.kind import Stops
-from deepfsi.jobs.exposures import AdaptiveMasks, LooksEntry
+from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.lab.looks import design_rails
 from deepfsi.sweeps.recipe import Recipe
 
@@ -187,16 +187,13 @@ def test_a_file_and_a_camera_know_the_rule(shared, tmp_path):
     ("settings", "words"),
     [
         ({"design": "deepfsi"}, "is of exposures that may end early"),
-        ({"exposure": {"cap": 2, "looks": 4}}, "a look each"),
         ({"exposure": {"cap": 0.5}}, "cap"),
         ({"exposure": {"cap": 2, "least_cap": 3}}, "a cap from 3 to 2: give a lower `least_cap`"),
         ({"exposure": {"cap": 2, "least_cap": 0.5}}, "least_cap"),
         ({"exposure": {"least_cap": 2}}, "cap"),
-        ({"exposure": {"looks": 4, "cap": 2, "least_cap": 1}}, "least_cap and looks are of"),
         ({"design": "deepfsi", "exposure": {"cap": 2, "least_cap": 1}}, "exposures that may end"),
         ({"exposure": {"cap": 9}}, "the first of 8 looks takes 1.12 of the budget"),
-        ({"design": "deepfsi", "exposure": {"looks": 4, "cap": 2}}, "`hold_out`"),
-        ({"design": "deepfsi", "exposure": {"looks": 2, "cap": 3}}, "first of 2 looks takes 1.5"),
+        ({"design": "deepfsi", "exposure": {"nested": 1, "cap": 2}}, "`hold_out`"),
         ({"design": "deepfsi", "exposure": {"patch": 4, "cap": 2}}, "different exposures"),
         (
             {"design": "deepfsi", "exposure": {"nested": 1, "span": 10, "cap": 2}},
@@ -209,14 +206,6 @@ def test_a_file_and_a_camera_know_the_rule(shared, tmp_path):
         (
             {"design": "deepfsi", "exposure": {"nested": 1, "cap": 2}, "camera": "paper"},
             "all masks see light at once",
-        ),
-        (
-            {
-                "design": "deepfsi",
-                "exposure": {"looks": 4, "cap": 2},
-                "camera": {"noise": "click"},
-            },
-            "clicks of gates are read for one length",
         ),
     ],
 )
@@ -240,10 +229,9 @@ def test_a_comparison_says_that_a_budget_is_a_mean():
 
 
 def test_a_comparison_caps_the_exposures_that_may_end_early():
-    recipe = Recipe.model_validate({"exposure": {"cap": 2, "looks": [1, 4]}})
+    recipe = Recipe.model_validate({"exposure": {"cap": 2, "nested": 1}})
     assert recipe.exposures("deepfsi") == [
-        ("looks 1", deepfsi.Fixed()),
-        ("looks 4 (mean light, at most 2 Φ)", deepfsi.Looks(looks=4, cap=2)),
+        ("(mean light, at most 2 Φ)", deepfsi.Nested(nested=1, cap=2))
     ]
     assert recipe.exposures("adaptive") == [
         ("(mean light, at most 2 Φ)", deepfsi.SharedLight(cap=2))
@@ -255,28 +243,23 @@ def test_a_comparison_gives_all_exposures_the_same_cap():
         Recipe.model_validate({"exposure": {"cap": 4, "least_cap": 1}})
 
 
-# Nested masks and looks, on scenes that their training left out
+# Nested masks, on scenes that their training left out
 
 
-EXPOSURES = {"looks": {"looks": 4}, "nested": {"nested": 1}}
+NESTED = {"nested": 1}
 HELD_OUT = 400
 FEW = {"training": {"epochs": 5}, "masks": 16}
 
 
-@pytest.fixture(scope="module", params=EXPOSURES)
-def asked(request):
-    return EXPOSURES[request.param]
-
-
 @pytest.fixture(scope="module")
-def capped(digits, asked):
-    exposure = asked | {"cap": 2}
+def capped(digits):
+    exposure = NESTED | {"cap": 2}
     return deepfsi.learn(digits.hold_out(HELD_OUT), photons=PHOTONS, exposure=exposure, **FEW)
 
 
 @pytest.fixture(scope="module")
-def whole(digits, asked):
-    return deepfsi.learn(digits.hold_out(HELD_OUT), photons=2 * PHOTONS, exposure=asked, **FEW)
+def whole(digits):
+    return deepfsi.learn(digits.hold_out(HELD_OUT), photons=2 * PHOTONS, exposure=NESTED, **FEW)
 
 
 @pytest.fixture(scope="module")
@@ -286,15 +269,12 @@ def result(digits, capped):
 
 
 def test_a_cap_of_1_is_the_design_of_before():
-    for settings in EXPOSURES.values():
-        jobs = [
-            deepfsi.Job(masks=8, photons=1e3, exposure=exposure)
-            for exposure in (settings, settings | {"cap": 1})
-        ]
-        assert jobs[0] == jobs[1]
-        assert "cap" not in jobs[1].model_dump_json()
-    entry = LooksEntry(looks=4, hidden=(3,), shortest=0.0)
-    assert not {"cap", "until"} & entry.model_dump().keys()
+    jobs = [
+        deepfsi.Job(masks=8, photons=1e3, exposure=exposure)
+        for exposure in (NESTED, NESTED | {"cap": 1})
+    ]
+    assert jobs[0] == jobs[1]
+    assert "cap" not in jobs[1].model_dump_json()
 
 
 def test_a_cap_of_2_is_the_design_of_twice_the_budget_bit_for_bit(digits, capped, whole):
@@ -347,11 +327,8 @@ def test_their_files_know_the_rule(digits, capped, result, tmp_path):
     assert again.info["stopping"] == capped.info["stopping"]
 
 
-def test_frames_are_of_looks_alone(capped, tmp_path):
+def test_their_frames_are_not_exported(capped, tmp_path):
     path = capped.save(tmp_path / "capped.safetensors")
-    if capped.exposure.chooses:
-        assert design_rails(path).looks.count == 4
-        return
     with pytest.raises(InputError, match="frames of a run are all shown"):
         design_rails(path)
 
@@ -367,19 +344,12 @@ def test_dark_counts_are_of_the_longer_exposure(capped, whole):
     [("page", "one length"), ("graph", "one length"), ("ideal observer", "whole exposures")],
 )
 def test_what_is_of_one_length_refuses_them(capped, whole, use, words):
-    if use == "ideal observer" and whole.exposure.chooses:
-        words = "follow the counts"
-    else:
-        whole.exposure.check(use)
+    whole.exposure.check(use)
     with pytest.raises(InputError, match=words):
         capped.exposure.check(use)
 
 
 def test_first_masks_alone_take_the_budget(digits, capped, whole):
-    if whole.exposure.chooses:
-        with pytest.raises(InputError, match="cannot be classified alone"):
-            capped.first(8)
-        return
     first = [design.first(8) for design in (capped, whole)]
     results = [evaluate(design, digits, PHOTONS, draws=1)[0] for design in first]
     assert np.array_equal(results[0].right, results[1].right)
@@ -393,7 +363,7 @@ def test_few_scenes_are_left_out_in_folds(digits):
         few,
         photons=PHOTONS,
         masks=8,
-        exposure={"looks": 4, "cap": 2},
+        exposure={"nested": 1, "cap": 2},
         training={"epochs": 2},
     )
     [result] = evaluate(made, digits, PHOTONS, draws=DRAWS)

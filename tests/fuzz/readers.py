@@ -22,9 +22,7 @@ from deepfsi.base.numeric.tables import read_table
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.device import find_device
 from deepfsi.cli.studies import read_recipe
-from deepfsi.designfile.loop_file import read_loop
 from deepfsi.designfile.provenance import trained_on
-from deepfsi.evaluation import stopping
 from deepfsi.hardware.counting import tables
 from deepfsi.hardware.counting.acquisition import Calibration, read_run
 from deepfsi.hardware.counting.count import count_run
@@ -71,9 +69,7 @@ def use_design(path: Path) -> None:
     camera_of(path)
     repr(design)
     _ = design.camera, trained_on(design.info)
-    if design.exposure.chooses:
-        stopping.rule_of(design)
-    elif design.exposure.kind != "patches":  # whose counts are of each patch
+    if design.exposure.kind != "patches":  # whose counts are of each patch
         counts = np.ones(design.counts_shape)
         chances = design.classify(counts, 1e4)
         assert chances.shape == (len(design.classes),)
@@ -87,19 +83,6 @@ def use_adaptive(path: Path) -> None:
     _ = design.camera, trained_on(design.info)
     *_, chances = design.looks_at(np.full(design.image_shape, 0.5, np.float32).ravel(), 1e3)
     assert np.isfinite(chances).all()
-
-
-def use_loop(path: Path) -> None:
-    exported = patterns.read_patterns(path.parent)
-    rails, image_shape, _ = exported.realised
-    design = read_loop(
-        path,
-        rails,
-        image_shape=image_shape,
-        light=exported.manifest.light,
-        summed_reflectance=exported.manifest.summed_reflectance,
-    )
-    assert np.isfinite(design.first_dwell).all()
 
 
 def use_patterns(path: Path) -> None:
@@ -166,10 +149,9 @@ READERS = {
     "nested design": Reader("nested.safetensors", use_design, (changed_tensors,)),
     "adaptive design": Reader("adaptive.safetensors", use_adaptive, (changed_tensors,)),
     "patches": Reader("patches.safetensors", use_design, (changed_tensors,)),
-    "looks": Reader("looks.safetensors", design_rails, (changed_tensors,)),
-    "loop": Reader("live/patterns/loop.safetensors", use_loop, TENSORS),
     "manifest": Reader("npy/manifest.json", use_patterns, JSON, 8),
-    "manifest of looks": Reader("live/patterns/manifest.json", use_patterns, (changed_json,)),
+    "manifest of looks": Reader("live-adaptive/patterns/manifest.json", use_patterns,
+                                (changed_json,)),
     "mirrors": Reader("npy/mirrors.npy", use_patterns, (mangled,), 2),
     "frames": Reader("npy/frames.npy", check_patterns, (mangled,), 1),
     "png frames": Reader("png/frames/0002.png", check_patterns, (mangled,), 1),
@@ -181,8 +163,8 @@ READERS = {
                                   lambda path: count_run(path.parent), JSON, 2),
     "counts": Reader("lost/counts.npz", use_run, ZIP),
     "photons": Reader("clicks/photons.ptu", use_photons, (mangled,), 8),
-    "shown frames": Reader("live/shown.jsonl", use_live, (changed_lines, mangled)),
-    "live counts": Reader("live/counts.npz", use_live, ZIP, 2),
+    "shown frames": Reader("live-adaptive/shown.jsonl", use_live, (changed_lines, mangled)),
+    "live counts": Reader("live-adaptive/counts.npz", use_live, ZIP, 2),
     "calibration": Reader("calibration/calibration.json",
                           lambda path: Calibration.load(path.parent).doubts, JSON),
     "scenes": Reader("scenes.csv", read_scenes, TABLE, 3),
@@ -236,8 +218,8 @@ STORED = {
     "fixed.safetensors": INPUTS / "files" / "characterised.safetensors",
     "out/designs/key.safetensors": INPUTS / "files" / "fixed.safetensors",
     **{f"{name}.safetensors": INPUTS / "files" / f"{name}.safetensors"
-       for name in ("nested", "adaptive", "patches", "looks")},
-    **{name: INPUTS / "recordings" / name for name in ("clicks", "lost", "live")},
+       for name in ("nested", "adaptive", "patches")},
+    **{name: INPUTS / "recordings" / name for name in ("clicks", "lost", "live-adaptive")},
     "virtual.toml": INPUTS / "ambient.toml",
     "device/device.toml": INPUTS / "loading.toml",
 }  # fmt: skip

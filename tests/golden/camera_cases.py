@@ -150,7 +150,6 @@ def files() -> dict[str, Any]:
 
 JOBS: tuple[dict[str, Any], ...] = (
     {"masks": 10, "photons": 1e4},
-    {"masks": 10, "photons": 1e4, "camera": "two-arm", "exposure": {"looks": 4}},
     {"masks": 10, "photons": 1e4, "design": "raster"},
     {"masks": 10, "photons": 1e4, "design": "hadamard", "training": {"lr": 0.3}},
     {"masks": 10, "photons": 1e4, "exposure": {"nested": 3, "span": 10}},
@@ -164,8 +163,6 @@ JOBS: tuple[dict[str, Any], ...] = (
     {"masks": 8, "photons": 1e4, "design": "deepfis"},
     {"masks": 8, "photons": 1e4, "epochs": 3},
     {"masks": 8, "photons": 1e4, "training": {"epoch": 3}},
-    {"masks": 8, "photons": 1e4, "exposure": {"looks": 1}},
-    {"masks": 8, "photons": 1e4, "exposure": {"looks": 3, "nested": 2}},
     {"masks": 8, "photons": 1e4, "seed": -1},
 )
 

@@ -27,7 +27,6 @@ EXPOSURES: dict[str, dict[str, Any]] = {
     "fixed": {"masks": 4},
     "range": {"masks": 4, "exposure": {"span": 10}},
     "nested": {"masks": 4, "exposure": {"nested": 2}},
-    "looks": {"masks": 4, "exposure": {"looks": 2}},
     "patches": {"masks": 4, **PATCHES},
     "passing": {"exposure": {"bins": 8, "jitter": 0.5, "speed_jitter": 0.05}},
     "adaptive": ADAPTIVE,
@@ -120,7 +119,6 @@ TRAININGS: dict[str, dict[str, Any]] = {
     },
     "target counts": {"photons": None, "counts": 200.0, "training": {**STEPS, "epochs": 1}},
     "control": {"design": "control", "camera": {"light": "column"}},
-    "random": {"design": "random", "exposure": {"looks": 3}},
 }
 """Other ways to train, by settings."""
 

@@ -38,12 +38,7 @@ DESIGNS = {
 }
 """Design of each stored run."""
 
-LIVED = {
-    **{f"live-{name}": f"looks-{name}" for name in ("arms", "quad")},
-    **{f"live-{name}": name for name in ("adaptive", "adaptive-arms", "adaptive-quad")},
-    **dict.fromkeys(("live", "live-mirrored"), "looks"),
-    **dict.fromkeys(("live-rails", "live-fluctuating"), "looks-dual"),
-}
+LIVED = {f"live-{name}": name for name in ("adaptive", "adaptive-arms", "adaptive-quad")}
 """Design of each stored live run."""
 
 COUNTED = {
@@ -96,7 +91,7 @@ def replayed(name: str) -> dict[str, Any]:
         "count": answer("camera", "count", run),
         "arrays": arrays(Path(run, "counts.npz")),
         "decisions": answer("camera", "classify", file_of(design), run),
-        "other design": answer("camera", "classify", file_of("looks-quad"), run),
+        "other design": answer("camera", "classify", file_of("quad"), run),
     }
     for scene in (*out["decisions"].get("scenes", ()), *out["other design"].get("scenes", ())):
         del scene["bit_for_bit"]
@@ -125,24 +120,16 @@ for line in sys.stdin:
 
 @CASES
 def without_torch() -> dict[str, Any]:
-    """Commands of a camera's computer that has no torch: a live run, counted and classified."""
-    run = recording("live", "looks")
-    looks = file_of("looks")
+    """Commands of a camera's computer that has no torch: patterns and counts."""
+    run = recording("one-arm", "single")
     lines = {
-        "export": f"dmd export {looks} --device 64x48 --exposure 10ms -o p",
+        "export": f"dmd export {file_of('single')} --device 64x48 --exposure 10ms -o p",
         "count": f"camera count {run}",
-        "classify": f"camera classify {looks} {run}",
-        "classify by patterns": f"camera classify {run}/patterns {run}",
-        "live": f"camera live p --scene {INPUTS / 'few'} --exposure 10ms --virtual ideal "
-        "--flux 8e5 -o lived",
     }
     words, asked = [sys.executable, "-c", WITHOUT_TORCH], "\n".join(lines.values())
     said = subprocess.run(words, input=asked, capture_output=True, text=True, check=True)
     answers = map(json.loads, said.stdout.splitlines())
-    out = {name: cleaned(one) for name, one in zip(lines, answers, strict=True)}
-    for scene in (*out["classify"]["scenes"], *out["classify by patterns"]["scenes"]):
-        del scene["bit_for_bit"]  # as in `replayed`
-    return out
+    return {name: cleaned(one) for name, one in zip(lines, answers, strict=True)}
 
 
 @CASES.of(("both-rails", "two-arms"))
@@ -240,7 +227,7 @@ def _made(command: str, design: str, words: str) -> dict[str, Any]:
     shown = ["--scene", INPUTS / "few", "--exposure", "10ms", *options, "-o", "run"]
     out = {"said": answer("camera", command, patterns_of(design), *shown)}
     if Path("run").exists():
-        out["files"] = files("run", "manifest.json", "loop.safetensors")
+        out["files"] = files("run", "manifest.json")
         out["counted"] = answer("camera", "count", "run")
     return out
 
@@ -263,20 +250,6 @@ def recorded(name: str) -> dict[str, Any]:
 
 
 LIVE = {
-    "looks": ("looks", "--virtual ideal --flux 8e5"),
-    "stopped": ("looks", "--virtual pmt --flux 2e6 --until 0.4 --latency decision=3ms"),
-    "rails, background, dead time": (
-        "looks-dual",
-        "--flux 1e6 --background --virtual spad --dead-time 100ns",
-    ),
-    "arms, shortest dwell": ("looks-arms", "--virtual ideal --flux 1.5e5 --shortest-dwell 400us"),
-    "detectors": ("looks-quad", "--virtual ideal --flux 1e6 --until 0.6"),
-    "detectors, gains": ("looks-quad", "--virtual gains.toml --flux 2e6 --dead-time 50ns"),
-    "budget": ("looks", "--virtual ideal --flux 8e5 --photons 6.9e3"),
-    "ambient": ("looks", "--virtual ambient.toml --flux 8e5 --background"),
-    "mirrored": ("looks-dual", "--virtual mirrored.toml --flux 1e6"),
-    "fluctuating": ("looks-dual", "--virtual fluctuating.toml --flux 4e5"),
-    "dim": ("looks", "--virtual ideal --flux 1e4"),
     "adaptive, dark counts": ("adaptive", "--virtual ideal --flux 1e6 --dark 2e4"),
     "adaptive, dead time": ("adaptive", "--virtual spad --flux 1e6 --dead-time 50ns --until 0.5"),
     "adaptive, arms": ("adaptive-arms", "--virtual ideal --flux 1.5e5 --until 0.7"),

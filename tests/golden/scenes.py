@@ -100,14 +100,9 @@ def answered(design: Any, data: deepfsi.Dataset) -> dict[str, Any]:
     patches = prod(data.image_shape) // prod(design.mask_shape)
     several = (patches,) if design.info["job"]["exposure"].get("patch") else ()
     counts = rng.integers(0, 1 + (design.gates or 60), (6, *several, *design.counts_shape))
-
-    def read(dwell: np.ndarray) -> np.ndarray:
-        return rng.poisson(40 * np.ones(design.counts_shape) * dwell.mean())
-
     calls = {
         "classify": lambda: design.classify(counts, BUDGET),
         "estimate": lambda: design.estimate(counts, BUDGET),
-        "live": lambda: design.classify_live(read, BUDGET),
         "consistency": lambda: plain(design.consistency(counts, BUDGET)),
         "first": lambda: design.first(2).matrix,
         "quantised": lambda: design.quantised(5).matrix,

@@ -19,7 +19,6 @@ TRAINING = ("--epochs", 1, "--hidden", 8, "--batch", 40, "--workers", 1)
 
 COMPARED = {
     "designs": "--designs impulse,raster,pca,random,deepfsi --photons 1e4 --masks 4",
-    "looks": "--designs deepfsi --photons 1e4 --masks 4 --looks 2",
     "folds": "--designs pca --photons 1e4 --masks 3,5",
     "wrong": "--designs pca,nosuch --photons 1e4 --masks 4",
 }

@@ -121,7 +121,7 @@ def test_bfloat16_error_is_under_the_photon_noise_where_allowed(digits):
 def test_a_job_comes_back_from_json():
     """So do the settings that were tuned, though they may be tuned otherwise by then."""
     job = job_of(
-        design="raster", masks=6, photons=1e3, light="two-arm", looks=3, dark=5.0, device=None,
+        design="raster", masks=6, photons=1e3, light="two-arm", nested=3, dark=5.0, device=None,
         hidden=(8, 9), seed=4, noise="camera",
     )  # fmt: skip
     assert Job.model_validate_json(job.model_dump_json()) == job
@@ -139,13 +139,13 @@ def test_a_job_comes_back_from_json():
     [
         ({"epochs": 3}, r"give `training=\{'epochs': ...\}`"),
         ({"light": "column"}, r"give `camera=\{'light': ...\}`"),
-        ({"looks": 3}, r"give `exposure=\{'looks': ...\}`"),
+        ({"nested": 3}, r"give `exposure=\{'nested': ...\}`"),
         ({"train_noise": "none"}, r"give `training=\{'noise': ...\}`"),
         ({"photon": 1e3}, "did you mean 'photons'"),
         ({"camera": "dmt"}, "did you mean 'dmd'"),
         ({"camera": {"light": "colum"}}, "light = 'colum'"),
-        ({"exposure": {"look": 3}}, "did you mean 'looks'"),
-        ({"exposure": "looks"}, "exposure = 'looks'"),
+        ({"exposure": {"nest": 3}}, "did you mean 'nested'"),
+        ({"exposure": "nested"}, "exposure = 'nested'"),
         ({"training": {"epoch": 3}}, "did you mean 'epochs'"),
         ({"training": {"epochs": 0}}, "training.epochs = 0"),
         ({"training": {"classifier": 3}}, "training.classifier = 3"),
@@ -197,8 +197,6 @@ def test_a_design_has_the_optics_that_it_needs(settings, optics):
         ({}, {}, "ml_gauss"),
         ({"dark": 5.0}, {}, "camera"),
         ({"noise": "gaussian"}, {}, "gaussian"),
-        ({}, {"exposure": {"looks": 2}}, "poisson"),
-        ({"dark": 5.0}, {"exposure": {"looks": 2}}, "camera"),
         ({"dark": 5.0}, {"training": {"noise": "none"}}, "none"),
         ({"noise": photons}, {}, "shared.noises:photons"),
     ],

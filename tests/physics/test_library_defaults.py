@@ -96,9 +96,9 @@ def test_a_design_is_learned_whatever_torch_is_set_to(digits, setting):
 
 
 def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digits, tmp_path):
-    """Designs of known masks, of looks, and adaptive; all settings in force at once."""
-    held, two = digits.hold_out(239), deepfsi.Looks(looks=2)
-    design, looks, adaptive = learn(digits), learn(held, exposure=two), learn_adaptive(digits)
+    """Designs of known masks, nested and adaptive ones; all settings in force at once."""
+    held, two = digits.hold_out(239), deepfsi.Nested(nested=2)
+    design, nested, adaptive = learn(digits), learn(held, exposure=two), learn_adaptive(digits)
     file = design.save(tmp_path / "d.safetensors")
     adaptive_file = adaptive.save(tmp_path / "a.safetensors")
     rng = np.random.default_rng(0)
@@ -115,7 +115,9 @@ def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digi
         return [each.as_dict() | {"seconds": 0} for each in points]
 
     def results():
-        every = (deepfsi.evaluate(each, digits, 1e4, draws=1) for each in (design, looks, adaptive))
+        every = (
+            deepfsi.evaluate(each, digits, 1e4, draws=1) for each in (design, nested, adaptive)
+        )
         return [result.as_dict() for one in every for result in one]
 
     def table():
@@ -134,14 +136,13 @@ def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digi
         lambda: [design.to_bytes(), adaptive.to_bytes()],
         lambda: str(deepfsi.ideal_observer(design, digits, 1e4, draws=1)),
         lambda: design.classify(counts, 1e4),
-        lambda: looks.classify_live(lambda shares: np.full(looks.counts_shape, 50), 1e4),
         lambda: design.consistency(counts, 1e4).exposures,
         lambda: deepfsi.predict(design, tmp_path / "new", 1e4).as_csv(),
         lambda: design.rates(design.scanner(), scenes),
         lambda: design.logits(features, 1e4),
         lambda: to_onnx(design),
-        lambda: str(playable(looks, digits)),
-        lambda: str(stop(looks, digits, 1e4)),
+        lambda: str(playable(nested, digits)),
+        lambda: str(stop(nested, digits, 1e4)),
         lambda: adaptive.looks_at(digits.x_test[0].ravel(), 1e4)[0],
         sweep, results, table, shown,
     ]  # fmt: skip

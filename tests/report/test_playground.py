@@ -53,7 +53,7 @@ def designs(digits, all_trained_once):
 @pytest.fixture(scope="module")
 def pages(designs, digits, tmp_path_factory):
     def shown(kind):
-        if kind != "looks":
+        if kind != "nested":
             return designs(kind)
         # a rule that stops at once, where another would at a good training
         stopping = {"threshold": 0.05, "photons": 1e4}
@@ -77,17 +77,14 @@ def test_rates_are_those_of_the_design(opened, designs, digits, kind):
 
 @pytest.mark.parametrize("kind", vectors.KINDS)
 def test_the_page_answers_the_vectors(browser, kind, tmp_path):
-    """Of designs whose files NumPy and torch answer alike."""
+    """As the design does."""
     content, matrix, expected = vectors.read_vectors(kind)
     (tmp_path / "design.safetensors").write_bytes(content)
     design = Design.load(tmp_path / "design.safetensors")
     page = write_page(tmp_path / "page.html", playable(design, vectors.scenes()))
-    plain = {"photons", "masks", "look"}
     given = [
-        {name: getattr(vector, name) for name in plain}
-        | {"counts": vector.counts.ravel().tolist()}
-        | {"dwell": None if vector.dwell is None else vector.dwell.tolist()}
-        for vector in expected
+        {"photons": one.photons, "masks": one.masks, "counts": one.counts.ravel().tolist()}
+        for one in expected
     ]
     masks, answers = ask(
         open_playground(browser, page.as_uri()),
@@ -95,57 +92,28 @@ def test_the_page_answers_the_vectors(browser, kind, tmp_path):
         "const of = (count, f) => Array.from({ length: count }, (_, i) => f(i));"
         "const masks = of(model.masks, m => of(model.pixels, i =>"
         "  model.entry(0, m, i) - minus(m, i)));"
-        "return [masks, given.vectors.map(v => ["
-        "[...model.classify(v.counts, v.photons, v.masks, v.dwell)],"
-        "v.look && [...model.choose(v.counts, v.photons, v.look, v.dwell)]])]",
+        "return [masks, given.vectors.map(v => "
+        "[...model.classify(v.counts, v.photons, v.masks)])]",
         vectors=given,
     )
     np.testing.assert_allclose(masks, matrix, atol=1e-6)
-    for vector, (chances, dwell) in zip(expected, answers, strict=True):
+    for vector, chances in zip(expected, answers, strict=True):
         np.testing.assert_allclose(chances, vector.chances, atol=vectors.AGREES)
-        if vector.look is not None:
-            np.testing.assert_allclose(dwell, vector.next_dwell, atol=vectors.AGREES)
-
-
-@pytest.mark.parametrize(
-    ("kind", "dark"), [("looks", 0.0), ("looks-both", 0.0), ("dark-looks", DARK)]
-)
-def test_an_exposure_is_one_of_classify_live(opened, designs, kind, dark):
-    """The package, given the counts of the page without the dark ones, asks for the same dwells."""
-    design = designs(kind)
-    frames, chances = ask(
-        opened(kind),
-        "const e = new Exposure(model, page.scene, 300, 5);"
-        "return [e.frames.map(f => [f.look, f.mask, f.rails[0], f.share, f.counts[0]]), "
-        "e.answer(e.frames.length).chances]",
-    )
-    told = iter(range(design.exposure.looks))
-
-    def show(dwell):
-        counts, shown, look = np.zeros(design.counts_shape), np.zeros(dwell.shape), next(told)
-        for at, mask, rail, share, count in frames:
-            if at == look:
-                place = (rail, mask) if design.rails.count == 2 else (mask,)
-                counts[place], shown[place] = count - dark * share, share
-        np.testing.assert_allclose(shown, dwell, atol=AGREES, rtol=0)
-        return counts
-
-    np.testing.assert_allclose(chances, design.classify_live(show, 300), atol=AGREES, rtol=0)
-    np.testing.assert_allclose(sum(frame[3] for frame in frames), 1, atol=AGREES)
 
 
 def test_too_little_light_is_said_and_no_stop_is_offered_far_from_its_rule(opened):
-    """The rule was chosen at 1e4 photons and stops at once; the design was learned for 1e4."""
-    browser = opened("looks")
+    """The rule was chosen at 1e4 photons and stops at once; the other was learned for 1e4."""
     for exponent in (1, 2.9, 3.4, 4, 4.4, 4.6, 7):
-        words = verdict_at(browser, exponent)
-        assert words.startswith("Too little light for this design") == (exponent < 3)
+        words = verdict_at(opened("nested"), exponent)
         assert ("could have stopped" in words) == (3.5 <= exponent <= 4.5)
+    for exponent in (1, 2.9, 3.4):
+        words = verdict_at(opened("equal"), exponent)
+        assert words.startswith("Too little light for this design") == (exponent < 3)
 
 
 def test_a_scene_unlike_all_of_the_training_is_said_and_gets_no_answer(opened):
     strange, usual, stopped = ask(
-        opened("looks"),
+        opened("nested"),
         "const flat = v => page.scene.map(() => v); const { low, high } = model.scenes;"
         "const mean = page.scene.reduce((a, b) => a + b, 0) / page.scene.length;"
         "const blanks = [low, mean, high].map(flat);"
@@ -156,7 +124,7 @@ def test_a_scene_unlike_all_of_the_training_is_said_and_gets_no_answer(opened):
     assert strange == [True] * 3
     assert sum(usual) <= 1  # test scenes, one of which may be beyond 1560 others
     assert stopped == [False, False, False, True]
-    browser = opened("looks")
+    browser = opened("nested")
     press_button(browser, "clear")
     time.sleep(0.2)
     assert verdict_at(browser, 4).startswith("No answer: this scene is darker")
@@ -165,7 +133,7 @@ def test_a_scene_unlike_all_of_the_training_is_said_and_gets_no_answer(opened):
     assert "No probabilities" in said(browser, "answer-words")
 
 
-@pytest.mark.parametrize("kind", ["column", "equal", "looks", "nested"])
+@pytest.mark.parametrize("kind", ["column", "equal", "nested"])
 def test_nobody_is_sure_of_two_photons(opened, kind):
     """At every moment of exposures of two photons, of test scenes and of a blank one."""
     browser = opened(kind)
@@ -214,7 +182,7 @@ def test_a_seed_repeats_an_exposure(opened):
     assert ask(browser, counts) == before
 
 
-@pytest.mark.parametrize("kind", ["column", "tiles", "looks-both"])
+@pytest.mark.parametrize("kind", ["column", "tiles", "both"])
 def test_least_squares_pictures(opened, designs, digits, kind):
     design, browser = designs(kind), opened(kind)
     found, counts, scale = ask(
@@ -380,7 +348,7 @@ def test_all_is_done_with_the_keyboard_alone(opened):
     assert said(browser, "verdict").startswith("Answer: ")
 
 
-@pytest.mark.parametrize("kind", ["column", "looks", "nested", "spectra"])
+@pytest.mark.parametrize("kind", ["column", "nested", "spectra"])
 def test_an_exposure_is_watched_frame_by_frame(opened, kind):
     browser = opened(kind)
     assert said(browser, "verdict").startswith("Nothing is exposed yet")
@@ -397,13 +365,13 @@ def test_an_exposure_is_watched_frame_by_frame(opened, kind):
         browser, "return page.exposure.frames.flatMap(f => f.counts).reduce((a, b) => a + b)"
     )
     drawn = ask(browser, "return [...page.exposure.answers.keys()].filter(at => at > 0)")
-    assert len(drawn) == {"column": 48, "looks": 4, "nested": 7, "spectra": 1}[kind]
+    assert len(drawn) == {"column": 48, "nested": 7, "spectra": 1}[kind]
     before = min(drawn) - 1  # no probability is shown where the network did not learn to answer
     assert ["%" in words for words in answers] == [False] * before + [True] * (len(looks) - before)
     ended = said(browser, "verdict")
     assert ended.startswith("Answer: ")
-    assert ("stopped after look 1 of 4" in ended) == (kind == "looks")
-    assert ("of the light" in ended) == (kind in ("looks", "nested"))
+    assert ("stopped after mask 3 of 9" in ended) == (kind == "nested")
+    assert ("of the light" in ended) == (kind == "nested")
 
 
 def test_the_point_moves_along_the_measured_curve(opened):
@@ -451,17 +419,14 @@ def test_dark_counts_are_drawn_for_the_time_of_each_readout(opened, designs, kin
         "} return [frames, [...total]]",
         exposures=exposures,
     )
-    if kind == "dark-looks":  # its dwells differ from exposure to exposure, but not their sum
-        wanted, found = DARK, sum(total) / exposures
-    else:
-        wanted, found = np.zeros(len(total)), np.array(total) / exposures
-        for places, share in frames:
-            wanted[places] += DARK * share
-        assert wanted.sum() == pytest.approx(
-            DARK * (2 if kind == "dark-arms" else 4) * sum(share for _, share in frames), rel=1e-6
-        )
-        own = design.scanner("camera", 0.0, DARK).dark_counts(design.rails.count)
-        np.testing.assert_allclose(wanted, own.flatten(), rtol=1e-5)
+    wanted, found = np.zeros(len(total)), np.array(total) / exposures
+    for places, share in frames:
+        wanted[places] += DARK * share
+    assert wanted.sum() == pytest.approx(
+        DARK * (2 if kind == "dark-arms" else 4) * sum(share for _, share in frames), rel=1e-6
+    )
+    own = design.scanner("camera", 0.0, DARK).dark_counts(design.rails.count)
+    np.testing.assert_allclose(wanted, own.flatten(), rtol=1e-5)
     np.testing.assert_array_less(np.abs(found - wanted), 5 * np.sqrt(wanted / exposures))
 
 

@@ -13,7 +13,6 @@ from deepfsi.sweeps.recipe import Recipe
 from deepfsi.training import learning
 from deepfsi_paper import bootstrap, experiment, studies
 from deepfsi_paper.camera import laboratory, rate_simulations
-from deepfsi_paper.flexible import claims as flexible
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.mnist import images
 from deepfsi_paper.ovit import claims as ovit
@@ -21,7 +20,7 @@ from deepfsi_paper.ovit import claims as ovit
 ALL = [each for members in studies.STUDIES.values() for each in members]
 OVIT = (ovit.EXPERIMENT, ovit.IMAGES, ovit.FULL)
 # They need data of their own
-APART = (indian_pines.EXPERIMENT, flexible.EXPERIMENT, *OVIT, images.EXPERIMENT)
+APART = (indian_pines.EXPERIMENT, *OVIT, images.EXPERIMENT)
 EVERY = [each for each in ALL if each not in APART]
 TWICE = ("masks", "starts", "compression", "training")
 SMALL_DEVICE = find_device("256x192")
@@ -60,11 +59,6 @@ def shrunk(experiment, trials: int, part: str, quick: Recipe):
         training |= {"clusters": 5} if "clusters" in training else {}
     if (experiment.name, part) == ("training", "epochs"):
         training["epochs"] = (1, 2)
-    if experiment.name == "flexible":
-        changes |= {"photons": 1e4, "ratios": 0.05 if part == "counts" else 0.1}
-        changes["tuned"] = {}
-        if "nested" in kept.get("exposure", {}):
-            changes["exposure"] = {**kept["exposure"], "nested": 2}
     return type(quick)(**{**kept, **changes})
 
 

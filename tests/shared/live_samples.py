@@ -1,57 +1,45 @@
-"""Live runs that the tests share: a small design, its patterns and a virtual setup."""
+"""Live runs that the tests share: adaptive masks, their patterns and virtual devices."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from conftest import quick
+from deepfsi import learn
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.drivers.protocols import Setup
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene
 from deepfsi.hardware.live import run
+from deepfsi.hardware.live.looks import LookChooser
 from deepfsi.hardware.live.replay import LiveCounts, replay_run
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-from deepfsi.hardware.virtual.camera import CAMERAS, arrival_rates
-from deepfsi.hardware.virtual.setup import (
-    Latencies,
-    VirtualCounter,
-    VirtualOptics,
-    VirtualProjector,
-)
+from deepfsi.hardware.virtual.camera import CAMERAS
+from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
 from deepfsi.lab.looks import design_rails, open_looks
 
-LOOKS = 3
-OPTICS = {
-    "single": {"light": "free-dwell", "rails": "single", "levels": 2},
-    "dual": {"light": "free-dwell", "rails": "dual", "readout": "both"},
-    "two arms": {"light": "two-arm", "readout": "both"},
-    "detectors": {"light": "free-dwell", "rails": "single", "detectors": "2x2"},
-}
-IDEAL = CAMERAS["ideal"]
+LOOKS, FLUX, EXPOSURE_S = 3, 1e6, 10e-3
+OPTICS = {"one detector": "dmd", "two arms": "two-arm", "detectors": "dmd-2x2"}
+DEVICE = find_device("64x48").model_copy(update={"load_us": 100})
 
 
-def make_patterns(folder: Path, digits, optics: str = "single", device=None, **settings) -> Path:
-    """Folder of patterns of a design of several looks, on a small device."""
-    words = {"masks": 6, "looks": LOOKS, "photons": 1e4, "epochs": 4, **OPTICS[optics], **settings}
-    path = quick(digits, **words).save(folder / "looks.safetensors")
-    frames = FrameSettings(device or find_device("64x48"), 1e-3)
-    export_patterns(design_rails(path), frames, folder / "patterns")
+def make_patterns(
+    folder: Path, digits, optics: str = "one detector", device=DEVICE, **settings
+) -> Path:
+    """Folder of patterns of a design of adaptive masks, on a small device."""
+    words = {"masks": LOOKS, "photons": 1e4, "camera": OPTICS[optics], **settings}
+    path = learn(digits, design="adaptive", **words).save(folder / "adaptive.safetensors")
+    export_patterns(design_rails(path), FrameSettings(device, 1e-3), folder / "patterns")
     return folder / "patterns"
 
 
-def bench(patterns: Path, scenes, flux: float, camera=IDEAL, latencies=None, seed=0) -> Setup:
-    every = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last one is the darkness
-    rates = arrival_rates(patterns, every, camera, flux)
-    latencies = latencies or Latencies()
-    optics = VirtualOptics(rates, camera, latencies, seed)
-    return Setup(
-        VirtualProjector(optics),
-        VirtualCounter(optics, tuple(range(rates.shape[2]))),
-        optics.display,
-        lambda: optics.now_s,
-        latencies.model_dump(),
-    )
+def planned(
+    patterns: Path, scenes: tuple[Scene, ...], exposure_s: float = EXPOSURE_S, flux: float = FLUX,
+    camera=CAMERAS["ideal"], **settings: Any,
+) -> tuple[Acquisition, LookChooser]:  # fmt: skip
+    """Acquisition of a live run, and the looks of its design."""
+    looks = open_looks(patterns)
+    told = {"flux": flux, "camera": camera.model_dump(mode="json"), "seed": 0, **settings}
+    return plan_live(patterns, scenes, exposure_s, looks=looks, **told), looks
 
 
 def scenes_of(digits, count: int) -> tuple[np.ndarray, tuple[Scene, ...]]:
@@ -76,12 +64,10 @@ def check_replay(folder: Path, decided: list[run.LiveStep]) -> None:
 
 
 def live(
-    folder: Path, patterns: Path, digits, count: int = 5, flux: float = 1e6,
-    exposure_s: float = 10e-3, camera=IDEAL, latencies=None, **settings,
-) -> list[run.LiveStep]:  # fmt: skip
+    folder: Path, patterns: Path, digits, count: int = 5, latencies=None, **settings
+) -> list[run.LiveStep]:
     """Run a few scenes."""
     x, scenes = scenes_of(digits, count)
-    looks = open_looks(patterns)
-    acquisition = plan_live(patterns, scenes, exposure_s, looks=looks, **settings)
-    devices = bench(patterns, x, flux, camera, latencies)
+    acquisition, looks = planned(patterns, scenes, **settings)
+    devices = virtual_setup(patterns, x, acquisition, latencies or Latencies())
     return list(run_live(folder, patterns, acquisition, devices, looks))

@@ -27,8 +27,7 @@ KINDS = {
     "equal": {"masks": 5, "light": "equal-dwell"},
     "arms": {"masks": 5, "light": "two-arm", "readout": "both"},
     "tiles": {"masks": 3, "light": "free-dwell", "detectors": "2x2"},
-    "looks": {"masks": 8, "looks": 4, "shortest_dwell": 0.01, **ONE_ARM},
-    "looks-both": {"masks": 5, "looks": 3, "light": "free-dwell", "readout": "both"},
+    "both": {"masks": 5, "light": "free-dwell", "readout": "both"},
     "nested": {"masks": 9, "nested": 3, "span": 1e3, "photons": 1e2, **ONE_ARM},
     "spectra": {"masks": 5, "light": "free-dwell"},
 }
@@ -40,7 +39,6 @@ DARK = 300.0
 DARK_KINDS = {
     "dark": {"masks": 6, "dark": DARK, "detectors": "2x2", **ONE_ARM},
     "dark-arms": {"masks": 5, "dark": DARK, "light": "two-arm"},
-    "dark-looks": {"masks": 5, "looks": 3, "dark": DARK, "light": "free-dwell", "readout": "both"},
 }
 """Settings of designs for cameras with dark counts."""
 

@@ -28,7 +28,6 @@ CLASSES = (3, 8, 9)
 SETTINGS = {
     "adaptive": {"design": "adaptive", "masks": LOOKS},
     "learned": {"masks": 8, "training": {"epochs": 20}},
-    "looks": {"masks": 8, "exposure": {"looks": 2}, "training": {"epochs": 10}},
 }
 
 

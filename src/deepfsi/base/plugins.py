@@ -25,7 +25,7 @@ UNNAMED_PLUGIN = "own"
 
 TORCH_MISSING = (
     'torch is not installed, and learning, testing and classifying need it: pip install "deepfsi'
-    "[design]\"; a camera's computer needs none to show patterns, count and decide in looks"
+    "[design]\"; a camera's computer needs none to show patterns and count"
 )
 """Message where torch is missing."""
 

@@ -39,7 +39,7 @@ class LightLawFacts:
     one_device: bool = True  # True if one micromirror device shows the masks
     lights_all: bool = False
     arms: int = 1  # arms of the device whose light is counted
-    looks: bool = False  # True if masks and dwells can be chosen while the exposure runs
+    looks: bool = False  # True if masks can be chosen while the exposure runs
     equal_times: bool = False  # True if all frames are shown for the same time
     usual_rails: RailsKind = "single"
     usual_readout: Readout = "difference"

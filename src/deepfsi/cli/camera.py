@@ -114,7 +114,7 @@ class CheckView(Command):
     """`deepfsi camera check`.
 
     Put reference.png of the folder of patterns in the place of the scenes, alone and on black,
-    record a pass and count it; a design that looks several times shows it with `camera live`. If
+    record a pass and count it; a design of adaptive masks shows it with `camera live`. If
     orientation, scale, shift or rotation differ from those of the masks, the target is blurred, or
     the counts do not show them, the exit code is 1.
 

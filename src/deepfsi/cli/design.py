@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, join_messages
+from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
 from deepfsi.base.models.strict import Count, Positive, WholeNumber
 from deepfsi.base.quantities import budget_text, confidence_text, count_text
@@ -176,8 +176,6 @@ def _check_test(job: Job) -> None:
     from deepfsi.physics.noise import noise_of
 
     noise_of(job.camera)
-    if faults := job.exposure.test_faults((job.camera.noise_name,)):
-        raise InputError(join_messages(faults))
 
 
 def _check_same(file: Path, job: Job, data: Dataset, matrix: np.ndarray | None) -> None:
@@ -361,7 +359,6 @@ class ExportClassifier(Command):
         design = open_design(file, trust=self.trust, static=True)
         write_atomically(target, to_onnx(design))
         shape = ", ".join(map(str, ("batch", *design.counts_shape)))
-        looks = design.exposure.chooses
         return Outcome(
             {
                 "graph": str(target),
@@ -369,11 +366,10 @@ class ExportClassifier(Command):
                 "masks": design.masks,
                 "detectors": design.detection.count,
                 "classes": design.classes,
-                "looks": design.exposure.looks,
             },
             [
-                f"in: counts ({shape}), photons (batch,){', dwell, left, shortest' * looks}",
-                f"out: probabilities (batch, {len(design.classes)}){', next' * looks}",
+                f"in: counts ({shape}), photons (batch,)",
+                f"out: probabilities (batch, {len(design.classes)})",
                 f"saved: {target}",
             ],
         )

@@ -102,7 +102,7 @@ class StopEarly(Command):
     """
 
     file: fields.DesignPath = fields.argument(
-        "design file for one device, nested or of several looks"
+        "design file for one device, nested or of adaptive masks"
     )
     photons: fields.Number = fields.required("budget of a whole exposure")
     data: fields.TestData = None

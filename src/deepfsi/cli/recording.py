@@ -353,8 +353,7 @@ class RecordRun(_DeviceRun):
 class RunLive(_DeviceRun):
     """`deepfsi camera live`.
 
-    A design of several looks chooses the next dwells, a design of adaptive masks makes the next
-    mask.
+    A design of adaptive masks makes the next mask from the counts so far.
 
     Prints each decision when it is made. Ctrl-C keeps the scenes that are finished.
 

@@ -195,7 +195,7 @@ class ReproducePaper(Command):
     """
 
     name: str = fields.argument(
-        "mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, flexible, "
+        "mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, "
         "detectors, adaptive, or list"
     )
     out: Path = fields.option("output folder", Path("runs/paper"))

@@ -1,6 +1,5 @@
-"""Checks of counts, budgets and dwells as users give them."""
+"""Checks of counts and budgets as users give them."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,19 +11,14 @@ from deepfsi.base.errors import InputError
 PatternShapes = tuple[tuple[int, ...], tuple[int, ...]]
 """Shapes of rails (rails, m, N), and of the cells of a pattern."""
 
-LONGEST_LOOK = 1.05
-"""Longest time of a look over that asked for: frames last whole microseconds."""
-
 
 def check_readouts(
     counts: Any,
     photons: Any,
-    dwell: Any,
     wanted: tuple[int, ...],
-    frames: tuple[int, ...] | None = None,
     parts: tuple[int, ...] = (),
-) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Counts (..., *parts, *wanted), budgets (..., 1) and dwells as counts, checked."""
+) -> tuple[Tensor, Tensor]:
+    """Counts (..., *parts, *wanted) and budgets (..., 1), checked."""
 
     def tensor(values: Any) -> Tensor:
         return torch.from_numpy(np.asarray(values, dtype=np.float32).copy())
@@ -32,9 +26,8 @@ def check_readouts(
     try:
         read = tensor(counts)
         budget = tensor(photons)
-        shown = None if dwell is None else tensor(dwell)
     except (TypeError, ValueError):
-        raise InputError("counts, photons and dwell must be arrays of numbers") from None
+        raise InputError("counts and photons must be arrays of numbers") from None
     shape = (*parts, *wanted)
     if tuple(read.shape[-len(shape) :]) != shape:
         raise InputError(
@@ -43,14 +36,6 @@ def check_readouts(
         )
     if not bool(torch.isfinite(read).all()):
         raise InputError("counts hold NaN or infinity: give finite counts")
-    if shown is not None and (
-        tuple(shown.shape) != (*read.shape[: -len(wanted)], *(frames or ()))
-        or not bool((torch.isfinite(shown) & (shown >= 0)).all())
-    ):
-        raise InputError(
-            f"dwells of shape {tuple(shown.shape)} do not fit counts of shape "
-            f"{tuple(read.shape)}: give a share of 0 or more for each frame"
-        )
     if not bool((torch.isfinite(budget) & (budget > 0)).all()):
         raise InputError("photons must be a finite number above 0 for every exposure")
     try:
@@ -60,33 +45,7 @@ def check_readouts(
             f"photons of shape {tuple(budget.shape)} do not fit counts of shape "
             f"{tuple(read.shape)}: give one number, or one for each exposure"
         ) from None
-    return read, budget, shown
-
-
-def check_look(
-    read: Callable[[np.ndarray], Any], asked: np.ndarray, wanted: tuple[int, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Counts of one look of a camera and the dwells shown, checked."""
-    seen = read(asked.copy())
-    pair = seen if isinstance(seen, tuple) else (seen, asked)
-    try:
-        counts, shown = (np.asarray(part, dtype=float) for part in pair)
-    except (TypeError, ValueError):
-        counts = np.empty(0)
-        shown = asked
-    if (counts.shape, shown.shape) != (wanted, asked.shape):
-        raise InputError(
-            f"a look does not fit this design: return {wanted} counts, or a pair of counts and "
-            f"{asked.shape} shares shown"
-        )
-    if not np.isfinite(counts).all():
-        raise InputError("a look holds NaN or infinity: return finite counts")
-    if not 0 <= shown.sum() <= asked.sum() * LONGEST_LOOK:
-        raise InputError(
-            f"a look that took {shown.sum():.4g} of the exposure was to take "
-            f"{asked.sum():.4g}: show each mask for at most the shares asked"
-        )
-    return counts, shown
+    return read, budget
 
 
 def check_click_counts(read: Tensor, gates: int | None) -> None:

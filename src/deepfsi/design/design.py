@@ -1,7 +1,7 @@
 """A finished design: masks, classifier and provenance, in one file that holds no code."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from html import escape
 from math import prod
@@ -233,12 +233,10 @@ class Design:
 
     @property
     def size_text(self) -> str:
-        """Masks, looks and detectors: 5 masks, 2 looks, 4 detectors, both rails read."""
+        """Masks, or looks, and detectors: 5 masks, 4 detectors, both rails read."""
         if self.exposure.makes_masks:
             return f"{self.masks} looks"
         parts = [f"{self.masks} masks"]
-        if self.exposure.chooses:
-            parts.append(f"{self.exposure.looks} looks")
         if self.detection.count > 1:
             parts.append(f"{self.detection.count} detectors")
         if self.rails.count == 2 and self.detection.readout == "both":
@@ -340,12 +338,10 @@ class Design:
         Raises
         ------
         InputError
-            If scenes or photons are not as above; if masks or dwells follow from the counts, which
-            `predict` and `looks_at` expose.
+            If scenes or photons are not as above; if masks follow from the counts, which `predict`
+            and `looks_at` expose.
         """
         exposure = self.mask_exposure
-        if exposure.chooses:
-            raise InputError("dwells of this design follow from its counts: use `predict`")
         scenes, lead = self._scenes(x)
         budget = check_budget(photons)
         front = self.front_end(self._named_camera)
@@ -361,7 +357,7 @@ class Design:
     def predict(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
         """Names (...) of the classes of scenes, each from one simulated exposure.
 
-        Adaptive masks and several looks are exposed, too.
+        Adaptive masks are exposed, too.
 
         Parameters
         ----------
@@ -417,9 +413,7 @@ class Design:
 
     # Answering
 
-    def logits(
-        self, features: Tensor, photons: Tensor | float, dwell: Tensor | None = None
-    ) -> Tensor:
+    def logits(self, features: Tensor, photons: Tensor | float) -> Tensor:
         """Logits (..., C) of features.
 
         Parameters
@@ -428,11 +422,9 @@ class Design:
             In counts, as from `features_of`.
         photons : float or tensor, shape (...)
             Budget Φ of each exposure.
-        dwell : tensor, shape (..., m), optional
-            Share of the exposure that each mask had, for designs that choose dwells.
         """
         scale = self.mask_exposure.scale(photons)
-        return self.logits_of(Observation(features / scale, dwell), photons)
+        return self.logits_of(Observation(features / scale), photons)
 
     @library_defaults()
     def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
@@ -458,60 +450,7 @@ class Design:
         return temperatures_at(self.temperatures, shown.stop_place(seen), budget)
 
     @library_defaults(grad=False)
-    def classify_live(
-        self,
-        read: Callable[[np.ndarray], Any],
-        photons: float,
-        until: Callable[[int, np.ndarray, float], bool] | None = None,
-    ) -> np.ndarray:
-        """Class probabilities (C,) of an exposure whose dwells are chosen while it runs.
-
-        Parameters
-        ----------
-        read : callable
-            Called once for each look: shows each mask, ``rails.plus * masks`` in 0 .. 1, for the
-            given shares (m,) of the exposure time, floats that sum to 1 / K, or cap / K where light
-            is shared among exposures, and returns the counts of this look, shaped as for
-            `classify`. The shares are (2, m) where each rail is a frame
-            of its own. Where a device cannot show these, as frames have a shortest time, a pair:
-            counts, and the shares shown.
-        photons : float
-            Budget Φ of the whole exposure, or an estimate of it.
-        until : callable, optional
-            Given the looks so far, the probabilities (C,) after them and the budget; true if the
-            exposure ends there. `stopping.StoppingRule.decide` is one.
-
-        Raises
-        ------
-        InputError
-            If the design has fixed dwells, or counts or photons are not as `classify` takes them.
-        """
-        exposure = self.mask_exposure
-        dwells = exposure.dwells
-        budget = check_budget(photons)
-        counted = torch.zeros_like(self.mean)
-
-        def show(dwell: Tensor) -> tuple[Tensor, Tensor]:
-            nonlocal counted
-            assert dwells is not None
-            asked = dwells.by_rail(dwell.cpu().numpy()) * exposure.cap
-            counts, shown = check_counts.check_look(read, asked, self.counts_shape)
-            features = self.features_of(torch.from_numpy(counts).to(dwell))
-            counted = counted + features
-            whole = torch.from_numpy(dwells.by_mask(shown / exposure.cap))
-            return features / budget, whole.to(dwell)
-
-        for look, seen in enumerate(exposure.expose_live(show, self.mean, self.std), 1):
-            if until is None and look < exposure.looks:
-                continue
-            so_far = Observation(counted / budget, seen.dwell)
-            chances = self.chances(so_far, budget).cpu().numpy()
-            if until is not None and until(look, chances, budget):
-                break
-        return chances
-
-    @library_defaults(grad=False)
-    def classify(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
+    def classify(self, counts: Any, photons: Any) -> np.ndarray:
         """Class probabilities (..., C) of one or many exposures.
 
         Parameters
@@ -522,9 +461,6 @@ class Design:
             parts of a scene have detectors of their own, theirs is the axis before, (..., P, 2, m).
         photons : float or array, shape (...)
             Budget Φ of each exposure, or an estimate of it (an all-ON frame gives one).
-        dwell : array, shape (..., m), optional
-            Share of the exposure that each mask had, or (..., 2, m) where its rails are frames of
-            their own: for designs that choose dwells, whose counts are of all looks together.
 
         Raises
         ------
@@ -532,10 +468,10 @@ class Design:
             If shapes do not match the design, counts are not finite or the budget is not above 0.
         """
         check_classes(self.values, "classify")
-        return self.chances(*self._observed(counts, photons, dwell)).cpu().numpy()
+        return self.chances(*self._observed(counts, photons)).cpu().numpy()
 
     @library_defaults(grad=False)
-    def estimate(self, counts: Any, photons: Any, dwell: Any = None) -> np.ndarray:
+    def estimate(self, counts: Any, photons: Any) -> np.ndarray:
         """Values (..., q) of one or many exposures, in the units that the training had.
 
         Parameters
@@ -544,8 +480,6 @@ class Design:
             Counts of each readout, in the shape that `classify` takes.
         photons : float or array, shape (...)
             Budget Φ of each exposure, or an estimate of it.
-        dwell : array, shape (..., [2,] m), optional
-            Share of the exposure that each mask had, for designs that choose dwells.
 
         Raises
         ------
@@ -555,30 +489,19 @@ class Design:
         """
         if self.values is None:
             raise InputError("this design answers classes and estimates no values: use classify")
-        outputs = self.logits_of(*self._observed(counts, photons, dwell))
+        outputs = self.logits_of(*self._observed(counts, photons))
         return self.values.estimated(outputs).cpu().numpy()
 
-    def _observed(self, counts: Any, photons: Any, dwell: Any) -> tuple[Observation, Tensor]:
+    def _observed(self, counts: Any, photons: Any) -> tuple[Observation, Tensor]:
         """Exposures and their budgets, checked; parameters of `classify`."""
         exposure = self.mask_exposure
-        exposure.check_dwell(dwell is not None)
-        frames = None if dwell is None or exposure.dwells is None else exposure.dwells.shape
-        read, budget, shares = check_counts.check_readouts(
-            counts,
-            photons,
-            dwell,
-            wanted=self.counts_shape,
-            frames=frames,
-            parts=exposure.part_axis,
+        read, budget = check_counts.check_readouts(
+            counts, photons, self.counts_shape, exposure.part_axis
         )
         check_counts.check_click_counts(read, self.gates)
         device = exposure.device
         budget = budget.to(device)
-        features = self.features_of(read.to(device)) / exposure.scale(budget)
-        if shares is None or exposure.dwells is None:
-            return Observation(features), budget
-        whole = exposure.dwells.by_mask(shares / exposure.cap)
-        return Observation(features, whole.to(device)), budget
+        return Observation(self.features_of(read.to(device)) / exposure.scale(budget)), budget
 
     def features_of(self, counts: Tensor) -> Tensor:
         """Features (..., k) of counts in the shape that `classify` takes."""
@@ -601,15 +524,15 @@ class Design:
         Raises
         ------
         InputError
-            As for `classify`, or if it is of several looks, which live runs test, or has no
-            `distribution`: one of less than 100 training scenes or 50 of a class.
+            As for `classify`, or if it has no `distribution`: one of less than 100
+            training scenes or 50 of a class.
         """
         self.exposure.check("comparison")
         if self.distribution is None:
             raise InputError(
                 "no distribution is held: it takes photons that are counted, 100 scenes, 50 a class"
             )
-        read, budget, _ = check_counts.check_readouts(counts, photons, None, self.counts_shape)
+        read, budget = check_counts.check_readouts(counts, photons, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
         dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)

@@ -13,15 +13,11 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.onnx import symbolic_opset11
-from torch.onnx.utils import register_custom_op_symbolic, unregister_custom_op_symbolic
 
 from deepfsi.base.errors import InputError
-from deepfsi.camera.light import share_out
 from deepfsi.design.design import Design
 from deepfsi.designfile.provenance import check_masks
 from deepfsi.exposure.kind import Observation
-from deepfsi.exposure.looks import LooksExposure
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.networks.custom import OwnClassifier
 from deepfsi.networks.values import check_classes
@@ -36,14 +32,15 @@ OPSET = 13
 OWN_OPSET = 17
 """Operator set of a graph with a user's own network."""
 
+OUTPUT = "probabilities"
+"""Name of the output of a graph."""
+
 LARGEST_ERROR = 1e-3
-"""Largest difference of a probability, or of a dwell, between a graph and torch."""
+"""Largest difference of a probability between a graph and torch."""
 
 
-class _Fixed(nn.Module):
+class _Module(nn.Module):
     """A design as a module, from counts and budgets to probabilities."""
-
-    outputs: tuple[str, ...] = ("probabilities",)
 
     def __init__(self, design: Design) -> None:
         super().__init__()
@@ -56,41 +53,12 @@ class _Fixed(nn.Module):
         """Shapes of the inputs by name, without the batch."""
         return {"counts": self.design.counts_shape, "photons": ()}
 
-    def forward(self, counts: Tensor, photons: Tensor) -> tuple[Tensor, ...]:
+    def forward(self, counts: Tensor, photons: Tensor) -> Tensor:
         budget = photons.unsqueeze(-1)
         seen = Observation(
             self.design.features_of(counts) / self.design.mask_exposure.scale(budget)
         )
-        return (self.design.chances(seen, budget),)
-
-
-class _Look(_Fixed):
-    """A look of a design of several: also from the dwells so far to those of the next look."""
-
-    outputs = ("probabilities", "next")
-
-    def __init__(self, design: Design, exposure: LooksExposure) -> None:
-        super().__init__(design)
-        self.exposure = exposure
-        self.network = exposure.network
-
-    @property
-    def inputs(self) -> dict[str, tuple[int, ...]]:
-        shape = self.exposure.dwells.shape
-        return {**super().inputs, "dwell": shape, "left": (), "shortest": ()}
-
-    def forward(  # type: ignore[override]
-        self, counts: Tensor, photons: Tensor, dwell: Tensor, left: Tensor, shortest: Tensor
-    ) -> tuple[Tensor, ...]:
-        design = self.design
-        exposure = self.exposure
-        features = design.features_of(counts) / photons.unsqueeze(-1)
-        seen = Observation(features, exposure.dwells.by_mask(dwell))
-        inputs = seen.inputs(design.mean, design.std)
-        asked = exposure.next_dwell(self.network, inputs, left.unsqueeze(-1))
-        shown = share_out(asked, shortest.clip(min=exposure.shortest).unsqueeze(-1))
-        chances = design.chances(seen, photons.unsqueeze(-1))
-        return chances, exposure.dwells.by_rail(shown).reshape(-1, *exposure.dwells.shape)
+        return self.design.chances(seen, budget)
 
 
 @library_defaults()
@@ -113,9 +81,8 @@ def to_onnx(design: Design) -> bytes:
         )
     design.exposure.check("graph")
     design = copy.deepcopy(design).to("cpu")
-    exposure = design.mask_exposure
-    module = _Look(design, exposure) if isinstance(exposure, LooksExposure) else _Fixed(design)
-    module.classifier(torch.zeros(1, exposure.input_count(design.features)))
+    module = _Module(design)
+    module.classifier(torch.zeros(1, design.mask_exposure.input_count(design.features)))
     model = onnx.load_from_string(_traced(module.eval(), OWN_OPSET if own else OPSET))
     about = {key: json.dumps(value) for key, value in _metadata(design).items()}
     onnx.helper.set_model_props(model, about)
@@ -127,35 +94,27 @@ def to_onnx(design: Design) -> bytes:
     return content
 
 
-def _argsort(graph: Any, values: Any, *settings: Any) -> Any:
-    """Write a sort, which is always stable in a graph: torch's own writer refuses to be told so."""
-    return symbolic_opset11.argsort(graph, values, *settings[-2:])
-
-
-def _traced(module: _Fixed, opset: int) -> bytes:
+def _traced(module: _Module, opset: int) -> bytes:
     """Graph of a module as torch writes it, or `InputError` if torch cannot."""
-    names = [*module.inputs, *module.outputs]
     written = io.BytesIO()
-    register_custom_op_symbolic("aten::argsort", _argsort, OPSET)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # torch's other exporter needs a package more
             torch.onnx.export(
                 module, tuple(torch.ones(2, *shape) for shape in module.inputs.values()), written,  # type: ignore[arg-type]
-                dynamo=False, input_names=list(module.inputs), output_names=list(module.outputs),
-                opset_version=opset, dynamic_axes={name: {0: "batch"} for name in names},
+                dynamo=False, input_names=list(module.inputs), output_names=[OUTPUT],
+                opset_version=opset,
+                dynamic_axes={name: {0: "batch"} for name in [*module.inputs, OUTPUT]},
             )  # fmt: skip
     except Exception as error:
         told = " ".join(str(error).split())[:200]
         raise InputError(
             f"the classifier {module.classifier.title} cannot be exported, torch says: {told}"
         ) from error
-    finally:
-        unregister_custom_op_symbolic("aten::argsort", OPSET)
     return written.getvalue()
 
 
-def _compare(content: bytes, module: _Fixed) -> None:
+def _compare(content: bytes, module: _Module) -> None:
     """Raise `InputError` unless a graph gives what torch does: a trace follows one path only."""
     import onnxruntime
 
@@ -167,18 +126,15 @@ def _compare(content: bytes, module: _Fixed) -> None:
         photons = 10 ** (6 * torch.rand(batch, 1, generator=generator))
         scaled = torch.randn(batch, *shape, generator=generator)
         counts = (design.shares.mean() * (1 + scaled)).relu() * photons.view(-1, *[1] * len(shape))
-        others = list(module.inputs.values())[2:]
-        rest = [torch.rand(batch, *each, generator=generator) for each in others]
-        given = [counts, photons.squeeze(1), *rest]
+        budget = photons.squeeze(1)
         with torch.no_grad():
-            wanted = module(*given)
-        feed = {name: value.numpy() for name, value in zip(module.inputs, given, strict=True)}
-        for got, value in zip(session.run(None, feed), wanted, strict=True):
-            if got.shape != value.shape or np.abs(got - value.numpy()).max() > LARGEST_ERROR:
-                raise InputError(
-                    "the classifier's ONNX graph does not give what the classifier does: write its "
-                    "forward without conditions on values or on the size of the batch"
-                )
+            wanted = module(counts, budget)
+        [given] = session.run(None, {"counts": counts.numpy(), "photons": budget.numpy()})
+        if given.shape != wanted.shape or np.abs(given - wanted.numpy()).max() > LARGEST_ERROR:
+            raise InputError(
+                "the classifier's ONNX graph does not give what the classifier does: write its "
+                "forward without conditions on values or on the size of the batch"
+            )
 
 
 def _metadata(design: Design) -> dict[str, Any]:
@@ -194,5 +150,4 @@ def _metadata(design: Design) -> dict[str, Any]:
         "summed_reflectance": design.summed_reflectance,
         "image_shape": list(design.image_shape),
         "classes": list(design.classes),
-        "looks": design.exposure.looks,
     }

@@ -1,17 +1,16 @@
 """The design file: a JSON header and arrays in one safetensors file that holds no code.
 
-A camera's computer, a page and a report read it without torch, and it answers counts by itself
-where its classifier is the package's own network, an `Mlp`: in 32-bit numbers, as torch does.
+A camera's computer, a page and a report read it without torch.
 """
 
 import json
 import math
 import os
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -21,16 +20,13 @@ from deepfsi.base.errors import InputError, as_input_error, other_version
 from deepfsi.base.numeric.arrays import DamagedError, read_tensors
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.light import share_out
-from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.camera.stop_rule import StopRule
 from deepfsi.designfile.distribution import ReadoutDistribution
 from deepfsi.designfile.header import DESIGN_SCHEMA, AdaptiveHeader, DesignHeader, MaskHeader
-from deepfsi.designfile.provenance import TrainingScenes, click_gates, trained_camera
+from deepfsi.designfile.provenance import TrainingScenes, trained_camera
 from deepfsi.designfile.temperatures import Temperatures
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.jobs.designs import DESIGNS
-from deepfsi.jobs.exposures import LARGEST_SCORE, ConditionedEntry, LooksEntry
 
 STATISTICS = ("mean", "std", "shares")
 """Arrays of one number a feature."""
@@ -47,9 +43,6 @@ MOST_SPREAD = 1e2
 HEADER_KEY = "deepfsi"
 """Key of the header in the file's metadata."""
 
-Layer = tuple[np.ndarray, np.ndarray]
-"""Weights (inputs, outputs) and biases (outputs,) of a linear layer, float32."""
-
 DAMAGED = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
 """What arrays raise that do not fit their header."""
 
@@ -58,8 +51,7 @@ DAMAGED = (KeyError, TypeError, ValueError, IndexError, AttributeError, Overflow
 class DesignFile:
     """A design as its file holds it.
 
-    Sizes: m masks of N cells, on 2 rails or 1; D detectors; k features, which the networks read; q
-    dwells of a look; K looks; C classes.
+    Sizes: m masks of N cells, on 2 rails or 1; D detectors; k features, which the network reads.
     """
 
     header: DesignHeader
@@ -198,45 +190,16 @@ class DesignFile:
 
     @cached_property
     def feature_count(self) -> int:
-        """k, numbers that the networks read of the counts."""
+        """k, numbers that the network reads of the counts."""
         width = self.rail_count if self.mask_header.readout == "both" else 1
         return self.masks * self.detector_count * width
 
-    @property
-    def each_rail(self) -> bool:
-        """True if the two rails of a mask are frames of their own: not on two arms."""
-        return self.rail_count == 2 and LIGHT_LAWS[self.mask_header.light].arms == 1
-
-    @cached_property
-    def frames(self) -> int:
-        """q, number of dwells of a look; those of a mask's two rails follow one another."""
-        return self.masks * (2 if self.each_rail else 1)
-
-    @cached_property
-    def looks(self) -> LooksEntry:
-        """Entry of several looks, or `InputError` where the exposure has one."""
-        entry = self.mask_header.exposure
-        if not isinstance(entry, LooksEntry):
-            raise InputError(
-                "this design has one look: learn one of several {looks}", setting="looks"
-            )
-        return entry
-
     @cached_property
     def distribution(self) -> ReadoutDistribution | None:
-        """Distribution of the readouts of training scenes; None where there were too few.
-
-        Where dwells are chosen, of all rails in one row, and of all mirrors ON.
-        """
+        """Distribution of the readouts of training scenes; None where there were too few."""
         arrays = self.arrays_of("distribution")
-        if not arrays:
-            return None
-        entry = self.mask_header.exposure
-        readouts = self.masks * self.detector_count
-        if isinstance(entry, LooksEntry):
-            row = (1, self.rail_count * readouts + 1)
-            return ReadoutDistribution.restored(arrays, row, entry.looks)
-        return ReadoutDistribution.restored(arrays, (self.rail_count, readouts), looks=0)
+        readouts = self.rail_count, self.masks * self.detector_count
+        return ReadoutDistribution.restored(arrays, readouts) if arrays else None
 
     @cached_property
     def scene_model(self) -> SceneModel | None:
@@ -252,112 +215,6 @@ class DesignFile:
         arrays = self.arrays_of("temperatures")
         stops = self.mask_header.exposure.count_stops(self.masks)
         return Temperatures.restored(arrays, stops) if arrays else None
-
-    # What its networks answer
-
-    @cached_property
-    def classifier(self) -> tuple[Layer, ...]:
-        """Layers of the classifier, or `InputError` where that is not the package's own `Mlp`."""
-        header = self.mask_header
-        entry = header.exposure
-        if header.classifier.kind != "mlp":
-            raise InputError(
-                "a loop with a classifier of your own is not possible: learn the design with the "
-                "package's own, an Mlp"
-            )
-        if click_gates(header.info) is not None:
-            raise InputError("this design reads clicks, which `Design.classify` answers")
-        inputs = self.feature_count
-        if isinstance(entry, LooksEntry):
-            inputs += self.frames
-        elif isinstance(entry, ConditionedEntry):
-            inputs = entry.masks * entry.width + 2
-        return self._layers("classifier", inputs, len(header.classes or header.values))
-
-    @cached_property
-    def chooser(self) -> tuple[Layer, ...]:
-        """Layers of the network that chooses dwells, or `InputError` where there is none."""
-        _ = self.looks
-        return self._layers("exposure", self.feature_count + self.frames + 1, self.frames)
-
-    def _layers(self, network: str, inputs: int, outputs: int) -> tuple[Layer, ...]:
-        """Layers of a network, or `InputError` where they do not follow each other.
-
-        Weights are copied to (inputs, outputs): products with a transposed view have other bits.
-        """
-        arrays = self.arrays_of(network)
-        layers: list[Layer] = []
-        width = inputs
-        while (weight := arrays.get(f"layers.{len(layers)}.weight")) is not None:
-            bias = arrays.get(f"layers.{len(layers)}.bias")
-            if bias is None or weight.ndim != 2 or weight.shape != (*bias.shape, width):
-                break
-            layers.append((np.ascontiguousarray(weight.T), bias))
-            width = len(bias)
-        if 2 * len(layers) != len(arrays) or not layers or width != outputs:
-            raise InputError("the design's networks do not fit its masks: give a whole design file")
-        return tuple(layers)
-
-    def features(self, counts: np.ndarray) -> np.ndarray:
-        """Features (k,) of counts (rails, m, D)."""
-        if self.rail_count == 1:
-            return counts[0].ravel()
-        if self.mask_header.readout == "difference":
-            return (counts[0] - counts[1]).ravel()
-        return counts.swapaxes(0, 1).ravel()
-
-    def inputs(self, features: np.ndarray, dwell: np.ndarray | None = None) -> np.ndarray:
-        """Standardised features (k,), and relative dwells (q,) where they are chosen, float32."""
-        mean = self.arrays["mean"]
-        std = self.arrays["std"]
-        if dwell is None:
-            count = len(features)
-            return (features.astype(np.float32) - mean[:count]) / std[:count]
-        relative = dwell.astype(np.float32) * np.float32(self.frames)
-        by_feature = np.repeat(relative, len(mean) // len(relative))
-        scaled = (features.astype(np.float32) - by_feature * mean) / std
-        return np.concatenate([scaled, relative / np.float32(3)])
-
-    def next_dwell(self, inputs: np.ndarray, look: int, shortest: float = 0.0) -> np.ndarray:
-        """Dwells (q,) of a look, from inputs (k + q,): shares of the exposure, 1 / K together."""
-        looks = self.looks
-        weight, bias = self.chooser[0]
-        left = np.float32(1 - look / looks.looks)  # the last input
-        first = weight[:-1], bias + left * weight[-1]
-        scores = _outputs((first, *self.chooser[1:]), inputs).astype(float)
-        bounded = LARGEST_SCORE * np.tanh(scores / LARGEST_SCORE)
-        return share_out(_softmax(bounded) / looks.looks, max(shortest, looks.shortest))
-
-    @cached_property
-    def first_dwell(self) -> np.ndarray:
-        """Dwells (q,) of the first look, which are the same for every scene."""
-        with np.errstate(all="ignore"):  # of weights near the largest number
-            inputs = self.inputs(np.zeros(self.feature_count), np.zeros(self.frames))
-            dwell = self.next_dwell(inputs, 0)
-        if not np.isfinite(dwell).all():
-            raise InputError("the design's networks do not fit its masks: give a whole design file")
-        return dwell
-
-    def chances(self, inputs: np.ndarray, photons: float) -> np.ndarray:
-        """Calibrated probabilities (C,) of the classes, float64, from inputs (k,) or (k + q,)."""
-        entry = self.mask_header.exposure
-        conditioned = inputs
-        if isinstance(entry, ConditionedEntry):
-            conditioned = _conditioned(entry, inputs, photons)
-        logits = _outputs(self.classifier, conditioned).astype(float)
-        if self.temperatures is None:
-            return _softmax(logits)
-        return _softmax(logits / self.temperatures.after(self._stop(inputs), photons))
-
-    def _stop(self, inputs: np.ndarray) -> float:
-        """Number of the stop, from 1, that an exposure has come to; between stops a fraction."""
-        entry = self.mask_header.exposure
-        if isinstance(entry, LooksEntry):  # by the time that the dwells of the inputs took
-            frames = self.frames
-            return 3 * float(inputs[-frames:].sum()) / frames * entry.looks
-        if isinstance(entry, ConditionedEntry):
-            return entry.count_stops(len(inputs) // entry.width)
-        return 1.0
 
 
 def damaged_design(path: str | os.PathLike[str], header: str = "") -> InputError:
@@ -410,28 +267,3 @@ def _check_prior(header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]) -> No
     populated = arrays["members"].min() > 0 and sizes.min() >= 0 and sizes.sum() == scenes
     if not (lit and populated and 0 <= spread <= MOST_SPREAD):
         raise ValueError("the scenes of the prior are none")
-
-
-def _conditioned(entry: ConditionedEntry, inputs: np.ndarray, photons: float) -> np.ndarray:
-    """Inputs of a classifier that knows the budget and the number of masks, float32."""
-    ratio = np.float32(photons) / np.float32(entry.used * entry.photons)
-    middle = math.log(entry.span) / 2
-    level = (np.log(ratio) - np.float32(middle)) / np.float32(max(middle, 1.0))
-    share = np.float32(len(inputs) // entry.width) / np.float32(entry.masks)
-    dark = np.zeros(entry.masks * entry.width - len(inputs), np.float32)  # of masks not shown
-    return np.concatenate([inputs, dark, [level, share]], dtype=np.float32)
-
-
-def _outputs(layers: Sequence[Layer], inputs: np.ndarray) -> Any:
-    """Outputs of a network with rectified hidden layers."""
-    hidden = inputs
-    for weight, bias in layers[:-1]:
-        hidden = np.maximum(hidden @ weight + bias, np.float32(0))
-    weight, bias = layers[-1]
-    return hidden @ weight + bias
-
-
-def _softmax(scores: np.ndarray) -> np.ndarray:
-    """Probabilities of scores, float64."""
-    powers = np.exp(scores - scores.max())
-    return powers / powers.sum()

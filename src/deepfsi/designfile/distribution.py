@@ -227,7 +227,7 @@ class ReadoutDistribution:
     spread: np.ndarray  # (), standard deviation of the brightness
     directions: np.ndarray  # (k, rails, m)
     rest: np.ndarray  # (rails, m), variance of the patterns beyond these
-    tails: np.ndarray  # ([K,] 2, 2, counts, chances), after each look
+    tails: np.ndarray  # (2, 2, counts, chances)
     pairs: np.ndarray  # (counts, chances)
     fluctuation: np.ndarray = field(default_factory=lambda: np.array(0.0, np.float32))  # ()
 
@@ -239,7 +239,7 @@ class ReadoutDistribution:
 
     @classmethod
     def restored(
-        cls, arrays: dict[str, np.ndarray], readouts: tuple[int, int], looks: int
+        cls, arrays: dict[str, np.ndarray], readouts: tuple[int, int]
     ) -> "ReadoutDistribution":
         """Distribution from the arrays of a file."""
         levels = len(TAIL_COUNTS), len(TAIL_CHANCES)
@@ -248,8 +248,8 @@ class ReadoutDistribution:
             "spread": (),
             "directions": (len(arrays["directions"]), *readouts),
             "rest": readouts,
-            "tails": (*([looks] if looks else []), 2, 2, *levels),
-            "pairs": (0 if looks else len(TAIL_COUNTS), len(TAIL_CHANCES)),
+            "tails": (2, 2, *levels),
+            "pairs": levels,
         }
         if "fluctuation" in arrays:
             shapes["fluctuation"] = ()
@@ -282,10 +282,6 @@ class ReadoutDistribution:
     def dimmed(self, factor: float) -> "ReadoutDistribution":
         """Distribution of readouts that all have so much less light."""
         return replace(self, mean=self.mean * np.float32(factor))
-
-    def after(self, look: int) -> "ReadoutDistribution":
-        """Distribution of exposures that end with a look, from 0."""
-        return replace(self, tails=self.tails[look])
 
     def test(
         self,

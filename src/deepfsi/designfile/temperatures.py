@@ -62,9 +62,3 @@ class Temperatures:
     def scaled(self, factor: float, stops: int | None = None) -> "Temperatures":
         """Temperatures where the same counts take so many times the budget, at the first stops."""
         return Temperatures(self.logs[:stops], self.budgets * factor)
-
-    def after(self, stop: float, photons: float) -> float:
-        """Temperature τ of one exposure."""
-        logs = [np.interp(np.log(photons), np.log(self.budgets), row) for row in self.logs]
-        log = np.interp(stop, np.arange(1, len(logs) + 1), logs)
-        return float(np.exp(log) * max(self.budgets[0] / photons, 1.0))

@@ -16,7 +16,6 @@ the counts as well, the fault is named and the run is not refused.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from itertools import combinations
 from math import log
 
 import numpy as np
@@ -41,9 +40,6 @@ FREE_BRIGHTNESS = 0.3
 
 FREE_GAIN = 0.03
 """The same of the efficiency of each detector."""
-
-MOST_EXCHANGED = 24
-"""Frames, at most, of which each two are tried exchanged."""
 
 MOST_FAULTS_NAMED = 3
 """Faults that a remark lists at most."""
@@ -229,8 +225,6 @@ class SceneReadouts:
     counts: np.ndarray  # (k,), photons, less what is no scene's
     noise: np.ndarray  # (k,), variance beyond that of the scene's own photons
     inputs: np.ndarray  # (k,), detector that counted each
-    frames: np.ndarray | None = None  # (k,)
-    dwells: np.ndarray | None = None  # (k,)
 
     @classmethod
     def join(cls, looks: "list[SceneReadouts]") -> "SceneReadouts":
@@ -330,7 +324,7 @@ class ViewResult:
 class ViewTest:
     """Test of a run, scene after scene."""
 
-    def __init__(self, model: SceneModel, image_shape: tuple[int, ...], frames: int = 0) -> None:
+    def __init__(self, model: SceneModel, image_shape: tuple[int, ...]) -> None:
         faults = (*orientation_faults(image_shape), *view_faults(image_shape))
         harmless = tuple(view_faults(image_shape, HARMLESS_SIZES))
         means = np.asarray(model.means, float)
@@ -352,15 +346,9 @@ class ViewTest:
         # The same freedom whatever the view: brightness alone speaks for none
         free = [FREE_BRIGHTNESS * self._shares @ view[None, : self._classes] for view in views]
         self._views = np.stack([np.concatenate(pair) for pair in zip(views, free, strict=True)])
-        pairs = list(combinations(range(frames), 2)) if frames <= MOST_EXCHANGED else []
-        self._pairs = np.array(pairs, int).reshape(-1, 2)
-        self._faults = (
-            *(fault.words for fault in faults),
-            *(f"of masks whose frames {i} and {j} were exchanged" for i, j in pairs),
-        )
-        # Every view is as likely before as another, and so are all exchanges together
-        chance = 1 / (len(faults) + bool(pairs))
-        self._before = np.log([chance] * len(faults) + [chance / max(len(pairs), 1)] * len(pairs))
+        self._faults = tuple(fault.words for fault in faults)
+        # Every view is as likely before as another
+        self._before = np.log([1 / len(faults)] * len(faults))
         self._sound = 1 + len(harmless)  # views that are let pass, the first that of the training
         # Scenes of each class so far, as a Dirichlet law of the shares has them
         count = self._sound + len(self._faults)
@@ -381,8 +369,7 @@ class ViewTest:
         if not lit.any():
             return
         scale = 1 / np.sqrt(np.maximum(noise[lit], 1e-12))
-        light = self._views @ rows.masks[lit].T  # (V, C + axes, k)
-        light = np.concatenate([light, self._exchanged(light[0], rows, lit)]) * scale
+        light = self._views @ rows.masks[lit].T * scale  # (V, C + axes, k)
         away = rows.counts[lit] * scale - light[:, : self._classes]
         gains = rows.inputs[lit, None] == np.unique(rows.inputs)
         free = (FREE_GAIN * (expected[lit] * scale)[:, None] * gains).T
@@ -401,23 +388,6 @@ class ViewTest:
         self._scenes += 1
         self._all_alike.add(precision[0], along[0], squares[0])
         self._refused |= self.result.refused
-
-    def _exchanged(self, light: np.ndarray, rows: SceneReadouts, lit: np.ndarray) -> np.ndarray:
-        """Light (P, C + axes, k) behind masks of which two frames are exchanged."""
-        out = np.repeat(light[None], len(self._pairs), axis=0)
-        if rows.frames is None or rows.dwells is None:
-            return out
-        frames = rows.frames[lit]
-        inputs = rows.inputs[lit]
-        dwells = rows.dwells[lit]
-        columns = {pair: at for at, pair in enumerate(zip(frames, inputs, strict=True))}
-        for swapped, (one, other) in zip(out, self._pairs.tolist(), strict=True):
-            for first, second in ((one, other), (other, one)):
-                for at in np.flatnonzero(frames == first).tolist():
-                    source = columns.get((second, inputs[at]))
-                    if source is not None:
-                        swapped[:, at] = light[:, source] * (dwells[at] / dwells[source])
-        return out
 
     @property
     def result(self) -> ViewResult:

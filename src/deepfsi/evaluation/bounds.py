@@ -122,7 +122,7 @@ def cramer_rao(
 
 def _fixed(design: Design) -> bool:
     """True of an exposure whose expected counts follow from the scene alone."""
-    return design.exposure.comparable and not design.exposure.chooses
+    return design.exposure.comparable
 
 
 def information_rate(light: np.ndarray, chances: np.ndarray) -> np.ndarray:

@@ -33,9 +33,6 @@ LEAST_SCENES = 512
 FIT_FOLDS = 4
 """Parts of the scenes, each calibrated with the covariance of the others."""
 
-Expose = Callable[[float, np.random.Generator], list[tuple[np.ndarray, np.ndarray]]]
-"""Exposures (n, R) of all scenes at a budget: their counts and weights after each look."""
-
 IN_TAIL = 10
 """Scenes to which a tail's power law is fitted, at least."""
 
@@ -51,7 +48,6 @@ def find_distribution(
     labels: Sequence[int] | np.ndarray,
     classes: int,
     seed: int = 0,
-    expose: Expose | None = None,
     light: FrameLight | None = None,
 ) -> ReadoutDistribution | None:
     """Distribution of readouts of training scenes, or None where there are too few scenes.
@@ -70,16 +66,11 @@ def find_distribution(
         return None
     held = every[:, lit]
     total = held.mean(axis=0).sum()
-    live = expose is not None
 
-    def exposed(expected: float) -> list[tuple[np.ndarray, np.ndarray]]:
-        if expose is None and light is not None:
-            counts = light.counts(every * (expected / total), rng)[:, lit]
-            return [(counts.astype(float), np.ones_like(held))]
-        if expose is None:
-            return [(rng.poisson(held * (expected / total)).astype(float), np.ones_like(held))]
-        seen = expose(expected / total, rng)
-        return [tuple(each[:, lit.ravel()] for each in pair) for pair in seen]  # type: ignore[misc]
+    def exposed(expected: float) -> np.ndarray:
+        if light is not None:
+            return light.counts(every * (expected / total), rng)[:, lit].astype(float)
+        return rng.poisson(held * (expected / total)).astype(float)
 
     model = ReadoutModel.fit(held, fluctuation)
     tails, pairs = _calibrate(model, held, np.asarray(labels), folds, exposed=exposed)
@@ -94,8 +85,8 @@ def find_distribution(
         spread=np.array(model.spread, np.float32),
         directions=spread_out(model.directions),
         rest=spread_out(model.rest),
-        tails=(tails if live else tails[0]).astype(np.float32),
-        pairs=pairs[: 0 if live else None].astype(np.float32),
+        tails=tails.astype(np.float32),
+        pairs=pairs.astype(np.float32),
         fluctuation=np.array(fluctuation, np.float32),
     )
 
@@ -105,9 +96,9 @@ def _calibrate(
     rates: np.ndarray,
     labels: np.ndarray,
     folds: list[np.ndarray],
-    exposed: Callable[[float], list[tuple[np.ndarray, np.ndarray]]],
+    exposed: Callable[[float], np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tails (K, 2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of them."""
+    """Tails (2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of them."""
     # Each scene is compared with the model of the other folds
     members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
     couples = [each[: len(each) // 2 * 2].reshape(2, -1) for each in members]
@@ -116,20 +107,19 @@ def _calibrate(
     levels = []
     for place, counts in enumerate(TAIL_COUNTS):
         expected = np.full(len(rates), counts * rates.shape[1])
-        looks = exposed(float(expected[0]))
-        values = np.empty((len(looks), 2, len(rates)))
-        for look, (read, weights) in enumerate(looks):
-            seen = ReadoutCounts(read, expected, np.zeros_like(read), weights)
-            for fold, model in zip(folds, models, strict=True):
-                values[look, :, fold] = np.transpose(model.statistics(seen.rows(fold)))
+        read = exposed(float(expected[0]))
+        seen = ReadoutCounts(read, expected, np.zeros_like(read), np.ones_like(read))
+        values = np.empty((2, len(rates)))
+        for fold, model in zip(folds, models, strict=True):
+            values[:, fold] = model.statistics(seen.rows(fold))
         for found, (first, second) in zip(likeness, couples, strict=True):
             found[place] = whole.likeness(seen.rows(first), seen.rows(second))
         levels.append(values)
-    logs = np.log(np.maximum(np.stack(levels, axis=2), SMALLEST_STATISTIC))
+    logs = np.log(np.maximum(np.stack(levels, axis=1), SMALLEST_STATISTIC))
     every = _tail(logs)
     worst = np.max([every, *(_tail(logs[..., each]) for each in members)], axis=0)
     pairs = np.max([_tail(np.log(found)) for found in likeness], axis=0)
-    return np.stack([every, worst], axis=1), pairs
+    return np.stack([every, worst]), pairs
 
 
 def _tail(logs: np.ndarray) -> np.ndarray:

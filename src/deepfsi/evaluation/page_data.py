@@ -24,7 +24,6 @@ from deepfsi.designfile.provenance import check_masks, new_scenes, trained_on
 from deepfsi.designfile.temperatures import Temperatures
 from deepfsi.evaluation.accuracy import check_data, evaluate
 from deepfsi.evaluation.stopping import rule_of, stop
-from deepfsi.jobs.exposures import LARGEST_SCORE
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.networks.values import check_classes
 from deepfsi.physics.laws import ROUNDING_SLACK
@@ -160,10 +159,9 @@ def _pack(values: np.ndarray) -> dict[str, Any]:
 
 
 def _networks(design: Design) -> dict[str, Any]:
-    """Masks that are known, and the networks that read their counts."""
+    """Masks that are known, and the network that reads their counts."""
     # Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|
     rails = design.rails
-    chooser = design.mask_exposure.network
     difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
     sums = None
     if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
@@ -183,11 +181,7 @@ def _networks(design: Design) -> dict[str, Any]:
         "mean": _pack(design.mean.cpu().numpy()),
         "std": _pack(design.std.cpu().numpy()),
         "network": _layers(_classifier(design)),
-        "exposure": {
-            **design.mask_exposure.entry().model_dump(),
-            "largest_score": LARGEST_SCORE,
-            "chooser": None if chooser is None else _layers(chooser),
-        },
+        "exposure": design.mask_exposure.entry().model_dump(),
     }
 
 

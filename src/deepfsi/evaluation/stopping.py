@@ -1,7 +1,7 @@
 """Early stopping: an exposure ends as soon as the classifier is confident enough.
 
-After each mask of a nested design, from the smallest number that can be classified alone, or after
-each look of a design of several, an exposure is classified from the counts so far. It stops when
+After each mask of a nested design, from the smallest number that can be classified alone, an
+exposure is classified from the counts so far. It stops when
 the confidence, the probability of the most probable class, exceeds a threshold. A stopped exposure
 and the whole one share their random draws: the counts of the first are the first counts of the
 second.
@@ -59,7 +59,7 @@ class StoppingRule(StopRule):
     """When an exposure stops, and where it may."""
 
     after: tuple[int, ...]
-    """Numbers of masks, or of looks, after which it may, rising; the last is all."""
+    """Numbers of masks after which it may, rising; the last is all."""
 
     @model_serializer
     def as_dict(self) -> dict[str, Any]:
@@ -79,17 +79,7 @@ class StoppingRule(StopRule):
             )
         part = design.first(shown)
         chances = part.classify(read, photons * part.mask_exposure.used / design.mask_exposure.used)
-        return chances, self.decide(shown, chances, photons)
-
-    def decide(self, shown: int, chances: np.ndarray, photons: float) -> bool:
-        """True if an exposure of a budget stops, by its probabilities (C,) so far."""
-        # For `Design.classify_live`; `InputError` if an exposure is not judged after so many
-        if shown not in self.after:
-            raise InputError(
-                f"an exposure is not judged after {shown}: this rule is for {self.after[0]} to "
-                f"{self.after[-1]} masks or looks"
-            )
-        return shown == self.after[-1] or bool(self.stops(chances.max(), photons))
+        return chances, shown == self.after[-1] or bool(self.stops(chances.max(), photons))
 
 
 def with_rule(design: Design, rule: StoppingRule) -> Design:
@@ -146,7 +136,7 @@ class Stopped:
 
     photons: float  # budget Φ of the whole exposure
     rule: StoppingRule
-    used: MeanEstimate  # share of the budget that exposures take: of looks, share of their time
+    used: MeanEstimate  # share of the budget that exposures take
     whole: MeanEstimate
     stopped: MeanEstimate
     difference: MeanEstimate
@@ -282,7 +272,7 @@ def stop(
     Parameters
     ----------
     design : Design
-        Nested, or of several looks.
+        Nested, or of adaptive masks.
     data : Dataset, str, path or tuple of arrays
         Of its training. Test scenes that were trained on are left out.
     photons : float

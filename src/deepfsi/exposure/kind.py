@@ -6,10 +6,10 @@ a prior of scenes, of which they make theirs. What needs one or the other asks `
 
 from abc import ABC, abstractmethod
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import prod
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 import torch
@@ -18,10 +18,8 @@ from torch import Tensor
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName
-from deepfsi.designfile.distribution import FrameLight
 from deepfsi.designfile.provenance import click_gates
 from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
-from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics.clicks import to_training_light
 from deepfsi.physics.detection import Detection
 from deepfsi.physics.laws import light_law
@@ -29,18 +27,9 @@ from deepfsi.physics.noise import NoiseFunction, noise_of
 from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner
 
-_Dwell = TypeVar("_Dwell", bound=Any)  # array or tensor
-
 Use = Literal["masks", "frames", "graph", "page", "comparison", "ideal observer"]
 """What not every kind can be used for: masks that are known before, with counts of them; frames of
 a device; an ONNX graph; a page; the comparison of counts alone; the ideal observer."""
-
-Show = Callable[[Tensor], tuple[Tensor, Tensor]]
-"""From dwells (..., q) to features (..., k) over the budget, and the dwells really shown."""
-
-Counting = Callable[[float, np.random.Generator], list[tuple[np.ndarray, np.ndarray]]]
-"""Exposures (n, R) of scenes at a budget: their counts and weights after each look."""
-
 
 EXPOSED_AT_ONCE = 1024
 """Scenes that are exposed at a time."""
@@ -51,26 +40,15 @@ class Observation:
     """Readouts of an exposure so far."""
 
     features: Tensor  # (..., k)
-    dwell: Tensor | None = None  # (..., q)
 
     def rows(self, rows: Tensor) -> "Observation":
         """Some of n exposures, by their places."""
-        return Observation(self.features[rows], None if self.dwell is None else self.dwell[rows])
+        return Observation(self.features[rows])
 
     def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
-        """Standardised features (..., k), and the dwells (..., k + q) where they are chosen."""
-        # Mean and std (..., k) are those of the features: where dwells are chosen, of features
-        # whose frames all have the same dwell, 1 / q
+        """Standardised features (..., k), whose mean and deviation are (..., k) or of more."""
         count = self.features.shape[-1]
-        if count < mean.shape[-1]:
-            mean = mean[..., :count]
-            std = std[..., :count]
-        if self.dwell is None:
-            return (self.features - mean) / std
-        dwells = self.dwell.shape[-1]
-        relative = self.dwell * dwells
-        each = relative.repeat_interleave(count // dwells, dim=-1) if count > dwells else relative
-        return torch.cat([(self.features - each * mean) / std, relative / 3], dim=-1)
+        return (self.features - mean[..., :count]) / std[..., :count]
 
 
 class Answer(NamedTuple):
@@ -88,7 +66,7 @@ LIGHT_ROUNDING = 1e-9
 class Stops(NamedTuple):
     """Where an exposure may stop."""
 
-    after: tuple[int, ...]  # numbers of masks, or of looks
+    after: tuple[int, ...]  # numbers of masks
     used: np.ndarray  # (K,), share of the budget that is taken then
 
     def threshold(self, confidence: np.ndarray, light: float) -> float:
@@ -104,7 +82,7 @@ class Stops(NamedTuple):
         if taken(tried[0]) > light:
             raise InputError(
                 f"the first stop alone takes {self.used[0]:.3g} of the budget, and {light:.3g} is "
-                "asked for in the mean: give more looks, fewer nested masks, a lower cap, or more "
+                "asked for in the mean: give more masks, fewer nested ones, a lower cap, or more "
                 "mean light"
             )
         first = bisect_right(range(len(tried)), light, key=lambda place: taken(tried[place]))
@@ -155,48 +133,6 @@ class CappedRule(NamedTuple):
     stops: int  # number of stops that the longest exposure has
     cap: float  # share of the budget that it takes
     threshold: float  # confidence above which others end
-
-
-@dataclass(frozen=True)
-class Dwells:
-    """Dwells of a look: one for each frame of one device."""
-
-    masks: int  # m
-    # Whether the two rails of a mask are frames, one after the other, with dwells of their own: not
-    # so on two arms, which see both at once
-    each_rail: bool
-
-    @classmethod
-    def of(cls, masks: int, light: str, rails: str) -> "Dwells":
-        """Dwells of m masks under a light law, of so many rails."""
-        return cls(masks, rails == "dual" and LIGHT_LAWS[light].arms == 1)
-
-    @property
-    def count(self) -> int:
-        """q, number of dwells; those of a mask's two rails follow one another."""
-        return self.masks * (2 if self.each_rail else 1)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape ([2,] m) of the dwells as a camera takes them."""
-        return (2, self.masks) if self.each_rail else (self.masks,)
-
-    def scaled(self, rates: Tensor, dwell: Tensor) -> Tensor:
-        """Expected counts (..., rails, m · D) for dwells (..., q), of those for equal dwells."""
-        each = dwell.unflatten(-1, (self.masks, -1)).transpose(-2, -1) * self.count
-        return rates * each.repeat_interleave(rates.shape[-1] // self.masks, dim=-1)
-
-    def by_rail(self, dwell: _Dwell) -> _Dwell:
-        """Dwells (..., [2,] m) of frames, as a camera takes them, of dwells (..., q)."""
-        if not self.each_rail:
-            return dwell
-        return dwell.reshape(*dwell.shape[:-1], self.masks, 2).swapaxes(-2, -1)
-
-    def by_mask(self, dwell: _Dwell) -> _Dwell:
-        """Inverse of `by_rail`."""
-        if not self.each_rail:
-            return dwell
-        return dwell.swapaxes(-2, -1).reshape(*dwell.shape[:-2], -1)
 
 
 class CountedLight(NamedTuple):
@@ -256,17 +192,11 @@ class ExposureKind(ABC):
     makes_masks: ClassVar[bool] = False
     """Whether masks are made of the counts so far."""
 
-    chooses: ClassVar[bool] = False
-    """Whether the counts so far choose dwells."""
-
     comparable: ClassVar[bool] = True
     """Whether counts can be held against those of the training."""
 
     refusals: ClassVar[dict[Use, str]] = {}
     """Why the kind cannot be used for something."""
-
-    looks: int = 1
-    """K, number of looks of an exposure."""
 
     exposed_at_once: ClassVar[int] = EXPOSED_AT_ONCE
     """Scenes of which a test holds the counts at a time, at most."""
@@ -397,7 +327,8 @@ class ExposureKind(ABC):
         A device decides for those whose masks are known before.
         """
         raise InputError(
-            "this design has one look: learn one of several with {looks}", setting="looks"
+            "this design shows all its masks: learn adaptive ones with {design:adaptive}",
+            setting="design",
         )
 
     def quantised(self, levels: int) -> "ExposureKind":
@@ -463,7 +394,7 @@ UNTRAINED: Any = None
 
 ONE_LENGTH: dict[Use, str] = {
     "graph": "an ONNX graph is of exposures of one length: give a design that was learned with cap "
-    "1, or use Design.classify_live",
+    "1",
     "page": "a page shows exposures of this kind for one length: give a design that was learned "
     "with cap 1",
     "ideal observer": "the ideal observer is of counts of whole exposures, and these end when a "
@@ -485,8 +416,6 @@ class MaskExposure(ExposureKind):
     cap: float = 1.0  # light of a whole exposure over the budget, which above 1 is a mean
     until: float = 1.0  # probability of a class above which an exposure ends; 1 for never
     used: float = 1.0  # share of the light law that the masks take within the whole sequence
-    network: Mlp | None = None  # a network besides the classifier
-    dwells: Dwells | None = None  # of the frames of a look, where they are chosen
 
     @property
     def image_shape(self) -> tuple[int, ...]:
@@ -540,7 +469,7 @@ class MaskExposure(ExposureKind):
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays of a design file of the masks; those of a network are `weights`."""
+        """Arrays of a design file of the masks; others are `weights`."""
         optics = self.optics
         tensors = {"mean": optics.mean, "std": optics.std, "shares": optics.shares}
         tensors["rails"] = optics.rails.stacked
@@ -565,7 +494,7 @@ class MaskExposure(ExposureKind):
     @property
     def weights(self) -> dict[str, Tensor]:
         """Tensors of the design file besides rails, statistics and classifier."""
-        return {} if self.network is None else self.network.state_dict()
+        return {}
 
     def to(self, device: str | torch.device) -> Self:
         """The kind on a device."""
@@ -642,16 +571,10 @@ class MaskExposure(ExposureKind):
 
     def mask_dwells(self) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown; None where the law has no dwells."""
-        # Of several looks those of the first, which are the same for every scene
         if not LIGHT_LAWS[self.optics.light].one_device:
             return None
         shares = light_law(self.optics.light).used(self.optics.rails.stacked)
         return torch.diff(shares, prepend=shares.new_zeros(1))
-
-    @property
-    def dwell_words(self) -> str:
-        """Words on `mask_dwells`."""
-        return "share of the exposure"
 
     def drawing(self) -> tuple[Tensor, tuple[int, ...]]:
         """Picture (m, N) of what is shown, and the shape of a row."""
@@ -688,11 +611,9 @@ class MaskExposure(ExposureKind):
         expected: Tensor,
         generator: torch.Generator | None,
         photons: float,
-        share: Tensor | float = 1.0,
     ) -> Tensor:
         """Features (..., k) over the budget of expected counts (..., rails, m · D)."""
-        # Dwells are `share` of the usual ones, of the same shape
-        counts = front.read(expected, generator, share) * (photons / self.scale(photons))
+        counts = front.read(expected, generator) * (photons / self.scale(photons))
         return self.detection.features(counts) / photons
 
     def observe(
@@ -717,15 +638,6 @@ class MaskExposure(ExposureKind):
         arriving = photons * self.expected(rates, seen)
         return CountedLight(float(front.noise.mean(arriving).sum()), float(arriving.sum()))
 
-    def expose_live(self, show: Show, mean: Tensor, std: Tensor) -> Iterator[Observation]:
-        """Exposures after each look at a camera, or `InputError` if dwells are fixed."""
-        # mean, std (..., k) of the features
-        raise InputError(
-            "the dwells of this design are fixed: show all masks and use `classify`, or learn a "
-            "design with {looks}",
-            setting="looks",
-        )
-
     # Answering
 
     @property
@@ -735,10 +647,10 @@ class MaskExposure(ExposureKind):
 
     @property
     def count_stops(self) -> int:
-        """Numbers of masks, or of looks, after which an exposure can be classified."""
+        """Numbers of masks after which an exposure can be classified."""
         return self.count - self.fewest_masks + 1
 
-    def stop_place(self, seen: Observation) -> Tensor | int:
+    def stop_place(self, seen: Observation) -> int:
         """Place of an exposure so far among these numbers, from 0."""
         return 0
 
@@ -747,8 +659,8 @@ class MaskExposure(ExposureKind):
         """Where an exposure may stop: nowhere, as all masks are needed."""
         raise InputError(
             "this design needs all its masks for an answer: learn nested ones with {nested}, or "
-            "several looks with {looks}",
-            setting=("nested", "looks"),
+            "adaptive ones with {design:adaptive}",
+            setting=("nested", "design"),
         )
 
     def input_count(self, features: int) -> int:
@@ -824,19 +736,3 @@ class MaskExposure(ExposureKind):
         logits = network.logits_of(seen, photons)
         chances = (logits / network.temperature(seen, photons)).softmax(dim=-1)
         return Answer(logits, chances, logits.argmax(dim=-1))
-
-    def check_dwell(self, given: bool) -> None:
-        """Raise `InputError` if dwells are given and not needed, or needed and not given."""
-        if given:
-            raise InputError(
-                "dwells go with a design that chooses them, and only with it: leave dwell out"
-            )
-
-    def usual_readouts(
-        self, rates: Tensor, lit: Tensor, light: FrameLight | None = None
-    ) -> tuple[Tensor, Counting | None]:
-        """Readouts (n, rails, m · D) that counts are compared in, and how they are exposed.
-
-        `lit` (n,) is the light of the scenes for a budget of one photon.
-        """
-        return rates, None

@@ -1,9 +1,8 @@
 """The masks' half of a training: what its kinds share.
 
-A kind of exposure trains in four calls: it is built (masks, and networks beside the classifiers),
-prepared (what is alike in all steps is computed once), asked for the inputs of the classifiers in
-each step, and finished, which gives what each job has learned. The step itself, and the
-classifiers, are in `training.loop`.
+A kind of exposure trains in four calls: it is built with its masks, prepared (what is alike in all
+steps is computed once), asked for the inputs of the classifiers in each step, and finished, which
+gives what each job has learned. The step itself, and the classifiers, are in `training.loop`.
 """
 
 from abc import ABC, abstractmethod
@@ -25,7 +24,6 @@ from deepfsi.jobs.designs import DESIGNS
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.tiles import count_allowed
 from deepfsi.jobs.training import Scale
-from deepfsi.networks.classifiers import Replicas
 from deepfsi.physics.detection import Detection
 from deepfsi.physics.laws import frame_peaks, frames, light_law, signed_parts
 from deepfsi.physics.masks import FixedMasks, LearnedMasks
@@ -104,7 +102,6 @@ class ExposureTraining(ABC):
         self.scenes = self.training_set.view(self.job.exposure)
         self.levels = self.camera.mask_levels(self.scenes.data.image_shape)
         self.detection = Detection.of(self.camera, self.training_set.data.image_shape)
-        self.choose = Replicas([], stacked=False)
         self.input_count = self.job.features(self.training_set.data.image_shape)
         self.parts = self.training_set.data.pixels // self.scenes.data.pixels
 
@@ -114,7 +111,7 @@ class ExposureTraining(ABC):
 
     @abstractmethod
     def inputs(self, draws: Draws) -> Tensor:
-        """Inputs (B, R, …) of the classifiers in a step; after each of K looks (K · B, R, …)."""
+        """Inputs (B, R, …) of the classifiers in a step."""
 
     def fix(self) -> None:
         """Take masks that have learned as they are at the end of their training."""

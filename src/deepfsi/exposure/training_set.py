@@ -196,7 +196,7 @@ def network_dtype(job: Job, device: torch.device) -> torch.dtype:
 def _rounded(job: Job, device: torch.device) -> torch.dtype:
     """Type whose rounding stays under the readout noise, unless one was asked for."""
     # See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise. The
-    # light of all masks may come to the first of nested ones, and with looks to a single readout
+    # light of all masks may come to the first of nested ones
     if job.training.precision != "auto":
         return getattr(torch, job.training.precision)
     fast = (

@@ -3,11 +3,10 @@
     Fixed     every mask once, each for its own dwell; all are needed for an answer
     Range     the same for a range of budgets, and the network is told the budget
     Nested    the first masks alone give an answer, too, and the network is told how many
-    Looks     several looks; the counts so far choose the dwells of the next
     Passing   a scene that passes a static pattern, of which each time bin is a readout
     SharedLight  adaptive masks whose exposures end when a class is sure, at a mean budget
 
-Nested masks and looks may share light among exposures, too: their `cap` is then above 1.
+Nested masks may share light among exposures, too: their `cap` is then above 1.
 
 A kind is here what is asked for, its settings, and what a design file's header says of it, its
 entry. An entry and the tensors beside it rebuild the exposure of a trained design: nothing of a
@@ -15,7 +14,7 @@ field's name, order or default may change, as files are read again by them. What
 does with its masks is in `exposure`.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import ceil
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
@@ -44,17 +43,10 @@ from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, find_noise
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.jobs.training import MOST_READY, Widths
+from deepfsi.jobs.training import MOST_READY
 
 if TYPE_CHECKING:
     from deepfsi.jobs.job import Job
-
-LARGEST_SCORE = 4.0
-"""Bound of the scores whose softmax dwells are: the longest is e⁸ times the shortest at most.
-
-A mask that is never shown is never learned, and the scores would not come back from there.
-"""
-
 
 STATIC = (
     "this design is one static pattern that scenes pass, which no sequence of frames shows: write "
@@ -69,16 +61,8 @@ class Exposure(UserModel):
     training: ClassVar[dict[str, Any]] = {"start": "pca"}
     """Settings of the training where none are given."""
 
-    @property
-    def parts(self) -> int:
-        """Parts of an exposure after which the network answers."""
-        return 1
-
     side_by_side: ClassVar[bool] = True
     """Whether jobs that differ in budget and seed train together."""
-
-    of_classes: ClassVar[bool] = False
-    """Whether it is decided by the probabilities of classes."""
 
     features: ClassVar[str] = ""
     """Parts of scenes whose features classifiers get; none of whole scenes."""
@@ -102,10 +86,6 @@ class Exposure(UserModel):
     def highest(self, photons: float) -> float:
         """Highest budget of a training whose lowest is `photons`."""
         return photons
-
-    def training_noise(self, noise: str) -> str:
-        """Noise to train under where the camera has another."""
-        return find_noise(noise).trains_as or noise
 
     def min_lit_masks(self, masks: int) -> int:
         """Fewest masks, of m, that the whole light may come to."""
@@ -141,14 +121,10 @@ class Exposure(UserModel):
         """Everything that a job asks of this exposure and that cannot be had."""
         yield from ()
 
-    def test_faults(self, noises: Sequence[str]) -> list[str]:
-        """Everything in noises of tests that cannot be had."""
-        return []
-
 
 CAP_TEXT = (
-    "most light of one exposure with adaptive masks, nested masks or looks, over the mean of all, "
-    "which the budget then is: each ends as soon as a class is sure; all take the same unless given"
+    "most light of one exposure with adaptive or nested masks, over the mean of all, which the "
+    "budget then is: each ends as soon as a class is sure; all take the same unless given"
 )
 """Help on `cap`, which several kinds have."""
 
@@ -191,7 +167,7 @@ class Entry(StrictModel, strict=True):
         return image_shape
 
     def count_stops(self, masks: int) -> int:
-        """K, numbers of masks, of m, or of looks, after which an exposure can be classified."""
+        """K, numbers of masks, of m, after which an exposure can be classified."""
         return 1
 
 
@@ -353,108 +329,6 @@ class ConditionedEntry(_SharingEntry):
         return masks - (self.nested or masks) + 1
 
 
-class Looks(_Sharing):
-    """Several looks of equal length: the counts so far choose the dwells of the next look.
-
-    With a `cap` above 1 exposures end as soon as a class is sure: the budget is their mean, and
-    none takes more than `cap` times that.
-
-    Examples
-    --------
-    >>> import deepfsi
-    >>> deepfsi.Job(masks=16, photons=1e4, exposure=deepfsi.Looks(looks=4)).noise
-    'poisson'
-    """
-
-    of_classes: ClassVar[bool] = True
-    trained_by: ClassVar[str] = "deepfsi.exposure.looks:LooksTraining"
-
-    training: ClassVar[dict[str, Any]] = {"start": "class-pairs"}
-    """On MNIST's validation images at 1e4 photons, 64 masks and 4 looks 0.866; 0.845 from pca."""
-
-    allow_bf16: ClassVar[bool] = False
-
-    # K, each 1 / K of the whole exposure
-    looks: int = Field(
-        ge=2,
-        le=64,
-        description="parts (looks) of an exposure: the counts so far choose the dwells of the "
-        "next part",
-    )
-
-    @property
-    def parts(self) -> int:
-        """K."""
-        return self.looks
-
-    def training_noise(self, noise: str) -> str:
-        """The camera's own: a look shows many masks too shortly for MLGauss."""
-        return noise
-
-    def min_lit_masks(self, masks: int) -> int:
-        """One: a look may show nothing else."""
-        return 1
-
-    def faults(self, job: "Job") -> Iterator[str]:
-        """Designs and optics whose dwells cannot be chosen, and looks that are too short."""
-        camera = job.optics
-        law = LIGHT_LAWS[camera.light]
-        if job.code.every_pixel or job.code.learned_under or job.code.is_custom:
-            yield (
-                f"{job.design} has one look only: several looks are for deepfsi and for named "
-                "designs that one device shows"
-            )
-        if not law.looks:
-            yield Message(
-                "several looks choose how long one device shows each frame, not {given}: "
-                '{light:free-dwell} or "two-arm" goes with them',
-                setting="light",
-                given=camera.light,
-            )
-        elif law.arms == 1 and (camera.rails, camera.readout) == ("dual", "difference"):
-            yield Message(
-                "several looks show each rail for a time of its own, whose counts are to be "
-                "read by themselves: use {readout:both}, or {rails:single}",
-                setting=("readout", "rails"),
-            )
-        yield from self.test_faults([job.noise])
-        yield from self._sharing_faults(job)
-        if camera.shortest_share * self.looks > self.cap:
-            yield (
-                f"a frame lasts {camera.shortest_share:g} of the exposure at least, and a look "
-                f"{self.cap / self.looks:g}: give fewer looks, or a longer exposure"
-            )
-
-    def test_faults(self, noises: Sequence[str]) -> list[str]:
-        """Noise other than that of photons."""
-        strange = [noise for noise in noises if not find_noise(noise).photons]
-        return [f"several looks are for photon noise: leave {noise} noise out" for noise in strange]
-
-
-class LooksEntry(_SharingEntry):
-    """Exposure of several looks, whose dwells a network chooses from the counts so far.
-
-    Attributes
-    ----------
-    looks : int
-        K, each 1 / K of the whole exposure.
-    hidden : tuple of int
-        Widths of the hidden layers of the network that chooses dwells.
-    shortest : float
-        Shortest dwell of a frame, a share of the exposure.
-    """
-
-    looks: Annotated[int, Field(ge=2, le=64)]
-    hidden: Widths
-    shortest: Annotated[float, Field(ge=0, lt=1)]
-    kind: Literal["adaptive"] = "adaptive"
-    restored_by: ClassVar[str] = "deepfsi.exposure.looks:LooksExposure"
-
-    def count_stops(self, masks: int) -> int:
-        """K, an answer after each look."""
-        return self.looks
-
-
 class Passing(Exposure):
     """Scenes that move past one static pattern: each time bin is a readout.
 
@@ -598,7 +472,7 @@ def _registered_entry(kind: Any) -> type[Entry] | None:
     return load_plugin(path).entry_type if path else None
 
 
-_Entries = FixedEntry | ConditionedEntry | LooksEntry | PassingEntry
+_Entries = FixedEntry | ConditionedEntry | PassingEntry
 ExposureEntry = Annotated[
     SerializeAsAny[Annotated[_Entries, Field(discriminator="kind")]],
     of_kinds(get_args(_Entries), _registered_entry),
@@ -623,8 +497,6 @@ class SharedLight(LaterFields, Exposure):
     """
 
     LATER: ClassVar = ("least_cap",)
-
-    of_classes: ClassVar[bool] = True
 
     cap: float = Field(gt=1, le=100, description=CAP_TEXT)
     least_cap: float | None = Field(
@@ -652,9 +524,9 @@ class SharedLight(LaterFields, Exposure):
             )
         if not job.code.adaptive:
             yield Message(
-                "{cap} is of exposures that may end early: leave it out, or give {nested}, {looks} "
-                "or {design:adaptive}",
-                setting=("cap", "nested", "looks", "design"),
+                "{cap} is of exposures that may end early: leave it out, or give {nested} or "
+                "{design:adaptive}",
+                setting=("cap", "nested", "design"),
             )
 
 
@@ -791,7 +663,6 @@ def check_dictionary_camera(camera: Camera) -> None:
 
 
 EXPOSURE_KINDS: dict[str, type[Exposure]] = {
-    "looks": Looks,
     "nested": Nested,
     "span": Range,
     "cap": SharedLight,
@@ -800,15 +671,15 @@ EXPOSURE_KINDS: dict[str, type[Exposure]] = {
 }
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 
-EXPOSURE_FIELDS = ("nested", "looks", "cap", "least_cap", *Passing.model_fields)
+EXPOSURE_FIELDS = ("nested", "cap", "least_cap", *Passing.model_fields)
 """Settings that ask for an exposure by an option of their own; a range is one of budgets."""
 
-NEUTRAL = {"looks": "1", "nested": "0", "span": "1", "cap": "1", "bins": "0"}
+NEUTRAL = {"nested": "0", "span": "1", "cap": "1", "bins": "0"}
 """Values of these settings that ask for nothing."""
 
 
 def find_exposure(given: Any) -> Any:
-    """Exposure of its settings: none for `Fixed`, ``{"looks": 4}`` for `Looks`, and so on."""
+    """Exposure of its settings: none for `Fixed`, ``{"patch": 4}`` for `Patches`, and so on."""
     if not isinstance(given, Mapping):
         return given
     asked = {

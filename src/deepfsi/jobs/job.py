@@ -27,7 +27,6 @@ from deepfsi.jobs.exposures import (
     Exposure,
     ExposureSource,
     Fixed,
-    Nested,
     SharedLight,
     check_dictionary_camera,
     find_exposure,
@@ -62,14 +61,14 @@ class Job(UserModel):
     """One design to be trained.
 
     Settings of the training that are not given are those tuned for the design and its exposure.
-    An exposure may be given by its settings, ``{"looks": 4}``, and a training by its fields.
+    An exposure may be given by its settings, ``{"nested": 4}``, and a training by its fields.
 
     Examples
     --------
     >>> import deepfsi
-    >>> job = deepfsi.Job(masks=10, photons=1e4, camera="two-arm", exposure={"looks": 4})
+    >>> job = deepfsi.Job(masks=10, photons=1e4, camera="two-arm", exposure={"nested": 4})
     >>> job.camera.rails, job.exposure, job.training.start
-    ('dual', Looks(cap=1.0, looks=4), 'class-pairs')
+    ('dual', Nested(cap=1.0, nested=4, span=1.0), 'pca')
     """
 
     design: Annotated[str, AfterValidator(check_design)] = Field(
@@ -155,7 +154,7 @@ class Job(UserModel):
         if self.training.noise is not None:
             return noise_name(self.training.noise)
         noise = self.camera.noise_name
-        return noise if self.training.counts else self.exposure.training_noise(noise)
+        return noise if self.training.counts else find_noise(noise).trains_as or noise
 
     @property
     def optics(self) -> Camera:
@@ -310,7 +309,7 @@ class Job(UserModel):
                 Message(
                     "counts within a budget are of learned masks that are shown once each, or of "
                     "adaptive masks for clicks: leave {counts} or {photons} out, or give "
-                    "{design:deepfsi} without looks, nested or span, or {noise:click}",
+                    "{design:deepfsi} without nested or span, or {noise:click}",
                     setting=("counts", "photons", "design", "noise"),
                 )
             ]
@@ -345,12 +344,6 @@ class Job(UserModel):
                 setting="start",
                 given=self.training.start,
             )
-        if self.exposure.of_classes:
-            yield Message(
-                "several looks are decided by the probabilities of classes, and these scenes "
-                "have values: leave {looks} out",
-                setting="looks",
-            )
         if self.training.balance:
             yield Message(
                 "{balance} is of classes, and these scenes have values: leave it out",
@@ -376,14 +369,13 @@ class Job(UserModel):
                 )
             scenes = data.held_out or scenes
         cap = self.exposure.most_light
-        looks = self.masks if self.code.adaptive else self.exposure.parts
-        if looks < cap and not isinstance(self.exposure, Nested):
+        if self.code.adaptive and self.masks < cap:
             yield Message(
                 "the first of {looks} looks takes {share:.3g} of the budget, which is the mean of "
                 "all: give more looks, or a lower {cap}",
                 setting="cap",
-                looks=looks,
-                share=cap / looks,
+                looks=self.masks,
+                share=cap / self.masks,
             )
         if scenes < FEWEST_SHARING_SCENES:
             yield Message(
@@ -407,7 +399,7 @@ class Job(UserModel):
                 most=fewest // 2,
             )
         if not isinstance(self.exposure, Fixed | SharedLight):
-            yield "adaptive masks have a look each: give no looks, nested or span"
+            yield "adaptive masks have a look each: give no nested or span"
         most = self.exposure.most_light
         if self.camera.clicks is not None:
             if len(data.x_train) < FEW_SCENES:

@@ -226,8 +226,7 @@ class Training(LaterFields, UserModel):
     )
     start: Annotated[str, AfterValidator(_start)] = Field(
         default="pca",
-        description="design that learned masks start from; unless given pca, for several looks "
-        "class-pairs, for few counts random",
+        description="design that learned masks start from; unless given pca, for few counts random",
     )
     start_counts: Positive = Field(
         default=10.0,
@@ -260,8 +259,7 @@ class Training(LaterFields, UserModel):
     noise: NoiseSetting | None = Field(
         default=None,
         description="noise of the training, if other than the camera's: ml_gauss, poisson, "
-        "gaussian, camera or none; unless given ml_gauss stands for photon noise, and several "
-        "looks get exact counts",
+        "gaussian, camera or none; unless given ml_gauss stands for photon noise",
     )
 
     @model_validator(mode="before")

@@ -38,7 +38,7 @@ DICTIONARY_DECISION_S = 0.5e-3
 """Usual time from the counts to a mask of a dictionary, seconds: most of it counts and light.
 
 The choice takes 0.06 to 0.2 ms of it, by `benchmarks/adaptive.py --latency --dictionary 2000`, and
-counts 0.3 ms, by `benchmarks/live.py decision`.
+counts 0.3 ms (`benchmarks/live.py decision` of commit 5d24e83b).
 """
 
 DICTIONARY_DECISION_A_SCENE_S = 5e-9
@@ -71,7 +71,6 @@ class AdaptiveLooks:
         self.classes = design.classes
         self.photons: float | None = design.info["job"].get("photons")
         self.rule = None if until == 1 else StopRule(threshold=until)
-        self.shortest = 0.0
         scenes = len(exposure.prior)
         self.decision_s = ADAPTIVE_DECISION_S + DECISION_A_SCENE_S * scenes
         self.stored = exposure.dictionary if manifest.looks and manifest.looks.dictionary else None
@@ -269,10 +268,7 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
         detectors=detectors if detectors.count > 1 else None,
         looks=LookPlan(
             count=design.masks,
-            each_rail=False,
             first=(share,) * rails.shape[1],
-            shortest=0,
-            loop_sha256=None,
             dictionary=stored is not None,
         ),
     )

@@ -37,7 +37,7 @@ from deepfsi.hardware.patterns.folder import Patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.lab.looks import design_rails, open_looks
 
-if TYPE_CHECKING:  # they import torch, which a live run does without
+if TYPE_CHECKING:  # they import torch, which the command line loads late
     from deepfsi.design.design import Design
     from deepfsi.design.judgement import RunCounts
 
@@ -163,7 +163,7 @@ def classify_run(
 ) -> ClassifiedRun | LiveAnswers:
     """Classify each exposure of an acquisition that was counted.
 
-    A live run, of a design of several looks, is decided again from its own counts.
+    A live run is decided again from its own counts.
 
     Parameters
     ----------
@@ -353,7 +353,7 @@ def _classified_readouts(
 
 
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
-    """Design of a file or a folder of patterns, of fixed dwells, as its patterns realise it."""
+    """Design of a file or a folder of patterns, as its patterns realise it."""
     with require_extras():
         from deepfsi.design.design import Design
         from deepfsi.networks.values import check_classes
@@ -362,8 +362,6 @@ def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bo
     made = Design.load(file, trust=trust)
     made.exposure.check("masks", str(file))
     check_classes(made.values, "a classified run")
-    if made.exposure.chooses:
-        raise InputError(f"{design} chooses dwells while the exposure runs: give a live run of it")
     return made if patterns is None else made.as_shown(*patterns.realised)
 
 

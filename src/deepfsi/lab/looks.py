@@ -1,4 +1,4 @@
-"""Cameras, rails and looks of a design, of masks that do not change or that it makes itself."""
+"""Cameras, rails and looks of a design."""
 
 import os
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from deepfsi.base.plugins import require_extras
 from deepfsi.camera.camera import Camera
 from deepfsi.designfile.design_file import DesignFile
 from deepfsi.designfile.header import AdaptiveHeader
-from deepfsi.hardware.live.looks import FixedMaskLooks, LookChooser
+from deepfsi.hardware.live.looks import LookChooser
 from deepfsi.hardware.patterns.folder import Patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import DesignRails
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
@@ -56,11 +56,15 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
 
 
 def open_looks(folder: Path) -> LookChooser:
-    """Looks of a folder of patterns; only adaptive masks need torch."""
-    patterns = read_patterns(folder)
-    looks = patterns.manifest.looks
-    if looks is None or not looks.adaptive:
-        return FixedMaskLooks.read(folder, patterns)
+    """Looks of a folder of patterns, or `InputError` if they are of no adaptive masks."""
+    manifest = read_patterns(folder).manifest
+    if manifest.looks is None:
+        raise InputError(
+            "{folder} has the patterns of a design whose masks are known before: learn one of "
+            "{design:adaptive} masks, or record it with `deepfsi camera simulate` or `prepare`",
+            setting="design",
+            folder=folder,
+        )
     with require_extras():
         from deepfsi.lab.adaptive_looks import AdaptiveLooks
-    return AdaptiveLooks.read(folder, patterns.manifest)
+    return AdaptiveLooks.read(folder, manifest)

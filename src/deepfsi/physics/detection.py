@@ -145,12 +145,6 @@ class Readouts(NamedTuple):
     time: Tensor  # (2, ..., k)
     frame: Tensor  # (2, ..., k), number of the frame in which each is read, below 2 k
 
-    def lasting(self, share: Tensor, detection: Detection) -> "Readouts":
-        """Readouts of frames that last a share (B, ..., rails, m · D) of their usual time."""
-        apart = share.shape[-2] == 2 and detection.readout == "difference"
-        factor = share.movedim(-2, 0) if apart else detection.features(share).unsqueeze(0)
-        return self._replace(time=self.time.unsqueeze(1) * factor)
-
     @property
     def lit(self) -> Tensor:
         """Number of rails that are read out for each feature, (..., k)."""

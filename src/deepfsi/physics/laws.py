@@ -21,7 +21,6 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
-from deepfsi.camera.light import share_out
 from deepfsi.camera.names import LightLawName, RailsKind, check_light_law
 from deepfsi.physics.rails import Rails
 
@@ -48,11 +47,6 @@ class LightLaw(ABC):
 
     name: ClassVar[LightLawName]
     disjoint: ClassVar[bool] = True
-
-    @property
-    def of_equal_dwells(self) -> "LightLaw":
-        """The law under which masks learn whose dwells are chosen later."""
-        return EqualDwell()
 
     def rails(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Rails (..., 2 or 1, m, N) whose difference is a matrix (..., m, N).
@@ -132,14 +126,6 @@ class LightLaw(ABC):
         weight = weights["weight"]
         pattern = _pattern_of(weight, kind) * factor[:, None, None]
         weight.copy_(torch.atanh(pattern) if kind == "dual" else torch.logit(pattern, eps=1e-6))
-
-    def equalise(self, rails: Tensor) -> Tensor:
-        """Rails (..., 2 or 1, m, N) of which every frame has the same dwell and peak."""
-        return rails / (frame_peaks(rails) * rails.shape[-2] * rails.shape[-3])
-
-    def has_equal_dwells(self, rails: Tensor) -> bool:
-        """True if all frames of rails (2 or 1, m, N) have the same dwell."""
-        return self.of_equal_dwells.excess(rails) < ROUNDING_SLACK
 
     def check(self, rails: Tensor) -> Tensor:
         """Return rails (2 or 1, m, N), or raise `InputError` if they are no shares or too bright.
@@ -299,11 +285,6 @@ class TwoArm(LightLaw):
     name = "two-arm"
     disjoint = False
 
-    @property
-    def of_equal_dwells(self) -> "LightLaw":
-        """Itself."""
-        return self
-
     def rails(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """M± = (t ± M) / 2, for the time t of the peak of each mask."""
         check_light_law(self.name, kind)
@@ -350,15 +331,6 @@ class TwoArm(LightLaw):
         # Taken again: the gradient of each use goes through the softmax by itself
         times = _softmax_dwells(weights["dwell"], shortest)[..., 0, :, None]
         return Rails(matrix, times.expand_as(matrix))
-
-    def equalise(self, rails: Tensor) -> Tensor:
-        """The rails: those of a fitted matrix have equal dwells."""
-        return rails
-
-    def has_equal_dwells(self, rails: Tensor) -> bool:
-        """True if no time is above 1 / m."""
-        longest = float(Rails.of(rails).total.max()) * rails.shape[-2]
-        return super().has_equal_dwells(rails) and longest < 1 + ROUNDING_SLACK
 
 
 class Dose(LightLaw):
@@ -474,6 +446,27 @@ def _softmax_dwells(dwell: Tensor, shortest: float, pattern: Tensor | None = Non
             peaks = torch.cat(ends, dim=-1).clamp(min=0)
         shown = share_out(shares * peaks, shortest) / torch.where(peaks > 0, peaks, 1.0)
     return through(shares, shown).view_as(dwell)
+
+
+ROUNDING = 1e-6
+"""Share by which a dwell may fall short of the shortest one, which is rounding."""
+
+
+def share_out(dwell: Tensor, shortest: float) -> Tensor:
+    """Dwells (..., q) of frames without those that are too short, whose time the others get.
+
+    The shortest frames are left out one after another, until the time, shared out among the others
+    in proportion to their dwells, leaves none of them below the shortest dwell. So as many frames
+    are shown as can be, and the longest one always is. It can be differentiated: the choice of the
+    frames is fixed, their times are not.
+    """
+    order = dwell.argsort(dim=-1, descending=True, stable=True)
+    longest_first = dwell.gather(-1, order)
+    total = dwell.sum(-1)[..., None]
+    enough = longest_first * total >= shortest * (1 - ROUNDING) * longest_first.cumsum(-1)
+    count = enough.sum(-1)[..., None].clip(min=1)
+    shown = dwell * (order.argsort() < count)
+    return shown * (total / shown.sum(-1)[..., None])
 
 
 def through(continuous: Tensor, shown: Tensor) -> Tensor:

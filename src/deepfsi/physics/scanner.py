@@ -122,19 +122,10 @@ class Scanner(nn.Module):
         """
         return self.read(self.rates(photons), generator)
 
-    def read(
-        self,
-        rates: Tensor,
-        generator: torch.Generator | None = None,
-        share: Tensor | float = 1.0,
-    ) -> Tensor:
-        """Noisy counts of rails whose expected counts are known; shapes as `counts`.
-
-        The dwells of their frames are `share` of the masks' own, for dark counts.
-        """
+    def read(self, rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Noisy counts of rails whose expected counts are known; shapes as `counts`."""
         read = self._readouts(rates.shape[-2])
-        dark = self.noise.dark_counts(read.time) * share
-        return self.noise.sample(rates, read, dark, generator)
+        return self.noise.sample(rates, read, self.noise.dark_counts(read.time), generator)
 
     def dark_counts(self, rails: int) -> Tensor:
         """Expected dark counts (rails, m · D) of the readouts of an exposure of 1 or 2 rails.

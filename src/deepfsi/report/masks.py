@@ -132,7 +132,7 @@ def design_figure(design: "Design", count: int) -> Figure:
     if count < lit:
         title += f"; the {count} that count most photons"
     if dwells is not None:
-        title += f"\ndwell: {exposure.dwell_words}"
+        title += "\ndwell: share of the exposure"
     if labels is not None:
         title += "\nlines: parts of the device that one detector sees"
     return masks_figure(

@@ -133,7 +133,7 @@ class BatchTrainer:
             return LOOK_EFFORT * scenes * job.masks * len(batch)
         cost = 20.0 + len(batch) * (20 + job.masks) * (3 if job.code.learned else 1)
         twice = 2 if job.code.learned_under else 1
-        return job.training.epochs * job.exposure.parts * cost * twice
+        return job.training.epochs * cost * twice
 
     def title(self, batch: Sequence[Trial]) -> str:
         """Design, masks and number of trials of a batch."""

@@ -269,7 +269,6 @@ class _Plan:
             if masks is not None and not job_faults:
                 job_faults = _light_faults(job, masks)
             faults |= dict.fromkeys(job_faults)
-            faults |= dict.fromkeys(job.exposure.test_faults(self.test_noise(job)))
             custom |= dict.fromkeys(custom_parts(job, *self.test_noise(job)))
         for name in custom:
             try:
@@ -365,8 +364,8 @@ def _cap_faults(recipe: Recipe) -> list[str]:
     return [
         Message(
             "{cap} is of exposures that may end early, and none of these designs has such: leave "
-            "it out, give {looks} or {nested}, or add adaptive to the {designs}",
-            setting=("cap", "looks", "nested", "designs"),
+            "it out, give {nested}, or add adaptive to the {designs}",
+            setting=("cap", "nested", "designs"),
         )
     ]
 

@@ -233,7 +233,7 @@ class Recipe(UserModel):
         description="fields of the camera, each an axis; or a preset's name, or a TOML file",
     )
     exposure: Annotated[dict[str, Any], BeforeValidator(_read_exposure)] = Field(
-        default={}, description="settings of the exposure, each an axis, such as looks = [1, 4]"
+        default={}, description="settings of the exposure, each an axis, such as nested = [4, 8]"
     )
     trials: int = Field(default=1, ge=1, le=1000, description="seeds 0, 1, …")
     validation: int | None = Field(
@@ -284,8 +284,8 @@ class Recipe(UserModel):
         """Exposures of a design, of the product of its axes, with a name where there are several.
 
         Those that share light among scenes have one always, as their budget is a mean. A cap is of
-        the exposures that may end early: adaptive masks, nested ones and looks. Beside these two
-        adaptive masks, which have a look each, take the cap alone.
+        the exposures that may end early: adaptive masks and nested ones. Beside nested ones
+        adaptive masks take the cap alone.
 
         Parameters
         ----------
@@ -294,7 +294,7 @@ class Recipe(UserModel):
         """
         axes = self.exposure
         if DESIGNS[design].adaptive and self.shares_light:
-            axes = {name: axes[name] for name in axes if name not in ("nested", "looks")}
+            axes = {name: axes[name] for name in axes if name != "nested"}
         others = {name: values for name, values in axes.items() if name != "cap"}
         exposures: dict[str, Exposure] = {}
         for point in _points(axes):

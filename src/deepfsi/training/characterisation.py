@@ -36,7 +36,6 @@ from deepfsi.evaluation.confidence import (
 )
 from deepfsi.evaluation.distribution_fit import find_distribution, sample_scenes
 from deepfsi.evaluation.stopping import share_light
-from deepfsi.exposure.training import CHUNK
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import FEW_SCENES, Job
 
@@ -63,17 +62,8 @@ def characterise(
     first = designs[0]
     scenes = training_set.full
     for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
-        chooses = design.exposure.chooses
-        if chooses:
-            design.exposure = design.mask_exposure.with_optics(
-                shares=_shares(design, scenes, job.photons, job.seed)
-            )
-        # of fixed dwells a distribution depends on the masks alone, which designs may share
-        if (
-            design is first
-            or chooses
-            or not torch.equal(*(made.rails.stacked for made in (first, design)))
-        ):
+        # a distribution depends on the masks alone, which designs may share
+        if design is first or not torch.equal(first.rails.stacked, design.rails.stacked):
             design.distribution = _distribution(design, scenes, training_set.data.groups)
         else:
             design.distribution = first.distribution
@@ -137,20 +127,6 @@ def _calibration_scenes(
     return CalibrationScenes([part], stops, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
 
 
-def _shares(design: Design, scenes: Tensor, photons: float, seed: int) -> Tensor:
-    """Share of the budget (k,) that each feature counts, in the mean over scenes (n, N)."""
-    exposure = design.mask_exposure
-    scanner = design.scanner()
-    generator = torch.Generator(scenes.device).manual_seed(seed)
-    shares = torch.zeros_like(design.mean)
-    with torch.no_grad():
-        for x in scenes.split(CHUNK):
-            rates = design.rates(scanner, x)
-            seen = exposure.expose(scanner, rates, photons, generator)
-            shares += design.detection.totals(exposure.expected(rates, seen)).sum(dim=0)
-    return shares / len(scenes)
-
-
 def _compared(design: Design) -> bool:
     """True of designs whose counts are tested: the tests know no clicks."""
     return design.exposure.comparable and design.gates is None
@@ -173,11 +149,8 @@ def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> Readout
     x = scenes[rows]
     with torch.no_grad():
         rates = design.rates(design.scanner(), x)
-        light = x.sum(dim=-1) / design.summed_reflectance
-        frames = _frame_light(design)
-        readouts, expose = design.mask_exposure.usual_readouts(rates, light, frames)
         return find_distribution(
-            readouts, labels[rows], len(design.classes) or 1, expose=expose, light=frames
+            rates, labels[rows], len(design.classes) or 1, light=_frame_light(design)
         )
 
 

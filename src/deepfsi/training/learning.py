@@ -120,7 +120,7 @@ def learn(
     camera : Camera, str, path or mapping, optional
         The camera, a preset's name, a TOML file or fields; ``"dmd"`` unless given.
     exposure : Exposure or mapping, optional
-        `Looks`, `Nested`, `Range`, `Passing` or their fields; `Fixed` unless given.
+        `Nested`, `Range`, `Passing` or their fields; `Fixed` unless given.
     training : Training or mapping, optional
         Settings of the training; those tuned for the design unless given.
     seed : int
@@ -371,8 +371,7 @@ def _optimised(
     exposure = build_training(group)
     classifiers = optimise(exposure, report, checkpoint, hooks)
     exposure.fix()
-    networks = [*classifiers, *exposure.choose.networks]
-    weights = [parameter for network in networks for parameter in network.parameters()]
+    weights = [parameter for network in classifiers for parameter in network.parameters()]
     if not all(
         bool(torch.isfinite(tensor).all()) for tensor in [exposure.masks().stacked, *weights]
     ):
@@ -507,5 +506,4 @@ def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     own = replicas if job.code.learned_under else len(matrix_seeds(jobs))
     products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
     step = FEATURE_COPIES * batch * (masks + replicas * sum(job.training.hidden))
-    step *= job.exposure.parts
     return 3 * training_set.memory + FLOAT_BYTES * (learned + products_of_all + step)

@@ -28,10 +28,7 @@ from deepfsi.networks.custom import make_custom, seeded
 from deepfsi.physics.training_noise import Draws
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
 from deepfsi.training.hooks import LoopHooks, check_made
-from deepfsi.training.losses import CountsCost, answer_losses, find_loss, sum_over
-
-CHOOSER_LR = 0.2
-"""Learning rate of the network that chooses dwells, over that of the classifier."""
+from deepfsi.training.losses import CountsCost, find_loss
 
 THREADED_ELEMENTS = 2**15
 """Elements below which torch itself does not share an operation among threads."""
@@ -46,7 +43,7 @@ def optimise(
     checkpoint: Checkpoint = NO_CHECKPOINT,
     hooks: LoopHooks | None = None,
 ) -> list[Classifier]:
-    """Train classifiers of jobs side by side, with masks that learn and choosers of dwells."""
+    """Train classifiers of jobs side by side, with masks that learn."""
     hooks = hooks or LoopHooks()
     job = exposure.job
     settings = job.training
@@ -55,8 +52,6 @@ def optimise(
     classifiers = _classifiers(exposure)
     stacked = device.type == "cuda" and isinstance(classifiers[0], Mlp)
     classify = Replicas(classifiers, stacked, network_dtype(job, device))
-    choose = exposure.choose
-    networks = [*classifiers, *choose.networks]
     batch = batch_of(settings, len(labels))
     draws = Draws([job.seed for job in exposure.jobs], exposure.noise, labels, batch)
     steps = draws.steps
@@ -65,15 +60,13 @@ def optimise(
     scene_loss = find_loss(settings, exposure.training_set, bool(exposure.job.exposure.features))
     cost = None if settings.counts is None else CountsCost(settings.counts, total)
     groups = [_parameter_group(classify, settings.lr, settings.decay)]
-    if choose.networks:
-        groups.append(_parameter_group(choose, CHOOSER_LR * settings.lr, settings.decay))
     if exposure.learns:
         groups.append(_parameter_group(exposure.masks, settings.mask_lr))
     made = (hooks.optimiser or _adamw)(groups)
     optimiser = check_made("optimiser", made, torch.optim.Optimizer)
     schedule = check_made("schedule", (hooks.schedule or _one_cycle)(optimiser, total), LRScheduler)
-    modules = [classify, choose, *([exposure.masks] if exposure.learns else [])]
-    generators = exposure.noise.generators + _generators(settings, networks, device)
+    modules = [classify, *([exposure.masks] if exposure.learns else [])]
+    generators = exposure.noise.generators + _generators(settings, classifiers, device)
     state = LoopState(
         modules=modules,
         optimiser=optimiser,
@@ -85,7 +78,7 @@ def optimise(
     )
     elements = batch * len(exposure.jobs) * exposure.parts * max(job.masks, *settings.hidden, 1)
     of_torch = seeded(job.seed) if settings.is_custom else nullcontext()
-    watching = hooks.of_loop(exposure, state, scene_loss, networks)
+    watching = hooks.of_loop(exposure, state, scene_loss, classifiers)
     with _threads(elements), of_torch, checkpoint.of_loop(state), watching as watch:
         report(state.step / total)
         due = time.monotonic() + REPORT_SECONDS
@@ -93,11 +86,11 @@ def optimise(
             if number % steps == 0:
                 draws.shuffle()
             truth = draws.gather(number % steps)  # gather: (B, R)
-            inputs = exposure.inputs(draws)  # expose: (B, R, …), of K looks (K · B, R, …)
+            inputs = exposure.inputs(draws)  # expose: (B, R, …)
             outputs = classify(inputs)  # classify: (B, R, C)
-            losses = answer_losses(scene_loss, outputs, truth)
-            watch.take(losses[-1])
-            loss = sum_over(losses) / batch
+            losses = scene_loss(outputs.flatten(0, 1), truth.flatten(0, 1))
+            watch.take(losses)
+            loss = losses.sum() / batch
             if cost is not None and exposure.counts is not None:
                 loss = loss + cost(exposure.counts).sum()
             loss.backward()  # step
@@ -112,9 +105,8 @@ def optimise(
             if watch.ends():
                 state.total = state.step
                 break
-    for replicas in (classify, choose):
-        replicas.hand_back()
-    for network in networks:
+    classify.hand_back()
+    for network in classifiers:
         if isinstance(network, Mlp):
             network.generator = None
         network.eval()

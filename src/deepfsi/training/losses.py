@@ -26,10 +26,6 @@ from deepfsi.jobs.training import Training
 SceneLoss = Callable[[Tensor, Tensor], Tensor]
 """Loss (n,) of outputs (n, C) and truth (n,) or (n, q)."""
 
-EARLY_LOOKS_WEIGHT = 0.2
-"""Weight of the loss of the answers before the last look, in their mean; the last has 1."""
-
-
 RAMP = 1 / 3
 """Part of the training after which the counts are to be those asked for."""
 
@@ -68,21 +64,6 @@ def _cross_entropy(
 def squared_error(outputs: Tensor, values: Tensor) -> Tensor:
     """Squared error (n,) of outputs and standardised values (n, q), in the mean over values."""
     return (outputs - values).square().mean(dim=-1)
-
-
-def answer_losses(loss: SceneLoss, outputs: Tensor, truth: Tensor) -> Tensor:
-    """Losses (K, B · R) of K answers, outputs (K · B, R, C), whose truth is (B, R [, q])."""
-    answers = len(outputs) // len(truth)
-    wanted = truth.repeat(answers, *[1] * (truth.ndim - 1)).flatten(0, 1)
-    return loss(outputs.flatten(0, 1), wanted).view(answers, -1)
-
-
-def sum_over(losses: Tensor) -> Tensor:
-    """Sum of losses (K, n) of K answers; those before the last look count `EARLY_LOOKS_WEIGHT`."""
-    *early, last = losses.sum(dim=1)
-    if not early:
-        return last
-    return last + EARLY_LOOKS_WEIGHT / len(early) * sum(early)
 
 
 class CountsCost:

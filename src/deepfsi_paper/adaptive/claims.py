@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from deepfsi.base.numeric.intervals import Difference, accuracy_difference, all_above, signed_text
-from deepfsi.report.style import BUDGET_AXIS, DESIGN_COLOURS, PAPER, photons_text
+from deepfsi.report.style import BUDGET_AXIS, DESIGN_COLOURS, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.adaptive.clock import LEAST_LEFT, Measures, Rival, best_at, measure, rivals
 from deepfsi_paper.adaptive.figures import clock_figure
@@ -31,7 +31,7 @@ GAINED = (1e3, 1e4)
 """Budgets at which adaptive masks are expected to gain."""
 
 BRIGHT = 1e5
-"""Budget at which fixed learned masks are expected to read more."""
+"""Budget at which learned masks are expected to read more."""
 
 WALLS_S = (0.1, 1.0)
 """Lengths of exposures by the clock."""
@@ -50,19 +50,7 @@ KINDS: dict[str, tuple[str, Look]] = {
         {"color": DESIGN_COLOURS["impulse"], "marker": "s", "linestyle": (0, (7, 2, 1.2, 2))},
     ),
     "adaptive": ("adaptive masks", {"color": DESIGN_COLOURS["adaptive"], "marker": "o"}),
-    "looks": (
-        "learned masks in looks",
-        {
-            "color": DESIGN_COLOURS["deepfsi"],
-            "marker": "o",
-            "linestyle": "--",
-            "markerfacecolor": PAPER,
-        },
-    ),
-    "fixed": (
-        "learned masks with fixed dwells",
-        {"color": DESIGN_COLOURS["deepfsi"], "marker": "^"},
-    ),
+    "fixed": ("learned masks", {"color": DESIGN_COLOURS["deepfsi"], "marker": "^"}),
 }
 """Names of the kinds of designs in figures, and their lines."""
 
@@ -161,28 +149,26 @@ def _target_claims(kinds: Mapping[tuple[str, str], Chosen]) -> Iterable[Claim]:
 def _gain_claims(kinds: Mapping[tuple[str, str], Chosen]) -> Iterable[Claim]:
     for detectors, name in DETECTORS.items():
         own = kinds["adaptive", detectors]
-        for kind in ("fixed", "looks"):
-            known = kinds[kind, detectors]
-            gains = {
-                photons: accuracy_difference(own[photons], known[photons])
-                for photons in own.keys() & known.keys()
-            }
-            early = {photons: gains[photons] for photons in GAINED if photons in gains}
-            words = KINDS[kind][0]
-            if early:
-                yield Claim(
-                    f"With {name} adaptive masks read more than {words} at "
-                    f"{' and '.join(map(photons_text, early))} photons",
-                    all_above(early.values()),
-                    _said(early),
-                )
-            if BRIGHT in gains and detectors == "1x1":
-                yield Claim(
-                    f"With {name} {words} read more than adaptive masks at {photons_text(BRIGHT)} "
-                    "photons",
-                    all_above([-gains[BRIGHT]]),
-                    f"{-gains[BRIGHT]}, of {own[BRIGHT].masks} looks",
-                )
+        known = kinds["fixed", detectors]
+        gains = {
+            photons: accuracy_difference(own[photons], known[photons])
+            for photons in own.keys() & known.keys()
+        }
+        early = {photons: gains[photons] for photons in GAINED if photons in gains}
+        if early:
+            yield Claim(
+                f"With {name} adaptive masks read more than learned masks at "
+                f"{' and '.join(map(photons_text, early))} photons",
+                all_above(early.values()),
+                _said(early),
+            )
+        if BRIGHT in gains and detectors == "1x1":
+            yield Claim(
+                f"With {name} learned masks read more than adaptive masks at "
+                f"{photons_text(BRIGHT)} photons",
+                all_above([-gains[BRIGHT]]),
+                f"{-gains[BRIGHT]}, of {own[BRIGHT].masks} looks",
+            )
 
 
 def _said(gains: Mapping[float, Difference]) -> str:
@@ -255,7 +241,7 @@ def _fluxes(results: Results, wall_s: float) -> list[float]:
 def _groups(results: Results, measures: Measures) -> dict[str, list[Rival]]:
     """Adaptive masks of one detector by the clock, these made in no time, and known masks."""
     own = of_kind(results, "adaptive", "1x1")
-    known = [p for kind in ("fixed", "looks") for p in of_kind(results, kind, "1x1")]
+    known = of_kind(results, "fixed", "1x1")
     return {"adaptive": rivals(own, measures), "free": rivals(own), "known": rivals(known)}
 
 

@@ -5,36 +5,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from conftest import quick
 from deepfsi.base.errors import InputError
-from deepfsi.camera.device import find_device
-from deepfsi.hardware.drivers.protocols import Setup
 from deepfsi.hardware.live.replay import LiveCounts
-from deepfsi.hardware.live.run import plan_live, run_live
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera, arrival_rates
+from deepfsi.hardware.live.run import run_live
+from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
-from deepfsi.hardware.virtual.setup import (
-    Latencies,
-    VirtualCounter,
-    VirtualOptics,
-    VirtualProjector,
-)
-from deepfsi.lab.looks import design_rails
-from shared.live_samples import replay, scenes_of
+from deepfsi.hardware.virtual.setup import Latencies, VirtualOptics, virtual_setup
+from shared.live_samples import EXPOSURE_S, make_patterns, planned, replay, scenes_of
 
-FLUX, EXPOSURE_S, SCENES = 1e7, 10e-3, 16
+FLUX, SCENES = 1e7, 16
 PHOTONS = FLUX * EXPOSURE_S
 
 
 @pytest.fixture(scope="module")
 def patterns(digits, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("trust")
-    words = {"masks": 8, "looks": 3, "photons": PHOTONS, "epochs": 3, "levels": 2}
-    quick(digits, light="free-dwell", rails="single", **words).save(folder / "looks.safetensors")
-    frames = FrameSettings(find_device("64x48"), 1e-3)
-    export_patterns(design_rails(folder / "looks.safetensors"), frames, folder / "patterns")
-    return folder / "patterns"
+    return make_patterns(tmp_path_factory.mktemp("trust"), digits, masks=8, photons=PHOTONS)
 
 
 @dataclass(frozen=True)
@@ -72,16 +57,18 @@ class Wavering(VirtualOptics):
 def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **settings):
     """Answers of a run; its replay must come to the same."""
     x, named = scenes_of(digits, scenes)
-    rates = arrival_rates(patterns, x, lab.camera, FLUX)
-    rates *= np.array(lab.lamp)[:scenes, None, None]
-    setup = Wavering(rates, lab.camera, Latencies(), 3)
-    setup.lab = lab
+    acquisition, looks = planned(
+        patterns, named, flux=FLUX, camera=lab.camera, **{"seed": 3, **settings}
+    )
+    devices = virtual_setup(patterns, x, acquisition, Latencies())
+    setup = devices.projector._optics
+    setup.__class__, setup.lab = Wavering, lab
+    lamp, made = np.array(lab.lamp)[:scenes], setup._made
+    setup._rates *= lamp[:, None, None]
+    setup._made = lambda scene, packed: lamp[scene] * made(scene, packed)
     if change:
-        change(setup)
-    counter = VirtualCounter(setup, (0,))
-    devices = Setup(VirtualProjector(setup), counter, setup.display, lambda: setup.now_s)
-    acquisition = plan_live(patterns, named, EXPOSURE_S, **settings)
-    steps = run_live(folder, patterns, acquisition, devices)
+        devices = replace(devices, display=change(setup) or setup.display)
+    steps = run_live(folder, patterns, acquisition, devices, looks)
     found = [step.answer for step in steps if step.answer]
     LiveCounts.count(folder)
     for one, again in zip(found, replay(folder), strict=True):
@@ -145,7 +132,7 @@ def test_a_scene_in_which_the_light_goes_out_gets_no_class(digits, patterns, tmp
     whole = VirtualOptics.display
 
     def watch(setup):
-        setup.display = lambda scene: (whole(setup, scene), starts.append(setup.now_s))
+        return lambda scene: (whole(setup, scene), starts.append(setup.now_s))
 
     answers(tmp_path / "sound", patterns, digits, change=watch)
     struck = range(2, 12, 2)
@@ -174,6 +161,6 @@ def test_a_trigger_that_jitters_is_named(digits, patterns, tmp_path):
 
 def test_faults_are_printed_by_the_replay_of_a_run(digits, patterns, tmp_path, done):
     answers(tmp_path / "run", patterns, digits, scenes=6, photons=2 * PHOTONS)
-    out = done("camera", "classify", patterns.parent / "looks.safetensors", tmp_path / "run")
+    out = done("camera", "classify", patterns.parent / "adaptive.safetensors", tmp_path / "run")
     assert "--photons says" in out
     assert "no class: 6 of 6 scenes" in out

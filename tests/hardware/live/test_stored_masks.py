@@ -21,7 +21,6 @@ from deepfsi.hardware.patterns.folder import (
     read_patterns,
 )
 from deepfsi.hardware.patterns.frames import unpack
-from deepfsi.hardware.patterns.manifest import LookPlan
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
 from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
 from deepfsi.lab import adaptive_looks
@@ -230,16 +229,6 @@ def test_a_mask_without_light_is_not_of_a_dictionary(design, tmp_path):
         design_rails(tmp_path / "a.safetensors")
     kept = type(dark).drawn(torch.cat([masks, 0 * masks]), 1000, torch.Generator())
     assert len(kept) == MASKS - 1
-
-
-def test_a_dictionary_is_of_masks_that_a_design_chooses():
-    with pytest.raises(ValueError, match="not networks"):
-        LookPlan(
-            count=1, each_rail=False, first=(1,), shortest=0, loop_sha256="0" * 64, dictionary=True
-        )
-    made = LookPlan(count=1, each_rail=False, first=(1,), shortest=0, loop_sha256=None)
-    assert "dictionary" not in made.model_dump()
-    assert made.loads
 
 
 def other_index(folder, look, choose):

@@ -1,4 +1,4 @@
-"""Manifest: times of pictures as asked and as the device can; several looks, shown once."""
+"""Manifest: times of pictures as asked and as the device can; adaptive masks."""
 
 import json
 
@@ -20,15 +20,8 @@ def test_equal_dwell_holds_every_frame_for_whole_microseconds_that_the_device_ca
     assert {frame.picture_us for frame in manifest.frames} == {us}
 
 
-@pytest.mark.parametrize("optics", ["single", "dual", "two arms"])
-def test_a_first_look_of_other_masks_is_refused(digits, tmp_path, optics):
-    folder = make_patterns(tmp_path, digits, optics, epochs=1)
-    told = json.loads((folder / "manifest.json").read_text())
-    first = told["looks"]["first"]
-    for other, words in (
-        ([*first[:-2], sum(first[-2:])], "other frames"),
-        ([2 * each for each in first], "1/3 together"),
-    ):
-        told["looks"]["first"] = other
-        with pytest.raises(ValueError, match=words):
-            Manifest.model_validate(told)
+def test_a_first_look_of_other_masks_is_refused(digits, tmp_path):
+    told = json.loads((make_patterns(tmp_path, digits) / "manifest.json").read_text())
+    told["looks"]["first"] *= 2
+    with pytest.raises(ValueError, match="other frames"):
+        Manifest.model_validate(told)

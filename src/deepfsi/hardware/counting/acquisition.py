@@ -338,11 +338,11 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
         )
     if acquisition.live:
         if manifest.looks is None:
-            raise InputError(f"{name} is of a live run, and its patterns are of no several looks")
+            raise InputError(f"{name} is of a live run, and its patterns are of no adaptive masks")
         return
     if manifest.looks is not None:
         raise InputError(
-            f"{name} has patterns of several looks, which are chosen while the exposure runs: use "
+            f"{name} has patterns of adaptive masks, which are chosen while the exposure runs: use "
             "`deepfsi camera live`"
         )
     try:

@@ -59,11 +59,10 @@ def margin_ns(gate_ns: np.ndarray) -> np.ndarray:
 CHANCE_ROUNDING = 1e-3
 """Difference of a probability that two processors compute of the same counts, at most.
 
-They are computed in float32. Of looks that networks choose they differed by 8e-7 at most between
-kernels of four processors, of adaptive masks by 7e-6 at 10⁴ photons. There log-likelihoods grow
-with the light, and their rounding with them: logarithms of probabilities differed by 1e-5 at 10⁴
-photons and by 6e-4 at 10⁶. A quarter of this, p (1 - p), is the largest difference, 1.4e-4, and
-this leaves a factor of 7. Confidences are printed to as many digits.
+They are computed in float32, and differed by 7e-6 at 10⁴ photons between kernels of two processors.
+Log-likelihoods grow with the light, and their rounding with them: logarithms of probabilities
+differed by 1e-5 at 10⁴ photons and by 6e-4 at 10⁶. A quarter of this, p (1 - p), is the largest
+difference, 1.4e-4, and this leaves a factor of 7. Confidences are printed to as many digits.
 """
 
 ON = 0
@@ -136,10 +135,8 @@ class SceneObserver:
         self._settle_s = acquisition.settle_s
         self._light = LightMonitor(manifest, acquisition.inputs, len(acquisition.scenes))
         self._checks = _SceneChecks(looks.photons, acquisition)
-        loaded = 0 if manifest.looks.adaptive else len(manifest.shown)
-        self._view = (
-            ViewTest(looks.scene_model, manifest.image_shape, loaded) if looks.scene_model else None
-        )
+        model = looks.scene_model
+        self._view = ViewTest(model, manifest.image_shape) if model else None
         self._ends = _scene_ends(manifest, acquisition.settle_s)
         self._ambient = np.zeros((2, len(manifest.shown), manifest.inputs))
 
@@ -282,8 +279,6 @@ class SceneObserver:
                     counts=signal.counts.ravel(),
                     noise=signal.noise.ravel(),
                     inputs=np.tile(inputs, len(lit)),
-                    frames=np.repeat(rows, len(inputs)),
-                    dwells=np.repeat(share, len(inputs)),
                 )
             )
         return SceneReadouts.join(readouts)

@@ -36,7 +36,7 @@ from deepfsi.hardware.drivers.protocols import (
 from deepfsi.hardware.light.curves import excess_chance
 from deepfsi.hardware.light.monitor import NO_LIGHT
 from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedList, LoggedScene
-from deepfsi.hardware.live.looks import FixedMaskLooks, FrameList, LookChooser
+from deepfsi.hardware.live.looks import FrameList, LookChooser
 from deepfsi.hardware.live.observer import (
     MARGIN_NS,
     OFF,
@@ -55,7 +55,7 @@ def plan_live(
     exposure_s: float,
     shortest_s: float | None = None,
     *,
-    looks: LookChooser | None = None,
+    looks: LookChooser,
     photons: float | None = None,
     until: float | None = None,
     effects: CounterEffects = NO_EFFECTS,
@@ -67,15 +67,15 @@ def plan_live(
     Parameters
     ----------
     patterns_folder : path
-        Patterns of a design of several looks.
+        Patterns of a design of adaptive masks.
     scenes : tuple of Scene
         In their order.
     exposure_s : float
         Time of all looks at a scene, seconds.
     shortest_s : float, optional
         Shortest time for which a frame is counted, seconds; that of the device unless given.
-    looks : LookChooser, optional
-        Looks of the design; those of the folder unless given, which adaptive masks need.
+    looks : LookChooser
+        Looks of the design.
     photons : float, optional
         Budget of an exposure, counts; measured by the all-ON frames unless given.
     until : float, optional
@@ -94,12 +94,11 @@ def plan_live(
     """
     patterns = read_patterns(patterns_folder)
     manifest = patterns.manifest
-    looks = looks or FixedMaskLooks.read(patterns_folder, patterns)
     if not (math.isfinite(exposure_s) and exposure_s > 0):
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
     if photons is not None and not (math.isfinite(photons) and photons > 0):
         raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
-    if background and manifest.looks and manifest.looks.adaptive:
+    if background:
         raise InputError(
             "adaptive masks take dark counts alone, and a {background} is measured mask by mask: "
             "keep ambient light out, and leave it out",
@@ -116,7 +115,6 @@ def plan_live(
         rule = StopRule(threshold=until)
     looks_s = exposure_s * np.array(looks.shares)
     shortest_ns = _shortest_gate(manifest, looks_s, shortest_s)
-    shortest_ns = max(shortest_ns, round(looks.shortest * exposure_s * 1e9))
     with as_input_error():
         return Acquisition(
             scenes=scenes,
@@ -139,8 +137,8 @@ def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | 
     device = manifest.device
     if device.video_us is not None:
         raise InputError(
-            f"{device.name} shows all frames for one time, and looks choose theirs: export for a "
-            "device that stores frames, such as dlp7000"
+            f"{device.name} shows all frames for one time, and a live run chooses theirs: export "
+            "for a device that stores frames, such as dlp7000"
         )
     look_s = float(looks_s.min())
     look_ns = np.array(looks_s.max() * 1e9)
@@ -184,7 +182,7 @@ def run_live(
     patterns_folder: Path,
     acquisition: Acquisition,
     setup: Setup[StreamingProjector],
-    looks: LookChooser | None = None,
+    looks: LookChooser,
 ) -> Generator[LiveStep]:
     """Show, count and decide; gives each decision as it falls.
 
@@ -199,8 +197,8 @@ def run_live(
         Settings of the run, as `plan_live` makes them.
     setup : Setup
         Devices; taken hold of, and let go at the end.
-    looks : LookChooser, optional
-        Looks of the design; those of the folder unless given, which adaptive masks need.
+    looks : LookChooser
+        Looks of the design.
 
     Yields
     ------
@@ -218,7 +216,6 @@ def run_live(
     acquisition = acquisition.model_copy(update={"live": live})
     patterns = read_patterns(patterns_folder)
     manifest = patterns.manifest
-    looks = looks or FixedMaskLooks.read(patterns_folder, patterns)
     observer = SceneObserver(looks, manifest, acquisition)
     with ExitStack() as stack:
         stack.enter_context(setup.projector)

@@ -1,8 +1,8 @@
 """Folder of patterns: rails of a design to binary frames, and back.
 
 A folder holds `manifest.json`, `mirrors.npy` (mirrors ON in each cell of each mask's frame), the
-design if it was given, `loop.safetensors` of a design of several looks, the frames of all masks and
-sentinels (`frames`), and tables of their times (`controllers`).
+design if it was given, the frames of all masks and sentinels (`frames`), and tables of their times
+(`controllers`).
 """
 
 import json
@@ -39,7 +39,6 @@ from deepfsi.hardware.patterns.frames import (
 from deepfsi.hardware.patterns.manifest import (
     DESIGN_NAME,
     LEAST_DIMMED,
-    LOOP_NAME,
     MOST_FRAMES,
     SENTINELS,
     DesignRails,
@@ -64,7 +63,6 @@ class Patterns:
     DESIGN: ClassVar[str] = DESIGN_NAME
     """File of the design in a folder of patterns."""
 
-    LOOP: ClassVar[str] = LOOP_NAME
     """File of the networks that choose its dwells."""
 
     manifest: Manifest  # device, and frames in the order in which they are shown
@@ -149,7 +147,7 @@ class Patterns:
 
     @property
     def _longest_gates(self) -> GatePlan | None:
-        """Gates of that exposure; None where dwells are chosen while it runs."""
+        """Gates of that exposure; None where masks are chosen while it runs."""
         if self.manifest.looks is not None:
             return None
         return GatePlan.of(self.manifest, self._longest_s)
@@ -175,19 +173,13 @@ class Patterns:
                     f"virtual devices alone show them: the driver of {device.name} shows its "
                     "table from the beginning, and no frame by its index"
                 )
-        elif looks and looks.adaptive:
+        elif looks:
             yield (
                 f"{frames}: the mask of the first look, of {looks.count}; a live run loads a new "
                 f"one before each look, {device.load_us} µs a frame on {device.name}, in which no "
                 "photon is counted; show them with `deepfsi camera live`"
             )
-        elif looks or gates is None:
-            yield (
-                f"{frames}, {looks.count if looks else 1} looks: the times written are of the "
-                "first, those of the others follow from counts; show them with `deepfsi camera "
-                "live`"
-            )
-        else:
+        elif gates is not None:
             reason = f"no picture is shorter than {device.shortest_us} µs"
             if device.video_us:
                 reason = "all pictures last as long as the longest"
@@ -428,7 +420,6 @@ def export_patterns(
         tables = controller_tables(manifest)
         contents = {
             Patterns.DESIGN: design.file,
-            Patterns.LOOP: design.loop,
             "manifest.json": manifest.model_dump_json(indent=1).encode(),
             **{name: table.encode() for name, table in tables.items()},
         }

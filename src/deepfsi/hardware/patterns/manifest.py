@@ -33,7 +33,6 @@ from deepfsi.camera.device import DEVICE_SOURCES, DEVICES, Device
 from deepfsi.camera.layout import DmdGrid, DmdLayout, find_grid
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName, Readout, SummedReflectance
 from deepfsi.designfile.design_file import DesignFile
-from deepfsi.designfile.loop_file import loop_bytes
 from deepfsi.designfile.provenance import check_masks
 from deepfsi.hardware.patterns.frames import Format, Selection, make_frame
 from deepfsi.jobs.designs import EVERY_PIXEL
@@ -45,14 +44,10 @@ SENTINELS = 4
 """Frames of a pass that show no mask."""
 
 DESIGN_NAME = "design.safetensors"
-LOOP_NAME = "loop.safetensors"
-"""Files beside a manifest: the design, and the networks that choose its dwells."""
+"""File beside a manifest: the design."""
 
 SHARES_SLACK = 1e-4
 """Sum of the frames' shares of the exposure beyond 1 that rounding may leave."""
-
-LOOK_SLACK = 1e-3
-"""Share of a look by which the dwells of the first one may differ from it together."""
 
 ARMS_SLACK = 1e-4
 """Share of the exposure by which two arms' times may differ between pixels."""
@@ -141,65 +136,25 @@ class Brightness(StrictModel):
 
 
 class LookPlan(LaterFields, StrictModel):
-    """Looks at the same masks, whose frames are loaded once, or at one mask each.
+    """Looks at one mask each, which the design beside it makes or chooses.
 
-    That one is made and loaded before its look, or is one of a dictionary that stays on the device.
+    It is loaded before its look, or is one of a dictionary that stays on the device.
     """
 
     LATER: ClassVar = ("dictionary",)
     count: int = Field(ge=1, le=1024)  # K
-    each_rail: bool  # Whether the two rails of a mask are frames with dwells of their own
-    # Dwells of the first look, shares of the exposure; 0 for frames that it does not show. Those of
-    # later ones are chosen from the counts so far: mask by mask, and those of a mask's two rails
-    # follow one another. Of a dictionary: that of each mask in a look that shows it
+    each_rail: Literal[False] = False  # Of earlier versions
+    # Dwell of the mask of the first look, a share of the exposure; of a dictionary that of each
     first: tuple[Share, ...]
-    # Shortest dwell that the design was learned for, a share of the exposure
-    shortest: float = Field(ge=0, lt=1)
-    # Of `loop.safetensors`, the networks that choose them; none where each look takes one mask,
-    # which the design beside it makes or chooses. Of made ones the frame is that of the first look
-    loop_sha256: str | None = Field(pattern=r"^[0-9a-f]{64}$")
+    shortest: float = Field(0.0, ge=0, le=0)  # Of earlier versions
+    loop_sha256: None = None  # Of earlier versions
     # True if the frames of masks are all that looks may show: one each, by its index
     dictionary: bool = False
-
-    @classmethod
-    def of(cls, design: DesignFile) -> "LookPlan | None":
-        """Looks of a design with networks of the package that choose dwells; None of fixed ones."""
-        if design.mask_header.exposure.kind != "adaptive":
-            return None
-        return cls(
-            count=design.looks.looks,
-            each_rail=design.each_rail,
-            first=tuple(design.first_dwell.tolist()),
-            shortest=design.looks.shortest,
-            loop_sha256=hashlib.sha256(loop_bytes(design)).hexdigest(),
-        )
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        equal = math.isclose(sum(self.first) * self.count, 1, abs_tol=LOOK_SLACK)
-        if not equal and not self.adaptive:
-            raise ValueError(f"the dwells of the first look are not 1/{self.count} together")
-        if self.dictionary and not self.adaptive:
-            raise ValueError("a dictionary is of masks that a design chooses, not networks")
-        return self
-
-    @property
-    def adaptive(self) -> bool:
-        """True where masks are made, or chosen, while the exposure runs, one a look."""
-        return self.loop_sha256 is None
 
     @property
     def loads(self) -> bool:
         """True where the mask of each look is loaded before it."""
-        return self.adaptive and not self.dictionary
-
-    def dwells(self, masks: int) -> int:
-        """Number of dwells of a look at so many masks."""
-        return masks * (2 if self.each_rail else 1)
-
-    def places(self, masks: np.ndarray, minus: np.ndarray) -> np.ndarray:
-        """Indices (f,) into a look's dwells of frames' masks (f,), `minus` of negative rails."""
-        return 2 * masks + minus if self.each_rail else masks
+        return not self.dictionary
 
 
 @dataclass(frozen=True)
@@ -214,8 +169,7 @@ class DesignRails:
     brightness: Brightness | None = None  # by how much scenes differ from the mean
     detectors: DetectorMap | None = None  # which see which cells, where there are several
     readout: Readout = "difference"  # what the network reads of two rails
-    looks: LookPlan | None = None  # looks, where dwells or masks are chosen while the exposure runs
-    loop: bytes | None = None  # file of the networks that choose them
+    looks: LookPlan | None = None  # looks, where masks are chosen while the exposure runs
 
     @classmethod
     def of(cls, design: DesignFile, file: bytes) -> Self:
@@ -231,7 +185,7 @@ class DesignRails:
         if header.exposure.kind == "conditioned" and header.exposure.cap > 1:
             raise InputError(
                 "nested masks that share light end when a class is sure, and frames of a run are "
-                "all shown: learn looks with this cap, or nested masks with cap 1"
+                "all shown: learn adaptive masks with this cap, or nested ones with cap 1"
             )
         detectors = None
         with as_input_error(str(design.path)):
@@ -244,7 +198,6 @@ class DesignRails:
                         **(header.info.get("detector_light") or {}),
                     }
                 )
-        looks = LookPlan.of(design)
         return cls(
             rails=design.rails,
             light=header.light,
@@ -254,8 +207,6 @@ class DesignRails:
             brightness=brightness,
             detectors=detectors,
             readout=header.readout,
-            looks=looks,
-            loop=loop_bytes(design) if looks else None,
         )
 
     def __post_init__(self) -> None:
@@ -304,9 +255,7 @@ class DesignRails:
         """Shares of the exposure (f,) for which a fixed sequence, or a first look, shows frames."""
         if self.looks is None:
             return frames.shares
-        masks = np.array([mask for mask, _ in frames.mask_rails])
-        minus = np.array([rail == "minus" for _, rail in frames.mask_rails])
-        return np.array(self.looks.first)[self.looks.places(masks, minus)]
+        return np.array(self.looks.first)[[mask for mask, _ in frames.mask_rails]]
 
 
 @dataclass(frozen=True)
@@ -378,7 +327,7 @@ class Manifest(StrictModel):
     # Which see which cells; None where one sees all that an arm sends
     detectors: SeveralDetectors | None = None
     readout: Readout = "difference"  # What the network reads of two rails
-    # Where dwells are chosen while the exposure runs; the frames' shares are then equal ones
+    # Where masks are chosen while the exposure runs; the frames' shares are then equal ones
     looks: LookPlan | None = None
     selection: Selection  # Choice of the mirrors of a grey cell
     seed: int = 0  # Of the random selection
@@ -406,7 +355,7 @@ class Manifest(StrictModel):
         check_choice("light law", self.light, LIGHT_LAWS)
         if self.two_arm != (LIGHT_LAWS[self.light].arms == 2) or not rails:
             raise ValueError(f"the rails are not those of {self.light}")
-        if self.looks and self.looks.dwells(self.masks) != len(self.looks.first):
+        if self.looks and self.masks != len(self.looks.first):
             raise ValueError("the first look has a dwell for other frames than the masks'")
         if self.looks and self.looks.dictionary and len(rails) != self.masks:
             raise ValueError("the masks of a dictionary have a frame each")
@@ -536,9 +485,7 @@ class Manifest(StrictModel):
     @property
     def companions(self) -> dict[str, str]:
         """Files beside the manifest that say what was shown, by their hashes."""
-        loop = None if self.looks is None else self.looks.loop_sha256
-        hashes = {DESIGN_NAME: self.design_sha256, LOOP_NAME: loop}
-        return {name: digest for name, digest in hashes.items() if digest is not None}
+        return {} if self.design_sha256 is None else {DESIGN_NAME: self.design_sha256}
 
     @property
     def usual_tolerance_s(self) -> float:

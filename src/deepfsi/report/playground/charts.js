@@ -91,8 +91,8 @@ export function drawCurve(holder, model, photons) {
 }
 
 /** Bars of the masks, the second rail downward: their paths, and where each mask is. */
-function bars(values, { left, right, zero, reach, most, root = false }) {
-  const scale = (value) => (root ? Math.sqrt(value / most) : value / most) * reach;
+function bars(values, { left, right, zero, reach, most }) {
+  const scale = (value) => (value / most) * reach;
   const step = (right - left) / values[0].length;
   const wide = Math.max(step * 0.75, 0.6);
   const start = (mask) => left + mask * step + (step - wide) / 2;
@@ -103,26 +103,22 @@ function bars(values, { left, right, zero, reach, most, root = false }) {
         return `M${start(mask)} ${zero}h${wide}v${rail ? tall : -tall}h${-wide}z`;
       })
       .join("");
-  return { path, start, wide, scale, middle: (mask) => left + (mask + 0.5) * step };
+  return { path, scale, middle: (mask) => left + (mask + 0.5) * step };
 }
 
 /** Whole numbers from 0. */
 export const places = (count) => Array.from({ length: count }, (_, place) => place);
 
-/**
- * Counts of each mask as bars: the positive rail upward, the negative one downward. Where dwells
- * are chosen counts differ much, and heights are their square roots.
- */
+/** Counts of each mask as bars: the positive rail upward, the negative one downward. */
 export function drawCounts(holder, model, counts, most, now, names) {
   const height = model.rails === 2 ? 170 : 140;
   const { width, add } = begin(holder, height);
   const [left, right, top] = [50, width - 4, 22];
   const dual = model.rails === 2;
   const zero = dual ? height / 2 : height - 32;
-  const root = Boolean(model.chooser);
-  const chart = bars(counts, { left, right, zero, reach: zero - top, most, root });
+  const chart = bars(counts, { left, right, zero, reach: zero - top, most });
   add("path", { class: "axis", d: `M${left} ${zero}H${right}` });
-  for (const share of root ? [1 / 4, 1] : [1 / 2, 1]) {
+  for (const share of [1 / 2, 1]) {
     const rise = chart.scale(most * share);
     for (const y of dual ? [zero - rise, zero + rise] : [zero - rise]) {
       add("path", { class: "axis", d: `M${left} ${y}H${right}` });
@@ -133,11 +129,10 @@ export function drawCounts(holder, model, counts, most, now, names) {
   counts.forEach((_, rail) => {
     add("path", { class: rail ? "minus" : "plus", d: chart.path(rail, places(model.masks)) });
   });
-  const scaled = root ? " (square-root scale)" : "";
   const rails = model.law.arms === 2 ? ["one direction", "the other"] : ["positive rail", "negative rail"];
-  if (!dual) add("text", { x: 0, y: 10 }, `${names.counts}${scaled}`);
+  if (!dual) add("text", { x: 0, y: 10 }, names.counts);
   else {
-    add("text", { x: 0, y: 10, class: "strong" }, `${names.counts}${scaled}: ${rails[0]}`);
+    add("text", { x: 0, y: 10, class: "strong" }, `${names.counts}: ${rails[0]}`);
     add("text", { x: left, y: height - 2, class: "strong" }, rails[1]);
   }
   const low = dual ? height - 2 : height - 4;
@@ -146,20 +141,16 @@ export function drawCounts(holder, model, counts, most, now, names) {
   if (now !== null) add("path", { class: "now", d: `M${chart.middle(now)} ${zero + 2}l5 8h-10z` });
 }
 
-/** Time of each frame of a look, with that of the look before as a line. */
-export function drawDwells(holder, exposure, look, now) {
+/** Time of each frame. */
+export function drawDwells(holder, exposure, now) {
   const { model } = exposure;
   const height = 110;
   const { width, add } = begin(holder, height);
   const rails = model.eachRail ? 2 : 1;
-  const shares = (which) => {
-    const found = Array.from({ length: rails }, () => new Array(model.masks).fill(0));
-    exposure.frames.forEach((frame) => {
-      if (frame.look === which) found[rails === 2 ? frame.rails[0] : 0][frame.mask] = frame.share;
-    });
-    return found;
-  };
-  const own = shares(look);
+  const own = Array.from({ length: rails }, () => new Array(model.masks).fill(0));
+  exposure.frames.forEach((frame) => {
+    own[rails === 2 ? frame.rails[0] : 0][frame.mask] = frame.share;
+  });
   const most = Math.max(...exposure.frames.map((frame) => frame.share));
   const [left, right, top] = [44, width - 4, 8];
   const zero = rails === 2 ? height / 2 : height - 18;
@@ -170,15 +161,6 @@ export function drawDwells(holder, exposure, look, now) {
     const isNow = !now || rails === 1 || now.rails[0] === rail;
     if (isNow) add("path", { class: rail ? "minus" : "plus", d: chart.path(rail, lit) });
   });
-  if (look > 0) {
-    const marks = shares(look - 1).flatMap((each, rail) =>
-      each.map((share, mask) => {
-        const y = zero - chart.scale(share) * (rail ? -1 : 1);
-        return `M${chart.start(mask)} ${y}h${chart.wide}`;
-      }),
-    );
-    add("path", { class: "before", d: marks.join("") });
-  }
   add("path", { class: "axis", d: `M${left} ${zero}H${right}` });
   const percent = (most / exposure.length) * 100;
   add("text", { x: left - 6, y: top + 6, "text-anchor": "end" }, `${Number(percent.toPrecision(2))} %`);

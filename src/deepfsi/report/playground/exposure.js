@@ -5,26 +5,24 @@ import { factorise, Random, poisson } from "./numbers.js";
 const SLICES = 48; // parts of an exposure whose readouts all see light at once
 
 /** Frames of one device in their order: the readouts of each, and its share of the exposure. */
-function framesOf(model, dwell = null, look = 0) {
+function framesOf(model) {
   const frames = [];
-  const add = (mask, rails, share, scale) => {
+  const add = (mask, rails, share) => {
     const places = rails.flatMap((rail) =>
       Array.from({ length: model.detectors }, (_, d) => model.place(rail, mask, d)),
     );
-    if (share > 0) frames.push({ mask, rails, look, share, places, scale });
+    if (share > 0) frames.push({ mask, rails, share, places, scale: 1 });
   };
   const lit = model.peaks.flat().filter((peak) => peak > 0).length;
   for (let mask = 0; mask < model.masks; mask++) {
     const peaks = model.peaks.map((rail) => rail[mask]);
     if (model.law.arms === 2) {
-      const share = dwell ? dwell[mask] : model.entry(0, mask, 0) + model.entry(1, mask, 0);
-      add(mask, [0, 1], share, dwell ? share * model.dwells : 1);
+      add(mask, [0, 1], model.entry(0, mask, 0) + model.entry(1, mask, 0));
       continue;
     }
     peaks.forEach((peak, rail) => {
-      const chosen = dwell && dwell[model.eachRail ? 2 * mask + rail : mask];
       const own = model.law.equal_times ? 1 / lit : peak;
-      add(mask, [rail], chosen ?? (peak > 0 ? own : 0), dwell ? chosen * model.dwells : 1);
+      add(mask, [rail], peak > 0 ? own : 0);
     });
   }
   return frames;
@@ -34,7 +32,7 @@ function framesOf(model, dwell = null, look = 0) {
 function slicesOf(model) {
   const places = Array.from({ length: model.readouts }, (_, place) => place);
   const rails = model.peaks.map((_, rail) => rail);
-  const slice = { mask: null, rails, look: 0, share: 1 / SLICES, places, scale: 1 / SLICES };
+  const slice = { mask: null, rails, share: 1 / SLICES, places, scale: 1 / SLICES };
   return Array.from({ length: SLICES }, () => ({ ...slice }));
 }
 
@@ -81,14 +79,9 @@ export class Exposure extends Frames {
     const random = new Random(seed);
     const light = model.rates(scene).map((rate) => rate * photons);
     const rates = model.darkCounts ? light.map((rate, place) => rate + model.darkCounts[place]) : light;
-    for (let look = 0; look < model.looks; look++) {
-      const { lit, dwell } = this.after(this.frames.length);
-      const chosen = dwell && model.choose(lit, photons, look, dwell);
-      const frames = this.together ? slicesOf(model) : framesOf(model, chosen, look);
-      for (const frame of frames) {
-        frame.counts = frame.places.map((place) => poisson(rates[place] * frame.scale, random));
-      }
-      this.frames.push(...frames);
+    this.frames = this.together ? slicesOf(model) : framesOf(model);
+    for (const frame of this.frames) {
+      frame.counts = frame.places.map((place) => poisson(rates[place] * frame.scale, random));
     }
     this.lay();
     for (let count = 1; count < this.frames.length && this.rule && !this.stop; count++) {
@@ -99,30 +92,25 @@ export class Exposure extends Frames {
   /** Counts are drawn beforehand: nothing is to be done to reach a moment. */
   reach() {}
 
-  /** Counts, those of light, dwells and masks shown after so many frames. */
+  /** Counts, those of light, and masks shown after so many frames. */
   after(count) {
     const { model } = this;
     const counts = new Float64Array(model.readouts);
     const scale = new Float64Array(model.readouts);
-    const dwell = model.chooser ? new Array(model.dwells).fill(0) : null;
     this.frames.slice(0, count).forEach((frame) => {
       frame.places.forEach((place, i) => {
         counts[place] += frame.counts[i];
         scale[place] += frame.scale;
       });
-      if (!dwell) return;
-      for (const rail of model.eachRail ? frame.rails : [0]) {
-        dwell[model.eachRail ? 2 * frame.mask + rail : frame.mask] += frame.share;
-      }
     });
     const next = this.frames[count];
-    const shown = this.together || model.chooser || !next ? model.masks : next.mask;
-    return { counts, lit: model.withoutDark(counts, scale), scale, dwell, shown };
+    const shown = this.together || !next ? model.masks : next.mask;
+    return { counts, lit: model.withoutDark(counts, scale), scale, shown };
   }
 
   /**
    * The last probabilities by so many frames, of those that the network learned to give: at the end,
-   * after a look, and after enough of nested masks. Where all masks see light at once they are those
+   * and after enough of nested masks. Where all masks see light at once they are those
    * of so much light.
    */
   answer(count) {
@@ -142,17 +130,15 @@ export class Exposure extends Frames {
     const { model, frames, together } = this;
     const [last, next] = [frames[count - 1], frames[count]];
     if (!next || together) return true;
-    if (model.chooser) return next.look > last.look;
     return next.mask > last.mask && next.mask >= (model.exposure.nested || model.masks);
   }
 
   findAnswer(count) {
     const { model, photons, frames } = this;
     if (count === 0) return { chances: null };
-    const { lit, dwell, shown } = this.after(count);
+    const { lit, shown } = this.after(count);
     const light = this.together ? photons * frames[count - 1].end : photons;
-    const chances = model.classify(lit, light, shown, dwell);
-    return { chances, at: model.chooser ? frames[count - 1].look + 1 : shown };
+    return { chances: model.classify(lit, light, shown), at: shown };
   }
 }
 

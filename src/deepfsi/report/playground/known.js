@@ -13,8 +13,8 @@ export class KnownView {
   constructor(model) {
     Object.assign(this, { model, spectrum: model.image_shape.length === 1 });
     this.squares = new LeastSquares(model);
-    this.unit = model.chooser ? "look" : "mask";
-    this.units = model.chooser ? model.looks : model.masks;
+    this.unit = "mask";
+    this.units = model.masks;
     this.names = { one: "mask 1", all: `mask ${model.masks}`, counts: "counts of each mask" };
   }
 
@@ -34,7 +34,6 @@ export class KnownView {
 
   /** Sentence on the counts that are to be expected of a scene. */
   counted(scene, photons) {
-    if (this.model.chooser) return "";
     const counted = this.model.rates(scene).reduce((a, b) => a + b, 0) * photons;
     const dark = this.model.darkCounts?.reduce((a, b) => a + b, 0);
     const more = dark ? ` and ${photonsText(dark)} dark counts` : "";
@@ -44,8 +43,7 @@ export class KnownView {
   /** What is on the device. */
   state(exposure, count, now) {
     if (!now || exposure.together) return [];
-    const look = this.model.chooser ? [`look ${now.look + 1} of ${this.model.looks}`] : [];
-    return [`frame ${count + 1} of ${exposure.frames.length}`, ...look];
+    return [`frame ${count + 1} of ${exposure.frames.length}`];
   }
 
   /** Picture of the counts after so many frames; null before the first, undefined to keep it. */
@@ -63,7 +61,7 @@ export class KnownView {
       : "";
     if (exposure.together) return `All masks see light at once: this is the answer to the light so far.${judged}`;
     const { nested } = model.exposure;
-    const when = model.chooser ? "each look" : nested ? `mask ${nested} and each later one` : "the last mask";
+    const when = nested ? `mask ${nested} and each later one` : "the last mask";
     return `The network answers after ${when}.${judged}`;
   }
 
@@ -73,17 +71,8 @@ export class KnownView {
   }
 
   drawTimes(exposure, frame) {
-    const { model } = this;
-    const look = frame ? frame.look : model.looks - 1;
-    drawDwells($("dwells"), exposure, look, frame);
-    if (!model.chooser) {
-      $("dwell-words").textContent = "Share of the exposure; the same for every scene.";
-      return;
-    }
-    $("h-dwells").textContent = `Time of each mask in look ${look + 1} of ${model.looks}`;
-    $("dwell-words").textContent = look
-      ? "Share of the exposure, chosen from the counts so far. Short lines: the look before."
-      : "Share of the exposure. The first look is the same for every scene.";
+    drawDwells($("dwells"), exposure, frame);
+    $("dwell-words").textContent = "Share of the exposure; the same for every scene.";
   }
 
   drawMask(exposure, frame) {

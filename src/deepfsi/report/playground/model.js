@@ -26,25 +26,6 @@ function outputs(layers, inputs) {
   return hidden;
 }
 
-/**
- * Leave out frames shorter than the shortest dwell and give their time to the others, in
- * proportion, so that as many are shown as can be.
- */
-function shareOut(dwell, shortest) {
-  const total = dwell.reduce((a, b) => a + b, 0);
-  const order = [...dwell.keys()].sort((a, b) => dwell[b] - dwell[a] || a - b);
-  let sum = 0;
-  let kept = 0;
-  for (const place of order) {
-    sum += dwell[place];
-    if (dwell[place] * total < shortest * (1 - 1e-6) * sum) break;
-    kept += 1;
-  }
-  const shown = new Set(order.slice(0, Math.max(kept, 1)));
-  const light = [...shown].reduce((all, place) => all + dwell[place], 0);
-  return dwell.map((each, place) => (shown.has(place) ? (each * total) / light : 0));
-}
-
 /** What all designs have. */
 export class Design {
   constructor(payload) {
@@ -79,26 +60,21 @@ export class Design {
 export class Model extends Design {
   /** The design of a payload, its arrays unpacked. */
   static async load(payload) {
-    const layers = (packed) =>
-      Promise.all(
-        packed.map(async ({ weight, bias }) => ({
-          weight: await unpack(weight),
-          bias: await unpack(bias),
-        })),
-      );
     const model = new Model(payload);
     model.matrix = (await unpack(payload.matrix)).values;
     model.total = payload.total && (await unpack(payload.total)).values;
     model.mean = (await unpack(payload.mean)).values;
     model.std = (await unpack(payload.std)).values;
     model.darkCounts = payload.dark ? (await unpack(payload.dark_counts)).values : null;
-    model.network = await layers(payload.network);
-    model.chooser = payload.exposure.chooser && (await layers(payload.exposure.chooser));
+    model.network = await Promise.all(
+      payload.network.map(async ({ weight, bias }) => ({
+        weight: await unpack(weight),
+        bias: await unpack(bias),
+      })),
+    );
     model.masks = model.matrix.length / model.pixels;
     model.features = model.mean.length;
-    model.looks = payload.exposure.looks ?? 1;
     model.eachRail = model.rails === 2 && model.law.arms === 1;
-    model.dwells = model.masks * (model.eachRail ? 2 : 1);
     model.frames = model.findFrames();
     model.peaks = model.findPeaks();
     return model;
@@ -177,18 +153,16 @@ export class Model extends Design {
 
   /**
    * Inputs of the classifier of counts so far. Features of masks that were not shown are 0, their
-   * mean over the training scenes; of several looks the dwells of the frames are inputs too.
+   * mean over the training scenes.
    */
-  inputs(counts, photons, shown = this.masks, dwell = null) {
+  inputs(counts, photons, shown = this.masks) {
     const features = this.read(counts);
     const width = this.features / this.masks;
     const inputs = [];
     for (let i = 0; i < this.features; i++) {
-      const relative = dwell ? dwell[Math.floor((i * this.dwells) / this.features)] * this.dwells : 1;
-      const scaled = (features[i] / photons - relative * this.mean[i]) / this.std[i];
+      const scaled = (features[i] / photons - this.mean[i]) / this.std[i];
       inputs.push(i < shown * width ? scaled : 0);
     }
-    if (dwell) for (const each of dwell) inputs.push((each * this.dwells) / 3);
     if (this.exposure.kind !== "conditioned") return inputs;
     const { photons: low, span, masks, used } = this.exposure;
     while (inputs.length < masks * width) inputs.push(0);
@@ -199,26 +173,16 @@ export class Model extends Design {
   }
 
   /** Calibrated probabilities of the classes; parameters as of `inputs`. */
-  classify(counts, photons, shown = this.masks, dwell = null) {
-    const temperature = this.temperature(photons, shown, dwell);
-    const logits = outputs(this.network, this.inputs(counts, photons, shown, dwell));
+  classify(counts, photons, shown = this.masks) {
+    const temperature = this.temperature(photons, shown);
+    const logits = outputs(this.network, this.inputs(counts, photons, shown));
     return softmax(logits.map((each) => each / temperature));
   }
 
-  /** What the logits are divided by: interpolated between budgets, and between masks or looks. */
-  temperature(photons, shown, dwell) {
+  /** What the logits are divided by: interpolated between budgets, and between masks. */
+  temperature(photons, shown) {
     if (!this.temperatures) return 1;
     const first = this.exposure.nested || this.masks;
-    const place = dwell ? dwell.reduce((a, b) => a + b, 0) * this.looks - 1 : shown - first;
-    return temperatureAt(this.temperatures, photons, place);
-  }
-
-  /** Dwells of the frames of a look, from 0, shares of the exposure. */
-  choose(counts, photons, look, dwell) {
-    const inputs = [...this.inputs(counts, photons, this.masks, dwell), 1 - look / this.looks];
-    const bound = this.exposure.largest_score;
-    const scores = outputs(this.chooser, inputs).map((score) => bound * Math.tanh(score / bound));
-    const share = softmax(scores).map((each) => each / this.looks);
-    return shareOut(share, this.exposure.shortest);
+    return temperatureAt(this.temperatures, photons, shown - first);
   }
 }

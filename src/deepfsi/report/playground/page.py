@@ -100,7 +100,6 @@ def _readout(payload: _Payload) -> str:
 
 def way_text(payload: _Payload) -> str:
     """Sentences on the way in which the camera counts."""
-    looks = payload.get("exposure", {}).get("looks")
     law = LIGHT_LAWS[payload["light"]]
     if law.in_turn and not law.one_device:
         return f"{law.words.capitalize()}."
@@ -121,11 +120,6 @@ def way_text(payload: _Payload) -> str:
         words += (
             " Each next mask is made from all counts so far: of those that separate the likeliest "
             "classes, the one of which the counts are expected to tell most of the class."
-        )
-    if looks:
-        words += (
-            f" It goes through its masks {looks} times, and each time it chooses from the counts "
-            "so far for how long to show each mask."
         )
     return words
 

@@ -1,1 +1,0 @@
-"""Designs for several budgets and numbers of masks, and several looks."""
