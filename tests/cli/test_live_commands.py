@@ -27,7 +27,7 @@ def lab(tmp_path_factory, digits):
     return folder
 
 
-def test_each_decision_is_printed_and_a_replay_agrees(done, refuse, lab, made, tmp_path):
+def test_each_decision_is_printed_and_a_run_is_classified(done, refuse, lab, made, tmp_path):
     run = tmp_path / "run"
     out = done("camera", "live", lab / "patterns", "--scene", lab / "images", *LIGHT, "-o", run)
     lines = [line for line in out.splitlines() if ", clock " in line and "confidence" in line]
@@ -37,7 +37,6 @@ def test_each_decision_is_printed_and_a_replay_agrees(done, refuse, lab, made, t
         assert "3 looks, light 10 ms (100%)" in line
     assert "right: " in out
     out = done("camera", "classify", lab / "adaptive.safetensors", run)
-    assert "as decided in the run: 3 of 3 scenes, bit for bit: 3\n" in out
     assert "a live run: 3 scenes, 9 looks" in done("camera", "count", run)
     assert done("camera", "classify", lab / "adaptive.safetensors", run) == out
     fixed = made("deepfsi", "free-dwell", "single").save(tmp_path / "fixed.safetensors")
@@ -79,11 +78,9 @@ def test_ctrl_c_keeps_the_scenes_that_are_finished(done, lab, tmp_path):
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
     assert b"finished scenes are kept" in errors
-    done("camera", "count", tmp_path / "run")
     told = done("camera", "classify", lab / "adaptive.safetensors", tmp_path / "run", "--json")
     scenes = json.loads(told)["scenes"]
     assert 1 <= len(scenes) < 150
-    assert all(each["agrees"] and each["bit_for_bit"] for each in scenes)
 
 
 def test_a_run_in_which_no_scene_has_light_ends_with_an_error(call, lab, tmp_path):

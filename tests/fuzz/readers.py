@@ -102,7 +102,7 @@ def use_run(path: Path) -> None:
 
 
 def use_live(path: Path) -> None:
-    replay.LiveCounts.read(path.parent)
+    replay.LiveCounts.count(path.parent)
 
 
 def use_photons(path: Path) -> None:
@@ -164,7 +164,6 @@ READERS = {
     "counts": Reader("lost/counts.npz", use_run, ZIP),
     "photons": Reader("clicks/photons.ptu", use_photons, (mangled,), 8),
     "shown frames": Reader("live-adaptive/shown.jsonl", use_live, (changed_lines, mangled)),
-    "live counts": Reader("live-adaptive/counts.npz", use_live, ZIP, 2),
     "calibration": Reader("calibration/calibration.json",
                           lambda path: Calibration.load(path.parent).doubts, JSON),
     "scenes": Reader("scenes.csv", read_scenes, TABLE, 3),
@@ -270,7 +269,6 @@ def make_samples(folder: Path) -> None:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(words)
     count_run(folder / "lost")
-    replay.LiveCounts.count(folder / "live")
     device, rails = find_device("24x16"), design_rails(folder / "fixed.safetensors")
     packed = device.model_copy(update={"controller": "dlpc900"})
     for kind, shown in {"npy": device, "png": device, "bmp": device, "planes": packed}.items():

@@ -10,7 +10,7 @@ from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene
 from deepfsi.hardware.live import run
 from deepfsi.hardware.live.looks import LookChooser
-from deepfsi.hardware.live.replay import LiveCounts, replay_run
+from deepfsi.hardware.live.replay import replay_run
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
 from deepfsi.hardware.virtual.camera import CAMERAS
@@ -50,17 +50,17 @@ def scenes_of(digits, count: int) -> tuple[np.ndarray, tuple[Scene, ...]]:
 
 
 def replay(folder: Path):
-    """Replay a run that was counted."""
-    return replay_run(LiveCounts.read(folder), open_looks(folder / "patterns")).scenes
+    """Scenes of a run, decided again."""
+    return replay_run(folder, open_looks(folder / "patterns")).scenes
 
 
 def check_replay(folder: Path, decided: list[run.LiveStep]) -> None:
-    """Count a run; its replay comes to the same decisions, bit for bit."""
-    LiveCounts.count(folder)
-    replayed = replay(folder)
-    assert all(each.answer.agrees and each.answer.bit_for_bit for each in replayed)
-    again = [one.chances for each in replayed for one in each.decisions]
-    assert np.array_equal([each.decision.chances for each in decided], again)
+    """The replay of a run comes to the same decisions, bit for bit."""
+    again = [one for each in replay(folder) for one in each.decisions]
+    assert len(again) == len(decided)
+    for one, each in zip(again, decided, strict=True):
+        assert np.array_equal(one.chances, each.decision.chances)
+        assert (one.final, one.faults) == (each.decision.final, each.decision.faults)
 
 
 def live(

@@ -61,13 +61,6 @@ STEP = (math.sqrt(5) - 1) / 2
 TABLED = 64
 """Masks of which tables are computed at a time."""
 
-ROUNDED_ODDS = 0.5, 1e-3
-"""Share of the best mask's odds that a mask has which rounding may choose, and a slack.
-
-The odds are the light's variance between classes over that within. Where rounding draws another
-scene, of 16 or more, they change by more than sums that are rounded.
-"""
-
 POWER = 0.85
 """Power of the likelihood of a look at scenes that lie near those of the prior.
 
@@ -266,14 +259,6 @@ class DictionaryPosterior(AdaptivePosterior):
         part = self._part
         first = self.tables.starts[part]
         return [first + int(self._odds(logs, part).argmax()) for logs in self.logs.numpy()]
-
-    def rounds_to(self, index: int) -> bool:
-        """True if a processor that rounds differently may choose a mask in the first exposure."""
-        [logs, *_] = self.logs.numpy()
-        odds = self._odds(logs, self._part)
-        row = index - self.tables.starts[self._part]
-        share, least = ROUNDED_ODDS
-        return 0 <= row < len(odds) and bool(odds[row] >= share * odds.max() - least)
 
     @property
     def _part(self) -> int:

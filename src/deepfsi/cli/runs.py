@@ -99,9 +99,7 @@ class CountRun(Command):
         if is_live(self.folder, self.flat, *options.values(), *self.settings.values()):
             with terminal.progress("counting") as report:
                 live = LiveCounts.count(self.folder, report)
-            return Outcome(
-                live.as_dict(), [*live.lines(), f"counts: {self.folder / LiveCounts.NAME}"]
-            )
+            return Outcome(live.as_dict(), live.lines())
         with terminal.progress("counting") as report:
             settings = CountSettings(
                 **options,
@@ -155,7 +153,6 @@ class ClassifyRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the exposures."""
-        from deepfsi.hardware.live.replay import LiveCounts, is_live
         from deepfsi.lab.classify import classify_run, classify_table
 
         if self.counted.is_dir():
@@ -165,9 +162,6 @@ class ClassifyRun(Command):
                     f"{self.option(name)} is for tables, and {self.counted} is a folder: leave it "
                     "out"
                 )
-            if is_live(self.counted) and not (self.counted / LiveCounts.NAME).exists():
-                with terminal.progress("counting") as report:
-                    LiveCounts.count(self.counted, report)
             answers = classify_run(
                 self.file, self.counted, photons=self.photons, force=self.force, trust=self.trust
             )

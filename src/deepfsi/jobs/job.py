@@ -222,8 +222,7 @@ class Job(UserModel):
         if self.training.balance and self.training.loss is not None:
             faults.append(
                 Message(
-                    "{balance} weighs the usual loss: leave it out, or {loss}",
-                    setting=("balance", "loss"),
+                    "{balance} weighs the usual loss: leave it out, or `loss`", setting="balance"
                 )
             )
         if self.code.rails == "dual" and self.camera.rails == "single":
@@ -272,9 +271,9 @@ class Job(UserModel):
         others = [name for name in MLP_FACTS.settings if name not in facts.settings]
         if any(getattr(mine, name) != getattr(usual, name) for name in others):
             yield Message(
-                "{hidden} and {dropout} are of the usual classifier: give them to a "
+                "{hidden} and `dropout` are of the usual classifier: give them to a "
                 "classifier of your own as its arguments",
-                setting=("hidden", "dropout"),
+                setting="hidden",
             )
         if facts.features != self.exposure.features:
             yield (
@@ -524,9 +523,9 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
         )
     if "start_counts" in given and job.training.counts is None:
         raise InputError(
-            "{start_counts} is of few counts within a budget: leave it out, or give {counts} and "
+            "`start_counts` is of few counts within a budget: leave it out, or give {counts} and "
             "{photons}",
-            setting=("start_counts", "counts", "photons"),
+            setting=("counts", "photons"),
         )
     if "start" in given and not job.code.learns_masks:
         raise InputError(

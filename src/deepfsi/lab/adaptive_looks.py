@@ -4,7 +4,6 @@ A mask that is made is loaded before its look. Masks of a dictionary are frames 
 the device holds from the start: a look names one, and nothing is loaded.
 """
 
-import math
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepfsi.adaptive.choice import candidate_masks, next_masks
+from deepfsi.adaptive.choice import next_masks
 from deepfsi.adaptive.dictionary import DictionaryPosterior
 from deepfsi.adaptive.exposure import squared_distance
 from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
@@ -48,14 +47,6 @@ SAME_LIGHT = 0.02
 """Relative difference of budgets within which the tables of a dictionary serve for both.
 
 All-ON frames tell a budget no better: they differ with the brightness of scenes.
-"""
-
-MIRRORS_ROUNDED = 0.02
-"""Share of a candidate's mirrors that may differ by rounding: those at its threshold.
-
-Of 3200 looks at MNIST torch's kernels for AVX2 chose another candidate than those for AVX-512 in
-464, since many tell as much, most of them when nothing was left to tell. The mask shown was always
-one of the candidates, but for 4 of 784 mirrors of one mask. This leaves a factor of 4.
 """
 
 
@@ -150,20 +141,6 @@ class _AdaptiveLiveExposure:
         return FrameList(look, self._looks.frames, gate, masks.bool().numpy())
 
     @library_defaults(grad=False)
-    def may_be(self, asked: FrameList, shown: FrameList) -> bool:
-        """True if a processor that rounds differently may ask for what was shown.
-
-        Of the candidates one is shown, and rounding decides between two that tell as much.
-        """
-        assert shown.masks is not None
-        gates = np.array_equal(shown.gate_ns, asked.gate_ns)
-        if shown.look != asked.look or not gates or len(shown.masks) != 1:
-            return False
-        masks = candidate_masks(self._posterior)[0].bool().numpy()  # (P, N)
-        mirrors = (masks != shown.masks).sum(axis=1).min()
-        return bool(mirrors <= math.ceil(MIRRORS_ROUNDED * masks.shape[1]))
-
-    @library_defaults(grad=False)
     def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
         assert asked.masks is not None
@@ -200,15 +177,6 @@ class _StoredMaskExposure(_AdaptiveLiveExposure):
         """Frame of the mask of the dictionary that tells most of the class."""
         gate = np.array([round(self._looks.shares[look] * self._state.exposure_ns)])
         return FrameList(look, self._looks.frames[self._posterior.choose()], gate)
-
-    def may_be(self, asked: FrameList, shown: FrameList) -> bool:
-        """True if a processor that rounds differently may ask for what was shown."""
-        gates = np.array_equal(shown.gate_ns, asked.gate_ns)
-        if shown.look != asked.look or not gates:
-            return False
-        row = self._looks.row_of(shown)
-        stored = np.array_equal(self._looks.frames[row : row + 1], shown.frames)
-        return stored and self._posterior.rounds_to(row)
 
     @library_defaults(grad=False)
     def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:

@@ -16,7 +16,7 @@ from deepfsi.hardware.calibration.reference import (
 from deepfsi.hardware.calibration.scans import find_detectors, find_gains, save_detectors
 from deepfsi.hardware.counting.acquisition import Calibration, read_run
 from deepfsi.hardware.counting.counts import Counts, read_counts
-from deepfsi.hardware.live.replay import LiveCounts, is_live, replay_run
+from deepfsi.hardware.live.replay import is_live, replay_run
 from deepfsi.lab.looks import open_looks
 
 
@@ -42,16 +42,14 @@ def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
     """Place of scenes on the device, from a counted run of the reference target."""
     if not is_live(folder):
         return find_reference(_photons(folder), read_run(folder).patterns, report)
-    counts = LiveCounts.read(folder)
-    replayed = replay_run(counts, open_looks(folder / "patterns"))
+    replayed = replay_run(folder, open_looks(folder / "patterns"), report)
     lit = [scene.rows for scene in replayed.scenes if scene.rows is not None]
     if not lit:
         raise InputError(f"no scene of {folder} had light: record the reference again")
     rows = SceneReadouts.join(lit)
     variance = rows.counts.clip(min=0) + rows.noise
-    return find_reference_of_masks(
-        rows.masks, rows.counts, variance, counts.manifest, report=report
-    )
+    manifest = read_run(folder).patterns.manifest
+    return find_reference_of_masks(rows.masks, rows.counts, variance, manifest, report=report)
 
 
 def gains_of(flat: Path) -> tuple[float, ...]:

@@ -31,7 +31,7 @@ from deepfsi.hardware.counting.acquisition import ReferenceVerdict, Scene, read_
 from deepfsi.hardware.counting.counts import Counts, read_counts
 from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.hardware.light.checks import Fault
-from deepfsi.hardware.live.replay import LiveCounts, is_live, replay_run
+from deepfsi.hardware.live.replay import is_live, replay_run
 from deepfsi.hardware.live.results import LiveAnswers
 from deepfsi.hardware.patterns.folder import Patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import Manifest
@@ -203,9 +203,8 @@ def classify_run(
             "{words}; {force} classifies them all the same", setting="force", words=verdict.words
         )
     if is_live(path, photons):
-        live = LiveCounts.read(path)
-        _check_design(design, live.manifest)
-        return replay_run(live, open_looks(path / "patterns")).answers
+        _check_design(design, read_run(path).patterns.manifest)
+        return replay_run(path, open_looks(path / "patterns")).answers
     if photons is not None:
         check_budget(photons)
     recorded = read_run(path)

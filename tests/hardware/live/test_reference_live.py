@@ -4,7 +4,6 @@ import numpy as np
 
 from deepfsi.hardware.calibration import reference
 from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.live.replay import LiveCounts
 from deepfsi.hardware.live.run import run_live
 from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
@@ -23,7 +22,6 @@ def test_the_reference_of_a_live_run_tells_how_scenes_lie(digits, tmp_path):
         acquisition, looks = planned(patterns, scenes, 0.1, flux=5e6, camera=camera)
         devices = virtual_setup(patterns, target, acquisition, Latencies())
         list(run_live(tmp_path / name, patterns, acquisition, devices, looks))
-        LiveCounts.count(tmp_path / name)
         places[name] = check_view(tmp_path / name)
     assert places["as exported"].layout == places["as exported"].exported
     assert places["turned"].layout.rotate == 180

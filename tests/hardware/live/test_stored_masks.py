@@ -67,10 +67,9 @@ def run(folder, patterns, data, count, **settings):
 
 @pytest.fixture(scope="module")
 def whole(digits, patterns, tmp_path_factory):
-    """Folder of a run of 100 scenes that was counted, and its decisions."""
+    """Folder of a run of 100 scenes, and its decisions."""
     folder = tmp_path_factory.mktemp("whole") / "run"
     decided = run(folder, patterns, digits, 100)
-    LiveCounts.count(folder)
     return folder, decided
 
 
@@ -106,11 +105,10 @@ def test_frames_that_are_shown_are_the_exported_ones_bit_for_bit(
     )
     projector.replace = None  # a load would fail
     list(run_live(tmp_path / "run", patterns, acquisition, devices, looks))
-    LiveCounts.count(tmp_path / "run")
     pictures = list(read_frames(patterns))
     manifest = read_patterns(patterns).manifest
     asked = [frames for frames in shown if frames != [0, OFF, OFF]]
-    for scene in LiveCounts.read(tmp_path / "run").log.scenes:
+    for scene in frame_log.FrameLog.read(tmp_path / "run").scenes:
         looked = scene.lists[1:-1]
         assert len(looked) == LOOKS
         assert len({each.frames for each in looked}) > LOOKS / 2
@@ -129,7 +127,7 @@ def test_counts_are_those_of_the_exported_pictures(digits, patterns, whole):
     folder, _ = whole
     x, _ = scenes_of(digits, 100)
     read, z = read_patterns(patterns), []
-    for shown, lists in LiveCounts.read(folder).by_scene:
+    for shown, lists in LiveCounts.count(folder).by_scene:
         for each, counted in zip(shown.lists[1:-1], lists[1:-1], strict=True):
             lit = read.fractions[each.frames[0] - 2]
             light = lit @ x[shown.scene].ravel() * FLUX / read.manifest.summed_reflectance
@@ -142,7 +140,7 @@ def test_counts_are_those_of_the_exported_pictures(digits, patterns, whole):
 
 
 def test_decisions_are_those_of_the_design_and_its_replay(digits, design, patterns, whole):
-    """Accuracy within the noise of both; the replay decides the same, bit for bit."""
+    """Accuracy within the noise of both; the replay answers the same."""
     folder, decided = whole
     last = [each.answer for each in decided if each.answer]
     right = np.mean([each.predicted == each.label for each in last if each.predicted])
@@ -154,13 +152,11 @@ def test_decisions_are_those_of_the_design_and_its_replay(digits, design, patter
     )
     counts = [
         sum(list_counts.counts.sum() for list_counts in lists[1:-1])
-        for _, lists in LiveCounts.read(folder).by_scene
+        for _, lists in LiveCounts.count(folder).by_scene
     ]
     # scenes are the same, masks follow from other counts
     assert np.mean(counts) == pytest.approx(wanted.counts, rel=0.05)
-    again = [each.answer for each in replay(folder)]
-    assert all(each.agrees and each.bit_for_bit for each in again)
-    assert [each.predicted for each in again] == [each.predicted for each in last]
+    assert [each.answer for each in replay(folder)] == last
     faults = [fault.kind for each in last for fault in each.faults]
     assert set(faults) <= {"unsure"}
     assert len(faults) <= 11  # 0.04 of 100 at most, at a chance of 1 in 1000
@@ -231,47 +227,16 @@ def test_a_mask_without_light_is_not_of_a_dictionary(design, tmp_path):
     assert len(kept) == MASKS - 1
 
 
-def other_index(folder, look, choose):
-    """Change the frame of a look in the record of a run of one scene; what it was."""
-    path = folder / frame_log.FrameLog.NAME
-    content = json.loads(path.read_text())
-    [frame] = content["lists"][look + 1]["frames"]
-    content["lists"][look + 1]["frames"] = [choose(frame)]
-    path.write_text(json.dumps(content) + "\n")
-
-
-@pytest.mark.parametrize(
-    "another", [lambda frame: 2 + MASKS, lambda frame: OFF, lambda frame: None]
-)
-def test_an_index_that_rounding_does_not_explain_is_found(digits, patterns, tmp_path, another):
-    """A frame that is none of the dictionary, or a mask that tells much less than the best."""
+@pytest.mark.parametrize("other", [2 + MASKS, OFF])
+def test_a_frame_that_is_no_mask_of_the_dictionary_is_found(digits, patterns, tmp_path, other):
     folder = tmp_path / "run"
     run(folder, patterns, digits, 1)
-    exposure = open_looks(patterns).exposure
-    state = exposure.posterior(1, exposure.optics_at(FLUX * EXPOSURE_S))
-    worst = next(row for row in range(MASKS) if not state.rounds_to(row))
-    other_index(folder, 0, lambda frame: another(frame) or 2 + worst)
-    LiveCounts.count(folder)
-    with pytest.raises(InputError, match="not the one that follows from its counts"):
+    path = folder / frame_log.FrameLog.NAME
+    content = json.loads(path.read_text())
+    content["lists"][1]["frames"] = [other]
+    path.write_text(json.dumps(content) + "\n")
+    with pytest.raises(InputError, match="does not fit the patterns"):
         replay(folder)
-
-
-def test_an_index_that_rounding_explains_is_taken_as_it_was_shown(
-    digits, patterns, tmp_path, monkeypatch
-):
-    folder = tmp_path / "run"
-    run(folder, patterns, digits, 2)
-    LiveCounts.count(folder)
-    posterior = adaptive_looks.DictionaryPosterior
-
-    def second(state):
-        rows = [row for row in range(MASKS) if state.rounds_to(row)]
-        return rows[:1]
-
-    monkeypatch.setattr(posterior, "choose", second)
-    again = [each.answer for each in replay(folder)]
-    assert [each.agrees for each in again] == [True, True]
-    assert not all(each.bit_for_bit for each in again)
 
 
 def test_tables_are_kept_while_the_light_stays(digits, patterns, tmp_path, monkeypatch):

@@ -6,6 +6,7 @@ scenes before.
 
 from base64 import b64decode, b64encode
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -17,6 +18,7 @@ from deepfsi.base.files import read_regular
 from deepfsi.base.models.strict import StrictModel, WholeNumber
 from deepfsi.hardware.light.checks import Fault
 from deepfsi.hardware.live.looks import FrameList
+from deepfsi.hardware.patterns.manifest import Manifest
 
 DARK_SCENE = -1
 """Number of the pass before the scenes, with these dark, by which their background is measured."""
@@ -56,19 +58,18 @@ class LoggedList(StrictModel):
         return self
 
     def matches(self, asked: FrameList) -> bool:
-        """True if these are the frames, their gates and their masks."""
+        """True if these are the frames and their gates."""
         return (
             self.look == asked.look
             and np.array_equal(self.frames, asked.frames)
             and np.array_equal(self.gate_ns, asked.gate_ns)
-            and self.masks == _packed(asked.masks)
         )
 
-    def as_shown(self, asked: FrameList) -> FrameList:
-        """The list as it was shown; its masks have as many pixels as those asked for."""
+    def as_shown(self, manifest: Manifest) -> FrameList:
+        """The list as it was shown; its masks have the pixels of the patterns."""
         masks = None
-        if asked.masks is not None:
-            pixels = asked.masks.shape[1]
+        if self.masks:
+            pixels = prod(manifest.image_shape)
             size = (pixels + 7) // 8
             try:
                 bits = np.frombuffer(b"".join(map(b64decode, self.masks)), np.uint8)

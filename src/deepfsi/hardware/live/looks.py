@@ -33,17 +33,6 @@ class FrameSource(Protocol):
         """Counts of the frames of a list."""
 
 
-class ShownLooks(Protocol):
-    """Looks of a scene that a run showed: its replay decides from these, not from its own."""
-
-    @property
-    def ended(self) -> bool:
-        """True if no look was shown after those that were followed."""
-
-    def follow(self, asked: FrameList, exposure: "LiveExposure") -> FrameList:
-        """The next look as it was shown; `InputError` if not by rounding alone another one."""
-
-
 class SceneSignal(NamedTuple):
     """Counts of frames that are a scene's, and the variance beyond that of Poisson counts."""
 
@@ -98,9 +87,6 @@ class LiveExposure(Protocol):
 
     def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
-
-    def may_be(self, asked: FrameList, shown: FrameList) -> bool:
-        """True if a processor that rounds differently may ask for what was shown."""
 
     def compare(self, on: AllOnCounts) -> SceneComparison | None:
         """Comparison of all counts with the training; none where nothing of it is known."""

@@ -1,8 +1,7 @@
 """Decisions of a live run, from counts alone: the class of each scene, and what to show next.
 
 One code serves a run and its replay. It asks a source for the counts of a list of frames: devices
-show and count them, or the record of a run is looked up. So a replay that is given the same counts
-comes to the same decisions, bit by bit.
+show and count them, or the record of a run is looked up. A replay takes the looks that were shown.
 
 Each scene begins and ends with an all-ON and an all-OFF frame. A scene whose first all-ON frame is
 no brighter than the all-OFF ones has no light, and gets no class. The budget is the flux of the
@@ -19,7 +18,7 @@ rate up to which that is sure ends the run; a short gate that is, by chance, is 
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,7 +38,6 @@ from deepfsi.hardware.live.looks import (
     FrameSource,
     LookChooser,
     SceneComparison,
-    ShownLooks,
     rows_of,
 )
 from deepfsi.hardware.patterns.manifest import Manifest
@@ -55,15 +53,6 @@ def margin_ns(gate_ns: np.ndarray) -> np.ndarray:
     """Time by which pictures outlast their gates, ns."""
     return np.maximum(MARGIN_NS, CLOCKS_DIFFER * gate_ns)
 
-
-CHANCE_ROUNDING = 1e-3
-"""Difference of a probability that two processors compute of the same counts, at most.
-
-They are computed in float32, and differed by 7e-6 at 10⁴ photons between kernels of two processors.
-Log-likelihoods grow with the light, and their rounding with them: logarithms of probabilities
-differed by 1e-5 at 10⁴ photons and by 6e-4 at 10⁶. A quarter of this, p (1 - p), is the largest
-difference, 1.4e-4, and this leaves a factor of 7. Confidences are printed to as many digits.
-"""
 
 ON = 0
 """Place of the all-ON frame among the frames of a manifest."""
@@ -154,7 +143,7 @@ class SceneObserver:
         self._light.ambient = float((rates[ON] - dark)[manifest.arm].sum())
 
     def observe(
-        self, scene: int, source: FrameSource, shown: ShownLooks | None = None
+        self, scene: int, source: FrameSource, shown: Sequence[FrameList] | None = None
     ) -> Iterator[Decision]:
         """Decisions after each look at the next scene.
 
@@ -164,8 +153,8 @@ class SceneObserver:
             From 0, in their order.
         source : FrameSource
             Of the counts of its frames.
-        shown : ShownLooks, optional
-            Looks that were shown, in a replay.
+        shown : sequence of FrameList, optional
+            All looks that were shown, in a replay.
 
         Yields
         ------
@@ -188,11 +177,10 @@ class SceneObserver:
         asked: list[FrameList] = []
         arrivals: list[Arrivals] = []
         light_ns = 0
-        last = len(self.looks.shares) - 1
-        rule = self._settings.rule
+        last = len(self.looks.shares if shown is None else shown) - 1
+        rule = self._settings.rule if shown is None else None
         for look in range(last + 1):
-            wanted = exposure.ask(look)
-            asked.append(wanted if shown is None else shown.follow(wanted, exposure))
+            asked.append(exposure.ask(look) if shown is None else shown[look])
             arrivals.append(self._arrivals(source, asked[-1]))
             chances = exposure.take(asked[-1], arrivals[-1])
             light_ns += int(asked[-1].gate_ns.sum())
@@ -206,8 +194,6 @@ class SceneObserver:
             )
             confidence = float(chances.max())
             sure = rule is not None and rule.stops(confidence, state.photons)
-            if shown and rule and abs(confidence - rule.threshold) <= CHANCE_ROUNDING:
-                sure = shown.ended  # rounding decides, and here that of the run
             if sure or look == last:
                 break
             yield decision

@@ -28,16 +28,13 @@ class LiveScene:
     photons: float | None  # budget of a whole exposure
     light_s: float  # exposure that was used, seconds
     clock_s: float  # from the first command to the class, seconds
-    agrees: bool | None = None
-    bit_for_bit: bool | None = None
     faults: tuple[Fault, ...] = ()  # of its light, its budget and its counts
     trained_on: bool | None = None  # True if the design was
 
     @classmethod
     def of(
-        cls, scene: Scene, decision: Decision | None, looks: LookChooser, *,
-        clock_s: float, agrees: bool | None = None, bit_for_bit: bool | None = None,
-    ) -> Self:  # fmt: skip
+        cls, scene: Scene, decision: Decision | None, looks: LookChooser, *, clock_s: float
+    ) -> Self:
         """Class of a scene after its last decision; none is of a scene without light."""
         [trained] = was_trained_on(looks.training_scenes, [scene.hash])
         best = None
@@ -52,8 +49,6 @@ class LiveScene:
             photons=decision.photons if decision else None,
             light_s=decision.light_s if decision else 0.0,
             clock_s=clock_s,
-            agrees=agrees,
-            bit_for_bit=bit_for_bit,
             faults=decision.faults if decision else (),
             trained_on=trained,
         )
@@ -63,8 +58,6 @@ class LiveScene:
         names = {"name": "scene", "predicted": "class"}
         content = {names.get(name, name): value for name, value in vars(self).items()}
         content["faults"] = [str(fault) for fault in self.faults]
-        if self.agrees is None:
-            del content["agrees"], content["bit_for_bit"]
         return content
 
     def lines(self, exposure_s: float) -> list[str]:
@@ -135,7 +128,7 @@ class LiveAnswers:
         )
 
     def lines(self) -> Iterator[str | Table]:
-        """Say the classes of a run that was replayed, and how often it decides as before."""
+        """Say the classes of a run that was replayed."""
         heads = ("scene", "class", "confidence", "looks", "light", "labelled", "remarks")
         rows = [
             (
@@ -155,10 +148,6 @@ class LiveAnswers:
             for fault in scene.faults:
                 yield fault.words(names)
         yield from self._score_lines()
-        agree = sum(bool(scene.agrees) for scene in self.scenes)
-        same = sum(bool(scene.bit_for_bit) for scene in self.scenes)
-        other = "; another processor rounds differently" if same < agree else ""
-        yield f"as decided in the run: {agree} of {len(rows)} scenes, bit for bit: {same}{other}"
 
     @property
     def score(self) -> Score:
