@@ -247,8 +247,6 @@ light = ['column', 'equal-dwell']
 [training]
 epochs = 1
 hidden = [8, 8]
-[exposure]
-looks = 1
 """,
     "scenes.csv": 'name,label\n"a, b",x\nb,\nc,y\n',
     "calibration/calibration.json": """{
