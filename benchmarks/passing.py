@@ -24,11 +24,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deepfsi import Camera, Passing, Training, evaluate, learn, load_dataset
+from deepfsi import Camera, Training, evaluate, learn, load_dataset
 from deepfsi.base.numeric.intervals import wilson
 from deepfsi.base.progress import SILENT
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.lab.transits import classify_transits, simulate_transits
+from deepfsi_flow.settings import Passing
+from deepfsi_flow.transits import classify_transits, simulate_transits
 
 KINDS: dict[str, dict[str, Any]] = {
     "learned, grey": {"design": "deepfsi", "camera": Camera()},

@@ -22,6 +22,8 @@ PROGRAM = """
 import pkgutil, sys
 from importlib import import_module
 
+import click
+
 sys.modules[sys.argv[1]] = None  # an editable installation has it on a path of its own
 import deepfsi
 from deepfsi.base.errors import InputError
@@ -35,7 +37,7 @@ for line in core:
     app(line.split(), standalone_mode=False)
 try:
     app(lacking.split(), standalone_mode=False)
-except InputError as error:
+except (InputError, click.ClickException) as error:
     print(error)
 """
 LACKS = {
@@ -43,6 +45,7 @@ LACKS = {
         "camera record frames --scene images --projector vialux --counter swabian -o lab",
         "unknown projector 'vialux'",
     ),
+    "deepfsi_flow": ("mask a.safetensors --pixel 5 -o mask.svg", "No such command 'mask'"),
     "deepfsi_paper": ("reproduce mnist -o paper", "install deepfsi again"),
 }
 """A command for which a package is needed, and what is said without it."""

@@ -60,7 +60,12 @@ def test_a_wheel_of_the_sdist_compares_reproduces_and_writes_pages(installed, tm
     [own] = installed.glob("lib/*/site-packages")
     files = {each.relative_to(SOURCE) for each in SOURCE.rglob("*.*") if each.suffix != ".pyc"}
     assert {each.relative_to(own) for each in own.rglob("*.*")} >= files
-    assert {path.parts[0] for path in files} == {"deepfsi", "deepfsi_drivers", "deepfsi_paper"}
+    assert {path.parts[0] for path in files} == {
+        "deepfsi",
+        "deepfsi_drivers",
+        "deepfsi_flow",
+        "deepfsi_paper",
+    }
     assert (own / "deepfsi/py.typed").is_file()
     recipe = own / "deepfsi_paper/recipes/quantization.toml"
     recipe.write_text(recipe.read_text().partition("[quick]")[0] + QUICK)

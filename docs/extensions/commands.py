@@ -17,8 +17,10 @@ FIRST = "Options"
 
 
 def headings():
-    """Commands of ``deepfsi`` by their heading, in its order: heading → names."""
-    return {heading: list(entries) for heading, entries in app.headings.items()}
+    """Commands of ``deepfsi`` by their heading; the first has those of packages beside the core."""
+    found = {heading: list(entries) for heading, entries in app.headings.items()}
+    found["Design"] += app.beside
+    return found
 
 
 def named(heading):

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from deepfsi.evaluation.ideal import ideal_observer as ideal_observer
     from deepfsi.jobs.exposures import Fixed as Fixed
     from deepfsi.jobs.exposures import Nested as Nested
-    from deepfsi.jobs.exposures import Passing as Passing
     from deepfsi.jobs.exposures import Range as Range
     from deepfsi.jobs.exposures import SharedLight as SharedLight
     from deepfsi.jobs.job import Job as Job
@@ -54,7 +53,6 @@ _HOMES = {
     "Mlp": "networks.classifiers",
     "Nested": "jobs.exposures",
     "OwnClassifier": "networks.custom",
-    "Passing": "jobs.exposures",
     "Range": "jobs.exposures",
     "Result": "measures.results",
     "Scanner": "physics.scanner",
@@ -84,7 +82,6 @@ __all__ = [
     "Mlp",
     "Nested",
     "OwnClassifier",
-    "Passing",
     "Range",
     "Result",
     "Scanner",

@@ -17,8 +17,11 @@ from deepfsi.cli import app
 from shared.commands import COMMANDS, OPTIONS
 
 HEADINGS = {
-    "": ["Design:", "Study:", "Camera:", "Data:"],
-    "camera": ["Describe the camera:", "Record a run:", "Read a run:", "Calibrate the camera:"],
+    "": ["Design:", "Study:", "Camera:", "Data:", "Beside the core:"],
+    "camera": [
+        *("Describe the camera:", "Record a run:", "Read a run:", "Calibrate the camera:"),
+        "Beside the core:",
+    ],
     "dmd": ["Commands:"],
     "data": ["Commands:"],
 }

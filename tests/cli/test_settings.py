@@ -6,7 +6,7 @@ import pytest
 
 from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields as fields_module
-from deepfsi.jobs.exposures import EXPOSURE_KINDS
+from deepfsi.jobs.exposures import exposure_kinds
 from deepfsi.jobs.job import SETTING_ALIASES, Job
 from deepfsi.jobs.training import Training
 from shared.commands import COMMANDS
@@ -23,7 +23,9 @@ def declared() -> dict[str, str]:
     tables = {"camera": Camera.model_fields, "training": Training.model_fields}
     found = {name: Job.model_fields[name].description for name in OWN}
     found |= {
-        n: kind.model_fields[n].description for n, kind in EXPOSURE_KINDS.items() if n not in RANGED
+        n: kind.model_fields[n].description
+        for n, kind in exposure_kinds().items()
+        if n not in RANGED
     }
     for table, fields in tables.items():
         for name, field in fields.items():

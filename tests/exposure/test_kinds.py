@@ -5,9 +5,10 @@ import shutil
 import pytest
 
 from conftest import synthetic
-from deepfsi import Fixed, Job, Nested, Passing, Range
+from deepfsi import Fixed, Job, Nested, Range
 from deepfsi.base.errors import InputError
 from deepfsi.jobs.exposures import find_exposure
+from deepfsi_flow.settings import Passing
 from deepfsi_paper.patches.settings import Patches
 from golden.file_cases import FOLDER
 from shared.design_files import refused, rewrite
@@ -39,7 +40,7 @@ def test_settings_ask_for_a_kind_and_come_back_from_json(settings, wanted):
     [
         ({"nest": 3}, "no setting 'nest': did you mean 'nested'"),
         ({"bins": 4, "span": 2.0}, "bins and span are of different exposures"),
-        ({"patch": 8, "span": 2.0}, "span and patch are of different exposures"),
+        ({"patch": 8, "span": 2.0}, "patch and span are of different exposures"),
         ({"bins": 2.5}, "bins = 2.5: give a whole number"),
         ({"nested": -1}, "nested = -1: give 1 or more"),
         ({"span": 0.5}, "span = 0.5: give more than 1"),

@@ -31,9 +31,7 @@ def nested(**settings: Any) -> dict[str, Any]:
         settings["train_noise"] = noise
         if noise not in ("ml_gauss", "poisson"):
             settings["noise"] = noise
-    beside = {name: settings.pop(name) for name in ("patch",) if name in settings}
-    job = sorted_settings(settings)
-    return job | {"exposure": job.get("exposure", {}) | beside} if beside else job
+    return sorted_settings(settings)
 
 
 def job(**settings: Any) -> Job:

@@ -143,7 +143,7 @@ def test_masks_start_from_a_matrix_or_a_design(held):
         ({"start": "pca"}, "finite numbers"),
         ({"start": np.full((3, 64), -1.0), "camera": "dmd"}, "negative entries"),
         ({"start": np.ones((3, 64)), "design": "pca"}, "masks of pca do not learn"),
-        ({"start": np.ones((8, 64)), "exposure": {"bins": 8}, "masks": 8}, "starts at random"),
+        ({"start": np.ones((8, 64)), "exposure": {"bins": 8}, "masks": 8}, "start at random"),
     ],
 )
 def test_what_cannot_be_is_refused(digits, given, words):

@@ -11,9 +11,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
+from deepfsi_flow.settings import Passing
 
 PHOTONS = 1e4
-passing = deepfsi.Passing(bins=24, speed=1.5, jitter=0.5)
+passing = Passing(bins=24, speed=1.5, jitter=0.5)
 
 # %%
 # The scenes are handwritten digits of 8 × 8 pixels. A scene moves 1.5 pixels a bin, and the

@@ -16,13 +16,15 @@ class Registry:
             "list projector": {},  # of frames that are chosen meanwhile: a `StreamingProjector`
             "counter": {},  # a `StreamingCounter`
         }
-        # Of kinds of entries: the setting that asks for an exposure, and its class
-        self.schemes: dict[str, tuple[str, str]] = {}
+        # By the kind of their entries: the settings that ask for an exposure, and its class
+        self.schemes: dict[str, tuple[tuple[str, ...], str]] = {}
         self.classifiers: dict[str, str] = {}
+        # By their words, such as "camera transits": import path and summary
+        self.commands: dict[str, tuple[str, str]] = {}
 
-    def add_scheme(self, kind: str, setting: str, target: str) -> None:
-        """Add a kind of exposure: its settings, one of which asks for it, an `Exposure`."""
-        self.schemes[kind] = setting, target
+    def add_scheme(self, kind: str, settings: tuple[str, ...], target: str) -> None:
+        """Add a kind of exposure: the settings that ask for it, and their class, an `Exposure`."""
+        self.schemes[kind] = settings, target
 
     def add_classifier(self, name: str, target: str) -> None:
         """Add a classifier: its `ClassifierFacts`."""
@@ -31,6 +33,10 @@ class Registry:
     def add_device(self, role: str, name: str, target: str) -> None:
         """Add a driver: a class or function whose keywords are the settings of the device."""
         self.devices[role][name] = target
+
+    def add_command(self, words: str, target: str, summary: str) -> None:
+        """Add a command of `deepfsi`, or of one of its groups: a `Command`."""
+        self.commands[words] = target, summary
 
     def open_device(self, role: str, text: str, **wiring: Any) -> Any:
         """Driver of a device by ``NAME[,SETTING=VALUE...]``, not yet taken hold of."""

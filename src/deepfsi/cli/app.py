@@ -20,6 +20,7 @@ import deepfsi
 from deepfsi.base.errors import InputError
 from deepfsi.base.interrupts import STOPPED_EXIT_CODE, say_stopped
 from deepfsi.base.plugins import require_extras
+from deepfsi.base.registry import installed
 from deepfsi.cli.terminal import error_line
 
 
@@ -48,13 +49,24 @@ class Group(click.Group):
         self.headings = headings
         self.entries = {name: entry for those in headings.values() for name, entry in those.items()}
 
+    @property
+    def beside(self) -> dict[str, tuple[str, str]]:
+        """Commands of packages beside the core."""
+        above = "" if self.name == "deepfsi" else f"{self.name} "
+        words = installed().commands.items()
+        return {
+            name.removeprefix(above): entry
+            for name, entry in words
+            if name.startswith(above) and " " not in name.removeprefix(above)
+        }
+
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names in the order of the help."""
-        return list(self.entries)
+        return [*self.entries, *self.beside]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of a name, or the group."""
-        entry = self.entries.get(cmd_name)
+        entry = self.entries.get(cmd_name) or self.beside.get(cmd_name)
         if entry is None:
             return None
         if isinstance(entry, dict):
@@ -67,15 +79,16 @@ class Group(click.Group):
         try:
             from deepfsi.cli.command import ClickCommand  # slow: pydantic
 
-            command = getattr(import_module(f"deepfsi.cli.{module}"), name)
+            command = getattr(import_module(module), name)
             return ClickCommand(command, cmd_name, summary)
         finally:
             gc.enable()
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands under their headings."""
-        width = max(map(len, self.entries))
-        for heading, entries in self.headings.items():
+        beside = {"Beside the core": self.beside} if self.beside else {}
+        width = max(map(len, self.list_commands(ctx)))
+        for heading, entries in {**self.headings, **beside}.items():
             with formatter.section(heading):
                 formatter.write_dl(
                     [

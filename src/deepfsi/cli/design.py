@@ -9,7 +9,7 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
-from deepfsi.base.models.strict import Count, Positive, WholeNumber
+from deepfsi.base.models.strict import Count, WholeNumber
 from deepfsi.base.quantities import budget_text, confidence_text, count_text
 from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
@@ -371,49 +371,5 @@ class ExportClassifier(Command):
                 f"in: counts ({shape}), photons (batch,)",
                 f"out: probabilities (batch, {len(design.classes)})",
                 f"saved: {target}",
-            ],
-        )
-
-
-class WriteMask(Command):
-    """`deepfsi mask`.
-
-    In an .svg, polygons mark what is open, in micrometres; a .png has a dot for each pixel. Learn
-    the design with --levels 2 for a binary pattern.
-
-    Example: deepfsi mask passing.safetensors --pixel 5 -o pattern.svg
-    """
-
-    file: fields.PassingDesign
-    out: Annotated[Path, fields.Output((".svg", ".png"))] = fields.required(
-        "photomask: .svg (polygons, binary patterns) or .png"
-    )
-    pixel: Positive = fields.required(
-        "side of a pixel on the mask, micrometres: that of a scene there"
-    )
-    force: fields.Force = False
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """The pattern, with its size."""
-        from deepfsi.hardware.patterns.photomask import write_photomask
-
-        pattern = write_photomask(self.file, self.out, self.pixel)
-        rows, columns = pattern.shape
-        height = rows * self.pixel
-        width = columns * self.pixel
-        open_share = float(pattern.mean())
-        return Outcome(
-            {
-                "design": str(self.file),
-                "mask": str(self.out),
-                "pixels": [rows, columns],
-                "pixel_um": self.pixel,
-                "um": [height, width],
-                "open": open_share,
-            },
-            [
-                f"{rows} x {columns} pixels of {self.pixel:g} µm, {height:g} x {width:g} µm in "
-                f"all, {open_share:.1%} open",
-                f"photomask: {self.out}",
             ],
         )

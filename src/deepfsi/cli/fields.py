@@ -25,7 +25,7 @@ from deepfsi.camera.detectors import MOST_INPUTS
 from deepfsi.camera.names import find_noise
 from deepfsi.datasets.load import check_source
 from deepfsi.designfile.published import find_design
-from deepfsi.jobs.exposures import EXPOSURE_FIELDS, EXPOSURE_KINDS
+from deepfsi.jobs.exposures import exposure_kinds
 from deepfsi.jobs.job import SETTING_ALIASES, Job
 from deepfsi.jobs.training import Training
 from deepfsi.measures.answers import MOST_DRAWS
@@ -123,8 +123,9 @@ def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
     for table, model in (("camera", Camera), ("training", Training)):
         if table == "training":
             fields |= {
-                name: ("Exposure", EXPOSURE_KINDS[name].model_fields[name])
-                for name in EXPOSURE_FIELDS
+                name: ("Exposure", kind.model_fields[name])
+                for name, kind in exposure_kinds().items()
+                if name != "span"
             }
         fields |= {
             names.get((table, name), name): (table.capitalize(), field)
@@ -330,7 +331,6 @@ DesignPath = Annotated[Path, AfterValidator(check_design_file)]
 DesignOrPatterns = Annotated[
     DesignPath, argument("design file, or a folder of patterns that `dmd export` wrote")
 ]
-PassingDesign = Annotated[DesignPath, argument("design file of scenes that pass a pattern")]
 DesignOut = Annotated[Path, Field(description="design file, .safetensors")]
 NoiseOption = Annotated[
     str | None,

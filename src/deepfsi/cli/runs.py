@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from deepfsi.base.errors import InputError, check_choice
-from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
+from deepfsi.base.files import DESIGN_ENDINGS
 from deepfsi.base.models.strict import Count
 from deepfsi.base.numeric.tables import TABLE_ENDINGS, is_table, read_table
 from deepfsi.cli import fields
@@ -218,56 +218,6 @@ class ReconstructScenes(Command):
         names = [scene.name for scene in read_run(self.folder).acquisition.scenes]
         write_figure(pictures_figure(reconstruct(self.folder), names), out)
         return Outcome({"picture": str(out)}, [f"drawn: {out}"])
-
-
-class FindTransits(Command):
-    """`deepfsi camera transits`.
-
-    A transit is a rise of the rate: the photons within the time of all bins exceed a threshold,
-    which background alone exceeds as often as --false-alarms says.
-
-    Example: deepfsi camera transits passing.safetensors photons.ptu --bin 100us
-    """
-
-    design: fields.PassingDesign
-    file: Annotated[Path, fields.existing("a .ptu file")] = fields.argument(
-        "photon file, without markers", "PTU"
-    )
-    bin_s: fields.Time = fields.required("length of a time bin, such as 100us", alias="bin")
-    photons: float | None = fields.option("budget of a transit; that of the training unless given")
-    background: float | None = fields.option(
-        "counts/s without a scene; from the record unless given"
-    )
-    false_alarms: float = fields.option("expected false alarms in the whole record, at most", 0.01)
-    counter_input: Count = fields.option("input of the counter, 1 for the first", 1, alias="input")
-    out: Annotated[Path | None, fields.Output((".csv",))] = fields.option(
-        "table of starts, classes and counts of bins, .csv"
-    )
-    trust: fields.Trust = False
-    force: fields.Force = False
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Transits and their classes."""
-        from deepfsi.lab.design_data import open_design
-        from deepfsi.lab.transits import classify_transits
-
-        design = open_design(self.design, trust=self.trust)
-        with terminal.progress("transits") as report:
-            record = classify_transits(
-                design,
-                self.file,
-                self.bin_s,
-                photons=self.photons,
-                background=self.background,
-                false_alarms=self.false_alarms,
-                counter_input=self.counter_input - 1,
-                report=report,
-            )
-        saved = []
-        if self.out is not None:
-            write_atomically(self.out, record.as_csv().encode())
-            saved = [f"saved: {self.out}"]
-        return Outcome(record.as_dict(), [*record.lines(), *saved])
 
 
 def _readouts_options() -> fields.OptionsOf:

@@ -3,7 +3,6 @@
     Fixed     every mask once, each for its own dwell; all are needed for an answer
     Range     the same for a range of budgets, and the network is told the budget
     Nested    the first masks alone give an answer, too, and the network is told how many
-    Passing   a scene that passes a static pattern, of which each time bin is a readout
     SharedLight  adaptive masks whose exposures end when a class is sure, at a mean budget
 
 Nested masks may share light among exposures, too: their `cap` is then above 1.
@@ -16,7 +15,7 @@ does with its masks is in `exposure`.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from math import ceil
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
@@ -29,7 +28,6 @@ from pydantic import (
 
 from deepfsi.base.errors import InputError, Message, as_input_error, closest_choice
 from deepfsi.base.models.strict import (
-    Amount,
     Count,
     LaterFields,
     Positive,
@@ -47,12 +45,6 @@ from deepfsi.jobs.training import MOST_READY
 
 if TYPE_CHECKING:
     from deepfsi.jobs.job import Job
-
-STATIC = (
-    "this design is one static pattern that scenes pass, which no sequence of frames shows: write "
-    "the pattern with `deepfsi mask`"
-)
-"""Why a passing scene's design is not for a device's frames."""
 
 
 class Exposure(UserModel):
@@ -329,150 +321,13 @@ class ConditionedEntry(_SharingEntry):
         return masks - (self.nested or masks) + 1
 
 
-class Passing(Exposure):
-    """Scenes that move past one static pattern: each time bin is a readout.
-
-    The pattern is learned (`deepfsi`) or drawn ON and OFF (`random`). Its middle is where the scene
-    is in the middle of the bins; place and speed are drawn for each exposure where they jitter.
-
-    Examples
-    --------
-    >>> import deepfsi
-    >>> job = deepfsi.Job(photons=1e4, exposure=deepfsi.Passing(bins=16, speed=0.5, jitter=1))
-    >>> job.masks, job.optics.light
-    (16, 'equal-dwell')
-    """
-
-    training: ClassVar[dict[str, Any]] = {"start": "random"}
-    takes_start: ClassVar[bool] = False
-    trained_by: ClassVar[str] = "deepfsi.exposure.passing:PassingTraining"
-    allow_bf16: ClassVar[bool] = False
-
-    bins: int = Field(
-        default=32,
-        ge=2,
-        le=4096,
-        description="time bins of a scene that passes a static pattern; 32 unless given",
-    )
-    speed: float = Field(
-        default=1.0,
-        gt=0,
-        allow_inf_nan=False,
-        description="speed of a passing scene, pixels a bin; 1 unless given",
-    )
-    jitter: float = Field(
-        default=0.0,
-        ge=0,
-        allow_inf_nan=False,
-        description="standard deviation of a passing scene's place in an exposure, pixels; 0 "
-        "unless given",
-    )
-    speed_jitter: float = Field(
-        default=0.0,
-        ge=0,
-        le=0.3,
-        description="standard deviation of a passing scene's speed over the mean one; 0 unless "
-        "given",
-    )
-    pattern_width: int | None = Field(
-        default=None,
-        ge=1,
-        le=2**16,
-        description="columns of the static pattern; the scene's and those that it passes unless "
-        "given",
-    )
-
-    @property
-    def fixed_mask_count(self) -> int:
-        """T, its bins."""
-        return self.bins
-
-    def optics(self, camera: Camera) -> dict[str, Any]:
-        """Bins of equal length."""
-        return {"light": "equal-dwell"}
-
-    def describe(self, camera: Camera) -> str:
-        """Path and jitter of the scenes."""
-        return (
-            f"scenes pass a static pattern at {self.speed:g} pixels a bin; one detector counts "
-            f"{self.bins} bins\njitter: {self.jitter:g} pixels rms of the place, "
-            f"{self.speed_jitter:g} rms of the speed over the mean one"
-        )
-
-    def columns(self, image_shape: tuple[int, ...]) -> int:
-        """P of the pattern, or `InputError` where scenes of a shape have left it too early."""
-        if len(image_shape) != 2:
-            raise InputError("spectra pass no pattern: give images")
-        _, scene = image_shape
-        width = self.pattern_width or scene + ceil(self.bins * self.speed)
-        if self.bins * self.speed > width + scene:
-            raise InputError(
-                "scenes of {scene} columns pass a pattern of {width} in {total} pixels, and "
-                "{given} bins at {each:g} are {length:g}: give fewer {bins}, a lower {speed} or a "
-                "larger {pattern_width}",
-                setting=("bins", "speed", "pattern_width"),
-                scene=scene,
-                width=width,
-                total=width + scene,
-                given=self.bins,
-                each=self.speed,
-                length=self.bins * self.speed,
-            )
-        return width
-
-    def view(self, data: Dataset) -> Dataset:
-        """Whole scenes, or `InputError` where they cannot pass."""
-        self.columns(data.image_shape)
-        return data
-
-    def faults(self, job: "Job") -> Iterator[str]:
-        """Designs that are no one pattern, and optics other than one detector behind it."""
-        camera = job.optics
-        if job.design not in ("deepfsi", "random"):
-            yield (
-                f"{job.design} is a set of masks, and scenes pass one pattern: give `deepfsi`, "
-                "which learns it, or `random`"
-            )
-        elif job.code.learned and job.training.start != "random":
-            yield Message(
-                "a pattern that scenes pass starts at random: leave {start} out", setting="start"
-            )
-        one = camera.rails == "single" and camera.one_detector
-        if not one or camera.device is not None or camera.shortest_dwell:
-            yield Message(
-                "scenes pass a static pattern before one detector: give single rails, no "
-                "{detectors}, no {device} and no {shortest_dwell}",
-                setting=("detectors", "device", "shortest_dwell"),
-            )
-        if job.masks != self.bins:
-            yield Message(
-                "{count} masks and {bins} bins are one number: leave {masks} out",
-                setting="masks",
-                count=job.masks,
-                bins=self.bins,
-            )
-
-
-class PassingEntry(Entry):
-    """Scenes that pass a pattern, which is a tensor of the file."""
-
-    shape: tuple[Count, Count]  # rows and columns of a scene
-    bins: Count  # time bins of a transit
-    speed: Positive  # pixels a bin
-    jitter: Amount  # standard deviation of the place of an exposure, pixels
-    speed_jitter: Amount  # standard deviation of its speed over the mean one
-    kind: Literal["passing"] = "passing"
-    no_frames: ClassVar[str] = STATIC
-    restored_by: ClassVar[str] = "deepfsi.exposure.passing:PassingExposure"
-
-
 def _registered_entry(kind: Any) -> type[Entry] | None:
     """Entry of a kind that a package beside the core has."""
-    _, path = installed().schemes.get(str(kind), ("", ""))
+    _, path = installed().schemes.get(str(kind), ((), ""))
     return load_plugin(path).entry_type if path else None
 
 
-_Entries = FixedEntry | ConditionedEntry | PassingEntry
+_Entries = FixedEntry | ConditionedEntry
 ExposureEntry = Annotated[
     SerializeAsAny[Annotated[_Entries, Field(discriminator="kind")]],
     of_kinds(get_args(_Entries), _registered_entry),
@@ -667,30 +522,31 @@ EXPOSURE_KINDS: dict[str, type[Exposure]] = {
     "span": Range,
     "cap": SharedLight,
     "least_cap": SharedLight,
-    **dict.fromkeys(Passing.model_fields, Passing),
 }
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 
-EXPOSURE_FIELDS = ("nested", "cap", "least_cap", *Passing.model_fields)
-"""Settings that ask for an exposure by an option of their own; a range is one of budgets."""
-
-NEUTRAL = {"nested": "0", "span": "1", "cap": "1", "bins": "0"}
+NEUTRAL = {"nested": "0", "span": "1", "cap": "1"}
 """Values of these settings that ask for nothing."""
+
+
+@cache
+def exposure_kinds() -> dict[str, type[Exposure]]:
+    """Kind of exposure by the setting that asks for it, those of packages beside the core last."""
+    schemes = installed().schemes.values()
+    return EXPOSURE_KINDS | {name: load_plugin(path) for names, path in schemes for name in names}
 
 
 def find_exposure(given: Any) -> Any:
     """Exposure of its settings: none for `Fixed`, ``{"patch": 4}`` for `Patches`, and so on."""
     if not isinstance(given, Mapping):
         return given
+    neutral = {names[0]: "0" for names, _ in installed().schemes.values()} | NEUTRAL
     asked = {
         name: value
         for name, value in given.items()
-        if str(value).removesuffix(".0") != NEUTRAL.get(name)
+        if str(value).removesuffix(".0") != neutral.get(name)
     }
-    kinds = EXPOSURE_KINDS
-    if asked.keys() - kinds.keys():
-        beside = {name: load_plugin(path) for name, path in installed().schemes.values()}
-        kinds = {**beside, **kinds}
+    kinds = exposure_kinds()
     for name, kind in kinds.items():
         if name not in asked:
             continue

@@ -21,7 +21,6 @@ from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light_law, find_noise
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.designs import DESIGNS, Code, check_design, check_matrix
 from deepfsi.jobs.exposures import (
-    EXPOSURE_KINDS,
     AdaptiveMasks,
     AnyExposure,
     Exposure,
@@ -29,6 +28,7 @@ from deepfsi.jobs.exposures import (
     Fixed,
     SharedLight,
     check_dictionary_camera,
+    exposure_kinds,
     find_exposure,
 )
 from deepfsi.jobs.tiles import check_count, count_allowed
@@ -439,7 +439,7 @@ def find_table(setting: str) -> tuple[str, str]:
         return SETTING_ALIASES[setting]
     tables: dict[str, Collection[str]] = {
         "camera": Camera.model_fields,
-        "exposure": EXPOSURE_KINDS,
+        "exposure": exposure_kinds(),
         "training": Training.model_fields,
     }
     return next((table for table, fields in tables.items() if setting in fields), ""), setting

@@ -114,13 +114,13 @@ def learn(
     design : str
         Which design: ``"deepfsi"``, whose masks are learned, ``"pca"``, ``"adaptive"``, … .
     masks : int, optional
-        Number of masks, m; needed but for `Passing`, which has as many as bins.
+        Number of masks, m; needed unless the exposure has them.
     photons : float, optional
         Budget Φ; flux times exposure of the camera unless given.
     camera : Camera, str, path or mapping, optional
         The camera, a preset's name, a TOML file or fields; ``"dmd"`` unless given.
     exposure : Exposure or mapping, optional
-        `Nested`, `Range`, `Passing` or their fields; `Fixed` unless given.
+        `Nested`, `Range` or their fields; `Fixed` unless given.
     training : Training or mapping, optional
         Settings of the training; those tuned for the design unless given.
     seed : int
@@ -319,9 +319,7 @@ def _check_start(start: np.ndarray, job: Job, training_set: TrainingSet) -> None
             "masks of {design} do not learn: leave {start} out", setting="start", design=job.design
         )
     if not job.exposure.takes_start:
-        raise InputError(
-            "the pattern of passing scenes starts at random: leave {start} out", setting="start"
-        )
+        raise InputError("the exposure's masks start at random: leave {start} out", setting="start")
     shape = job.masks, training_set.view(job.exposure).data.pixels
     if start.shape != shape:
         raise InputError(f"a start of shape {start.shape} does not fit: give {shape}")

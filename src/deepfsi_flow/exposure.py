@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -19,12 +19,13 @@ from deepfsi.exposure.training import (
     moments,
     standardise,
 )
-from deepfsi.jobs.exposures import STATIC, ExposureEntry, Passing, PassingEntry
+from deepfsi.jobs.exposures import ExposureEntry
 from deepfsi.physics.noise import NoiseFunction
 from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner, project
 from deepfsi.physics.training_noise import Draws, SeedStream
-from deepfsi.physics.transit import FixedPattern, LearnedPattern, ScenePath, in_levels
+from deepfsi_flow.settings import STATIC, Passing, PassingEntry
+from deepfsi_flow.transit import FixedPattern, LearnedPattern, ScenePath, in_levels
 
 MEAN_OF = 1024
 """Transits whose mean is taken for expected counts of all."""
@@ -53,7 +54,7 @@ class PassingExposure(MaskExposure):
         "which the ideal observer does not know: use evaluate",
     }
 
-    def entry(self) -> PassingEntry:
+    def entry(self) -> Any:
         """Entry of the design file's header."""
         path = self.transit
         return PassingEntry(
@@ -66,7 +67,7 @@ class PassingExposure(MaskExposure):
 
     @classmethod
     def restored(
-        cls, entry: ExposureEntry, weights: dict[str, Tensor], optics: TrainedMasks
+        cls, entry: ExposureEntry | PassingEntry, weights: dict[str, Tensor], optics: TrainedMasks
     ) -> "PassingExposure":
         """The exposure with its pattern; parameters as for `MaskExposure.restored`."""
         assert isinstance(entry, PassingEntry)

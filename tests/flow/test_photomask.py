@@ -10,7 +10,7 @@ from PIL import Image
 import deepfsi
 from conftest import RECIPE, synthetic
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.patterns import photomask
+from deepfsi_flow import photomask
 from shared.design_files import rewrite
 
 SVG = "{http://www.w3.org/2000/svg}"

@@ -7,8 +7,9 @@ import deepfsi
 from conftest import synthetic
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.photons.reader import read_photons
-from deepfsi.lab import transits
-from deepfsi.lab.transits import classify_transits, simulate_transits
+from deepfsi_flow import transits
+from deepfsi_flow.settings import Passing
+from deepfsi_flow.transits import classify_transits, simulate_transits
 
 BIN_S, PHOTONS, BACKGROUND = 1e-3, 1e4, 200.0
 
@@ -24,7 +25,7 @@ def design(data):
     return deepfsi.learn(
         data,
         photons=PHOTONS,
-        exposure=deepfsi.Passing(bins=12, speed=2.0, jitter=0.7, pattern_width=16),
+        exposure=Passing(bins=12, speed=2.0, jitter=0.7, pattern_width=16),
         training={"epochs": 30, "hidden": (48,), "mask_lr": 0.2},
     )
 

@@ -5,7 +5,7 @@ import pytest
 
 from deepfsi.hardware.photons.ptu import PtuWriter
 from deepfsi.hardware.photons.reader import read_photons, summarise
-from deepfsi.lab import transits
+from deepfsi_flow import transits
 
 BACKGROUND, WINDOW, DURATION = 40.0, 0.1, 20.0
 """Counts/s, seconds, seconds: a mean of four photons in a window."""

@@ -14,6 +14,7 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_ending, write_atomically
 from deepfsi.designfile.design_file import DesignFile, damaged_design
+from deepfsi_flow.settings import PassingEntry
 
 PHOTOMASK_ENDS = (".svg", ".png")
 """Ends of the names of files of a photomask."""
@@ -87,7 +88,8 @@ def as_png(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
 def read_static_pattern(file: str | os.PathLike[str]) -> np.ndarray:
     """Pattern (H, P) of a design file, dark 0 to open 1, that scenes pass."""
     design = DesignFile.read(file)
-    if design.mask_header.exposure.kind != "passing":
+    entry: object = design.mask_header.exposure
+    if not isinstance(entry, PassingEntry):
         raise InputError(
             "{file} has masks that a device shows one after the other, and a photomask is one "
             "pattern that scenes pass: learn one with {bins}, or use `deepfsi dmd export`",

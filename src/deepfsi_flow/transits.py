@@ -30,7 +30,7 @@ from deepfsi.hardware.photons.reader import read_photons
 
 if TYPE_CHECKING:  # they import torch, which those who look for no transits do without
     from deepfsi.design.design import Design
-    from deepfsi.exposure.passing import PassingExposure
+    from deepfsi_flow.exposure import PassingExposure
 
 FALSE_TRANSITS = 0.01
 """Expected transits of background alone in a record unless another number is asked for."""
@@ -291,7 +291,7 @@ def classify_transits(
 
 def _passing_of(design: "Design") -> "PassingExposure":
     """Exposure of a design of passing scenes, or `InputError`."""
-    from deepfsi.exposure.passing import PassingExposure
+    from deepfsi_flow.exposure import PassingExposure
 
     if not isinstance(design.exposure, PassingExposure):
         raise InputError(

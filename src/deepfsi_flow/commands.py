@@ -1,0 +1,108 @@
+"""Commands of scenes that pass a pattern."""
+
+from pathlib import Path
+from typing import Annotated
+
+from deepfsi.base.files import write_atomically
+from deepfsi.base.models.strict import Count, Positive
+from deepfsi.cli import fields
+from deepfsi.cli.command import Command
+from deepfsi.cli.terminal import Outcome, Terminal
+
+PassingDesign = Annotated[
+    fields.DesignPath, fields.argument("design file of scenes that pass a pattern")
+]
+
+
+class WriteMask(Command):
+    """`deepfsi mask`.
+
+    In an .svg, polygons mark what is open, in micrometres; a .png has a dot for each pixel. Learn
+    the design with --levels 2 for a binary pattern.
+
+    Example: deepfsi mask passing.safetensors --pixel 5 -o pattern.svg
+    """
+
+    file: PassingDesign
+    out: Annotated[Path, fields.Output((".svg", ".png"))] = fields.required(
+        "photomask: .svg (polygons, binary patterns) or .png"
+    )
+    pixel: Positive = fields.required(
+        "side of a pixel on the mask, micrometres: that of a scene there"
+    )
+    force: fields.Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """The pattern, with its size."""
+        from deepfsi_flow.photomask import write_photomask
+
+        pattern = write_photomask(self.file, self.out, self.pixel)
+        rows, columns = pattern.shape
+        height = rows * self.pixel
+        width = columns * self.pixel
+        open_share = float(pattern.mean())
+        return Outcome(
+            {
+                "design": str(self.file),
+                "mask": str(self.out),
+                "pixels": [rows, columns],
+                "pixel_um": self.pixel,
+                "um": [height, width],
+                "open": open_share,
+            },
+            [
+                f"{rows} x {columns} pixels of {self.pixel:g} µm, {height:g} x {width:g} µm in "
+                f"all, {open_share:.1%} open",
+                f"photomask: {self.out}",
+            ],
+        )
+
+
+class FindTransits(Command):
+    """`deepfsi camera transits`.
+
+    A transit is a rise of the rate: the photons within the time of all bins exceed a threshold,
+    which background alone exceeds as often as --false-alarms says.
+
+    Example: deepfsi camera transits passing.safetensors photons.ptu --bin 100us
+    """
+
+    design: PassingDesign
+    file: Annotated[Path, fields.existing("a .ptu file")] = fields.argument(
+        "photon file, without markers", "PTU"
+    )
+    bin_s: fields.Time = fields.required("length of a time bin, such as 100us", alias="bin")
+    photons: float | None = fields.option("budget of a transit; that of the training unless given")
+    background: float | None = fields.option(
+        "counts/s without a scene; from the record unless given"
+    )
+    false_alarms: float = fields.option("expected false alarms in the whole record, at most", 0.01)
+    counter_input: Count = fields.option("input of the counter, 1 for the first", 1, alias="input")
+    out: Annotated[Path | None, fields.Output((".csv",))] = fields.option(
+        "table of starts, classes and counts of bins, .csv"
+    )
+    trust: fields.Trust = False
+    force: fields.Force = False
+
+    def run(self, terminal: Terminal) -> Outcome:
+        """Transits and their classes."""
+        from deepfsi.lab.design_data import open_design
+        from deepfsi_flow.transits import classify_transits
+
+        design = open_design(self.design, trust=self.trust)
+        with terminal.progress("transits") as report:
+            record = classify_transits(
+                design,
+                self.file,
+                self.bin_s,
+                photons=self.photons,
+                background=self.background,
+                false_alarms=self.false_alarms,
+                counter_input=self.counter_input - 1,
+                report=report,
+            )
+        saved = []
+        if self.out is not None:
+            write_atomically(self.out, record.as_csv().encode())
+            saved = [f"saved: {self.out}"]
+        return Outcome(record.as_dict(), [*record.lines(), *saved])
