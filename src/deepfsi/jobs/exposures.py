@@ -537,7 +537,7 @@ def exposure_kinds() -> dict[str, type[Exposure]]:
 
 
 def find_exposure(given: Any) -> Any:
-    """Exposure of its settings: none for `Fixed`, ``{"patch": 4}`` for `Patches`, and so on."""
+    """Exposure of its settings: none for `Fixed`, ``{"nested": 4}`` for `Nested`, and so on."""
     if not isinstance(given, Mapping):
         return given
     neutral = {names[0]: "0" for names, _ in installed().schemes.values()} | NEUTRAL

@@ -68,7 +68,7 @@ class Job(UserModel):
     >>> import deepfsi
     >>> job = deepfsi.Job(masks=10, photons=1e4, camera="two-arm", exposure={"nested": 4})
     >>> job.camera.rails, job.exposure, job.training.start
-    ('dual', Nested(cap=1.0, nested=4, span=1.0), 'pca')
+    ('dual', Nested(cap=1.0, span=1.0, nested=4), 'pca')
     """
 
     design: Annotated[str, AfterValidator(check_design)] = Field(
