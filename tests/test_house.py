@@ -22,32 +22,32 @@ LINES = {
     "adaptive": 2157,
     "base": 1540,
     "base.models": 119,
-    "base.numeric": 1575,
+    "base.numeric": 1530,
     "camera": 1579,
-    "cli": 3373,
-    "datasets": 3712,
-    "design": 1245,
-    "designfile": 1637,
-    "evaluation": 1611,
+    "cli": 3192,
+    "datasets": 3218,
+    "design": 1205,
+    "designfile": 1625,
+    "evaluation": 1610,
     "exposure": 1694,
     "hardware.calibration": 1231,
     "hardware.counting": 3150,
     "hardware.drivers": 126,
     "hardware.light": 1357,
     "hardware.live": 1431,
-    "hardware.patterns": 1893,
+    "hardware.patterns": 1891,
     "hardware.photons": 1372,
     "hardware.virtual": 1043,
-    "jobs": 2005,
-    "lab": 1403,
-    "measures": 740,
+    "jobs": 2000,
+    "lab": 1348,
+    "measures": 699,
     "networks": 501,
     "physics": 2112,
-    "report": 1537,
+    "report": 1490,
     "report.playground": 219,
     "report.style": 276,
-    "sweeps": 2838,
-    "training": 2182,
+    "sweeps": 2833,
+    "training": 1851,
 }
 """Lines of each room, which may only fall: lower the number with them."""
 
@@ -80,7 +80,7 @@ def test_no_room_grows(house):
     assert set(LINES) == set(house.rooms)
 
 
-COMMANDS, OPTIONS = 34, 51
+COMMANDS, OPTIONS = 30, 50
 """Commands, and options of `design`: they may only leave."""
 
 

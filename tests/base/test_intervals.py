@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.stats import binom, binomtest
-from sklearn.metrics import roc_auc_score
 
 from deepfsi.base.numeric.intervals import (
     Difference,
     accuracy_difference,
     accuracy_interval,
     all_above,
-    auc_terms,
     balanced_interval,
     find_crossing,
     image_interval,
@@ -25,7 +23,6 @@ from deepfsi.base.numeric.intervals import (
     unpack_values,
     wilson,
 )
-from deepfsi.base.numeric.intervals import auc as auc_of
 from shared.results import a_point
 
 
@@ -188,46 +185,6 @@ def spread(low, high):
 def test_a_claim_holds_only_where_every_interval_says_so(intervals, answer):
     """One of several intervals just below 0 is no surprise, and leaves the claim open."""
     assert all_above(spread(low, high) for low, high in intervals) is answer
-
-
-def auc(scores, positive):
-    return auc_of(auc_terms(scores, positive), positive)
-
-
-def normal_scores(seed):
-    """Scores (120, 2) of images in two draws, whose classes are 1 apart."""
-    rng, positive = np.random.default_rng(seed), np.arange(120) % 3 == 0
-    image = rng.normal(size=(120, 1)) + positive[:, None]
-    return image + 0.5 * rng.normal(size=(120, 2)), positive
-
-
-def test_it_is_the_area_of_scikit_learn_ties_half():
-    scores, positive = normal_scores(0)
-    rough = scores.round(0)  # many ties
-    area = roc_auc_score(np.repeat(positive, 2), rough.ravel())
-    assert auc(rough, positive)[0] == pytest.approx(area)
-
-
-def test_the_interval_covers_the_true_area_in_95_of_100_samples():
-    """One observation an image: the area is Φ(distance / √(2 · variance))."""
-    truth = stats.norm.cdf(1.0 / np.sqrt(2 * (1 + 0.25)))
-    ends = [auc(*normal_scores(seed))[1:] for seed in range(400)]
-    covered = sum(low <= truth <= high for low, high in ends)
-    assert stats.binomtest(covered, 400, 0.95).pvalue > 1e-3
-
-
-def test_it_covers_training_seeds_too():
-    """Three trainings that look at the same images, each with a distance of its own."""
-    truth = stats.norm.cdf(1.0 / np.sqrt(2 * (1 + 0.25) + 0.3**2))
-    intervals, positive = [], np.arange(200) % 3 == 0
-    for seed in range(300):
-        rng = np.random.default_rng(seed)
-        image, rows = rng.normal(size=(200, 1)), []
-        for _ in range(3):
-            apart = (1.0 + 0.3 * rng.normal()) * positive[:, None]
-            rows.append(auc_terms(image + apart + 0.5 * rng.normal(size=(200, 1)), positive))
-        intervals.append(auc_of(np.array(rows), positive)[1:])
-    assert_covers(intervals, truth, most=1.0)
 
 
 def test_images_and_draws_count_once_where_trainings_are_alike():

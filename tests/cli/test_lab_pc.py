@@ -14,7 +14,6 @@ from shared import lab_pc
 
 LIGHT = "--flux 1e7 --exposure 3ms --virtual ideal"
 COMMANDS = f"""
-dmd devices
 dmd export raster --size 8x8 -o scan
 dmd check scan
 data export digits --per-class 1 -o images

@@ -25,7 +25,6 @@ REFUSED = {
         --masks 0 --photons 1e3 | masks = 0: give 1 or more
         --masks 2 --photons 1e3 --counts 1000 | 1000 counts are not fewer than 1000
         --masks 2 --photons 1e3 --design adaptive --clusters 400 | 400 clusters of each class are
-        --masks 4 --photons 1e4 --normal 13 | no class '13'
     """,
     "design --photons 1e3 --masks 3 --design adaptive": """
         --epochs 3 | learn by no steps: leave --epochs out, or learn
@@ -185,7 +184,6 @@ REFUSED = {
         digits --per-class 5000 | give 1 to 36
         nosuch | unknown data set 'nosuch'
     """,
-    "data download nosuch": "| unknown data set 'nosuch'",
     "camera spots": """
         --size 4 | do not fit a display of 4 x 4
         --size 99999999999 | size

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pooch
 import pytest
-from dataset_samples import not_loaded, refused
+from dataset_samples import not_loaded
 from PIL import Image
 from scipy.io import savemat
 
 from deepfsi.datasets import catalog
-from deepfsi.datasets.catalog import check, download, list_datasets, load_indian_pines
+from deepfsi.datasets.catalog import list_datasets, load_indian_pines
 from deepfsi.datasets.load import load_dataset
 from shared.pictures import save_images
 
@@ -32,14 +32,6 @@ def test_digits_are_listed_as_they_are_and_need_no_download():
     data, info = load_dataset("digits"), list_datasets()[0]
     assert info.images == len(data.x_train) + len(data.x_test)
     assert (info.pixels, info.classes) == (data.pixels, len(data.classes))
-    with refused("digits", "scikit-learn"):
-        download("digits")
-
-
-@pytest.mark.parametrize("action", [check, download])
-def test_unknown_name_to_check_or_download(action):
-    with refused("unknown data set 'fashion'", "'fashion-mnist'?"):
-        action("fashion")
 
 
 MNIST_HASH = "49bd5a2700bc752110ee3797138b1924d711c3bd98a376b24e07fd7ad78585d1"
@@ -53,7 +45,6 @@ def test_mnist():
     held = data.hold_out()
     assert held.x_test.shape == (10_000, 1024)
     assert held.y_test[-1] == data.y_train[-1]
-    assert all(result.ok for result in check("mnist"))
     info = list_datasets()[1]
     assert (info.images, info.pixels, info.classes) == (70_000, 1024, 10)
     assert info.where == str(MINE / "mnist")
@@ -107,8 +98,6 @@ def test_the_archive_gives_grey_scenes(archive):
     assert distance.min(axis=1).max() < 0.51 / 255 + 1e-6
     assert sorted(order) == list(range(100)) != order.tolist(), "shuffled"
     assert data.y_train.tolist() == train[order, 0].tolist()
-    assert all(result.ok for result in check("cifar10"))
-    assert download("cifar10") == archive.parent
     assert list_datasets()[3].where == str(archive.parent)
 
 
@@ -129,7 +118,6 @@ def test_size_is_bilinear_and_images_are_drawn_by_class(archive):
 def test_a_damaged_archive(archive):
     archive.write_bytes(archive.read_bytes()[:-9])
     not_loaded("cifar10", str(archive), "md5 is", "replace it with the original")
-    assert not check("cifar10")[0].ok
 
 
 def put_jpegs(folder, train, test):
@@ -152,15 +140,12 @@ def test_the_copy_in_jpeg_says_so(archive):
     assert data.classes == CIFAR.classes
     level = 0.299 * 20 * data.y_test / 255
     assert np.abs(data.x_test - level[:, None]).max() < 4 / 255
-    assert all(result.ok for result in check("cifar10-jpeg"))
 
 
 def test_a_copy_in_jpeg_that_is_not_whole(archive):
     not_loaded("cifar10-jpeg", "cifar10-jpeg is not here", "DEEPFSI_DATA")
-    assert not check("cifar10-jpeg")[0].ok
     put_jpegs(archive.parent, 10, 1)
     not_loaded("cifar10-jpeg", "test folder does not hold 2 images of each of airplane")
-    assert not check("cifar10-jpeg")[0].ok
 
 
 LOSSLESS = "cifar10/cifar-10-train-first4000-lossless.bin.gz"
@@ -234,8 +219,6 @@ def test_the_scene_of_a_folder(pines):
     assert np.array_equal(scene.cube, made_up()[PINES.CUBE])
     blocks = load_dataset("indian-pines", split="blocks")
     assert np.array_equal(blocks.x_test, scene.dataset("blocks", bands=256).x_test)
-    assert download("indian-pines") == pines
-    assert [each.ok for each in check("indian-pines")] == [True, True]
     (pines / "92AV3C.spc").unlink()
     assert load_dataset("indian-pines").wavelengths is None
 
@@ -262,7 +245,6 @@ def test_the_corrected_bands_are_the_published_ones():
 def test_other_values_are_refused(pines, ending, stem, change, said):
     write(pines / f"{stem}{ending}", change(made_up()[stem]))
     not_loaded("indian-pines", said, f"{stem}{ending}" if "not" in said else "")
-    assert not all(each.ok for each in check("indian-pines"))
 
 
 def test_a_damaged_table_of_bands_is_refused(pines):
@@ -276,7 +258,6 @@ def test_what_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(PINES, "PACKAGE", ("no_such_package", "datasets/data"))
     files = f"{PINES.CUBE}.mat and {PINES.LABELS}.mat"
     not_loaded("indian-pines", "pip install", files, "indian_pines", "DEEPFSI_DATA")
-    assert [result.ok for result in check("indian-pines")] == [False, False]
     assert {info.name: info.where for info in list_datasets()}["indian-pines"] == "not here"
 
 
@@ -297,8 +278,6 @@ def test_the_scene_in_tensorly(real, tmp_path, monkeypatch):
     assert (real.cube.min(), real.cube.max()) == (955, 9604)
     counts = np.bincount(real.labels.ravel())
     assert (counts[1:].sum(), counts[1], counts[9], counts[11]) == (10_249, 46, 20, 2455)
-    assert all(result.ok for result in check("indian-pines"))
-    assert download("indian-pines").parts[-3:] == ("tensorly", "datasets", "data")
 
 
 def test_bytes_that_became_line_feeds_are_restored():

@@ -5,8 +5,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from golden.facts import (
     INPUTS,
     Cases,
@@ -167,11 +165,8 @@ def described() -> dict[str, Any]:
 
 @CASES
 def devices_and_data() -> dict[str, Any]:
-    """Lists of devices and data sets; scenes as pictures."""
+    """List of data sets; scenes as pictures."""
     return {
-        "devices": answer("dmd", "devices"),
-        "check": answer("data", "check", "digits"),
-        "unknown": answer("data", "check", "digit"),
         "export": answer("data", "export", "digits", "--per-class", 2, "--seed", 1, "-o", "d"),
         "small": answer("data", "export", "digits", "--size", 4, "-o", "s"),
         "files": files("."),
@@ -224,22 +219,4 @@ def tested() -> dict[str, Any]:
         out[name] = timeless(said)
     out["shown"] = answer("show", file_of("dual"), "-o", "masks.png")
     out["shown, too"] = answer("show", file_of("dual"), "-o", "masks.txt")
-    return out
-
-
-@CASES
-def readouts() -> dict[str, Any]:
-    """A classifier of readouts that were measured."""
-    rng = np.random.default_rng(0)
-    labels = np.arange(120) % 3
-    values = rng.normal(0, 1, (120, 5)) + labels[:, None] * np.array([0.5, -1, 2, 0, 1])
-    np.savez("r.npz", volts=values, digit=labels, laser=rng.normal(1, 0.01, 120))
-    words = "--values volts --label digit --monitor laser --epochs 3 --hidden 8"
-    out = {
-        "said": timeless(answer("readouts", "r.npz", *words.split(), "-o", "r.safetensors")),
-        "wrong": answer("readouts", "r.npz", "--values", "amps", "-o", "s.safetensors"),
-    }
-    if Path("r.safetensors").exists():
-        np.savetxt("t.csv", values[:4], delimiter=",")
-        out["classes"] = answer("camera", "classify", "r.safetensors", "t.csv")
     return out

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 import deepfsi
-from golden.facts import Cases, answer, refused_or
+from golden.facts import Cases, refused_or
 from golden.scenes import (
     ADAPTIVE,
     BUDGET,
@@ -14,7 +14,6 @@ from golden.scenes import (
     STEPS,
     digits,
     facts_of,
-    file_facts,
     spots,
     tested,
 )
@@ -229,11 +228,3 @@ def own_scanner() -> dict[str, Any]:
         },
         "network": mlp(torch.ones(2, 5)).detach().numpy(),
     }
-
-
-@CASES
-def anomalies() -> dict[str, Any]:
-    """Scenes of one class told from anomalies, which are made of them."""
-    words = ("--data", "digits", "--normal", "3", "--masks", 4, "--photons", "1e4", "--epochs", 1)
-    said = answer("design", *words, "--hidden", "8", "-o", "d.safetensors")
-    return {"said": sorted(said), "file": file_facts("d.safetensors")}

@@ -167,6 +167,10 @@ MOST_LISTED = 6
 """Numbers of a list that are stored one by one."""
 
 
+LEFT = ("auc", "auc_low", "auc_high", "AUC")
+"""Keys that the reference gives, of what left."""
+
+
 def _without_floats(value: Any, place: str, bits: dict[str, str]) -> Any:
     if isinstance(value, bytes):
         bits[place] = sha256(value).hexdigest()[:16]
@@ -186,7 +190,11 @@ def _without_floats(value: Any, place: str, bits: dict[str, str]) -> Any:
         bits[place] = float(value).hex()
         return "float"
     if isinstance(value, dict):
-        return {key: _without_floats(one, f"{place}/{key}", bits) for key, one in value.items()}
+        return {
+            key: _without_floats(one, f"{place}/{key}", bits)
+            for key, one in value.items()
+            if key not in LEFT
+        }
     if isinstance(value, (list, tuple)):
         return [_without_floats(one, f"{place}/{k}", bits) for k, one in enumerate(value)]
     return value
@@ -202,8 +210,10 @@ def sizes(value: dict[str, Any]) -> dict[str, float]:
 
 
 def _sizes(value: Any) -> Iterator[float]:
-    if isinstance(value, (dict, list, tuple)):
-        for one in value.values() if isinstance(value, dict) else value:
+    if isinstance(value, dict):
+        value = [one for key, one in value.items() if key not in LEFT]
+    if isinstance(value, (list, tuple)):
+        for one in value:
             yield from _sizes(one)
     elif isinstance(value, (float, np.floating, np.ndarray)):
         numbers = np.asarray(value)

@@ -33,14 +33,6 @@ def test_the_answer_is_that_of_the_design_where_rounded_chances_are_alike():
     assert Result.of(answers).rates == [0, 1]
 
 
-def test_there_is_an_area_of_two_classes_alone_and_of_scenes_of_both():
-    chances = np.array([[0.9, 0.1], [0.2, 0.8], [0.4, 0.6]])
-    assert Result.of(classes(chances, np.array([0, 1, 1]))).auc == 1
-    assert Result.of(classes(chances, np.array([1, 1, 1]))).auc is None
-    three = np.full((3, 3), 1 / 3)
-    assert Result.of(classes(three, np.array([0, 1, 2]))).auc is None
-
-
 def test_errors_of_values_are_means_over_draws_and_r2_is_of_their_variance():
     truth = np.array([[0.0], [2.0]], dtype=np.float32)
     estimates = np.array([[1.0], [2.0], [-1.0], [2.0]], dtype=np.float32)  # draw by draw

@@ -53,7 +53,7 @@ def test_a_new_measure_is_one_entry(digits, tmp_path, monkeypatch):
     assert f"<td>{row['top_2']:.3f}</td>" in page
 
 
-@pytest.mark.parametrize("title", ["accuracy", "AUC", "R²"])
+@pytest.mark.parametrize("title", ["accuracy", "R²"])
 def test_what_data_are_judged_by_has_words_for_a_page(title):
     measure = main_measure(title)
     assert "{scenes}" in measure.task

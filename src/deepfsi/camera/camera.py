@@ -277,7 +277,7 @@ class Camera(UserModel):
     )
     device: Annotated[Device | None, BeforeValidator(_device)] = Field(
         default=None,
-        description="micromirror device: a name (deepfsi dmd devices), COLUMNSxROWS mirrors, or a "
+        description="micromirror device: a name such as dlp7000, COLUMNSxROWS mirrors, or a "
         "TOML file; it gives the shortest frame and the grey levels",
     )
     region: Region | None = Field(

@@ -9,7 +9,7 @@ from deepfsi.base.quantities import Table
 from deepfsi.cli.command import Command
 from deepfsi.cli.fields import Output, Size, argument, check_design_file, option, required
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.datasets.catalog import check, download, list_datasets
+from deepfsi.datasets.catalog import list_datasets
 from deepfsi.datasets.display import write_display
 from deepfsi.datasets.load import load_dataset
 
@@ -37,39 +37,6 @@ def _short_path(where: str) -> str:
         if folder and Path(where).is_relative_to(folder):
             return str(Path(name) / Path(where).relative_to(folder))
     return where
-
-
-class DataDownload(Command):
-    """`deepfsi data download`.
-
-    Example: deepfsi data download mnist
-    """
-
-    name: str = argument("name of a data set")
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Files that are there now."""
-        where = download(self.name)
-        return Outcome({"name": self.name, "where": str(where)}, [f"{self.name}: {where}"])
-
-
-class DataCheck(Command):
-    """`deepfsi data check`.
-
-    Example: deepfsi data check mnist
-    """
-
-    name: str = argument("name of a data set")
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """State of every file."""
-        files = check(self.name)
-        rows = [(str(f.file), "good" if f.ok else "BAD", f.detail) for f in files]
-        return Outcome(
-            {"name": self.name, "files": [entry._asdict() for entry in files]},
-            [Table(self.name, ("file", "state", "detail"), rows)],
-            failed=not all(entry.ok for entry in files),
-        )
 
 
 class DataExport(Command):

@@ -43,7 +43,6 @@ class LearnDesign(Command):
     data: fields.TrainingData = "digits"
     size: fields.Size = None
     skip_bad: fields.SkipBad = False
-    normal: fields.NormalClass = None
     hold_out: WholeNumber = fields.option(
         "number of last training scenes to leave out, which `deepfsi stop` needs", 0
     )
@@ -69,7 +68,7 @@ class LearnDesign(Command):
         settings = dict(self.settings)
         counts = settings.pop("counts", None)
         counts = None if counts is None else fields.parse_option("counts", fields.number, counts)
-        scenes = load_dataset(self.data, size=self.size, skip_bad=self.skip_bad, normal=self.normal)
+        scenes = load_dataset(self.data, size=self.size, skip_bad=self.skip_bad)
         if self.view is not None:
             scenes = view_dataset(scenes, self.view)
         asked = _job_fields(settings, scenes, matrix)
@@ -270,7 +269,7 @@ class ShowDesign(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of the masks."""
-        from deepfsi.designfile.provenance import check_masks, trained_on
+        from deepfsi.designfile.provenance import trained_on
 
         out = self.out
         if out is None:  # beside a file; of a published design's name here
@@ -284,7 +283,6 @@ class ShowDesign(Command):
         from deepfsi.report.style import write_figure
 
         design = load_design(file)
-        check_masks(design.info, "a picture of masks")
         lines = [f"drawn: {out}"]
         if design.exposure.makes_masks:
             scenes, _ = data_of(design)

@@ -7,8 +7,7 @@ from pydantic import Field
 
 from deepfsi.base.errors import InputError, Message, as_input_error
 from deepfsi.base.models.strict import WholeNumber
-from deepfsi.base.quantities import Table
-from deepfsi.camera.device import DEVICE_SOURCES, DEVICES, find_device
+from deepfsi.camera.device import find_device
 from deepfsi.camera.layout import DmdLayout
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
@@ -144,39 +143,3 @@ def _patterns_in(folder: Path, patterns: "Patterns", remarks: list[str] | None =
         {"patterns": str(folder), **patterns.as_dict()},
         [*(remarks or []), *patterns.lines(), f"patterns: {folder}"],
     )
-
-
-class ListDevices(Command):
-    """`deepfsi dmd devices`.
-
-    Example: deepfsi dmd devices
-    """
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Devices with a name, and their limits."""
-        devices = DEVICES.values()
-        rows = [
-            (
-                device.name,
-                f"{device.columns} x {device.rows}",
-                device.lattice,
-                f"{device.pitch_um}",
-                f"{device.shortest_us}",
-                "memory" if device.patterns is None else f"{device.patterns}",
-                "planes" if device.packed else "npy",
-            )
-            for device in devices
-        ]
-        heads = ("device", "mirrors", "lattice", "pitch, µm", "shortest, µs", "frames", "format")
-        return Outcome(
-            {
-                "devices": [
-                    {**device.model_dump(), "sources": DEVICE_SOURCES[device.name]}
-                    for device in devices
-                ]
-            },
-            [
-                Table("Devices", heads, rows),
-                "where each number is from, and what is assumed: deepfsi dmd devices --json",
-            ],
-        )

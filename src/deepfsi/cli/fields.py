@@ -314,10 +314,6 @@ TestData = Annotated[
 SkipBad = Annotated[
     bool, Field(description="leave pictures that cannot be read out, and name them")
 ]
-NormalClass = Annotated[
-    str | None,
-    Field(description="class to be told from anomalies; these are made from its own scenes"),
-]
 View = Annotated[
     Annotated[Path, existing("the folder of a camera's calibration")] | None,
     Field(description="folder of a camera's calibration: take the scenes as this camera sees them"),

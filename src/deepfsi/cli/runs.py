@@ -1,25 +1,17 @@
-"""Commands that read what was recorded: photon files, runs, tables of counts, and readouts."""
+"""Commands that read what was recorded: photon files, runs and tables of counts."""
 
-from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from deepfsi.base.errors import InputError, check_choice
-from deepfsi.base.files import DESIGN_ENDINGS
+from deepfsi.base.errors import InputError
 from deepfsi.base.models.strict import Count
 from deepfsi.base.numeric.tables import TABLE_ENDINGS, is_table, read_table
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.datasets.readouts import Variables, read_readouts
-from deepfsi.jobs.training import READOUTS_TRAINING
 
 if TYPE_CHECKING:
     from deepfsi.hardware.counting.tables import TableSettings
-
-
-READOUTS_SETTINGS = ("epochs", "batch", "lr", "hidden", "dropout", "decay")
-"""Settings of a job that a training of readouts has."""
 
 
 class InspectPhotons(Command):
@@ -218,98 +210,3 @@ class ReconstructScenes(Command):
         names = [scene.name for scene in read_run(self.folder).acquisition.scenes]
         write_figure(pictures_figure(reconstruct(self.folder), names), out)
         return Outcome({"picture": str(out)}, [f"drawn: {out}"])
-
-
-def _readouts_options() -> fields.OptionsOf:
-    """Options of a training, with the defaults of readouts."""
-    options = fields.job_options().fields
-    changed = {}
-    for name in filter(options.__contains__, READOUTS_SETTINGS):
-        heading, field = options[name]
-        field = copy(field)
-        field.default = READOUTS_TRAINING.get(name, field.default)
-        changed[name] = (heading, field)
-    return fields.OptionsOf(changed)
-
-
-class LearnReadouts(Command):
-    """`deepfsi readouts`.
-
-    It is tested on a random fifth, on the last fifth of each class, and on pictures not seen; and
-    whether the order of recording, or monitors of the light, tell the class alone. Readouts may be
-    in any unit and signed. Classify others with `deepfsi camera classify`.
-
-    Example: deepfsi readouts run7/ --values volts --label digit --monitor laser -o run7.safetensors
-    """
-
-    source: Path = fields.argument(
-        "table of readouts, .mat .npz .h5 .csv .parquet; or a folder of such files"
-    )
-    out: Annotated[fields.DesignOut, fields.Output(DESIGN_ENDINGS)]
-    settings: Annotated[dict[str, Any], _readouts_options()]
-    values: str | None = fields.option(
-        "variable of the readouts, or pattern of columns such as mode*; the only array, or all "
-        "other columns, unless given"
-    )
-    label: str | None = fields.option(
-        "variable or column of the class; each file is one unless given"
-    )
-    picture: str | None = fields.option("variable or column of the picture that was shown")
-    order: str | None = fields.option(
-        "variable or column that rises with the time of recording, over all"
-    )
-    monitors: tuple[str, ...] = fields.option(
-        "variable or columns of a monitor of the light; may be given again", (), alias="monitor"
-    )
-    split: str = fields.option(
-        "split whose training part trains the saved design: random, later or pictures", "random"
-    )
-    figure: Annotated[Path | None, fields.Output(fields.PICTURES)] = fields.option(
-        "picture of the accuracies: .png, .svg or .pdf"
-    )
-    seed: int = fields.option("seed of splits and training", 0, ge=0, le=2**32 - 1)
-    device: fields.TorchDevice = "auto"
-    force: fields.Force = False
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Design, and what its accuracy is worth."""
-        from deepfsi.training.readouts import SPLIT_WORDS, learn_readouts, measure_readouts
-
-        variables = self.model_dump(include={*Variables._fields})
-        table = read_readouts(self.source, Variables(**variables))
-        check_choice("split", self.split, table.splits)
-        designs = {}
-        with terminal.progress("readouts") as report:
-            for name, part in zip(table.splits, report.split(len(table.splits)), strict=True):
-                designs[name] = learn_readouts(
-                    table,
-                    name,
-                    training=self.settings,
-                    seed=self.seed,
-                    device=self.device,
-                    report=part,
-                )
-                if name == self.split:
-                    designs[name].save(self.out)
-        result = measure_readouts(table, designs, self.seed)
-        drawn = []
-        if self.figure is not None:
-            from deepfsi.report.accuracy import ReadoutTest, readouts_figure
-            from deepfsi.report.style import write_figure
-
-            tests = [ReadoutTest(*row) for row in result.figure_rows]
-            figure = readouts_figure(self.source.name, tests, result.chance)
-            write_figure(figure, self.figure)
-            drawn = [f"drawn: {self.figure}"]
-        return Outcome(
-            {
-                "design": str(self.out),
-                "figure": None if self.figure is None else str(self.figure),
-                **result.as_dict(),
-            },
-            [
-                *result.lines(self.source.name),
-                *drawn,
-                f"saved: {self.out}, trained on what {SPLIT_WORDS[self.split]} leaves",
-            ],
-        )

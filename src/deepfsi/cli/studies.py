@@ -42,7 +42,7 @@ QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": 
 OF_ONE_DESIGN = ("design", "seed", "least_cap")
 """Settings of a job that a comparison does not have: its own, and a cap that a training finds."""
 
-RECIPE_FIELDS = ("size", "skip_bad", "normal", "designs", "ratios", "trials", "folds")
+RECIPE_FIELDS = ("size", "skip_bad", "designs", "ratios", "trials", "folds")
 """Fields of a recipe, besides the data, that are options by themselves."""
 
 
@@ -50,8 +50,7 @@ class CompareDesigns(Command):
     """`deepfsi compare`.
 
     Adaptive masks are among the designs where the camera can show them and the data has at most
-    5000 scenes. Data with values (an .npz whose y are floats) are reported by R², --normal by the
-    area under the ROC curve.
+    5000 scenes. Data with values (an .npz whose y are floats) are reported by R².
 
     The mask count of each design is chosen on validation data, and the test set is read once. A
     stopped comparison goes on where it was when run again with the same output folder.
@@ -67,7 +66,6 @@ class CompareDesigns(Command):
     data: fields.TrainingData = "digits"
     size: fields.Size = None
     skip_bad: fields.SkipBad = False
-    normal: fields.NormalClass = None
     designs: fields.Designs = None
     ratios: fields.Ratios = None
     trials: fields.Trials = None
@@ -387,7 +385,7 @@ def _checked(
     from deepfsi.sweeps.plan import check_settings
 
     def load(recipe: "Recipe") -> Dataset:
-        names = ("size", "split", "images", "skip_bad", "normal")
+        names = ("size", "split", "images", "skip_bad")
         return load_dataset(recipe.data, **{name: getattr(recipe, name) for name in names})
 
     return check_settings(settings, load, matrix)

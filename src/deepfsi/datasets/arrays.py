@@ -10,7 +10,7 @@ from unicodedata import category, normalize
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.errors import InputError, Message
+from deepfsi.base.errors import InputError
 from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.numeric.arrays import check_memory, free_memory, read_npz
 from deepfsi.base.numeric.tables import is_whole_number, normal_name
@@ -186,8 +186,7 @@ def split_arrays(
         targets = _classes((train[1], y_test), classes, counts, name)
     elif classes is not None:
         raise InputError(
-            "{name}: names of classes go with labels; y is of floats, give {values}",
-            setting="values",
+            "{name}: names of classes go with labels; y is of floats, give `values`",
             name=name,
         )
     else:
@@ -274,7 +273,7 @@ def check_no_classes(
     values: npt.NDArray[Any],
     what: str,
     for_classes: str = "give integers (`y.astype(int)`) or strings",
-    for_values: str = Message("name them with {values}", setting="values"),
+    for_values: str = "name them with `values`",
 ) -> None:
     """Raise `InputError` for values (n, q) that are classes as other programs save them.
 

@@ -28,7 +28,7 @@ from typing import ClassVar, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.errors import InputError, check_choice
+from deepfsi.base.errors import InputError
 from deepfsi.base.files import read_text
 from deepfsi.datasets.arrays import assemble, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, Ends, LoadOptions, Reflectance
@@ -36,9 +36,7 @@ from deepfsi.datasets.decoding import PictureSize
 from deepfsi.datasets.pictures import Listing, Picture, dataset_of_pictures, open_listing
 from deepfsi.datasets.spectra import SpectralImage, read_cube
 from deepfsi.datasets.store import (
-    FileCheck,
     cache_folder,
-    check_files,
     data_folders,
     download_files,
     find_folder,
@@ -103,10 +101,6 @@ class NamedDataset(ABC):
         """Folder of the files, downloaded where they are missing, all undamaged."""
         return download_files(self.folder, self.hashes, self.mirrors)
 
-    def check(self) -> list[FileCheck]:
-        """Compare the files with the hashes of the originals, or look at their content."""
-        return check_files(self.folder, self.hashes)
-
     def frame(self, x: Reflectance) -> Reflectance:
         """Pictures (n, H, W) with the frame that those of the data set have."""
         return x
@@ -120,14 +114,6 @@ class Digits(NamedDataset):
     def find(self) -> str:
         """Where they are, in words."""
         return "embedded"
-
-    def download(self) -> Path:
-        """Raise `InputError`."""
-        raise InputError("digits is part of scikit-learn: there is nothing to download, load it")
-
-    def check(self) -> list[FileCheck]:
-        """Say that they are there."""
-        return [FileCheck(self.name, True, "embedded in scikit-learn")]
 
     def load(self, options: LoadOptions) -> Dataset:
         """Load them; a fifth is drawn for testing."""
@@ -242,18 +228,6 @@ class CifarJpeg(Cifar10):
             )
         return folder
 
-    def check(self) -> list[FileCheck]:
-        """Count the images of the zip file."""
-        folder = find_folder(self.folder, self.hashes) or data_folders(self.folder)[0]
-        path = folder / self.FILE
-        try:
-            with open_listing(path) as listing:
-                fault = self._fault_of(listing)
-        except InputError as error:
-            return [FileCheck(path.name, False, str(error))]
-        detail = fault or "every class has its images; no hash is known"
-        return [FileCheck(path.name, not fault, detail)]
-
     def load(self, options: LoadOptions) -> Dataset:
         """Load the copy in its own split; the training part is shuffled."""
         path = self.download() / self.FILE
@@ -327,35 +301,6 @@ class IndianPines(NamedDataset):
             "DEEPFSI_DATA to the folder that holds it"
         )
 
-    def check(self) -> list[FileCheck]:
-        """Say of each file whether it is there, and whether it holds the original's values."""
-        if self.find() is None:
-            detail = f"looked for in {data_folders(self.folder)[0]}"
-            return [FileCheck(f"{stem}.mat", False, detail) for stem in self.hashes]
-        try:
-            return self._read()[1]
-        except InputError as error:
-            return [FileCheck(self.name, False, str(error))]
-
-    def _read(self) -> tuple[SpectralImage, list[FileCheck]]:
-        """Image as its files have it, and the check of their values."""
-        paths = self._files()
-        image = read_cube(
-            *paths,
-            variables=(self.CUBE.lower(), self.LABELS.lower()),
-            name=self.name,
-            classes=self.classes,
-            origin="Radiance as published, 200 of 220 bands,",
-        )
-        checks = []
-        for path, array in zip(paths, (image.cube, image.labels), strict=True):
-            actual = values_hash(array)
-            detail = f"sha256 of its values is {actual}, not {self.hashes[path.stem]}"
-            if ok := actual == self.hashes[path.stem]:
-                detail = "sha256 of its values agrees, bytes 13 read as 10"
-            checks.append(FileCheck(path.name, ok, detail))
-        return image, checks
-
     def load(self, options: LoadOptions) -> Dataset:
         """Load its labelled pixels."""
         split = options.split or "random"
@@ -364,12 +309,20 @@ class IndianPines(NamedDataset):
     def scene(self) -> SpectralImage:
         """Whole image."""
         folder = self.download()
-        scene, checks = self._read()
-        if wrong := [check.file for check in checks if not check.ok]:
-            raise InputError(
-                f"{folder / wrong[0]} does not hold the values of Indian Pines; replace it with "
-                "the original, or give the path of a cube of your own"
-            )
+        paths = self._files()
+        scene = read_cube(
+            *paths,
+            variables=(self.CUBE.lower(), self.LABELS.lower()),
+            name=self.name,
+            classes=self.classes,
+            origin="Radiance as published, 200 of 220 bands,",
+        )
+        for path, array in zip(paths, (scene.cube, scene.labels), strict=True):
+            if values_hash(array) != self.hashes[path.stem]:
+                raise InputError(
+                    f"{path} does not hold the values of Indian Pines; replace it with the "
+                    "original, or give the path of a cube of your own"
+                )
         if not (_high_bytes(scene.cube) == CARRIAGE_RETURN).any():
             damaged = scene.cube.astype(np.uint16)
             cube = kept_array(
@@ -492,27 +445,6 @@ def list_datasets() -> list[DatasetInfo]:
         )
         for name, named in DATASETS.items()
     ]
-
-
-def download(name: str) -> Path:
-    """Make sure that the files of a data set are here, and undamaged.
-
-    What ``$DEEPFSI_DATA`` holds is used. Otherwise the files that the cache lacks are downloaded
-    into it, each from the first mirror that gives it undamaged. Of names that cannot be downloaded,
-    this finds the files that are here.
-    """
-    check_choice("data set", name, DATASETS)
-    return DATASETS[name].download()
-
-
-def check(name: str) -> list[FileCheck]:
-    """Compare the files of a data set with the hashes of the originals.
-
-    They are in the folder where all are, or else where they belong. Where no hash is known, the
-    content is looked at instead.
-    """
-    check_choice("data set", name, DATASETS)
-    return DATASETS[name].check()
 
 
 def load_indian_pines() -> SpectralImage:

@@ -20,7 +20,7 @@ Truth: TypeAlias = npt.NDArray[Any]
 Ends: TypeAlias = tuple[float, float]
 """Low and high."""
 
-MeasureTitle = Literal["accuracy", "AUC", "R²"]
+MeasureTitle = Literal["accuracy", "R²"]
 """What the answers to a data set are measured by."""
 
 
@@ -34,7 +34,6 @@ class LoadOptions(NamedTuple):
     split: str | None = None
     white: float | None = None
     skip_bad: bool = False
-    normal: str | None = None
 
 
 class Origin(BaseModel):
@@ -51,7 +50,7 @@ class Origin(BaseModel):
     split: str | None = None
     white: float | None = None
     skip_bad: bool = False
-    normal: str | None = None
+    normal: None = None  # design files have it, of classes against anomalies, which left
     # Absolute path of the calibration folder of the camera that sees the scenes
     view: str | None = None
     # Which of how many folds its test part is, from 0; None, and left out of files, for none
@@ -67,9 +66,8 @@ class Origin(BaseModel):
         """Name or path, with size and camera."""
         size = f" at {self.size[0]}x{self.size[1]}" if self.size else ""
         view = f" as the camera of {self.view} sees it" if self.view else ""
-        normal = f", {self.normal} against anomalies" if self.normal is not None else ""
         fold = f", fold {self.fold[0] + 1} of {self.fold[1]}" if self.fold else ""
-        return f"{self.data}{size}{view}{normal}{fold}"
+        return f"{self.data}{size}{view}{fold}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,10 +100,9 @@ class Dataset:
         Training scenes that `hold_out` left out.
     values : tuple of str
         Names of the q values of a scene, such as its position; none where scenes have classes.
-    measure : {"accuracy", "AUC", "R²"}
-        Measure of the answers: of scenes with classes the accuracy, of one class against anomalies
-        (`datasets.variants`) the area under the ROC curve, of values the share of their variance
-        that the answers explain.
+    measure : {"accuracy", "R²"}
+        Measure of the answers: of scenes with classes the accuracy, of values the share of their
+        variance that the answers explain.
     drawn : bool
         Whether the test part was drawn from the scenes at random, so that `folds` may draw others.
 
@@ -160,10 +157,10 @@ class Dataset:
 
     @property
     def chance(self) -> float:
-        """Measure of guessing: the share of the commonest class of the test; 0.5 AUC; 0 R²."""
+        """Measure of guessing: the share of the commonest class of the test; 0 R²."""
         if self.measure == "accuracy":
             return float(np.bincount(self.y_test).max() / len(self.y_test))
-        return 0.5 if self.measure == "AUC" else 0.0
+        return 0.0
 
     @cached_property
     def hash(self) -> str:
@@ -224,8 +221,7 @@ class Dataset:
         """
         if not self.drawn:
             raise InputError(
-                "{name} has a test part of its own, or anomalies: it has no folds, leave {folds} "
-                "out or give 1",
+                "{name} has a test part of its own: it has no folds, leave {folds} out or give 1",
                 setting="folds",
                 name=self.name,
             )

@@ -17,7 +17,6 @@ from deepfsi.datasets.dataset import Dataset, Ends, LoadOptions, Origin
 from deepfsi.datasets.display import Display, array_display, read_display
 from deepfsi.datasets.pictures import as_shape, load_pictures
 from deepfsi.datasets.spectra import CUBE_ENDINGS, read_cube
-from deepfsi.datasets.variants import one_class
 
 
 class FileKind(NamedTuple):
@@ -84,7 +83,6 @@ def load_dataset(
     split: str | None = None,
     white: float | None = None,
     skip_bad: bool = False,
-    normal: str | None = None,
 ) -> Dataset:
     """Load a data set by its name, from a path, or from arrays.
 
@@ -127,9 +125,6 @@ def load_dataset(
         that of the fewest bits that hold the largest value, as `deepfsi.datasets.levels` says.
     skip_bad : bool
         Leave images that cannot be read out, which `Dataset.preprocessing` then names.
-    normal : str, optional
-        Class to be told from anomalies, as `datasets.variants` makes them of its scenes; scenes of
-        the other classes are in the test part alone.
 
     Examples
     --------
@@ -145,19 +140,16 @@ def load_dataset(
         split=split,
         white=white,
         skip_bad=skip_bad,
-        normal=normal,
     )
     if isinstance(source, tuple):
-        data = _load_arrays(source, options)
-    elif isinstance(source, str | os.PathLike):
-        data = _load_source(os.fspath(source), options)
-    else:
-        raise InputError(
-            f"data were given as {type(source).__name__}: give a Dataset of deepfsi, a name such "
-            "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays; scenes "
-            "and labels of a torch data set make two such arrays"
-        )
-    return data if normal is None else one_class(data, normal, seed)
+        return _load_arrays(source, options)
+    if isinstance(source, str | os.PathLike):
+        return _load_source(os.fspath(source), options)
+    raise InputError(
+        f"data were given as {type(source).__name__}: give a Dataset of deepfsi, a name such "
+        "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays; scenes "
+        "and labels of a torch data set make two such arrays"
+    )
 
 
 def _load_arrays(arrays: tuple[Any, ...], options: LoadOptions) -> Dataset:

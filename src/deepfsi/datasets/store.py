@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -16,14 +16,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.numeric.arrays import read_npy
 from deepfsi.base.progress import Progress, terminal_bar
-
-
-class FileCheck(NamedTuple):
-    """Result of the check of one file."""
-
-    file: str
-    ok: bool
-    detail: str
 
 
 def cache_folder(name: str) -> Path:
@@ -50,31 +42,13 @@ def find_folder(name: str, files: Iterable[str]) -> Path | None:
     return next((path for path in folders if all((path / f).is_file() for f in files)), None)
 
 
-def check_files(data_set: str, hashes: Mapping[str, str]) -> list[FileCheck]:
-    """Compare the files of a data set with their hashes, "algorithm:hex"."""
-    folder = find_folder(data_set, hashes) or data_folders(data_set)[0]
-    checks = []
-    for name, expected in hashes.items():
-        algorithm, _, digest = expected.partition(":")
-        try:
-            with (folder / name).open("rb") as file:
-                actual = hashlib.file_digest(file, algorithm).hexdigest()
-            detail = f"{algorithm} is {actual}, not {digest}"
-        except OSError as error:
-            detail = f"cannot be read from {folder} ({error.strerror})"
-            actual = ""
-        ok = actual == digest
-        checks.append(FileCheck(name, ok, f"{algorithm} agrees" if ok else detail))
-    return checks
-
-
 def download_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...]) -> Path:
     """Folder of the files of a data set, downloaded where they are missing, all undamaged."""
     folder = find_folder(name, hashes)
     if folder is not None and folder != cache_folder(name):
-        for file, ok, detail in check_files(name, hashes):
-            if not ok:
-                raise InputError(f"{folder / file}: {detail}; replace it with the original")
+        for file, expected in hashes.items():
+            if fault := _fault_of(folder / file, expected):
+                raise InputError(f"{folder / file}: {fault}; replace it with the original")
         return folder
     for file, expected in hashes.items():
         failures = []
@@ -89,6 +63,17 @@ def download_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...
                 "holds it"
             )
     return cache_folder(name)
+
+
+def _fault_of(path: Path, expected: str) -> str:
+    """Fault of a file whose hash is given, "algorithm:hex"; none if it agrees."""
+    algorithm, _, digest = expected.partition(":")
+    try:
+        with path.open("rb") as file:
+            actual = hashlib.file_digest(file, algorithm).hexdigest()
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+    return "" if actual == digest else f"{algorithm} is {actual}, not {digest}"
 
 
 def fetch(url: str, expected: str | None, path: Path) -> str:

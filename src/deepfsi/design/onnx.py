@@ -16,7 +16,6 @@ from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.design.design import Design
-from deepfsi.designfile.provenance import check_masks
 from deepfsi.exposure.kind import Observation
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.networks.custom import OwnClassifier
@@ -72,7 +71,6 @@ def to_onnx(design: Design) -> bytes:
             "an ONNX graph is written with the package onnx: pip install onnx onnxruntime"
         ) from None
     check_classes(design.values, "an ONNX graph")
-    check_masks(design.info, "an ONNX graph")
     own = isinstance(design.classifier, OwnClassifier)
     if not own and not isinstance(design.classifier, Mlp):
         raise InputError(

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.errors import as_input_error
 from deepfsi.base.models.strict import StrictModel
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import find_noise
@@ -31,9 +31,6 @@ FINE_LEVELS = 2**16 - 1
 
 SCENE_HASHES = "training_scenes"
 """Name of the tensor of a design file that holds the hashes."""
-
-READOUTS = "readouts"
-"""Entry of `info`, of designs of measured readouts: the offset and the gain of each readout."""
 
 
 class TrainedOn(StrictModel):
@@ -181,12 +178,3 @@ def click_gates(info: Mapping[str, Any]) -> int | None:
     """Clicks of a readout at most, where the detectors of a design's camera click."""
     camera = info.get("job", {}).get("camera", {})
     return int(camera.get("gates", 1)) if find_noise(camera.get("noise", "")).gates else None
-
-
-def check_masks(info: Mapping[str, Any], what: str) -> None:
-    """Raise `InputError` where a design reads measured readouts, whose masks are not known."""
-    if READOUTS in info:
-        raise InputError(
-            f"{what} needs masks, and those of measured readouts are not known: use "
-            "`deepfsi camera classify` with a table of readouts"
-        )

@@ -20,7 +20,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
-from deepfsi.designfile.provenance import check_masks, new_scenes, trained_on
+from deepfsi.designfile.provenance import new_scenes, trained_on
 from deepfsi.designfile.temperatures import Temperatures
 from deepfsi.evaluation.accuracy import check_data, evaluate
 from deepfsi.evaluation.stopping import rule_of, stop
@@ -112,7 +112,6 @@ def few_tests(data: Dataset, seed: int) -> Dataset:
 def check_playable(design: Design) -> None:
     """Raise `InputError` for a design that no page can play."""
     check_classes(design.values, "a page")
-    check_masks(design.info, "a page")
     if not design.camera.noise_facts.steady:
         raise InputError(
             "this design is for light that fluctuates, and a page draws photon and dark counts of "

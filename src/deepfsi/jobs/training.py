@@ -60,11 +60,6 @@ def find_classifier(name: str) -> ClassifierFacts:
     return load_plugin(path) if path else CUSTOM_CLASSIFIER
 
 
-READOUTS_TRAINING: dict[str, Any] = {
-    "hidden": (256, 256), "epochs": 200, "lr": 5e-3, "dropout": 0.3, "scale": "each"
-}  # fmt: skip
-"""Settings of a training of measured readouts unless given, chosen on parts that were left out."""
-
 MOST_LAYERS = 64
 """Hidden layers of a network at most."""
 

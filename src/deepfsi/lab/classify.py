@@ -24,7 +24,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import NO_EFFECTS
 from deepfsi.camera.light import TOO_DIM, check_budget
 from deepfsi.designfile.distribution import ConsistencyResult
-from deepfsi.designfile.provenance import READOUTS, scene_hashes, was_trained_on
+from deepfsi.designfile.provenance import was_trained_on
 from deepfsi.designfile.score import Score
 from deepfsi.designfile.view_test import ViewResult
 from deepfsi.hardware.counting.acquisition import ReferenceVerdict, Scene, read_run
@@ -273,8 +273,6 @@ def classify_table(
     """
     patterns = read_patterns(design) if Path(design).is_dir() else None
     made = _opened(design, patterns, trust)
-    if READOUTS in made.info:
-        return _classified_readouts(made, str(table), settings, camera)
     settings = replace(settings or TableSettings(), clicks=made.gates)
     if camera:
         effects = Camera.of_run(made.camera, **camera).counter_effects(camera)
@@ -297,58 +295,6 @@ def classify_table(
         made, counts, scenes, source=str(table), photons=settings.photons, force=force
     )
     return counted.classify()
-
-
-def _classified_readouts(
-    design: "Design",
-    source: str,
-    settings: TableSettings | None,
-    camera: Mapping[str, Any] | None,
-) -> ClassifiedRun:
-    """Class of each recording in a table of measured readouts, a row or a column for each."""
-    from deepfsi.design.readouts import classify_readouts
-
-    along = settings.exposures if settings else None
-    if camera or settings not in (None, TableSettings(exposures=along)):
-        raise InputError(
-            "measured readouts are classified as they are: leave out all options of a table but "
-            "{exposures}",
-            setting="exposures",
-        )
-    table = read_table(source, TableSettings.WORDS)
-    rows, columns = table.values.shape
-    turned = along == "columns" or (along is None and columns != design.masks == rows)
-    answers = classify_readouts(design, table.values.T if turned else table.values)
-    count = len(answers.chances)
-    names = table.words.get(TableSettings.SCENE, tuple(str(row + 1) for row in range(count)))
-    labels = table.words.get(TableSettings.LABEL, ("",) * count)
-    hashes = scene_hashes(answers.scenes, design.image_shape)
-    trained = was_trained_on(design.training_scenes, hashes)
-    scenes = []
-    for index, chances in enumerate(answers.chances):
-        best = design.classes[chances.argmax()]
-        scenes.append(
-            ClassifiedScene(
-                name=names[index],
-                label=labels[index] or None,
-                predicted=best,
-                probability=float(chances.max()),
-                exposures=1,
-                guesses=(best,),
-                trained_on=trained[index],
-            )
-        )
-    remark = (
-        f"{answers.outside:.1%} of the readouts of {source} lie outside of the span of those of "
-        "the training's table; nothing else was tested"
-    )
-    return ClassifiedRun(
-        design=design.name,
-        masks=design.masks,
-        classes=design.classes,
-        scenes=tuple(scenes),
-        remarks=(remark,),
-    )
 
 
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":

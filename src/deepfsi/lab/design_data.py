@@ -103,7 +103,6 @@ def _asked(
     same = [
         "rescale",
         "view",
-        "normal",
         *(option for option in ("size", "white", "skip_bad") if option in allowed),
     ]
     kept = {option: getattr(known, option) for option in same}
@@ -111,7 +110,7 @@ def _asked(
 
 
 def _load(origin: Origin) -> Dataset:
-    options = origin.model_dump(exclude={"data", "view", "fold"})
+    options = origin.model_dump(exclude={"data", "normal", "view", "fold"})
     scenes = load_dataset(origin.data, **options)
     if origin.fold is not None:
         place, count = origin.fold

@@ -5,13 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from deepfsi.base.numeric.intervals import auc_terms
-
 MOST_DRAWS = 10_000
 """Noise draws of each scene in one test: enough for any interval, and an end in sight."""
-
-TINY = np.finfo(np.float32).tiny
-"""Least probability that the log-odds are taken of."""
 
 LEAST_TRUE_CHANCE = np.finfo(np.float32).eps
 """Least probability of a true class that the log loss is taken of."""
@@ -78,17 +73,6 @@ class ClassAnswers(Answers):
     def right(self) -> np.ndarray:
         """Share (n,) of the draws of each scene that are answered right."""
         return self.by_scene(self.classes == self.true).mean(axis=1, dtype=float)
-
-    @cached_property
-    def area_terms(self) -> np.ndarray:
-        """Terms (n,) whose mean is the area under the ROC curve; none unless there are two classes.
-
-        Scores are log-odds of the second class, so that chances near 1 are told apart.
-        """
-        if len(self.confusion) != 2 or not self.confusion.any(axis=1).all():
-            return np.zeros(0)
-        odds = np.subtract(*np.log(self.chances[:, [-1, 0]].clip(min=TINY).T))
-        return auc_terms(self.by_scene(odds.astype(float)), self.truth == 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,10 +118,6 @@ class Result(AnswerTest):
         of the masks before.
     photons_per_mask : list of float
         Expected photons of each mask's rails together, in the training mean; likewise.
-    auc, auc_low, auc_high : float or None
-        Of two classes, the probability that an exposure of the second gets more of its probability
-        than one of the first, the area under the ROC curve, and its 95 % interval over test images
-        (`base.numeric.auc`).
     further, image_terms
         As of `AnswerTest`.
 
@@ -153,9 +149,6 @@ class Result(AnswerTest):
     arriving: float
     throughput: float
     photons_per_mask: list[float]
-    auc: float | None
-    auc_low: float | None
-    auc_high: float | None
 
     @classmethod
     def of(cls, answers: ClassAnswers) -> Self:

@@ -13,7 +13,6 @@ import numpy as np
 from deepfsi.base.numeric.intervals import (
     Interval,
     accuracy_interval,
-    auc,
     balanced_interval,
     image_interval,
 )
@@ -100,23 +99,6 @@ MEASURES: dict[str, Measure] = {
             averaged=True,
             chooses=True,
         ),
-        MainMeasure(
-            key="auc",
-            title="AUC",
-            of=ClassAnswers,
-            interval=lambda terms, truth: auc(terms, truth == 1),
-            ends=("auc_low", "auc_high"),
-            terms="AUC",
-            terms_of=lambda answers: answers.area_terms,
-            chooses=True,
-            axis="area under the ROC curve (AUC)",
-            meaning="probability that an anomaly gets a higher score than a normal scene, the area "
-            "under the ROC curve (AUC)",
-            guessing="that of scores drawn at random",
-            task="how well a trained network tells anomalies from normal scenes by the photon "
-            "counts, on {scenes}: the area under the ROC curve (AUC), which is the probability "
-            "that an anomaly gets the higher score",
-        ),
         Measure(
             key="calibration_error",
             title="expected calibration error",
@@ -168,7 +150,7 @@ MEASURES: dict[str, Measure] = {
 
 
 def main_measure(title: str) -> MainMeasure:
-    """The measure that data sets are judged by which say so, such as "accuracy", "AUC" or "R²"."""
+    """The measure that data sets are judged by which say so, such as "accuracy" or "R²"."""
     named = {
         measure.title: measure for measure in MEASURES.values() if isinstance(measure, MainMeasure)
     }

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
-from deepfsi.base.numeric.intervals import Interval
 from deepfsi.camera.names import noise_text
 from deepfsi.measures.table import main_measure
 from deepfsi.report import style
@@ -264,49 +263,3 @@ def _bar_lengths(points: Sequence[Measured]) -> np.ndarray:
 
 def _marker(point: Measured) -> str:
     return "o" if point.specific else "s"
-
-
-class ReadoutTest(NamedTuple):
-    """Accuracies of classifiers of measured readouts on one test."""
-
-    name: str  # what was tested on
-    network: Interval | None
-    ridge: Interval | None
-
-
-@style.styled
-def readouts_figure(title: str, tests: Sequence[ReadoutTest], chance: float) -> Figure:
-    """Accuracies with their 95 % intervals, a row for each test, and that of guessing."""
-    size = (0.72 * style.PAGE_WIDTH, 0.5 * len(tests) + 1.3)
-    figure = Figure(figsize=size, layout="constrained")
-    ax = figure.subplots()
-    for name, design, marker, off in (
-        ("network", "deepfsi", "o", -0.12),
-        ("RBF ridge", "pca", "s", 0.12),
-    ):
-        colour = style.DESIGN_COLOURS[design]
-        for row, test in enumerate(tests):
-            interval = test.network if name == "network" else test.ridge
-            if interval is not None:
-                ax.errorbar(
-                    interval.mean,
-                    row + off,
-                    xerr=[[interval.mean - interval.low], [interval.high - interval.mean]],
-                    fmt=marker,
-                    color=colour,
-                    markersize=5,
-                    capsize=2,
-                )
-        ax.plot([], [], marker, color=colour, label=name)
-    ax.axvline(chance, color=style.MUTED, linestyle="--", linewidth=0.9, label="guessing")
-    ax.set(
-        xlim=(0, 1.02),
-        ylim=(len(tests) - 0.5, -0.5),
-        yticks=range(len(tests)),
-        yticklabels=[test.name for test in tests],
-        xlabel="accuracy, 95 % interval",
-    )
-    ax.set_title(title, loc="left")
-    ax.grid(axis="x", color=style.GRID)
-    figure.legend(loc="outside lower center", ncols=3, frameon=False)
-    return figure

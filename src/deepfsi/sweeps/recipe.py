@@ -195,10 +195,6 @@ class Recipe(UserModel):
     skip_bad: bool = Field(
         default=False, description="leave images that cannot be read out, and name them"
     )
-    normal: str | None = Field(
-        default=None,
-        description="class to be told from anomalies; these are made from its own scenes",
-    )
     images: int | None = Field(
         default=None, ge=1, description="training images that are taken; all unless given"
     )

@@ -98,8 +98,7 @@ class Point(_Stored):
         "where a recipe balances its training"
     )
     accuracy: _Score = Field(
-        description="measure of the answers, in the mean over trials: accuracy, area under the ROC "
-        "curve of one class against anomalies, or R² of values"
+        description="measure of the answers, in the mean over trials: accuracy, or R² of values"
     )
     low: FiniteFloat = Field(description="lower end of its 95 % interval")
     high: FiniteFloat = Field(description="upper end of its 95 % interval")
@@ -193,7 +192,7 @@ class Data(_Stored):
         (), description="names of its values; none where it has classes"
     )
     measure: MeasureTitle = Field(
-        "accuracy", description="what `accuracy` of a point is: accuracy, AUC or R²"
+        "accuracy", description="what `accuracy` of a point is: accuracy or R²"
     )
     train: _StoredCount = Field(description="scenes trained on")
     validation: _StoredCount = Field(description="scenes held out")
@@ -205,7 +204,7 @@ class Data(_Stored):
     )
     chance: FiniteFloat = Field(
         description="measure of guessing: the share of the test scenes that are of their commonest "
-        "class, an area of 0.5, or R² 0"
+        "class, or R² 0"
     )
     preprocessing: str = Field(description="steps from the data's own values to reflectance")
     mean_reflectance: FiniteFloat = Field(description="of a pixel of the training scenes")
@@ -237,7 +236,7 @@ class Results(_Stored):
         description="data that mask counts were chosen on: validation or nothing"
     )
     chosen_by: str = Field(
-        "accuracy", description="measure that they were chosen by: accuracy, balanced, auc or r2"
+        "accuracy", description="measure that they were chosen by: accuracy, balanced or r2"
     )
     points: tuple[Point, ...] = Field(description="one for each setting")
     extra: dict[str, Any] = Field({}, description="further numbers of an experiment")

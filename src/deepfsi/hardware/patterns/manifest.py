@@ -33,7 +33,6 @@ from deepfsi.camera.device import DEVICE_SOURCES, DEVICES, Device
 from deepfsi.camera.layout import DmdGrid, DmdLayout, find_grid
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName, Readout, SummedReflectance
 from deepfsi.designfile.design_file import DesignFile
-from deepfsi.designfile.provenance import check_masks
 from deepfsi.hardware.patterns.frames import Format, Selection, make_frame
 from deepfsi.jobs.designs import EVERY_PIXEL
 
@@ -175,7 +174,6 @@ class DesignRails:
     def of(cls, design: DesignFile, file: bytes) -> Self:
         """Rails of a design file that was read, and its content."""
         header = design.mask_header
-        check_masks(header.info, "a device")
         if header.name in EVERY_PIXEL:
             raise InputError(
                 "impulse imaging has a detector for each pixel: no one device can show it"

@@ -1,4 +1,4 @@
-"""Values in place of classes, and one class against anomalies, on the command line."""
+"""Values in place of classes, on the command line."""
 
 import json
 
@@ -47,16 +47,3 @@ def test_values_go_from_design_to_the_report(done, refuse, file, tmp_path):
     assert "R² at each budget" in page
     assert "classified correctly" not in page
     assert "is the most accurate" not in page
-
-
-def test_one_class_against_anomalies_goes_from_design_to_the_report(done, tmp_path):
-    made, folder = tmp_path / "three.safetensors", tmp_path / "out"
-    few = ("--normal", "3", "--photons", "1e5", "--masks", 4, "--epochs", 3)
-    assert "AUC 0." in done("design", *few, "-o", made)
-    out = done("evaluate", made, "--photons", "1e5")  # it remembers the class
-    assert "AUC" in out
-    assert "anomaly" in out
-    assert "AUC" in done("compare", "--designs", "pca", "--workers", 1, *few, "-o", folder)
-    results = json.loads((folder / "results.json").read_text())
-    assert (results["data"]["measure"], results["chosen_by"]) == ("AUC", "auc")
-    assert "area under the ROC curve" in (folder / "report.html").read_text()
