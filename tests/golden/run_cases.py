@@ -256,7 +256,6 @@ LIVE = {
     "adaptive, dead time": ("adaptive", "--virtual spad --flux 1e6 --dead-time 50ns --until 0.5"),
     "adaptive, arms": ("adaptive-arms", "--virtual ideal --flux 1.5e5 --until 0.7"),
     "adaptive, detectors": ("adaptive-quad", "--virtual ideal --flux 1e6 --dark 2e3"),
-    "adaptive, background": ("adaptive", "--virtual ideal --flux 1e6 --background"),
 }
 """Live runs: design, and options of `camera live`."""
 

@@ -1,6 +1,7 @@
 """Settings of a live run, as the acquisition's file has them."""
 
 import math
+from typing import Literal
 
 from deepfsi.base.models.strict import Count, Positive, Share, StrictModel
 from deepfsi.camera.dead_time import CounterEffects
@@ -32,5 +33,5 @@ class _LiveLooks(StrictModel):
 class LiveSettings(CounterEffects, _LiveLooks):
     """Settings of a live run, with the effects of the counter that are corrected for."""
 
-    background: bool = False  # True if a pass with the scenes dark comes first
+    background: Literal[False] = False  # Of earlier versions
     latencies: dict[str, float] | None = None  # Of virtual devices, seconds

@@ -372,9 +372,6 @@ class RunLive(_DeviceRun):
         "confidence above which an exposure stops; that of the design's rule unless given"
     )
     photons: fields.ExposureBudget = None
-    background: bool = fields.flag(
-        "first show all masks with the scenes dark, and subtract what they count"
-    )
     inputs: fields.Inputs = ()
     marker_bit: fields.MarkerBit = None
     seed: RunSeed = 0
@@ -416,7 +413,6 @@ class RunLive(_DeviceRun):
                 looks=looks,
                 photons=self.photons,
                 until=self.until,
-                background=self.background,
                 flux=camera.flux,
                 **others,
             )

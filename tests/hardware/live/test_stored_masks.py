@@ -270,8 +270,3 @@ def test_dark_counts_are_known(digits, patterns, tmp_path):
     noisy = run(tmp_path / "noisy", patterns, digits, 40, camera=camera)
     right = [each.answer.predicted == each.answer.label for each in noisy if each.answer]
     assert np.mean(right) > 0.7
-
-
-def test_a_background_is_refused(digits, patterns):
-    with pytest.raises(InputError, match="take dark counts alone, and a `background`"):
-        devices_of(patterns, digits, 1, background=True)

@@ -48,7 +48,6 @@ class LightMonitor:
         self._rhythms = [Periodogram() for _ in range(curves)]
         self._backgrounds: list[Background] = []
         self._said: set[tuple[str, int | None]] = set()
-        self.ambient = 0.0
         self.flux = 0.0
         self.since = 0
         self.dark = np.zeros(len(inputs))
@@ -69,8 +68,7 @@ class LightMonitor:
         of_inputs = self._backgrounds[-len(self.dark) :]
         self.dark = np.array([one.rate[-1] for one in of_inputs])
         on, on_s = arm.together(arm.bright)
-        unlit = dark.photons[-1] + self.ambient * dark.seconds[-1]
-        chance = excess_chance(on[-1], on_s[-1], unlit, dark.seconds[-1])
+        chance = excess_chance(on[-1], on_s[-1], dark.photons[-1], dark.seconds[-1])
         lit = bool(chance <= NO_LIGHT)
         self._lit.append(lit)
         self._sound.append(lit)
@@ -80,7 +78,7 @@ class LightMonitor:
         if lit:
             light = self._so_far(arm, dark)
             rates = light.measure_flux(self._manifest.brightness, self._chance)
-            self.flux = float(rates[-1]) - self.ambient
+            self.flux = float(rates[-1])
             self.since = int(np.flatnonzero(rates != rates[-1]).max(initial=-1)) + 1
             changes += run_checks(light, "arm", self._chance)
         new = tuple(fault for fault in changes if (fault.kind, fault.scene) not in self._said)
@@ -132,7 +130,7 @@ class LightMonitor:
         on, on_s = curve.together(curve.bright)
         counts = float(on[used].sum())
         seconds = float(on_s[used].sum())
-        rate = float(self._backgrounds[0].rate[-1]) + self.ambient
+        rate = float(self._backgrounds[0].rate[-1])
         ratio = allowed_ratio(brightness)(np.array(len(used)), np.array(np.inf)) * 1.0
         most, least = ((photons_s * factor + rate) * seconds for factor in (ratio, 1 / ratio))
         more = gammainc(counts / EXCESS, most / EXCESS)

@@ -20,9 +20,6 @@ from deepfsi.hardware.light.checks import Fault
 from deepfsi.hardware.live.looks import FrameList
 from deepfsi.hardware.patterns.manifest import Manifest
 
-DARK_SCENE = -1
-"""Number of the pass before the scenes, with these dark, by which their background is measured."""
-
 LARGEST_LOG = 2**31
 """Bytes of a record at most."""
 
@@ -91,7 +88,7 @@ def _packed(masks: np.ndarray | None) -> tuple[str, ...]:
 class LoggedScene(StrictModel):
     """A scene as it was shown, and what was decided."""
 
-    scene: int = Field(ge=DARK_SCENE)  # From 0; -1 for the pass before, with the scenes dark
+    scene: WholeNumber  # From 0
     first_marker: WholeNumber  # Markers before those of this scene
     lists: tuple[LoggedList, ...]  # In their order
     chances: tuple[float, ...]  # Probabilities of the classes; none if there was no light
@@ -135,8 +132,8 @@ class FrameLog:
         except ValidationError:
             raise InputError(f"{path} is damaged: run `deepfsi camera live` again") from None
         numbers = [scene.scene for scene in scenes]
-        if not numbers or numbers[-1] == DARK_SCENE:
+        if not numbers:
             raise InputError(f"{path} has no finished scene: run `deepfsi camera live` again")
-        if numbers != list(range(min(numbers[0], 0), numbers[-1] + 1)):
+        if numbers != list(range(len(numbers))):
             raise InputError(f"{path} has scenes that do not follow each other: it was changed")
         return cls(scenes)

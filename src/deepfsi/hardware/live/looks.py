@@ -13,7 +13,6 @@ from deepfsi.designfile.provenance import TrainingScenes
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.light.curves import Arrivals
-from deepfsi.hardware.patterns.manifest import Manifest
 
 
 @dataclass(frozen=True)
@@ -46,18 +45,15 @@ class ExposureState:
 
     photons: float  # budget of all looks together, counts
     exposure_ns: int  # time of all looks together
-    shortest_ns: int
     dark: np.ndarray  # dark counts, counts/s
-    ambient: np.ndarray
 
-    def signal(self, asked: FrameList, rows: np.ndarray, arrivals: Arrivals) -> SceneSignal:
-        """Counts of a look less those that are no scene's, of frames at some of the masks' rows."""
-        ambient, its_noise = self.ambient[:, rows]
+    def signal(self, asked: FrameList, arrivals: Arrivals) -> SceneSignal:
+        """Counts of a look less those that are no scene's."""
         counts = arrivals.photons.sum(axis=1)
         variance = arrivals.variance.sum(axis=1)
         seconds = (asked.gate_ns * 1e-9)[:, None]
-        dark = (self.dark + ambient) * seconds
-        noise = dark.clip(min=0) + its_noise * seconds**2 + (variance - counts).clip(min=0)
+        dark = self.dark * seconds
+        noise = dark.clip(min=0) + (variance - counts).clip(min=0)
         return SceneSignal(counts - dark, noise)
 
 
@@ -108,8 +104,3 @@ class LookChooser(Protocol):
 
     def lit(self, asked: FrameList) -> np.ndarray:
         """Share of each pixel's mirrors that are ON in frames of a look, (F, N)."""
-
-
-def rows_of(manifest: Manifest, asked: FrameList) -> np.ndarray:
-    """Places (F,) of a look's frames among those of the masks."""
-    return np.searchsorted(manifest.shown, asked.frames)

@@ -10,9 +10,6 @@ is to stay dim; the dark counts are those of the all-OFF frames that agree. Afte
 light of the scene is tested as that of a recorded one (`LightMonitor`), and its counts against the
 training; a scene that fails has faults, and gets no class.
 
-Where the masks' own background was measured first, with the scenes dark, it is subtracted as the
-dark counts are, and what all-ON frames hold of it from the budget.
-
 Counts are corrected for dead time frame by frame, at the rate of each. An all-ON frame beyond the
 rate up to which that is sure ends the run; a short gate that is, by chance, is corrected as there.
 """
@@ -38,7 +35,6 @@ from deepfsi.hardware.live.looks import (
     FrameSource,
     LookChooser,
     SceneComparison,
-    rows_of,
 )
 from deepfsi.hardware.patterns.manifest import Manifest
 
@@ -127,20 +123,6 @@ class SceneObserver:
         model = looks.scene_model
         self._view = ViewTest(model, manifest.image_shape) if model else None
         self._ends = _scene_ends(manifest, acquisition.settle_s)
-        self._ambient = np.zeros((2, len(manifest.shown), manifest.inputs))
-
-    def measure_background(self, source: FrameSource) -> None:
-        """Measure what frames count beyond the dark counts while the scenes are dark."""
-        manifest = self._manifest
-        frames = np.concatenate([[ON, OFF], manifest.shown])
-        gate = self._exposure_ns // len(self.looks.shares)
-        arrivals = self._arrivals(source, FrameList(0, frames, np.full(len(frames), gate)))
-        rates = arrivals.photons.sum(axis=1) / (gate * 1e-9)
-        noise = arrivals.variance.sum(axis=1) / (gate * 1e-9) ** 2
-        dark = manifest.dark_inputs(rates[ON], rates[OFF])
-        dark_noise = manifest.dark_inputs(noise[ON], noise[OFF])
-        self._ambient = np.stack([rates - dark, noise + dark_noise])[:, 2:]
-        self._light.ambient = float((rates[ON] - dark)[manifest.arm].sum())
 
     def observe(
         self, scene: int, source: FrameSource, shown: Sequence[FrameList] | None = None
@@ -169,9 +151,7 @@ class SceneObserver:
         state = ExposureState(
             photons=self._settings.photons or measured,
             exposure_ns=self._exposure_ns,
-            shortest_ns=self._settings.shortest_ns,
             dark=self._light.dark,
-            ambient=self._ambient,
         )
         exposure = self.looks.expose(scene, state)
         asked: list[FrameList] = []
@@ -237,7 +217,7 @@ class SceneObserver:
         counts = sum(float(end.photons[ON, :, arm].sum()) for end in ends)
         variance = sum(float(end.variance[ON, :, arm].sum()) for end in ends)
         seconds = sum(float(end.seconds[ON].sum()) for end in ends)
-        dark = (float(self._light.dark[arm].sum()) + self._light.ambient) * seconds
+        dark = float(self._light.dark[arm].sum()) * seconds
         return AllOnCounts(counts - dark, dark + max(variance - counts, 0.0), seconds)
 
     def _readouts(
@@ -257,8 +237,7 @@ class SceneObserver:
             )  # F, arms, D, N
             gain = state.photons * share / manifest.summed_reflectance
             masks = gain[:, None] * both.reshape(-1, lit.shape[-1]).reshape(len(lit), -1)
-            rows = rows_of(manifest, look)
-            signal = state.signal(look, rows, arrived)
+            signal = state.signal(look, arrived)
             readouts.append(
                 SceneReadouts(
                     masks=masks.reshape(-1, lit.shape[-1]),

@@ -18,7 +18,7 @@ from deepfsi.designfile.view_test import SceneReadouts
 from deepfsi.hardware.counting.acquisition import Acquisition, read_run
 from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.light.curves import PARTS_OF_FRAME
-from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedScene
+from deepfsi.hardware.live.frame_log import FrameLog, LoggedScene
 from deepfsi.hardware.live.looks import FrameList, LookChooser
 from deepfsi.hardware.live.observer import (
     SCENE_ENDS,
@@ -152,9 +152,6 @@ def replay_run(folder: Path, looks: LookChooser, report: Progress = SILENT) -> R
     replayed = []
     for scene, lists in counts.by_scene:
         source = _LoggedFrames(scene, lists)
-        if scene.scene == DARK_SCENE:
-            observer.measure_background(source)
-            continue
         shown = _shown_looks(scene, counts.manifest)
         decisions = tuple(observer.observe(scene.scene, source, shown))
         answer = LiveScene.of(

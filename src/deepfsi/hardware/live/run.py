@@ -35,7 +35,7 @@ from deepfsi.hardware.drivers.protocols import (
 )
 from deepfsi.hardware.light.curves import excess_chance
 from deepfsi.hardware.light.monitor import NO_LIGHT
-from deepfsi.hardware.live.frame_log import DARK_SCENE, FrameLog, LoggedList, LoggedScene
+from deepfsi.hardware.live.frame_log import FrameLog, LoggedList, LoggedScene
 from deepfsi.hardware.live.looks import FrameList, LookChooser
 from deepfsi.hardware.live.observer import (
     MARGIN_NS,
@@ -59,7 +59,6 @@ def plan_live(
     photons: float | None = None,
     until: float | None = None,
     effects: CounterEffects = NO_EFFECTS,
-    background: bool = False,
     **others: object,
 ) -> Acquisition:
     """Settings of a live run of the patterns in a folder.
@@ -82,8 +81,6 @@ def plan_live(
         Confidence above which an exposure stops; that of the design's rule unless given.
     effects : CounterEffects
         To be corrected.
-    background : bool
-        First measure what the masks' frames count while the scenes are dark.
     **others
         Fields of the `Acquisition`.
 
@@ -98,12 +95,6 @@ def plan_live(
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
     if photons is not None and not (math.isfinite(photons) and photons > 0):
         raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
-    if background:
-        raise InputError(
-            "adaptive masks take dark counts alone, and a {background} is measured mask by mask: "
-            "keep ambient light out, and leave it out",
-            setting="background",
-        )
     rule = looks.rule
     if until is not None:
         if not 0 < until < 1:
@@ -125,7 +116,6 @@ def plan_live(
                 shortest_ns=shortest_ns,
                 photons=photons,
                 rule=rule,
-                background=background,
                 **dict(effects),
             ),
             **{"inputs": tuple(range(manifest.inputs)), **others},
@@ -225,10 +215,6 @@ def run_live(
         setup.counter.start(folder / "photons.ptu")
         log = stack.enter_context(GrowingFile(folder / FrameLog.NAME))
         frames = _DeviceFrames(setup, manifest, acquisition.settle_s)
-        if live.background:
-            frames.begin(DARK_SCENE)
-            observer.measure_background(frames)
-            log.write(frames.logged(None).line)
         for number, scene in enumerate(acquisition.scenes):
             frames.begin(number)
             decision: Decision | None = None

@@ -258,8 +258,6 @@ def virtual_setup(
 ) -> Setup[VirtualProjector]:
     """Virtual devices of a run, with the camera, flux, seed and wiring of its acquisition."""
     camera = VirtualCamera.model_validate(acquisition.camera)
-    if acquisition.live is not None and acquisition.live.background:
-        scenes = np.concatenate([scenes, np.zeros_like(scenes[:1])])  # the last: no scene
     manifest = read_patterns(patterns).manifest
     flux = acquisition.flux or 0.0
     images = check_scenes(scenes, manifest, flux)
