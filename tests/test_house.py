@@ -80,7 +80,7 @@ def test_no_room_grows(house):
     assert set(LINES) == set(house.rooms)
 
 
-COMMANDS, OPTIONS = 30, 50
+COMMANDS, OPTIONS = 28, 45
 """Commands, and options of `design`: they may only leave."""
 
 
