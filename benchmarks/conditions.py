@@ -9,22 +9,65 @@ of 2 grey levels. One device (free-dwell, single rail), one seed, tests on held-
 """
 
 import argparse
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import torch
+from scipy import ndimage
 
 from deepfsi.camera.light import summed_reflectance
-from deepfsi.datasets.dataset import Dataset
+from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.load import load_dataset
-from deepfsi.datasets.variants import ambient, jitter
 from deepfsi.design.design import Design
 from deepfsi.evaluation.accuracy import evaluate
 from deepfsi.training.learning import learn
 
 STRAY = 1.0
 """Stray light over the scenes' mean light."""
+
+
+def ambient(data: Dataset, share: float) -> Dataset:
+    """Scenes under stray light, the same on every pixel.
+
+    A feature's mean over scenes is subtracted before it is classified, and stray light changes
+    nothing else but its noise: so this is light whose mean is known and subtracted. Every scene is
+    dimmed by one factor, so that reflectance stays in [0, 1]. A budget is then of all the light:
+    (1 + share) times that of the scene.
+    """
+    stray = share * float(data.x_train.mean(dtype=np.float64))
+    x_train, x_test = (
+        ((x + stray) / (1 + stray)).astype(np.float32)
+        for x in map(np.asarray, (data.x_train, data.x_test))
+    )
+    words = f"{data.preprocessing}; ambient light of {share:g} times the scenes' mean"
+    return replace(data, x_train=x_train, x_test=x_test, preprocessing=words, origin=None)
+
+
+def jitter(data: Dataset, shift: float, turn: float = 0.0, *, seed: int = 0) -> Dataset:
+    """Scenes displaced at random, each by itself, training and test scenes alike."""
+    rng = np.random.default_rng(seed)
+    x_train, x_test = (
+        moved(x.reshape(-1, *data.image_shape), shift, turn, rng)
+        for x in map(np.asarray, (data.x_train, data.x_test))
+    )
+    words = f"{data.preprocessing}; displaced at random by {shift:g} pixels and {turn:g}° (1 σ)"
+    return replace(data, x_train=x_train, x_test=x_test, preprocessing=words, origin=None)
+
+
+def moved(scenes: Reflectance, shift: float, turn: float, rng: np.random.Generator) -> Reflectance:
+    centre = (np.array(scenes.shape[1:]) - 1) / 2
+    shifts = rng.normal(0, shift, (len(scenes), 2))
+    angles = np.deg2rad(rng.normal(0, turn, len(scenes)))
+    out = np.empty_like(scenes)
+    for scene, by, angle, target in zip(scenes, shifts, angles, out, strict=True):
+        cos = math.cos(angle)
+        sin = math.sin(angle)
+        matrix = np.array([[cos, -sin], [sin, cos]])
+        offset = centre - matrix @ (centre + by)
+        target[:] = ndimage.affine_transform(scene, matrix, offset, order=1, mode="nearest")
+    return out.reshape(len(scenes), -1)
 
 
 def under(design: Design, data: Dataset, learned: float, share: float) -> Design:

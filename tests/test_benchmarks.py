@@ -12,7 +12,6 @@ from torch.nn import functional
 from conftest import generator, quick
 from deepfsi import Mlp, load_design
 from deepfsi.datasets.arrays import from_arrays
-from deepfsi.datasets.variants import ambient
 from deepfsi.exposure.training import JobGroup, build_training
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.hardware.patterns.frames import recount, unpack
@@ -229,7 +228,10 @@ def test_a_design_elsewhere_sees_the_same_features(digits):
     there = benchmark("conditions").under(design, digits, 0.0, 2.0)
     here, other = (
         made.scanner("none")(torch.from_numpy(x) / made.summed_reflectance) * 1e3
-        for made, x in ((design, digits.x_test), (there, ambient(digits, 2.0).x_test * 1.0))
+        for made, x in (
+            (design, digits.x_test),
+            (there, benchmark("conditions").ambient(digits, 2.0).x_test * 1.0),
+        )
     )
     torch.testing.assert_close(
         design.logits(here, 1e3), there.logits(3 * other, 3e3), rtol=1e-3, atol=1e-3

@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from dataset_samples import refused
 
 from conftest import quick, synthetic
 from deepfsi.camera.light import photons_per_pixel, summed_reflectance
-from deepfsi.datasets.variants import ambient, jitter
+from shared.benchmarks import benchmark
+
+ambient, jitter = benchmark("conditions").ambient, benchmark("conditions").jitter
 
 
 def test_stray_light_adds_the_same_photons_to_every_pixel(digits):
@@ -59,18 +59,3 @@ def test_displacements_are_seeded_and_each_scene_has_its_own(digits):
     assert np.array_equal(moved.y_train, digits.y_train)
     assert moved.hash != digits.hash
     np.testing.assert_allclose(jitter(digits, 0.0).x_train, digits.x_train, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("change", "parts"),
-    [
-        *((lambda data, share=share: ambient(data, share), ("0 or more",))
-          for share in (-0.1, float("nan"), float("inf"))),
-        *((lambda data, by=by: jitter(data, *by), ("0 or more",))
-          for by in ((-1, 0), (0, -1), (float("nan"), 0))),
-        (lambda data: jitter(synthetic((6,)), 1.0), ("for images",)),
-    ],
-)  # fmt: skip
-def test_variants_that_cannot_be_are_refused(digits, change, parts):
-    with refused(*parts):
-        change(digits)
