@@ -41,6 +41,11 @@ except (InputError, click.ClickException) as error:
     print(error)
 """
 LACKS = {
+    "deepfsi_clicks": (
+        "design --data digits --design adaptive --masks 8 --photons 600 --light free-dwell"
+        " --rails single --noise click -o clicks.safetensors",
+        "install deepfsi again",
+    ),
     "deepfsi_drivers": (
         "camera record frames --scene images --projector vialux --counter swabian -o lab",
         "unknown projector 'vialux'",

@@ -62,6 +62,7 @@ def test_a_wheel_of_the_sdist_compares_reproduces_and_writes_pages(installed, tm
     assert {each.relative_to(own) for each in own.rglob("*.*")} >= files
     assert {path.parts[0] for path in files} == {
         "deepfsi",
+        "deepfsi_clicks",
         "deepfsi_drivers",
         "deepfsi_flow",
         "deepfsi_paper",

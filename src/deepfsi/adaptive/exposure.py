@@ -31,7 +31,9 @@ from deepfsi.adaptive.posterior import (
 )
 from deepfsi.base.errors import InputError, Message, as_input_error
 from deepfsi.base.numeric.arrays import check_memory, free_memory
+from deepfsi.base.plugins import load_plugin
 from deepfsi.base.progress import SILENT, Progress
+from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.designfile.header import AdaptiveHeader
@@ -571,6 +573,8 @@ class LongestExposures(NamedTuple):
 class AdaptiveTraining:
     """Adaptive masks of jobs that differ in budget and seed: one prior of scenes, and no steps."""
 
+    kind: ClassVar[type[AdaptiveExposure]] = AdaptiveExposure
+
     def __init__(self, data: Dataset, settings: AdaptiveMasks) -> None:
         self.data = data
         self.settings = settings
@@ -623,6 +627,24 @@ class AdaptiveTraining:
             masks += [look.masks.bool() for look in looks]
         return MaskDictionary.drawn(torch.cat(masks), count, generator)
 
+    def make(
+        self, job: Job, optics: Mapping[str, Any], report: Progress
+    ) -> tuple[AdaptiveExposure, LeftOutAnswers]:
+        """The exposure of a job, not calibrated, and answers to left-out scenes."""
+        dictionary = self.dictionary(job)
+        shares, misfit, answers = self.finish(job, dictionary)
+        report(0.5)
+        made = AdaptiveExposure(
+            self.prior,
+            self.settings,
+            shape=self.data.image_shape,
+            counted=shares,
+            usual_misfit=misfit,
+            optics=optics,
+            dictionary=dictionary,
+        )
+        return made, answers
+
     def finish(
         self,
         job: Job,
@@ -646,3 +668,15 @@ class AdaptiveTraining:
         few = len(left_out.scenes) < FEWEST_MISFIT_SCENES
         misfit = None if few else UsualMisfit(budgets, logarithms)
         return shares, misfit, LeftOutAnswers(budgets, odds, left_out.labels)
+
+
+def training_of(clicks: bool) -> type[AdaptiveTraining]:
+    """Training of masks before a detector that counts, or that clicks, of a package beside."""
+    if not clicks:
+        return AdaptiveTraining
+    if "click" not in installed().adaptive:
+        raise InputError(
+            "adaptive masks for clicks are in deepfsi_clicks, which is not installed; install "
+            "deepfsi again"
+        )
+    return load_plugin(installed().adaptive["click"])

@@ -18,6 +18,7 @@ class Registry:
         }
         # By the kind of their entries: the settings that ask for an exposure, and its class
         self.schemes: dict[str, tuple[tuple[str, ...], str]] = {}
+        self.adaptive: dict[str, str] = {}  # by the noise of their detectors
         self.classifiers: dict[str, str] = {}
         # By their words, such as "camera transits": import path and summary
         self.commands: dict[str, tuple[str, str]] = {}
@@ -25,6 +26,10 @@ class Registry:
     def add_scheme(self, kind: str, settings: tuple[str, ...], target: str) -> None:
         """Add a kind of exposure: the settings that ask for it, and their class, an `Exposure`."""
         self.schemes[kind] = settings, target
+
+    def add_adaptive(self, noise: str, target: str) -> None:
+        """Add adaptive masks before detectors of a noise: their `AdaptiveTraining`."""
+        self.adaptive[noise] = target
 
     def add_classifier(self, name: str, target: str) -> None:
         """Add a classifier: its `ClassifierFacts`."""

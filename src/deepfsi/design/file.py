@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.adaptive.clicking import adaptive_kind
+from deepfsi.adaptive.exposure import training_of
 from deepfsi.base.errors import InputError
 from deepfsi.base.plugins import load_plugin
 from deepfsi.camera.detectors import DetectorMap
@@ -107,11 +107,11 @@ def _as_array(tensor: Tensor) -> np.ndarray:
 def fields_of(file: DesignFile) -> dict[str, Any]:
     """Fields of `Design` of a file, or `InputError` as for `Design.load`."""
     header = file.header
+    if isinstance(header, AdaptiveHeader):
+        kind = training_of(header.settings.price is not None).kind
     try:
         if isinstance(header, AdaptiveHeader):
-            fields: dict[str, Any] = {
-                "exposure": adaptive_kind(header.settings).restored(header, file.arrays)
-            }
+            fields: dict[str, Any] = {"exposure": kind.restored(header, file.arrays)}
         else:
             fields = _mask_fields(file, header)
         return fields | {

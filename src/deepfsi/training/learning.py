@@ -17,8 +17,12 @@ import numpy as np
 import torch
 from torch.optim.lr_scheduler import LRScheduler
 
-from deepfsi.adaptive.clicking import ClickTraining
-from deepfsi.adaptive.exposure import AdaptiveExposure, AdaptiveTraining
+from deepfsi.adaptive.exposure import (
+    AdaptiveExposure,
+    AdaptiveTraining,
+    LeftOutAnswers,
+    training_of,
+)
 from deepfsi.base.errors import InputError, Message
 from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.numeric.arrays import check_memory, free_memory
@@ -407,15 +411,15 @@ def _adaptive_designs(
     if settings.dictionary:
         settings = settings.model_copy(update={"spread": DICTIONARY_SPREAD})
     clicks = first.optics.clicks is not None
-    training = (ClickTraining if clicks else AdaptiveTraining)(data, settings)
+    training = training_of(clicks)(data, settings)
     designs: list[Design] = []
     for job, span in zip(jobs, report.split(len(jobs)), strict=True):
         info = provenance(job, data, torch.device("cpu"), 0.0)
-        if isinstance(training, ClickTraining):
-            raw, answers = training.make(job, info["job"]["camera"], span)
-            made, info["left_out"] = calibrate_posterior(raw, answers, data, job)
+        made, answers = training.make(job, info["job"]["camera"], span)
+        if clicks:
+            made, info["left_out"] = calibrate_posterior(made, answers, data, job)
         else:
-            made = _counting_exposure(training, job, info, report=span)
+            made = _counting_exposure(training, job, made, answers, info=info, report=span)
         info["seconds"] = (time.perf_counter() - began) / (len(designs) + 1)
         designs.append(
             Design(
@@ -431,25 +435,19 @@ def _adaptive_designs(
 
 
 def _counting_exposure(
-    training: AdaptiveTraining, job: Job, info: dict[str, Any], *, report: Progress
+    training: AdaptiveTraining,
+    job: Job,
+    made: AdaptiveExposure,
+    answers: LeftOutAnswers,
+    *,
+    info: dict[str, Any],
+    report: Progress,
 ) -> AdaptiveExposure:
     """Exposure of a job with a detector that counts; its provenance gets what was measured."""
     data = training.data
-    dictionary = training.dictionary(job)
-    shares, misfit, answers = training.finish(job, dictionary)
-    report(0.5)
-    made = AdaptiveExposure(
-        training.prior,
-        training.settings,
-        shape=data.image_shape,
-        counted=shares,
-        usual_misfit=misfit,
-        optics=info["job"]["camera"],
-        dictionary=dictionary,
-    )
     folds = folds_of(data)
     if folds:
-        answers = fold_answers(folds, training, job, dictionary)
+        answers = fold_answers(folds, training, job, made.dictionary)
         made, info["left_out"] = calibrate_posterior(made, answers, data, job)
     if training.settings.cap > 1:
         longest = training.longest(made, job, report.between(0.5, 1.0))

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 import deepfsi
-from deepfsi.adaptive import clicking
 from deepfsi.base.errors import InputError
 from deepfsi.design.design import Design
 from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi_clicks import clicking
 
 CAMERA = {"light": "free-dwell", "rails": "single", "noise": "click"}
 

@@ -382,6 +382,8 @@ def blurred(data: Dataset) -> Dataset:
 class ClickTraining(AdaptiveTraining):
     """Adaptive masks of detectors that click: a prior of blurred scenes, and a click's price."""
 
+    kind = ClickingExposure
+
     def __init__(self, data: Dataset, settings: AdaptiveMasks) -> None:
         self.data = data
         self.settings = settings.model_copy(
@@ -484,8 +486,3 @@ class PricedLooks(NamedTuple):
         going = self.least_worth > price
         rows = torch.arange(len(going))
         return self.odds[rows, going.sum(dim=1)], self.arriving * going
-
-
-def adaptive_kind(settings: AdaptiveMasks) -> type[AdaptiveExposure]:
-    """Exposure with adaptive masks of such settings: of a detector that counts, or that clicks."""
-    return AdaptiveExposure if settings.price is None else ClickingExposure
