@@ -52,8 +52,6 @@ CASES = {
     "digits detectors pca": "--masks 6 --design pca --detectors 2x2 " + DMD,
     "digits range": "--masks 8 --photons 1e3:1e5 " + COLUMN,
     "digits range pca": "--masks 8 --design pca --photons 1e3:1e5 " + DMD,
-    "digits nested": "--masks 8 --nested 3 " + DMD,
-    "digits nested range": "--masks 8 --nested 3 --photons 1e3:1e5 " + COLUMN,
     "digits shortest": "--masks 12 --shortest-dwell 400us --exposure 10ms " + DMD,
     "digits levels": "--masks 8 --levels 2 " + DMD,
     "digits levels pca": "--masks 8 --levels 4 --design pca " + COLUMN,
@@ -66,7 +64,6 @@ MNIST_CASES = {
     "mnist pca": "--design pca --masks 10 " + COLUMN,
     "mnist column": "--masks 10 " + COLUMN,
     "mnist free-dwell": "--masks 10 " + DMD,
-    "mnist nested": "--masks 10 --nested 4 " + DMD,
     "mnist range": "--masks 10 --photons 1e3:1e5 " + DMD,
 }
 

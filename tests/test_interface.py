@@ -59,7 +59,7 @@ MISTAKES = [
     (learn, {"light": "paper"}, "no keyword 'light': give `camera={'light': ...}`"),
     (learn, {"progress": None}, "no keyword 'progress': give one of data, design"),
     (learn, {"camera": {"nosie": "none"}}, "unknown key 'nosie': did you mean 'noise'?"),
-    (learn, {"exposure": {"nest": 4}}, "no setting 'nest': did you mean 'nested'?"),
+    (learn, {"exposure": {"spam": 4}}, "no setting 'spam': did you mean 'span'?"),
     (learn, {"training": {"epoch": 3}}, "no setting 'epoch': did you mean 'epochs'?"),
     (evaluate, {"nosie": "none"}, "evaluate has no keyword 'nosie': did you mean 'noise'?"),
     (predict, {"skipbad": True}, "predict has no keyword 'skipbad': did you mean 'skip_bad'?"),
@@ -79,7 +79,7 @@ MISTAKES = [
     (evaluate, {"photons": [1e3, None]}, "photon budget None is not allowed"),
     (deepfsi.Camera, {"device": {"columns": 3}}, "device.name: it is missing: give one"),
     # nesting
-    (learn, {"exposure": {"exposure": {"nested": 4}}}, "an exposure has no setting 'exposure'"),
+    (learn, {"exposure": {"exposure": {"span": 4}}}, "an exposure has no setting 'exposure'"),
     (learn, {"training": {"training": {}}}, "a training has no setting 'training': give one of"),
 ]
 
@@ -101,9 +101,9 @@ def test_settings_are_given_by_their_names():
 
 def test_numbers_of_numpy_are_numbers():
     job = deepfsi.Job(
-        masks=np.int32(4), photons=np.float32(1e4), exposure={"nested": np.int64(2)}, camera="dmd"
+        masks=np.int32(4), photons=np.float32(1e4), exposure={"span": np.int64(2)}, camera="dmd"
     )
-    assert job == deepfsi.Job(masks=4, photons=1e4, exposure=deepfsi.Nested(nested=2))
+    assert job == deepfsi.Job(masks=4, photons=1e4, exposure=deepfsi.Range(span=2))
 
 
 def test_what_is_none_is_not_given():

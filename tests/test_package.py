@@ -132,8 +132,3 @@ def test_settings_are_named_in_templates_alone():
         if {"datasets", "design", "training", "physics"} & {*path.parts}:
             raised = [node for node in nodes if isinstance(node, ast.Raise)]
             assert not [text for node in raised for text in words_of(node) if "--" in text], path
-
-
-def test_settings_are_options_in_an_error_of_a_command(made, refuse, tmp_path_factory):
-    file = made("deepfsi", "column", "dual").save(tmp_path_factory.mktemp("d") / "a.safetensors")
-    assert "--nested" in refuse("evaluate", file, "--photons", "1e3", "--first", "3")

@@ -221,9 +221,9 @@ def test_no_line_breaks_within_a_number():
 
 
 def test_options_stay_whole_where_code_wraps():
-    code = '<pre>a --hold-out<span class="w"> </span>-o b-c.npz\n--x 1</pre>'
+    code = '<pre>a --per-class<span class="w"> </span>-o b-c.npz\n--x 1</pre>'
     marked = re.findall('<span class="word">(.*?)</span>', words.kept(code))
-    assert marked == ["--hold-out", "-o", "b-c.npz", "--x"]
+    assert marked == ["--per-class", "-o", "b-c.npz", "--x"]
 
 
 SIGNATURE = "(*, camera={0}, exposure=Fixed(), hidden=(40, 128), seed=0)"

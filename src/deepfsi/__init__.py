@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from deepfsi.evaluation.ideal import IdealObserver as IdealObserver
     from deepfsi.evaluation.ideal import ideal_observer as ideal_observer
     from deepfsi.jobs.exposures import Fixed as Fixed
-    from deepfsi.jobs.exposures import Nested as Nested
     from deepfsi.jobs.exposures import Range as Range
     from deepfsi.jobs.exposures import SharedLight as SharedLight
     from deepfsi.jobs.job import Job as Job
@@ -51,7 +50,6 @@ _HOMES = {
     "InputError": "base.errors",
     "Job": "jobs.job",
     "Mlp": "networks.classifiers",
-    "Nested": "jobs.exposures",
     "OwnClassifier": "networks.custom",
     "Range": "jobs.exposures",
     "Result": "measures.results",
@@ -80,7 +78,6 @@ __all__ = [
     "InputError",
     "Job",
     "Mlp",
-    "Nested",
     "OwnClassifier",
     "Range",
     "Result",

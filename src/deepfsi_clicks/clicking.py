@@ -350,10 +350,6 @@ class ClickingExposure(AdaptiveExposure):
             used=sum(float(part.used.sum()) for part in parts),
         )
 
-    def stopping_at(self, threshold: float) -> "ClickingExposure":
-        """Raise `InputError`: exposures end where no look is worth its price."""
-        raise InputError(ENDS_BY_PRICE)
-
     def look_by_look(self, scene: Tensor, photons: float, generator: torch.Generator) -> LookedAt:
         """One exposure of a scene (N,), look by look, up to its end."""
         looks = ClickLooks(self.prior, self.settings, photons)

@@ -46,7 +46,7 @@ LEARN = partial(deepfsi.learn, "digits", masks=2, training={"epochs": 1})
         (deepfsi.Training, {"classifier": None}, "classifier = None: give mlp, or"),
         (deepfsi.Training, {"epochs": 0}, "epochs = 0"),
         (deepfsi.Camera, {"light": "sun"}, "light = 'sun'"),
-        (deepfsi.Nested, {"nested": "many"}, "nested = 'many'"),
+        (deepfsi.Range, {"span": "many"}, "span = 'many'"),
         (deepfsi.Job, {"photons": True, "masks": 2}, "budget True is not allowed.* such as 1e4"),
         (LEARN, {"photons": 1, "training": {"classifier": None}}, "training.classifier = None"),
         (LEARN, {"photons": True}, "budget True is not allowed.* such as 1e4"),

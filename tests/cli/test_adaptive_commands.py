@@ -1,4 +1,4 @@
-"""Commands on adaptive masks: made, tested, stopped; refused where masks must be known."""
+"""Commands on adaptive masks: made, tested; refused where masks must be known."""
 
 import json
 
@@ -18,7 +18,7 @@ def file(tmp_path_factory, digits):
 def test_clusters_stand_for_the_scenes(done, tmp_path):
     """The same settings give the same clusters, and more of them take more room."""
     out, sizes, priors = tmp_path / "a.safetensors", [], []
-    words = ("design", "--design", "adaptive", "--masks", 2, "--photons", "1e3", "--hold-out", 1100)
+    words = ("design", "--design", "adaptive", "--masks", 2, "--photons", "1e3")
     for clusters in ("2", "2", "5 --force"):
         said = done(*words, "-o", out, "--clusters", *clusters.split())
         assert "adaptive with 2 looks" in said
@@ -66,8 +66,7 @@ def test_a_dictionary_is_exported_whole_or_not_at_all(call, ready, tmp_path, hel
     [
         ("export FILE -o a.onnx", "makes its masks while the camera looks"),
         ("camera classify FILE counts.csv --photons 1e4", "makes its masks while the camera looks"),
-        ("evaluate FILE --photons 1e4 --ideal", "leave --ideal and --first out"),
-        ("evaluate FILE --photons 1e4 --first 2", "leave --ideal and --first out"),
+        ("evaluate FILE --photons 1e4 --ideal", "leave --ideal out"),
     ],
 )
 def test_what_needs_masks_beforehand_refuses_it(refuse, file, tmp_path, monkeypatch, words, said):

@@ -19,7 +19,7 @@ dead_time = "20ns"
 """
 OPTICS = ["--light", "free-dwell", "--rails", "single", "--detectors", "1x1", "--dmd", "dlp7000"]
 TIMES = ["--exposure", "10ms", "--flux", "1e6", "--dark", "200", "--dead-time", "20ns"]
-TRAINED = ["--data", "digits", "--masks", "10", "--epochs", "3", "--hold-out", "0"]
+TRAINED = ["--data", "digits", "--masks", "10", "--epochs", "3"]
 
 
 @pytest.fixture(scope="module")

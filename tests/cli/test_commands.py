@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 
@@ -102,18 +101,13 @@ def test_the_ideal_observer_stands_beside_the_network(done, made, tmp_path):
 
 
 def test_a_flexible_design(done, tmp_path):
-    file = tmp_path / "nested.safetensors"
-    words = ["--photons", "1e3:1e6", "--masks", 6, "--nested", 2, "--levels", 2, "--epochs", 2]
+    file = tmp_path / "range.safetensors"
+    words = ["--photons", "1e3:1e6", "--masks", 6, "--levels", 2, "--epochs", 2]
     words += ["--light", "equal-dwell", "--rails", "single", "--start", "random"]
-    made = json.loads(done("design", *words, "--hold-out", 300, "-o", file, "--json"))
+    made = json.loads(done("design", *words, "-o", file, "--json"))
     assert [test["photons"] for test in made["tests"]] == [1e3, 1e6]
-    assert made["info"]["job"]["exposure"] == {"span": 1e3, "nested": 2}
+    assert made["info"]["job"]["exposure"] == {"span": 1e3}
     assert [len(frame.unique()) for frame in Design.load(file).rails.plus] == [2] * 6
-    out = done("evaluate", file, "--photons", "1e5", "--first", 3, "--json")
-    assert len(json.loads(out)["results"][0]["photons_per_mask"]) == 3
-    words = ["stop", file, "--photons", "1e5", "--hold-out", 300, "--threshold", 1]
-    assert json.loads(done(*words, "--json"))["rule"]["after"] == [2, 3, 4, 5, 6]
-    assert re.search("1.0000.*the surest 90 %", " ".join(done(*words).split()))
 
 
 def test_options_override_a_recipe(done, tmp_path):

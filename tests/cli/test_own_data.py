@@ -205,20 +205,6 @@ def test_a_design_remembers_its_data_size_and_camera(done, pictures, file, tmp_p
     assert "were trained on" in done("camera", "classify", file, run).splitlines()[-1]
 
 
-def test_a_design_remembers_what_was_held_out(done, refuse, file, tmp_path):
-    words = ["--photons", "1e3:1e5", "--masks", 4, "--nested", 2, "--epochs", 1]
-    words += ["--light", "free-dwell", "--rails", "single", "-o", file]
-    done("design", *words, "--hold-out", 321)
-    stop = ("stop", file, "--photons", "1e4", "--draws", 1)
-    found = json.loads(done(*stop, "--json"))
-    assert found == json.loads(done(*stop, "--hold-out", 321, "--json"))
-    assert found["notes"] == []
-    assert "321" in done("show", file, "-o", tmp_path / "x.png")
-    assert "without its last 300" in refuse(*stop, "--hold-out", 300)
-    done("design", *words, "--force")
-    assert "learn it with" in refuse(*stop)
-
-
 def test_a_design_says_when_it_is_told_otherwise(done, refuse, pictures, file, tmp_path):
     """Other data, and data that changed, which keep their white."""
     done("design", "--data", pictures, *TRAINED, "-o", file)

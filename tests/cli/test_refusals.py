@@ -48,17 +48,12 @@ REFUSED = {
         --camera papr | did you mean 'paper'
         --camera key.toml | key.toml has an unknown key 'lihgt'
         --camera unit.toml | unit.toml cannot be used at exposure
-        --bins 3 --nested 2 | bins and nested are of different
+        --bins 3 --cap 2 | bins and cap are of different
         --cap 2 | --cap is of exposures that may end early
         --cap 2 --least-cap 1 | --cap is of exposures that may end early
-        --nested 2 --cap 2 --least-cap 1 | least_cap and nested are of different exposures
         --least-cap 2 --design adaptive | cap: it is missing
         --least-cap 3 --cap 2 --design adaptive | a cap from 3 to 2: give a lower --least-cap
-        --nested 2 --cap 2 | the threshold of --cap is found on scenes that the training leaves out
-        --nested 2 --cap 2 --hold-out 40 | 40 training scenes say too little of the mean light
         --design adaptive --masks 2 --cap 3 | the first of 2 looks takes 1.5 of the budget
-        --nested 3 --cap 2 --hold-out 400 | all 3 masks are needed
-        --nested 1 --cap 2 --hold-out 400 --light column | all masks see light at once
         --light two-arm --rails single | use dual rails
         --dmd dlp7000 --light column | device
         --light column --detectors 2x2 | column is other optics
@@ -115,8 +110,8 @@ REFUSED = {
         --designs impulse --detectors 2x2 | shows no masks: leave --detectors out
         --designs impulse --dmd dlp7000 | shows no masks: leave --dmd out
     """,
-    "compare --designs deepfsi --masks 4 --photons 1e3": """
-        --nested 2 --cap 2 --data few.npz | training scenes say too little of the mean light
+    "compare --designs adaptive --masks 4 --photons 1e3": """
+        --cap 2 --data few.npz | training scenes say too little of the mean light
     """,
     "sweep": """
         capped.toml | --cap is of exposures that may end early
@@ -146,17 +141,12 @@ REFUSED = {
     "evaluate": """
         a --photons 1e3 | did you mean a.safetensors?
         a.safetensors --photons many | 'many' is not a number
-        a.safetensors --photons 1e4 --first 2 | the first 2 masks
         a.safetensors --photons 1e4 --draws 0 | --draws 0: give
         a.safetensors --photons 1e4 --draws 10000000000000000000000 | 10000000000000000000000
         a.safetensors --photons 1e4 --sigma -1 --noise gaussian | --sigma -1: give
         a.safetensors --photons 1e3 --noise poisson --sigma 1e9 | --sigma is not of poisson noise
         a.safetensors --photons 1e3 --ideal --noise gaussian | leave --ideal out
         a.safetensors --photons 1e3 --data small.npz | 64
-    """,
-    "stop a.safetensors --photons 1e4": """
-        --threshold 2 | --threshold 2: give
-        | --nested
     """,
     "show a.safetensors --count 0": "| --count 0: give",
     "predict a.safetensors nosuch --photons 1e4": "| there is nothing at nosuch",
@@ -370,14 +360,14 @@ trials = 0
 colour = "red"
 validation = 5000
 training.epochs = [1, 0]
-exposure.nested = 9
+exposure.span = 0.5
 training.lurch = 1
 tuned.pac.lr = 1e-3
 tuned.pca.lr = -1.0
 """
 NAMED = (
     *("a split was given", "'hadamrd'", "photons.1 = -1.0", "100 masks are not allowed"),
-    *("trials = 0", "colour", "epochs", "the first 9 of 3 masks", "lurch", "'pac'", "pca: lr"),
+    *("trials = 0", "colour", "epochs", "span = 0.5", "lurch", "'pac'", "pca: lr"),
 )
 
 

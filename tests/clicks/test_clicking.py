@@ -269,8 +269,6 @@ def test_an_exposure_without_any_look_is_said_to_be_one(training, data):
     scene = torch.from_numpy(data.x_test[0])
     with pytest.raises(InputError, match="no look is worth its clicks"):
         nothing.look_by_look(scene, PHOTONS, torch.Generator().manual_seed(0))
-    with pytest.raises(InputError, match="end where no look"):
-        nothing.stopping_at(0.5)
 
 
 def test_few_scenes_are_refused(data):

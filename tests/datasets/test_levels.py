@@ -83,7 +83,7 @@ def test_large_data_are_the_same_data_set(form, tmp_path, large, monkeypatch):
     [
         ("deepfsi", {}),
         ("pca", {}),
-        ("deepfsi", {"exposure": deepfsi.Nested(nested=2)}),
+        ("deepfsi", {"exposure": deepfsi.Range(span=10)}),
         ("deepfsi", {"camera": deepfsi.Camera.load("dmd", noise="gaussian", sigma=3.0)}),
         ("deepfsi", {"training": deepfsi.Training(epochs=1, counts=200.0)}),
     ],

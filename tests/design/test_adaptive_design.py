@@ -1,4 +1,4 @@
-"""Laws of designs of adaptive masks: damaged files, tests and stops, and what refuses them."""
+"""Laws of designs of adaptive masks: damaged files, tests, and what refuses them."""
 
 from dataclasses import replace
 
@@ -7,7 +7,6 @@ import torch
 
 from deepfsi import Camera, evaluate, learn
 from deepfsi.base.errors import InputError
-from deepfsi.evaluation.stopping import stop
 from shared.design_files import assert_refused
 
 LOOKS, PHOTONS, HELD_OUT = 6, 1e4, 200
@@ -50,20 +49,12 @@ def test_answers_are_good_and_better_with_more_light(adaptive, few):
     assert bright.accuracy > 0.8
 
 
-def test_an_exposure_that_never_stops_is_a_whole_one(adaptive, few):
-    never = stop(adaptive, few, PHOTONS, threshold=1.0, draws=1)
-    assert never.used.mean == pytest.approx(1.0)
-    assert never.stopped.mean == never.whole.mean
-    assert never.rule.after == tuple(range(1, LOOKS + 1))
-    assert stop(adaptive, few, PHOTONS, threshold=0.9, draws=1).used.mean < 0.95
-
-
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
         ({"camera": "paper"}, "one device, not column"),
         ({"camera": Camera(noise="gaussian", sigma=2.0)}, "photon counts"),
-        ({"exposure": {"nested": 2}}, "a look each"),
+        ({"exposure": {"span": 2}}, "a look each"),
         ({"training": {"classifier": torch.nn.Linear}}, "leave `classifier` out"),
         ({"masks": 65}, "1 to 64"),
         ({"camera": Camera(device="dlp7000", exposure="1ms"), "masks": 50}, "give at most [0-9]+ "),

@@ -16,7 +16,7 @@ from shared.design_files import assert_refused
 KINDS = {
     "fixed": {},
     "levels": {"levels": 2},
-    "range": {"span": 100.0, "nested": 2},
+    "range": {"span": 100.0},
 }
 OPTICS = [
     ("free-dwell", "single", None),

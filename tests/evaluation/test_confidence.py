@@ -8,7 +8,6 @@ import torch
 from scipy.special import softmax
 
 from conftest import generator, quick
-from deepfsi import Design
 from deepfsi.designfile.temperatures import calibration_budgets
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
@@ -23,11 +22,9 @@ from deepfsi.training.characterisation import find_temperatures
 PHOTONS = 1e4
 HELD_OUT = 437
 TRAINED = {"masks": 8, "photons": PHOTONS, "epochs": 20, "hidden": (32,), "mask_lr": 0.05}
-ONE_DEVICE = {"light": "free-dwell", "rails": "single"}
 KINDS = {
     "fixed": TRAINED,
     "range": {**TRAINED, "photons": 1e3, "span": 1e2},
-    "nested": {**TRAINED, "nested": 2, **ONE_DEVICE},
 }
 
 
@@ -101,17 +98,9 @@ def test_scenes_of_the_training_make_no_network_surer(fixed, digits):
     assert trained_on.logs.min() == 0
 
 
-def test_first_masks_and_dimmer_devices_have_the_temperatures_of_their_light(digits, tmp_path):
-    design = quick(digits.hold_out(HELD_OUT), **KINDS["nested"])
-    for shown in (2, 5, 8):
-        part = design.first(shown)
-        share = part.exposure.used / design.exposure.used
-        wanted = stop_temperatures(design.temperatures, 3e3)[shown - 2]
-        assert stop_temperatures(part.temperatures, 3e3 * share)[-1] == pytest.approx(wanted)
-        again = Design.load(part.save(tmp_path / "part.safetensors"))
-        assert np.array_equal(again.temperatures.logs, part.temperatures.logs)
-    shown = design.as_shown(design.rails.stacked.numpy() / 2, design.image_shape, 0.5)
-    counts = np.full(design.counts_shape, 40.0)
+def test_dimmer_devices_have_the_temperatures_of_their_light(fixed):
+    shown = fixed.as_shown(fixed.rails.stacked.numpy() / 2, fixed.image_shape, 0.5)
+    counts = np.full(fixed.counts_shape, 40.0)
     np.testing.assert_allclose(
-        shown.classify(counts, 2 * PHOTONS), design.classify(counts, PHOTONS), atol=1e-5
+        shown.classify(counts, 2 * PHOTONS), fixed.classify(counts, PHOTONS), atol=1e-5
     )

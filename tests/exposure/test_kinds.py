@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from conftest import synthetic
-from deepfsi import Fixed, Job, Nested, Range
+from deepfsi import Fixed, Job, Range
 from deepfsi.base.errors import InputError
 from deepfsi.jobs.exposures import find_exposure
 from deepfsi_flow.settings import Passing
@@ -17,8 +17,6 @@ from shared.jobs import job, learn
 KINDS = [
     ({}, Fixed()),
     ({"span": 10.0}, Range(span=10.0)),
-    ({"nested": 3}, Nested(nested=3)),
-    ({"nested": 3, "span": 10.0}, Nested(nested=3, span=10.0)),
     ({"patch": 8}, Patches(patch=8)),
     ({"bins": 6, "jitter": 2.0}, Passing(bins=6, jitter=2.0)),
 ]
@@ -38,11 +36,10 @@ def test_settings_ask_for_a_kind_and_come_back_from_json(settings, wanted):
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
-        ({"nest": 3}, "no setting 'nest': did you mean 'nested'"),
+        ({"spam": 3}, "no setting 'spam': did you mean 'span'"),
         ({"bins": 4, "span": 2.0}, "bins and span are of different exposures"),
         ({"patch": 8, "span": 2.0}, "patch and span are of different exposures"),
         ({"bins": 2.5}, "bins = 2.5: give a whole number"),
-        ({"nested": -1}, "nested = -1: give 1 or more"),
         ({"span": 0.5}, "span = 0.5: give more than 1"),
         ({"span": 1e13}, "span = .*give 1e.12 or less"),
         ({"patch": 1}, "patch = 1: give 2 or more"),
@@ -69,10 +66,8 @@ PASSING = {"bins": 6}
         (DMD | RANGE | {"dark": 30.0}, ["leave out camera noise, or train under ml_g"]),
         (DMD | RANGE | {"dark": 30.0, "train_noise": "ml_gauss"}, []),
         (DMD | RANGE | {"train_noise": "poisson"}, ["leave out poisson noise"]),
-        (DMD | {"nested": 3, "design": "control"}, ["leave out control, whose masks learn"]),
-        (DMD | {"nested": 6}, []),
-        (DMD | {"nested": 7}, ["the first 7 of 6 masks cannot be nested: give at most 6"]),
-        (DMD | {"nested": 7, "train_noise": "none"}, ["leave out none noise", "at most 6"]),
+        (DMD | RANGE | {"train_noise": "none"}, ["leave out none noise"]),
+        (DMD | RANGE | {"design": "control"}, ["leave out control, whose masks learn"]),
         (PAPER | PATCH, []),
         (DMD | PATCH, ["give the light law column"]),
         (PAPER | PATCH | {"levels": 2}, ["with continuous masks"]),
@@ -119,11 +114,11 @@ def test_what_scenes_or_a_network_do_not_fit_is_refused(settings, match):
 
 
 DAMAGES = {
-    "nested": [
+    "range": [
         *({"exposure": {"masks": bad}} for bad in (2, 5)),
         *({"exposure": {name: 0.0}} for name in ("photons", "span")),
         {"exposure": {"used": -1.0}},
-        {"exposure": {"nested": 2.5}},
+        {"exposure": {"nested": 2}},
     ],
     "patches": [
         *({"classifier": each} for each in ({"width": 32}, {"heads": 5}, {"patches": 3})),

@@ -9,12 +9,10 @@ from pydantic import ValidationError
 
 import deepfsi
 from deepfsi.adaptive.exposure import AdaptiveExposure
+from deepfsi.adaptive.sharing import Stops
 from deepfsi.base.errors import InputError
 from deepfsi.evaluation.accuracy import evaluate
-from deepfsi.evaluation.stopping import stop
-from deepfsi.exposure.kind import Stops
 from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.lab.looks import design_rails
 from deepfsi.sweeps.recipe import Recipe
 
 PHOTONS, DRAWS = 1e3, 3
@@ -40,7 +38,7 @@ def confidences(seed, exposures=500, stops=12):
 @pytest.mark.parametrize("seed", range(5))
 def test_the_threshold_takes_the_light_asked_for_and_rises_with_it(seed):
     seen = confidences(seed)
-    stops = Stops(tuple(range(1, 13)), np.cumsum(np.full(12, 1 / 6)))  # 2 together
+    stops = Stops(np.cumsum(np.full(12, 1 / 6)))  # 2 together
     found = [stops.threshold(seen, light) for light in np.linspace(0.2, 2, 10)]
     for threshold, light in zip(found, np.linspace(0.2, 2, 10), strict=True):
         ends = np.argmax(np.c_[seen[:, :-1] > threshold, np.ones(len(seen))], axis=1)
@@ -52,7 +50,7 @@ def test_the_threshold_takes_the_light_asked_for_and_rises_with_it(seed):
 
 def test_less_light_than_the_first_stop_takes_is_refused():
     with pytest.raises(InputError, match="the first stop alone"):
-        Stops((1, 2), np.array([0.5, 1.0])).threshold(confidences(0, stops=2), 0.4)
+        Stops(np.array([0.5, 1.0])).threshold(confidences(0, stops=2), 0.4)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -63,10 +61,10 @@ def test_the_best_rule_has_the_fewest_errors_of_all_last_stops(seed):
     for least in (1, 1.5, 3):
         errors = {}
         for count in range(round(4 * least), 13):
-            threshold = Stops(tuple(range(count)), used[:count]).threshold(seen[:, :count], 1.0)
+            threshold = Stops(used[:count]).threshold(seen[:, :count], 1.0)
             ends = np.argmax(np.c_[seen[:, : count - 1] > threshold, np.ones(500)], axis=1)
             errors[count, threshold] = sum(wrong[e, end] for e, end in enumerate(ends))
-        stops = Stops(tuple(range(1, 13)), used)
+        stops = Stops(used)
         best = min(stops.rules(seen, wrong, light=1.0, least=least))
         assert (best.stops, best.threshold) == min(errors, key=lambda rule: (errors[rule], rule[0]))
 
@@ -78,7 +76,7 @@ def test_scenes_that_are_never_sure_take_no_light_of_others():
     all that end when they are sure: (400 + 25 · (3 + … + 9 + 9) + 200 · 9) / 800 = 4.34. With 10
     it is 4.63: the second quarter has to end before it is sure.
     """
-    stops = Stops(tuple(range(1, 17)), np.arange(1, 17) / 4.4)
+    stops = Stops(np.arange(1, 17) / 4.4)
     sure_after = np.repeat(np.arange(3, 11), 25)
     rising = np.where(np.arange(1, 17) >= sure_after[:, None], 0.9, 0.5)
     seen = np.concatenate([np.full((400, 16), 0.99), rising, np.full((200, 16), 0.05)])
@@ -193,20 +191,7 @@ def test_a_file_and_a_camera_know_the_rule(shared, tmp_path):
         ({"exposure": {"least_cap": 2}}, "cap"),
         ({"design": "deepfsi", "exposure": {"cap": 2, "least_cap": 1}}, "exposures that may end"),
         ({"exposure": {"cap": 9}}, "the first of 8 looks takes 1.12 of the budget"),
-        ({"design": "deepfsi", "exposure": {"nested": 1, "cap": 2}}, "`hold_out`"),
         ({"design": "deepfsi", "exposure": {"patch": 4, "cap": 2}}, "different exposures"),
-        (
-            {"design": "deepfsi", "exposure": {"nested": 1, "span": 10, "cap": 2}},
-            "one mean budget, not a range",
-        ),
-        (
-            {"design": "deepfsi", "exposure": {"nested": 8, "cap": 2}},
-            "all 8 masks are needed",
-        ),
-        (
-            {"design": "deepfsi", "exposure": {"nested": 1, "cap": 2}, "camera": "paper"},
-            "all masks see light at once",
-        ),
     ],
 )
 def test_what_cannot_share_is_one_line(digits, settings, words):
@@ -228,144 +213,6 @@ def test_a_comparison_says_that_a_budget_is_a_mean():
     assert recipe.exposures("deepfsi") == [("", deepfsi.Fixed())]
 
 
-def test_a_comparison_caps_the_exposures_that_may_end_early():
-    recipe = Recipe.model_validate({"exposure": {"cap": 2, "nested": 1}})
-    assert recipe.exposures("deepfsi") == [
-        ("(mean light, at most 2 Φ)", deepfsi.Nested(nested=1, cap=2))
-    ]
-    assert recipe.exposures("adaptive") == [
-        ("(mean light, at most 2 Φ)", deepfsi.SharedLight(cap=2))
-    ]
-
-
 def test_a_comparison_gives_all_exposures_the_same_cap():
     with pytest.raises(ValidationError, match="several values of `cap`"):
         Recipe.model_validate({"exposure": {"cap": 4, "least_cap": 1}})
-
-
-# Nested masks, on scenes that their training left out
-
-
-NESTED = {"nested": 1}
-HELD_OUT = 400
-FEW = {"training": {"epochs": 5}, "masks": 16}
-
-
-@pytest.fixture(scope="module")
-def capped(digits):
-    exposure = NESTED | {"cap": 2}
-    return deepfsi.learn(digits.hold_out(HELD_OUT), photons=PHOTONS, exposure=exposure, **FEW)
-
-
-@pytest.fixture(scope="module")
-def whole(digits):
-    return deepfsi.learn(digits.hold_out(HELD_OUT), photons=2 * PHOTONS, exposure=NESTED, **FEW)
-
-
-@pytest.fixture(scope="module")
-def result(digits, capped):
-    [result] = evaluate(capped, digits, PHOTONS, draws=DRAWS)
-    return result
-
-
-def test_a_cap_of_1_is_the_design_of_before():
-    jobs = [
-        deepfsi.Job(masks=8, photons=1e3, exposure=exposure)
-        for exposure in (NESTED, NESTED | {"cap": 1})
-    ]
-    assert jobs[0] == jobs[1]
-    assert "cap" not in jobs[1].model_dump_json()
-
-
-def test_a_cap_of_2_is_the_design_of_twice_the_budget_bit_for_bit(digits, capped, whole):
-    """Its features are over the mean budget, and all else is the same."""
-    assert torch.equal(capped.rails.stacked, whole.rails.stacked)
-    assert torch.equal(capped.std, 2 * whole.std)
-    for name, weight in whole.classifier.state_dict().items():
-        assert torch.equal(capped.classifier.state_dict()[name], weight)
-    logits = []
-    for design, photons in ((capped, PHOTONS), (whole, 2 * PHOTONS)):
-        front = design.front_end()
-        rates = design.rates(front, torch.from_numpy(digits.x_test[:50]))
-        seen = design.observe(front, rates, torch.Generator().manual_seed(1), photons)
-        with torch.no_grad():
-            logits.append(torch.stack([design.answer(each, photons).chances for each in seen]))
-    assert torch.equal(*logits)
-    assert np.array_equal(capped.exposure.stops.used, 2 * whole.exposure.stops.used)
-
-
-def test_left_out_scenes_set_the_light_of_tests(digits, result):
-    """Light lies within (1/4, 2), so that its deviation is 0.875 at most: two independent means."""
-    error = 0.875 * (1 / len(digits.x_test) + 1 / HELD_OUT) ** 0.5
-    assert result.score("mean_light") == pytest.approx(1, abs=3 * error)
-
-
-def test_the_rule_is_that_of_stop(digits, capped, whole, result):
-    """The same threshold ends the same exposures: accuracies differ by the draws alone."""
-    threshold = capped.info["stopping"]["threshold"]
-    assert capped.exposure.until == threshold
-    stopped = stop(whole, digits, 2 * PHOTONS, threshold=threshold, draws=DRAWS)
-    error = (2 * 0.25 / (DRAWS * len(digits.x_test))) ** 0.5
-    assert result.accuracy == pytest.approx(stopped.stopped.mean, abs=3 * error)
-    assert result.score("mean_light") == pytest.approx(2 * stopped.used.mean, abs=3 * 0.875 * error)
-
-
-def test_their_counts_are_of_exposures_that_stop(result):
-    assert result.counts == pytest.approx(result.throughput * PHOTONS, rel=0.1)
-
-
-def test_predictions_stop_where_tests_do(digits, capped, result):
-    right = capped.predict(digits.x_test, PHOTONS) == np.array(capped.classes)[digits.y_test]
-    assert right.mean() == pytest.approx(result.accuracy, abs=3 * (0.5 / len(right)) ** 0.5)
-
-
-def test_their_files_know_the_rule(digits, capped, result, tmp_path):
-    capped.save(tmp_path / "capped.safetensors")
-    again = deepfsi.load_design(tmp_path / "capped.safetensors")
-    [repeated] = evaluate(again, digits, PHOTONS, draws=DRAWS)
-    assert repeated.accuracy == result.accuracy
-    assert again.info["stopping"] == capped.info["stopping"]
-
-
-def test_their_frames_are_not_exported(capped, tmp_path):
-    path = capped.save(tmp_path / "capped.safetensors")
-    with pytest.raises(InputError, match="frames of a run are all shown"):
-        design_rails(path)
-
-
-def test_dark_counts_are_of_the_longer_exposure(capped, whole):
-    camera = deepfsi.Camera(noise="camera", dark=50)
-    dark = [design.front_end(camera).dark_counts(1).sum() for design in (capped, whole)]
-    assert dark[0] == pytest.approx(2 * dark[1])
-
-
-@pytest.mark.parametrize(
-    ("use", "words"),
-    [("page", "one length"), ("graph", "one length"), ("ideal observer", "whole exposures")],
-)
-def test_what_is_of_one_length_refuses_them(capped, whole, use, words):
-    whole.exposure.check(use)
-    with pytest.raises(InputError, match=words):
-        capped.exposure.check(use)
-
-
-def test_first_masks_alone_take_the_budget(digits, capped, whole):
-    first = [design.first(8) for design in (capped, whole)]
-    results = [evaluate(design, digits, PHOTONS, draws=1)[0] for design in first]
-    assert np.array_equal(results[0].right, results[1].right)
-    assert results[0].score("mean_light") is None
-
-
-def test_few_scenes_are_left_out_in_folds(digits):
-    """150 of them set the threshold, each in six draws: the mean is known to 0.875 / √150."""
-    few = replace(digits, x_train=digits.x_train[:500], y_train=digits.y_train[:500])
-    made = deepfsi.learn(
-        few,
-        photons=PHOTONS,
-        masks=8,
-        exposure={"nested": 1, "cap": 2},
-        training={"epochs": 2},
-    )
-    [result] = evaluate(made, digits, PHOTONS, draws=DRAWS)
-    error = 0.875 * (1 / len(digits.x_test) + 1 / 150) ** 0.5
-    assert result.score("mean_light") == pytest.approx(1, abs=3 * error)

@@ -146,7 +146,7 @@ JSON, TOML, TABLE = ((change, mangled) for change in (changed_json, changed_toml
 
 READERS = {
     "design": Reader("fixed.safetensors", use_design, TENSORS, 10),
-    "nested design": Reader("nested.safetensors", use_design, (changed_tensors,)),
+    "design of a range": Reader("range.safetensors", use_design, (changed_tensors,)),
     "adaptive design": Reader("adaptive.safetensors", use_adaptive, (changed_tensors,)),
     "patches": Reader("patches.safetensors", use_design, (changed_tensors,)),
     "manifest": Reader("npy/manifest.json", use_patterns, JSON, 8),
@@ -217,7 +217,7 @@ STORED = {
     "fixed.safetensors": INPUTS / "files" / "characterised.safetensors",
     "out/designs/key.safetensors": INPUTS / "files" / "fixed.safetensors",
     **{f"{name}.safetensors": INPUTS / "files" / f"{name}.safetensors"
-       for name in ("nested", "adaptive", "patches")},
+       for name in ("range", "adaptive", "patches")},
     **{name: INPUTS / "recordings" / name for name in ("clicks", "lost", "live-adaptive")},
     "virtual.toml": INPUTS / "ambient.toml",
     "device/device.toml": INPUTS / "loading.toml",

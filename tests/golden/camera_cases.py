@@ -152,7 +152,6 @@ JOBS: tuple[dict[str, Any], ...] = (
     {"masks": 10, "photons": 1e4},
     {"masks": 10, "photons": 1e4, "design": "raster"},
     {"masks": 10, "photons": 1e4, "design": "hadamard", "training": {"lr": 0.3}},
-    {"masks": 10, "photons": 1e4, "exposure": {"nested": 3, "span": 10}},
     {"photons": 1e4, "exposure": {"bins": 16}},
     {"masks": 8, "photons": 1e4, "camera": "paper", "exposure": {"patch": 4}},
     {"masks": 8, "camera": {"exposure": "10ms", "flux": 1e6}},

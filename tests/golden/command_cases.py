@@ -180,7 +180,6 @@ def devices_and_data() -> dict[str, Any]:
 LEARNED = (
     "--masks 4 --epochs 1 --hidden 8 --photons 1e3",
     "--masks 4 --epochs 1 --hidden 8 --photons 1e2:1e4 --camera two-arm",
-    "--masks 4 --epochs 1 --hidden 8 --photons 1e3 --nested 2 --detectors 2x2",
 )
 
 

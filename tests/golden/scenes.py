@@ -104,7 +104,6 @@ def answered(design: Any, data: deepfsi.Dataset) -> dict[str, Any]:
         "classify": lambda: design.classify(counts, BUDGET),
         "estimate": lambda: design.estimate(counts, BUDGET),
         "consistency": lambda: plain(design.consistency(counts, BUDGET)),
-        "first": lambda: design.first(2).matrix,
         "quantised": lambda: design.quantised(5).matrix,
     }
     return {name: refused_or(call) for name, call in calls.items()}

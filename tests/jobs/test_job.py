@@ -121,7 +121,7 @@ def test_bfloat16_error_is_under_the_photon_noise_where_allowed(digits):
 def test_a_job_comes_back_from_json():
     """So do the settings that were tuned, though they may be tuned otherwise by then."""
     job = job_of(
-        design="raster", masks=6, photons=1e3, light="two-arm", nested=3, dark=5.0, device=None,
+        design="raster", masks=6, photons=1e3, light="two-arm", span=10, dark=5.0, device=None,
         hidden=(8, 9), seed=4, noise="camera",
     )  # fmt: skip
     assert Job.model_validate_json(job.model_dump_json()) == job
@@ -139,13 +139,13 @@ def test_a_job_comes_back_from_json():
     [
         ({"epochs": 3}, r"give `training=\{'epochs': ...\}`"),
         ({"light": "column"}, r"give `camera=\{'light': ...\}`"),
-        ({"nested": 3}, r"give `exposure=\{'nested': ...\}`"),
+        ({"span": 3}, r"give `exposure=\{'span': ...\}`"),
         ({"train_noise": "none"}, r"give `training=\{'noise': ...\}`"),
         ({"photon": 1e3}, "did you mean 'photons'"),
         ({"camera": "dmt"}, "did you mean 'dmd'"),
         ({"camera": {"light": "colum"}}, "light = 'colum'"),
-        ({"exposure": {"nest": 3}}, "did you mean 'nested'"),
-        ({"exposure": "nested"}, "exposure = 'nested'"),
+        ({"exposure": {"spam": 3}}, "did you mean 'span'"),
+        ({"exposure": "span"}, "exposure = 'span'"),
         ({"training": {"epoch": 3}}, "did you mean 'epochs'"),
         ({"training": {"epochs": 0}}, "training.epochs = 0"),
         ({"training": {"classifier": 3}}, "training.classifier = 3"),

@@ -11,7 +11,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.design.onnx import to_onnx
 from deepfsi.evaluation.bounds import cramer_rao
 from deepfsi.evaluation.page_data import check_playable
-from deepfsi.evaluation.stopping import stop
 from deepfsi.physics import noise
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
 
@@ -91,7 +90,6 @@ def test_what_is_of_classes_is_refused_in_one_line(placed, design, digits, tmp_p
     counts = np.ones(design.counts_shape)
     for refused in (
         lambda: design.classify(counts, 1e4),
-        lambda: stop(design, placed, 1e4),
         lambda: check_playable(design),
         lambda: to_onnx(design),
         lambda: predict(design, tmp_path, 1e4),

@@ -9,7 +9,6 @@ import torch
 import deepfsi
 from deepfsi.design.onnx import to_onnx
 from deepfsi.evaluation.page_data import playable
-from deepfsi.evaluation.stopping import stop
 from deepfsi.hardware.counting.tables import TableSettings
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import compare
@@ -96,9 +95,9 @@ def test_a_design_is_learned_whatever_torch_is_set_to(digits, setting):
 
 
 def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digits, tmp_path):
-    """Designs of known masks, nested and adaptive ones; all settings in force at once."""
-    held, two = digits.hold_out(239), deepfsi.Nested(nested=2)
-    design, nested, adaptive = learn(digits), learn(held, exposure=two), learn_adaptive(digits)
+    """Designs of known masks, of a range and adaptive ones; all settings in force at once."""
+    span = deepfsi.Range(span=10)
+    design, ranged, adaptive = learn(digits), learn(digits, exposure=span), learn_adaptive(digits)
     file = design.save(tmp_path / "d.safetensors")
     adaptive_file = adaptive.save(tmp_path / "a.safetensors")
     rng = np.random.default_rng(0)
@@ -116,7 +115,7 @@ def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digi
 
     def results():
         every = (
-            deepfsi.evaluate(each, digits, 1e4, draws=1) for each in (design, nested, adaptive)
+            deepfsi.evaluate(each, digits, 1e4, draws=1) for each in (design, ranged, adaptive)
         )
         return [result.as_dict() for one in every for result in one]
 
@@ -130,7 +129,7 @@ def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digi
 
     calls = [
         lambda: learn_adaptive(digits).prior_exposure.prior.components,
-        lambda: learn(digits, exposure=two).mean,
+        lambda: learn(digits, exposure=span).mean,
         lambda: deepfsi.load_design(file).rails.stacked,
         lambda: deepfsi.load_design(adaptive_file).prior_exposure.prior.components,
         lambda: [design.to_bytes(), adaptive.to_bytes()],
@@ -141,8 +140,7 @@ def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digi
         lambda: design.rates(design.scanner(), scenes),
         lambda: design.logits(features, 1e4),
         lambda: to_onnx(design),
-        lambda: str(playable(nested, digits)),
-        lambda: str(stop(nested, digits, 1e4)),
+        lambda: str(playable(ranged, digits)),
         lambda: adaptive.looks_at(digits.x_test[0].ravel(), 1e4)[0],
         sweep, results, table, shown,
     ]  # fmt: skip

@@ -16,7 +16,6 @@ from deepfsi.adaptive.exposure import prior_of
 from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.evaluation import page_data as payload
 from deepfsi.evaluation.page_data import few_tests, of_page, playable
-from deepfsi.evaluation.stopping import StoppingRule, with_rule
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.report.playground.page import write_page
 from shared.playground import ask, open_playground
@@ -51,8 +50,8 @@ def designs(digits):
         made[kind] = learn(data, design="adaptive", masks=LOOKS, photons=PHOTONS, **settings)
     known = AdaptiveMasks(looks=LOOKS, spread=0.0)
     made["among"] = exposing(made["among"], prior=prior_of(few, known), settings=known)
-    rule = StoppingRule(after=tuple(range(1, LOOKS + 1)), threshold=SURE, photons=PHOTONS)
-    made["one"] = with_rule(made["one"], rule)
+    rule = {"stopping": {"threshold": SURE, "photons": PHOTONS}}
+    made["one"] = replace(made["one"], info=made["one"].info | rule)
     return made
 
 

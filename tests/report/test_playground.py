@@ -52,16 +52,9 @@ def designs(digits, all_trained_once):
 
 @pytest.fixture(scope="module")
 def pages(designs, digits, tmp_path_factory):
-    def shown(kind):
-        if kind != "nested":
-            return designs(kind)
-        # a rule that stops at once, where another would at a good training
-        stopping = {"threshold": 0.05, "photons": 1e4}
-        return replace(designs(kind), info={**designs(kind).info, "stopping": stopping})
-
     few = replace(digits, x_test=digits.x_test[:100], y_test=digits.y_test[:100])
     data = {"spectra": synthetic((24,))}
-    return page_writer(tmp_path_factory.mktemp("pages"), shown, lambda kind: data.get(kind, few))
+    return page_writer(tmp_path_factory.mktemp("pages"), designs, lambda kind: data.get(kind, few))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -82,10 +75,7 @@ def test_the_page_answers_the_vectors(browser, kind, tmp_path):
     (tmp_path / "design.safetensors").write_bytes(content)
     design = Design.load(tmp_path / "design.safetensors")
     page = write_page(tmp_path / "page.html", playable(design, vectors.scenes()))
-    given = [
-        {"photons": one.photons, "masks": one.masks, "counts": one.counts.ravel().tolist()}
-        for one in expected
-    ]
+    given = [{"photons": one.photons, "counts": one.counts.ravel().tolist()} for one in expected]
     masks, answers = ask(
         open_playground(browser, page.as_uri()),
         "const minus = (m, i) => model.rails > 1 ? model.entry(1, m, i) : 0;"
@@ -93,7 +83,7 @@ def test_the_page_answers_the_vectors(browser, kind, tmp_path):
         "const masks = of(model.masks, m => of(model.pixels, i =>"
         "  model.entry(0, m, i) - minus(m, i)));"
         "return [masks, given.vectors.map(v => "
-        "[...model.classify(v.counts, v.photons, v.masks)])]",
+        "[...model.classify(v.counts, v.photons)])]",
         vectors=given,
     )
     np.testing.assert_allclose(masks, matrix, atol=1e-6)
@@ -101,30 +91,24 @@ def test_the_page_answers_the_vectors(browser, kind, tmp_path):
         np.testing.assert_allclose(chances, vector.chances, atol=vectors.AGREES)
 
 
-def test_too_little_light_is_said_and_no_stop_is_offered_far_from_its_rule(opened):
-    """The rule was chosen at 1e4 photons and stops at once; the other was learned for 1e4."""
-    for exponent in (1, 2.9, 3.4, 4, 4.4, 4.6, 7):
-        words = verdict_at(opened("nested"), exponent)
-        assert ("could have stopped" in words) == (3.5 <= exponent <= 4.5)
+def test_too_little_light_is_said(opened):
+    """The design was learned for 1e4 photons."""
     for exponent in (1, 2.9, 3.4):
         words = verdict_at(opened("equal"), exponent)
         assert words.startswith("Too little light for this design") == (exponent < 3)
 
 
 def test_a_scene_unlike_all_of_the_training_is_said_and_gets_no_answer(opened):
-    strange, usual, stopped = ask(
-        opened("nested"),
+    browser = opened("range")
+    strange, usual = ask(
+        browser,
         "const flat = v => page.scene.map(() => v); const { low, high } = model.scenes;"
         "const mean = page.scene.reduce((a, b) => a + b, 0) / page.scene.length;"
         "const blanks = [low, mean, high].map(flat);"
-        "const stop = x => new Exposure(model, x, 1e4, 1).stop !== null;"
-        "return [blanks.map(x => model.unlike(x)), page.scenes.map(x => model.unlike(x)),"
-        "  [...blanks, page.scene].map(stop)]",
+        "return [blanks.map(x => model.unlike(x)), page.scenes.map(x => model.unlike(x))]",
     )
     assert strange == [True] * 3
     assert sum(usual) <= 1  # test scenes, one of which may be beyond 1560 others
-    assert stopped == [False, False, False, True]
-    browser = opened("nested")
     press_button(browser, "clear")
     time.sleep(0.2)
     assert verdict_at(browser, 4).startswith("No answer: this scene is darker")
@@ -133,7 +117,7 @@ def test_a_scene_unlike_all_of_the_training_is_said_and_gets_no_answer(opened):
     assert "No probabilities" in said(browser, "answer-words")
 
 
-@pytest.mark.parametrize("kind", ["column", "equal", "nested"])
+@pytest.mark.parametrize("kind", ["column", "equal", "range"])
 def test_nobody_is_sure_of_two_photons(opened, kind):
     """At every moment of exposures of two photons, of test scenes and of a blank one."""
     browser = opened(kind)
@@ -348,7 +332,7 @@ def test_all_is_done_with_the_keyboard_alone(opened):
     assert said(browser, "verdict").startswith("Answer: ")
 
 
-@pytest.mark.parametrize("kind", ["column", "nested", "spectra"])
+@pytest.mark.parametrize("kind", ["column", "range", "spectra"])
 def test_an_exposure_is_watched_frame_by_frame(opened, kind):
     browser = opened(kind)
     assert said(browser, "verdict").startswith("Nothing is exposed yet")
@@ -365,13 +349,10 @@ def test_an_exposure_is_watched_frame_by_frame(opened, kind):
         browser, "return page.exposure.frames.flatMap(f => f.counts).reduce((a, b) => a + b)"
     )
     drawn = ask(browser, "return [...page.exposure.answers.keys()].filter(at => at > 0)")
-    assert len(drawn) == {"column": 48, "nested": 7, "spectra": 1}[kind]
+    assert len(drawn) == {"column": 48, "range": 1, "spectra": 1}[kind]
     before = min(drawn) - 1  # no probability is shown where the network did not learn to answer
     assert ["%" in words for words in answers] == [False] * before + [True] * (len(looks) - before)
-    ended = said(browser, "verdict")
-    assert ended.startswith("Answer: ")
-    assert ("stopped after mask 3 of 9" in ended) == (kind == "nested")
-    assert ("of the light" in ended) == (kind == "nested")
+    assert said(browser, "verdict").startswith("Answer: ")
 
 
 def test_the_point_moves_along_the_measured_curve(opened):
@@ -386,7 +367,7 @@ def test_the_point_moves_along_the_measured_curve(opened):
     assert len(measured) == len(browser.find_elements(By.CSS_SELECTOR, "#curve .interval")) == 13
     np.testing.assert_allclose(shown, [places[0], places[6], places[12]], atol=0.5)
     assert browser.find_elements(By.CSS_SELECTOR, "#curve .trained-line")
-    opened("nested")
+    opened("range")
     assert browser.find_elements(By.CSS_SELECTOR, "#curve .trained")
 
 

@@ -25,7 +25,7 @@ ADAPTIVE = {"adaptive": "dmd", "adaptive-arms": "two-arm", "adaptive-spectra": "
 LOOKS = 8
 """Of adaptive masks: an exposure lasts five seconds at speed 1."""
 
-every_kind = pytest.mark.parametrize("kind", ["column", "nested", "spectra", *ADAPTIVE])
+every_kind = pytest.mark.parametrize("kind", ["column", "range", "spectra", *ADAPTIVE])
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_nothing_is_cut_hard_to_read_or_asked_for(opened, kind, width, scheme):
 @pytest.mark.parametrize("width", WIDTHS)
 def test_an_embedded_page_stands_whole_and_shows_its_exposure(browser, pages, tmp_path, width):
     script = (Path(__file__).parents[2] / "docs/static/site.js").read_text()
-    frame = f'<iframe class="playable" src="{pages("nested")}" style="width: 100%; border: 0">'
+    frame = f'<iframe class="playable" src="{pages("range")}" style="width: 100%; border: 0">'
     home = tmp_path / "home.html"
     home.write_text(f"<!doctype html><script>{script}</script><p>Above</p>{frame}</iframe>")
     look(browser, width, height=800)
@@ -126,7 +126,7 @@ return texts.flatMap((a, i) => texts.slice(i + 1).filter((b, k) => {
 @pytest.mark.parametrize("width", WIDTHS)
 def test_no_words_of_a_chart_stand_on_others(opened, width):
     """Of few and of many classes, for designs of little and of much light."""
-    browser = opened("nested", width)
+    browser = opened("range", width)
     for chance in (0.5, 1 / 3, 1 / 4, 1 / 5, 1 / 6, 1 / 10, 1 / 100):
         for low, high in ((30, 30), (1e4, 1e4), (1e6, 1e6), (1e3, 1e6)):
             ask(

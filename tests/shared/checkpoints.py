@@ -14,7 +14,6 @@ TRAININGS: dict[str, dict[str, Any]] = {
     "camera noise": {"camera": "dmd", "noise": "camera", "sigma": 1.0, "dark": 5.0, "levels": 4},
     "few counts": {"noise": "poisson", "counts": 50.0, "camera": "dmd"},
     "a range of budgets": {"span": 100.0},
-    "nested masks": {"nested": 2, "light": "equal-dwell"},
     "patches": {"patch": 4, "masks": 6, "classifier": "vit", "hidden": None},
     "passing scenes": {"camera": "dmd", "bins": 8, "masks": None},
     "a module of one's own": {"classifier": "shared.networks:Cnn", "hidden": None},

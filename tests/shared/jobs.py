@@ -22,7 +22,7 @@ OF_LEARN = (
 )
 
 
-def nested(**settings: Any) -> dict[str, Any]:
+def sorted_of(**settings: Any) -> dict[str, Any]:
     """Fields of a job of single settings."""
     if "camera" not in settings:
         settings = {"light": "column", "rails": "dual", **settings}
@@ -36,10 +36,10 @@ def nested(**settings: Any) -> dict[str, Any]:
 
 def job(**settings: Any) -> Job:
     """Job of single settings."""
-    return Job(**nested(**settings))
+    return Job(**sorted_of(**settings))
 
 
 def learn(data: Any, **settings: Any) -> Any:
     """Design of single settings, learned."""
     own = {name: settings.pop(name) for name in OF_LEARN if name in settings}
-    return learned(data, **own, **nested(**settings))
+    return learned(data, **own, **sorted_of(**settings))

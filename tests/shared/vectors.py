@@ -30,8 +30,6 @@ KINDS: dict[str, dict[str, Any]] = {
     "fixed both": {"masks": 3, "light": "free-dwell", "readout": "both"},
     "fixed detectors": {"masks": 3, "light": "two-arm", "readout": "both", "detectors": "2x2"},
     "range": {"masks": 4, "span": 1e3, "photons": 1e2, **ONE_ARM},
-    "nested": {"masks": 5, "nested": 2, "span": 1e3, "photons": 1e2, **ONE_ARM},
-    "nested both": {"masks": 4, "nested": 2, "light": "free-dwell", "readout": "both"},
 }
 """Settings of the designs."""
 
@@ -41,14 +39,12 @@ CASES = 6
 
 @dataclass(frozen=True)
 class Vector:
-    """Counts of one exposure so far, and the answer to them."""
+    """Counts of one exposure, and the answer to them."""
 
     counts: np.ndarray
     """Shape (rails, m, D)."""
     photons: float
-    """Budget of the whole exposure."""
-    masks: int
-    """First masks that were shown; all but of nested ones."""
+    """Its budget."""
     chances: np.ndarray
     """Shape (C,)."""
 
@@ -78,11 +74,7 @@ def scenes() -> Dataset:
 
 def answer(design: Design, vector: Vector) -> np.ndarray:
     """Chances of the counts of a vector."""
-    exposure = design.exposure
-    part = design if vector.masks == design.masks else design.first(vector.masks)
-    counts = vector.counts[:, : vector.masks].reshape(part.counts_shape)
-    photons = vector.photons * part.exposure.used / exposure.used
-    return part.classify(counts, photons)
+    return design.classify(vector.counts.reshape(design.counts_shape), vector.photons)
 
 
 def main() -> None:
@@ -103,12 +95,11 @@ def main() -> None:
 
 
 def draw(design: Design, photons: float, rng: np.random.Generator) -> Vector:
-    """Vector of the first masks of a design, all unless they are nested."""
+    """Vector of a design."""
     mean = photons * float(design.shares.mean()) / design.detection.width(design.rails.count)
     shape = (design.rails.count, design.masks, design.detection.count)
     counts = rng.poisson(mean * rng.uniform(0.5, 1.5, shape))
-    first = int(rng.integers(design.fewest_masks, design.masks + 1))
-    vector = Vector(counts, photons, first, chances=np.empty(0))
+    vector = Vector(counts, photons, chances=np.empty(0))
     return replace(vector, chances=answer(design, vector))
 
 

@@ -60,7 +60,6 @@ def test_mistakes_in_a_recipe_are_all_told(settings, parts):
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
-        ({"designs": ("deepfsi", "control"), "nested": 2}, "leave out control"),
         ({"designs": ("deepfsi", "control"), "span": 10.0}, "leave out control"),
         ({"designs": "control", "noise": "gaussian"}, "photon noise"),
         ({"designs": "raster", "light": "two-arm"}, "nothing to compare: raster .*two-arm"),

@@ -65,7 +65,7 @@ def test_ratios_ask_for_one_number_of_looks_of_adaptive_masks(digits, asked, loo
         ({"camera": "paper"}, False),  # no look shows masks under the law column
         ({"camera": {"noise": "gaussian", "sigma": 1.0}}, False),
         ({"test_noise": "gaussian", "camera": {"sigma": 1.0}}, False),
-        ({"exposure": {"nested": 2}, "designs": "deepfsi"}, False),
+        ({"exposure": {"span": 2}, "designs": "deepfsi"}, False),
     ],
     ids=str,
 )

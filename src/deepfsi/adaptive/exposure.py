@@ -29,6 +29,7 @@ from deepfsi.adaptive.posterior import (
     ScenePrior,
     confidence_of,
 )
+from deepfsi.adaptive.sharing import CappedRule, Stops
 from deepfsi.base.errors import InputError, Message, as_input_error
 from deepfsi.base.numeric.arrays import check_memory, free_memory
 from deepfsi.base.plugins import load_plugin
@@ -39,12 +40,10 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.designfile.header import AdaptiveHeader
 from deepfsi.exposure.kind import (
     Answer,
-    CappedRule,
     CountedLight,
     ExposureKind,
     Observation,
     ReadsCounts,
-    Stops,
     Use,
 )
 from deepfsi.jobs.exposures import AdaptiveMasks
@@ -63,7 +62,7 @@ PRIOR_COPIES = 6
 
 MASKS_ARE_MADE = (
     "this design makes its masks while the camera looks, and this takes masks that are known "
-    "before: `deepfsi evaluate`, `stop`, `show`, `page`, `dmd export` and `camera live` take it"
+    "before: `deepfsi evaluate`, `show`, `page`, `dmd export` and `camera live` take it"
 )
 """Why adaptive masks are not for what needs masks."""
 
@@ -76,8 +75,8 @@ PAGES_MAKE_MASKS = Message(
 
 POSTERIOR_ANSWERS = Message(
     "adaptive masks are answered by the posterior of the ideal observer, after all looks: leave "
-    "{ideal} and {first} out",
-    setting=("ideal", "first"),
+    "{ideal} out",
+    setting="ideal",
 )
 """Why adaptive masks have no ideal observer beside them."""
 
@@ -457,16 +456,8 @@ class AdaptiveExposure(ExposureKind):
 
     @property
     def stops(self) -> Stops:
-        """Numbers of looks after which an exposure may stop, and the share taken then."""
-        return Stops(tuple(range(1, self.count + 1)), np.cumsum(self.settings.shares))
-
-    def first(self, masks: int) -> tuple["AdaptiveExposure", float]:
-        """Raise `InputError`: all looks are needed."""
-        raise InputError(POSTERIOR_ANSWERS)
-
-    def stopping_at(self, threshold: float) -> "AdaptiveExposure":
-        """The kind whose exposures stop at a probability of a class."""
-        return replace(self, settings=self.settings.model_copy(update={"until": threshold}))
+        """Where an exposure may stop: after each look."""
+        return Stops(np.cumsum(self.settings.shares))
 
     def of_looks(self, looks: int) -> "AdaptiveExposure":
         """The kind whose longest exposure ends after the first looks, all of one length."""
@@ -561,7 +552,8 @@ class LongestExposures(NamedTuple):
         threshold = made.stops.threshold(sure, 1.0)
         going = torch.from_numpy(made.stops.going(sure, threshold))
         counted = (self.light[:, : made.count] * going).mean(dim=0) / self.photons
-        return replace(made.stopping_at(threshold), counted=counted)
+        settings = made.settings.model_copy(update={"until": threshold})
+        return replace(made, settings=settings, counted=counted)
 
     def caps(self, made: AdaptiveExposure, least: float) -> list[CappedRule]:
         """Share of wrong answers for each cap, from the least to that of all looks."""

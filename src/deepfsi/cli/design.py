@@ -9,7 +9,7 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
-from deepfsi.base.models.strict import Count, WholeNumber
+from deepfsi.base.models.strict import Count
 from deepfsi.base.quantities import budget_text, confidence_text, count_text
 from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
@@ -43,9 +43,6 @@ class LearnDesign(Command):
     data: fields.TrainingData = "digits"
     size: fields.Size = None
     skip_bad: fields.SkipBad = False
-    hold_out: WholeNumber = fields.option(
-        "number of last training scenes to leave out, which `deepfsi stop` needs", 0
-    )
     matrix: fields.Matrix = None
     view: fields.View = None
     device: fields.TorchDevice = "auto"
@@ -76,12 +73,11 @@ class LearnDesign(Command):
         _check_mask_settings(settings, job)
         fields.check_sigma(settings, (job.camera.noise_name, job.noise))
         _check_test(job)
-        trained = scenes.hold_out(self.hold_out) if self.hold_out else scenes
         if self.out.exists() and not self.force:
-            _check_same(self.out, job, trained, matrix)
+            _check_same(self.out, job, scenes, matrix)
         with terminal.progress(f"{job.design}, {job.masks} masks") as report:
             design = learn(
-                trained,
+                scenes,
                 report=report,
                 counts=counts,
                 matrix=matrix,
@@ -95,7 +91,7 @@ class LearnDesign(Command):
         with terminal.progress("test") as report:
             results = evaluate(design, scenes, budgets, draws=job.draws, report=report)
         lit = min(sum(light > 0 for light in each.photons_per_mask) for each in results)
-        notes = [_scenes_text(trained, scenes)]
+        notes = [_scenes_text(scenes)]
         return Outcome(
             {
                 "design": str(self.out),
@@ -193,19 +189,15 @@ def _check_same(file: Path, job: Job, data: Dataset, matrix: np.ndarray | None) 
     )
 
 
-def _scenes_text(trained: Dataset, tested: Dataset) -> str:
+def _scenes_text(data: Dataset) -> str:
     """Scenes of a training and its test in words, and what `compare` does otherwise."""
     from deepfsi.sweeps.recipe import Recipe
 
-    words = f"trained on {len(trained.x_train)} scenes, tested on {len(tested.x_test)}"
-    if trained.held_out:
-        words += f"; {trained.held_out} more are held out"
-    else:
-        words += (
-            f"; deepfsi compare holds {Recipe().held_out(trained)} of these out to choose numbers "
-            "of masks"
-        )
-    folds = len(Recipe().parts(tested))
+    words = (
+        f"trained on {len(data.x_train)} scenes, tested on {len(data.x_test)}; deepfsi compare "
+        f"holds {Recipe().held_out(data)} of these out to choose numbers of masks"
+    )
+    folds = len(Recipe().parts(data))
     return words if folds == 1 else f"{words}, and tests every scene once, in {folds} folds"
 
 
@@ -227,7 +219,7 @@ def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[s
             threshold = confidence_text(design.info["stopping"]["threshold"])
             yield (
                 f"exposures end above a probability of {threshold}, or after "
-                f"{design.exposure.stops.used[-1]:.3g} of the budget: test scenes take "
+                f"{design.prior_exposure.stops.used[-1]:.3g} of the budget: test scenes take "
                 f"{light:.3g} of it in the mean"
             )
     if caps := design.info.get("caps"):

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from deepfsi.base.errors import InputError, Message
-from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
-from deepfsi.base.models.strict import Count, Share
+from deepfsi.base.files import write_atomically
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
@@ -35,7 +34,6 @@ class EvaluateDesign(Command):
     sigma: fields.Sigma = None
     dark: fields.Dark = None
     fluctuation: fields.LightFluctuation = None
-    first: Count | None = fields.option("use only this many first masks of a nested design")
     draws: fields.DrawCount = 3
     ideal: bool = fields.flag("also give the accuracy of the ideal observer of the counts")
     seed: fields.NoiseSeed = 0
@@ -61,8 +59,6 @@ class EvaluateDesign(Command):
             )
         if self.ideal:
             design.exposure.check("ideal observer")
-        if self.first is not None:
-            design = design.first(self.first)
         scenes, notes = data_of(design, self.data, self.size, self.view)
         how: dict[str, Any] = {"draws": self.draws, "seed": self.seed}
         with terminal.progress("evaluate") as report:
@@ -90,71 +86,6 @@ class EvaluateDesign(Command):
                 ),
                 *full_gates_lines(design, results),
             ],
-        )
-
-
-class StopEarly(Command):
-    """`deepfsi stop`.
-
-    Data and left-out scenes are those that the design remembers.
-
-    Example: deepfsi stop nested.safetensors --photons 1e5
-    """
-
-    file: fields.DesignPath = fields.argument(
-        "design file for one device, nested or of adaptive masks"
-    )
-    photons: fields.Number = fields.required("budget of a whole exposure")
-    data: fields.TestData = None
-    size: fields.Size = None
-    hold_out: Count | None = fields.option(
-        "number of last training scenes that the training left out; that of the design unless given"
-    )
-    threshold: Share | None = fields.option(
-        "confidence above which to stop; chosen on left-out scenes unless given"
-    )
-    mean_light: fields.Number | None = fields.option(
-        "photons that exposures take in the mean over scenes: the confidence is found at which "
-        "left-out scenes do"
-    )
-    out: Annotated[Path | None, fields.Output(DESIGN_ENDINGS)] = fields.option(
-        "write the design with this rule, for `camera live`"
-    )
-    draws: fields.DrawCount = 3
-    seed: fields.NoiseSeed = 0
-    trust: fields.Trust = False
-    device: fields.TorchDevice = "auto"
-    force: fields.Force = False
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Light that stopped exposures take, and their accuracy."""
-        from deepfsi.design.design import load_design
-        from deepfsi.evaluation.stopping import stop, with_rule
-        from deepfsi.lab.design_data import data_of
-        from deepfsi.physics.surroundings import torch_device
-
-        design = load_design(self.file, torch_device(self.device), trust=self.trust)
-        if self.out is not None:
-            design.exposure.stopping_at(1.0)
-        scenes, notes = data_of(design, self.data, self.size)
-        with terminal.progress("stop"):
-            stopped = stop(
-                design,
-                scenes,
-                self.photons,
-                held_out=self.hold_out,
-                threshold=self.threshold,
-                mean_light=self.mean_light,
-                draws=self.draws,
-                seed=self.seed,
-            )
-        saved = []
-        if self.out is not None:
-            with_rule(design, stopped.rule).save(self.out)
-            saved = [f"saved with this rule: {self.out}"]
-        return Outcome(
-            {"design": str(self.file), "notes": notes, **stopped.as_dict()},
-            [*data_lines(scenes, notes), *stopped.lines(design.size_text), *saved],
         )
 
 

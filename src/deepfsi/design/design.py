@@ -197,11 +197,6 @@ class Design:
         return self.masks * self.detection.width(self.rails.count)
 
     @property
-    def fewest_masks(self) -> int:
-        """Smallest number of first masks that can be classified alone."""
-        return self.mask_exposure.fewest_masks
-
-    @property
     def camera(self) -> Camera:
         """The camera that it was trained for, as the file keeps it; of older files its optics."""
         return trained_camera(self.info) or self.exposure.camera
@@ -447,7 +442,7 @@ class Design:
             return 1.0
         shown = self.mask_exposure
         budget = shown.budget(torch.as_tensor(photons).to(seen.features))
-        return temperatures_at(self.temperatures, shown.stop_place(seen), budget)
+        return temperatures_at(self.temperatures, 0, budget)
 
     @library_defaults(grad=False)
     def classify(self, counts: Any, photons: Any) -> np.ndarray:
@@ -557,22 +552,6 @@ class Design:
         Classifier and statistics stay; a camera with so many `levels` trains for such a device.
         """
         return replace(self, exposure=self.exposure.quantised(levels), distribution=None)
-
-    def first(self, masks: int) -> "Design":
-        """The first masks alone, with the light that the constraint gives to so many.
-
-        On one device their frames share the whole exposure. An exposure of all masks that stops
-        after these has taken `used` of its budget, and is one of this design at that budget. Raises
-        `InputError` if the design was not trained for so few.
-        """
-        part, share = self.exposure.first(masks)
-        stops = masks - self.fewest_masks + 1
-        return replace(
-            self,
-            exposure=part,
-            distribution=None,
-            temperatures=self.temperatures and self.temperatures.scaled(share, stops),
-        )
 
     def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":
         """The design as patterns on a device realise it.

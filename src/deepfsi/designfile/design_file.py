@@ -152,7 +152,7 @@ class DesignFile:
     @property
     def stop_rule(self) -> StopRule | None:
         """When an exposure stops; None where no rule was chosen."""
-        with as_input_error("the design's stopping rule", "make it again with `deepfsi stop`"):
+        with as_input_error("the design's stopping rule", "train it again"):
             return TypeAdapter(StopRule | None).validate_python(self.header.info.get("stopping"))
 
     @cached_property
@@ -213,8 +213,7 @@ class DesignFile:
     def temperatures(self) -> Temperatures | None:
         """Divisors of the logits at each budget; None where none were fitted."""
         arrays = self.arrays_of("temperatures")
-        stops = self.mask_header.exposure.count_stops(self.masks)
-        return Temperatures.restored(arrays, stops) if arrays else None
+        return Temperatures.restored(arrays, 1) if arrays else None
 
 
 def damaged_design(path: str | os.PathLike[str], header: str = "") -> InputError:

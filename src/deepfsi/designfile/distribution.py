@@ -284,16 +284,11 @@ class ReadoutDistribution:
         return replace(self, mean=self.mean * np.float32(factor))
 
     def test(
-        self,
-        counts: ArrayLike,
-        photons: ArrayLike,
-        background: ArrayLike,
-        weights: ArrayLike = 1.0,
+        self, counts: ArrayLike, photons: ArrayLike, background: ArrayLike
     ) -> ConsistencyResult:
         """Test counts (..., rails, m) of exposures of different scenes, at budgets (...).
 
-        `background` is what was subtracted from each readout; `weights` how long it was counted
-        over its usual time.
+        `background` is what was subtracted from each readout.
         """
         model = self._model
         every = np.asarray(counts, dtype=float)
@@ -309,7 +304,7 @@ class ReadoutDistribution:
             counts=of_lit(every),
             expected=budget * model.total,
             dark=of_lit(background),
-            weights=of_lit(weights),
+            weights=of_lit(1.0),
         )
         sums = budget.sum(axis=0)[None]
         usual = budget @ single.weights

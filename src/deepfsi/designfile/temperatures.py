@@ -1,4 +1,4 @@
-"""Temperatures: what divides the logits of a design, by budget and by masks or looks so far.
+"""Temperatures: what divides the logits of a design, by budget and by looks so far.
 
 Between the budgets and stops of a calibration log τ is interpolated; below the lowest budget τ
 grows as 1 / Φ, as the inputs do, and above the highest it stays.
@@ -32,7 +32,7 @@ def calibration_budgets(low: float, high: float) -> np.ndarray:
 class Temperatures:
     """Temperatures of a design over budgets and stops."""
 
-    logs: np.ndarray  # (K, B), log τ after each number of masks or looks, rising, at each budget
+    logs: np.ndarray  # (K, B), log τ after each number of looks, rising, at each budget
     budgets: np.ndarray  # (B,), of whole exposures, rising in equal ratios
 
     @classmethod
@@ -59,6 +59,6 @@ class Temperatures:
         """Lowest budget of which a design can say something: a tenth of the training's lowest."""
         return float(self.budgets[0]) * CALIBRATION_REACH / TOO_DIM
 
-    def scaled(self, factor: float, stops: int | None = None) -> "Temperatures":
-        """Temperatures where the same counts take so many times the budget, at the first stops."""
-        return Temperatures(self.logs[:stops], self.budgets * factor)
+    def scaled(self, factor: float) -> "Temperatures":
+        """Temperatures where the same counts take so many times the budget."""
+        return Temperatures(self.logs, self.budgets * factor)

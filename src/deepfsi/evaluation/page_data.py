@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.progress import SILENT, Progress
+from deepfsi.camera.stop_rule import StopRule
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
-from deepfsi.designfile.provenance import new_scenes, trained_on
+from deepfsi.designfile.provenance import new_scenes
 from deepfsi.designfile.temperatures import Temperatures
 from deepfsi.evaluation.accuracy import check_data, evaluate
-from deepfsi.evaluation.stopping import rule_of, stop
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.networks.values import check_classes
 from deepfsi.physics.laws import ROUNDING_SLACK
@@ -65,10 +65,7 @@ def playable(
     else:
         budgets = sorted({*SLIDER_BUDGETS, *inside})
         optics = _networks(design)
-    results = evaluate(
-        design, tested, budgets, draws=draws, seed=seed, report=report.between(0, 0.8)
-    )
-    rules = _rules(design, data, seed, report.between(0.8, 1))
+    results = evaluate(design, tested, budgets, draws=draws, seed=seed, report=report)
     return {
         **optics,
         "name": design.name,
@@ -78,7 +75,7 @@ def playable(
         "labels": None if design.detection.labels is None else design.detection.labels.tolist(),
         "budget": trained and {"low": trained[0], "high": trained[1]},
         "temperatures": _temperatures(design.temperatures),
-        "rules": rules,
+        "rules": _rules(design),
         "scenes": _scenes(fresh, seed),
         "curve": [
             {
@@ -226,30 +223,14 @@ def _layers(network: Mlp) -> list[dict[str, Any]]:
     return [{"weight": _pack(weight), "bias": _pack(bias)} for weight, bias in network.arrays]
 
 
-def _rules(design: Design, data: Dataset, seed: int, report: Progress) -> list[dict[str, Any]]:
-    """Rules of when an exposure stops, each with the budget that it was chosen at."""
-    # That which the design holds; else so many in its training's range that one is near each
-    # budget, where it can stop early and its training left scenes out
-    try:
-        _ = design.exposure.stops
-    except InputError:
+def _rules(design: Design) -> list[dict[str, Any]]:
+    """The rule of when an exposure stops that the design holds, if it holds one."""
+    numbers = design.info.get("stopping")
+    if numbers is None:
         return []
-    rule = rule_of(design)
-    if rule is not None:
-        return [rule.as_dict()]
-    if design.exposure.makes_masks:
-        return []
-    training = trained_on(design.info)
-    trained = design.trained_budgets
-    if training is None or not training.held_out or not training.is_of(data) or trained is None:
-        return []
-    decades = np.log10(trained[1] / trained[0])
-    budgets = np.geomspace(*trained, 1 + int(np.ceil(decades - 1e-9))).tolist()
-    rules = []
-    for done, budget in enumerate(budgets, start=1):
-        rules.append(stop(design, data, budget, draws=1, seed=seed).rule.as_dict())
-        report(done / len(budgets))
-    return rules
+    with as_input_error("the design's stopping rule", "train it again"):
+        rule = StopRule.model_validate(numbers)
+    return [rule.model_dump()]
 
 
 def _scenes(data: Dataset, seed: int) -> dict[str, Any]:

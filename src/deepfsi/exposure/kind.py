@@ -5,7 +5,6 @@ a prior of scenes, of which they make theirs. What needs one or the other asks `
 """
 
 from abc import ABC, abstractmethod
-from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import prod
@@ -41,14 +40,9 @@ class Observation:
 
     features: Tensor  # (..., k)
 
-    def rows(self, rows: Tensor) -> "Observation":
-        """Some of n exposures, by their places."""
-        return Observation(self.features[rows])
-
     def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
-        """Standardised features (..., k), whose mean and deviation are (..., k) or of more."""
-        count = self.features.shape[-1]
-        return (self.features - mean[..., :count]) / std[..., :count]
+        """Standardised features (..., k)."""
+        return (self.features - mean) / std
 
 
 class Answer(NamedTuple):
@@ -59,131 +53,12 @@ class Answer(NamedTuple):
     classes: Tensor  # (...), that logits may tell apart where rounded chances do not
 
 
-LIGHT_ROUNDING = 1e-9
-"""Light over the budget that sums of shares differ by, at most."""
-
-
-class Stops(NamedTuple):
-    """Where an exposure may stop."""
-
-    after: tuple[int, ...]  # numbers of masks
-    used: np.ndarray  # (K,), share of the budget that is taken then
-
-    def threshold(self, confidence: np.ndarray, light: float) -> float:
-        """Highest confidence above which exposures stop and take a share of the light at most.
-
-        From the confidence (E, K) of exposures after each stop.
-        """
-
-        def taken(threshold: float) -> float:
-            return float(self.used[self.ends(confidence, threshold)].mean())
-
-        tried: list[float] = np.unique(np.append(confidence[:, :-1], [0.0, 1.0])).tolist()
-        if taken(tried[0]) > light:
-            raise InputError(
-                f"the first stop alone takes {self.used[0]:.3g} of the budget, and {light:.3g} is "
-                "asked for in the mean: give more masks, fewer nested ones, a lower cap, or more "
-                "mean light"
-            )
-        first = bisect_right(range(len(tried)), light, key=lambda place: taken(tried[place]))
-        return tried[first - 1]
-
-    def first(self, count: int) -> "Stops":
-        """The first stops, so many, of exposures of which none goes on."""
-        return Stops(self.after[:count], self.used[:count])
-
-    def rules(
-        self, confidence: np.ndarray, wrong: np.ndarray, *, light: float, least: float
-    ) -> "list[CappedRule]":
-        """Rules that take the light, one for each number of stops that takes `least` or more.
-
-        From the confidence (E, K) of exposures after each stop, and whether the answer is wrong (E,
-        K). Exposures that are never sure take light from others: it may be better to end them
-        sooner.
-        """
-        every = np.arange(len(confidence))
-        rules = []
-        for count in range(1, len(self.after) + 1):
-            if self.used[count - 1] < least - LIGHT_ROUNDING:
-                continue
-            stops = self.first(count)
-            threshold = stops.threshold(confidence[:, :count], light)
-            ends = stops.ends(confidence[:, :count], threshold)
-            errors = float(wrong[every, ends].mean())
-            rules.append(CappedRule(errors, count, float(self.used[count - 1]), threshold))
-        return rules
-
-    @staticmethod
-    def ends(confidence: np.ndarray, threshold: float) -> np.ndarray:
-        """Stop (E,), from 0, at which exposures of confidence (E, K) end: once sure, or last."""
-        enough = confidence > threshold
-        enough[:, -1] = True
-        return enough.argmax(axis=1)
-
-    @classmethod
-    def going(cls, confidence: np.ndarray, threshold: float) -> np.ndarray:
-        """True where an exposure (E, K) takes a part."""
-        return np.arange(confidence.shape[1]) <= cls.ends(confidence, threshold)[:, None]
-
-
-class CappedRule(NamedTuple):
-    """Where exposures end; the least is that of fewest wrong answers, of equals the shortest."""
-
-    wrong: float  # share of the answers that are
-    stops: int  # number of stops that the longest exposure has
-    cap: float  # share of the budget that it takes
-    threshold: float  # confidence above which others end
-
-
 class CountedLight(NamedTuple):
     """Light of exposures together."""
 
     counts: float
     photons: float
     used: float | None = None  # light on the coding device, of exposures that stop
-
-
-@dataclass(frozen=True, eq=False)
-class StoppableExposures:
-    """Exposures of n scenes as they are at each stop, so that each may end at one of its own."""
-
-    kind: "MaskExposure"
-    front: Scanner
-    rates: Tensor  # (n, rails, m · D)
-    photons: float  # budget Φ
-    observations: list[Observation]
-    answers: list[Answer]
-    confidence: np.ndarray  # (n, K)
-
-    def answer(self, ends: np.ndarray) -> Answer:
-        """Answers to exposures that end at stops (n,), from 0."""
-        rows = torch.arange(len(ends)), torch.from_numpy(ends)
-        every = (torch.stack(parts, dim=1) for parts in zip(*self.answers, strict=True))
-        return Answer(*(values[rows] for values in every))
-
-    def light(self, ends: np.ndarray) -> CountedLight:
-        """Light of exposures together that end at stops (n,), from 0."""
-        parts = [
-            self.kind.light(self.front, rates, seen, self.photons)
-            for rates, seen in self._ended(ends)
-        ]
-        used = float(self.kind.stops.used[ends].sum()) * self.photons
-        return CountedLight(sum(each.counts for each in parts), sum(p.photons for p in parts), used)
-
-    def counted(self, ends: np.ndarray) -> Tensor:
-        """Sum (k,) over scenes of what features count for a budget of one; `ends` as of `light`."""
-        kind = self.kind
-        total = torch.zeros_like(kind.shares)
-        for rates, seen in self._ended(ends):
-            counted = kind.detection.totals(kind.expected(rates, seen)).sum(dim=0)
-            total[: len(counted)] += counted
-        return total
-
-    def _ended(self, ends: np.ndarray) -> Iterator[tuple[Tensor, Observation]]:
-        """Rates and exposures that end at each stop, where any do."""
-        for stop in np.unique(ends).tolist():
-            rows = torch.from_numpy(np.flatnonzero(ends == stop))
-            yield self.rates[rows], self.observations[stop].rows(rows)
 
 
 class ExposureKind(ABC):
@@ -312,25 +187,6 @@ class ExposureKind(ABC):
         for some in scenes.split(EXPOSED_AT_ONCE):
             yield self.test(front, self.rates(front, some), photons, generator, network=network)
 
-    @property
-    @abstractmethod
-    def stops(self) -> Stops:
-        """Where an exposure may stop."""
-
-    @abstractmethod
-    def first(self, masks: int) -> tuple["ExposureKind", float]:
-        """The kind of the first masks alone, and the share of the light law that is theirs."""
-
-    def stopping_at(self, threshold: float) -> "ExposureKind":
-        """The kind whose exposures stop at a probability, or `InputError` where it is of one look.
-
-        A device decides for those whose masks are known before.
-        """
-        raise InputError(
-            "this design shows all its masks: learn adaptive ones with {design:adaptive}",
-            setting="design",
-        )
-
     def quantised(self, levels: int) -> "ExposureKind":
         """The kind as a device of so many grey levels shows it."""
         return self
@@ -392,30 +248,11 @@ UNTRAINED: Any = None
 """Masks before the end of a training."""
 
 
-ONE_LENGTH: dict[Use, str] = {
-    "graph": "an ONNX graph is of exposures of one length: give a design that was learned with cap "
-    "1",
-    "page": "a page shows exposures of this kind for one length: give a design that was learned "
-    "with cap 1",
-    "ideal observer": "the ideal observer is of counts of whole exposures, and these end when a "
-    "class is sure: give a design that was learned with cap 1",
-}
-"""Why exposures that share light cannot be used for something."""
-
-
-def whole_exposure(camera: Camera, cap: float) -> Camera:
-    """Camera with the dark counts of an exposure that is so many times as long."""
-    return camera if cap == 1 else camera.model_copy(update={"dark": camera.dark * cap})
-
-
 class MaskExposure(ExposureKind):
     """Base of the kinds whose masks are known before: each is shown once, for its own dwell."""
 
     optics: TrainedMasks
     kind: ClassVar[str]  # name in the design file
-    cap: float = 1.0  # light of a whole exposure over the budget, which above 1 is a mean
-    until: float = 1.0  # probability of a class above which an exposure ends; 1 for never
-    used: float = 1.0  # share of the light law that the masks take within the whole sequence
 
     @property
     def image_shape(self) -> tuple[int, ...]:
@@ -455,11 +292,10 @@ class MaskExposure(ExposureKind):
 
     @property
     def title(self) -> str:
-        """Number and shape of the masks, their light law, and the most light."""
+        """Number and shape of the masks, and their light law."""
         shape = "x".join(map(str, self.mask_shape))
-        most = f", at most {self.cap:g} budgets" if self.cap > 1 else ""
         optics = self.optics
-        return f"{self.count} masks of {shape}, {optics.light}, {optics.rails.kind} rails{most}"
+        return f"{self.count} masks of {shape}, {optics.light}, {optics.rails.kind} rails"
 
     # Files
 
@@ -484,7 +320,7 @@ class MaskExposure(ExposureKind):
         cls, entry: ExposureEntry, weights: dict[str, Tensor], optics: TrainedMasks
     ) -> "MaskExposure":
         """The kind of an entry, with its tensors of a design file; an error where they differ."""
-        made = cls(**entry.model_dump(exclude={"kind"}), optics=optics)  # type: ignore[call-arg]
+        made = cls(**entry.model_dump(exclude={"kind", "nested"}), optics=optics)  # type: ignore[call-arg]
         made.check_masks()
         return made
 
@@ -501,12 +337,6 @@ class MaskExposure(ExposureKind):
         return replace(self, optics=self.optics.to(device))  # type: ignore[type-var]
 
     # What is shown
-
-    def check(self, use: Use, name: str | None = None) -> None:
-        """Raise `InputError` where a design, of such a name, cannot be used for something."""
-        super().check(use, name)
-        if self.cap > 1 and use in ONE_LENGTH:
-            raise InputError(ONE_LENGTH[use])
 
     def with_optics(self, **fields: Any) -> Self:
         """The kind with other fields of its `optics`."""
@@ -544,31 +374,6 @@ class MaskExposure(ExposureKind):
             mean=optics.mean * share, std=optics.std * share, shares=optics.shares * share
         )
 
-    def first(self, masks: int) -> tuple[Self, float]:
-        """The kind of the first masks alone, and the share of the light law that is theirs."""
-        fewest = self.fewest_masks
-        most = self.count
-        if not fewest <= masks <= most:
-            raise InputError(
-                "the first {masks} masks of this design cannot be classified alone: give "
-                "{fewest} to {most}" + ", or learn nested ones with {nested}" * (fewest == most),
-                setting="nested",
-                masks=masks,
-                fewest=fewest,
-                most=most,
-            )
-        optics = self.optics
-        used = light_law(optics.light).used(optics.rails.stacked)
-        share = float(used[masks - 1] / used[-1])
-        kept = masks * optics.detection.width(optics.rails.count)
-        part = self.with_optics(
-            rails=Rails.of(optics.rails.stacked[:, :masks] / share),
-            mean=optics.mean[:kept] / share,
-            std=optics.std[:kept] / share,
-            shares=optics.shares[:kept] / share,
-        )
-        return part, share
-
     def mask_dwells(self) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown; None where the law has no dwells."""
         if not LIGHT_LAWS[self.optics.light].one_device:
@@ -594,11 +399,11 @@ class MaskExposure(ExposureKind):
         """The scanner with the noise of a camera; that of photons unless given."""
         if camera is None:
             return self.scanner()
-        return self.scanner(noise_of(whole_exposure(camera, self.cap)))
+        return self.scanner(noise_of(camera))
 
     def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
-        return front.rates(scenes.to(self.device) / (self.summed_reflectance / self.cap))
+        return front.rates(scenes.to(self.device) / self.summed_reflectance)
 
     def scale(self, photons: Tensor | float) -> Tensor | float:
         """Divisor of features in counts: the budget; of clicks that of the training, always."""
@@ -640,29 +445,6 @@ class MaskExposure(ExposureKind):
 
     # Answering
 
-    @property
-    def fewest_masks(self) -> int:
-        """Smallest number of first masks that can be classified alone."""
-        return self.count
-
-    @property
-    def count_stops(self) -> int:
-        """Numbers of masks after which an exposure can be classified."""
-        return self.count - self.fewest_masks + 1
-
-    def stop_place(self, seen: Observation) -> int:
-        """Place of an exposure so far among these numbers, from 0."""
-        return 0
-
-    @property
-    def stops(self) -> Stops:
-        """Where an exposure may stop: nowhere, as all masks are needed."""
-        raise InputError(
-            "this design needs all its masks for an answer: learn nested ones with {nested}, or "
-            "adaptive ones with {design:adaptive}",
-            setting=("nested", "design"),
-        )
-
     def input_count(self, features: int) -> int:
         """Number of the classifier's inputs for k features."""
         return features
@@ -688,48 +470,6 @@ class MaskExposure(ExposureKind):
     def budget(self, photons: Tensor) -> Tensor:
         """Budget (..., 1) of an exposure, of that of each of its parts."""
         return photons
-
-    def at_stops(
-        self,
-        front: Scanner,
-        rates: Tensor,
-        photons: float,
-        generator: torch.Generator,
-        network: ReadsCounts,
-    ) -> StoppableExposures:
-        """Exposures and answers at each stop."""
-        seen = list(self.observe(front, rates, photons, generator))
-        answers = []
-        sure = []
-        for each in seen:
-            answers.append(self.answer(each, photons, network))
-            logits = answers[-1].logits.double() / network.temperature(each, photons)
-            sure.append(logits.softmax(dim=-1).amax(dim=-1))
-        confidence = torch.stack(sure, dim=1).cpu().numpy()
-        return StoppableExposures(
-            self,
-            front,
-            rates,
-            photons,
-            observations=seen,
-            answers=answers,
-            confidence=confidence,
-        )
-
-    def test(
-        self,
-        front: Scanner,
-        rates: Tensor,
-        photons: float,
-        generator: torch.Generator,
-        network: ReadsCounts,
-    ) -> tuple[Answer, CountedLight]:
-        """Answers and light of exposures at their end, which is where a class is sure."""
-        if self.until == 1:
-            return super().test(front, rates, photons, generator, network=network)
-        exposures = self.at_stops(front, rates, photons, generator, network=network)
-        ends = Stops.ends(exposures.confidence, self.until)
-        return exposures.answer(ends), exposures.light(ends)
 
     def answer(self, seen: Observation, photons: Tensor | float, network: ReadsCounts) -> Answer:
         """Answer to exposures so far, of a budget in all, by what reads their counts."""

@@ -18,7 +18,7 @@ from torch.nn import functional
 from deepfsi.base.errors import InputError
 from deepfsi.base.plugins import load_plugin
 from deepfsi.camera.names import LIGHT_LAWS
-from deepfsi.exposure.kind import MaskExposure, TrainedMasks, whole_exposure
+from deepfsi.exposure.kind import MaskExposure, TrainedMasks
 from deepfsi.exposure.training_set import TrainingSet, product_dtype
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.jobs.job import Job
@@ -61,13 +61,11 @@ class JobGroup:
         """Group with the noise that its jobs ask for."""
         job = jobs[0]
         own = job.camera.noise if job.training.noise is None else job.training.noise
-        cap = job.exposure.most_light  # a whole exposure is so many times as long
         noises = [
-            noise_of(whole_exposure(each.camera, cap), job.noise if isinstance(own, str) else own)
-            for each in jobs
+            noise_of(each.camera, job.noise if isinstance(own, str) else own) for each in jobs
         ]
         noises[0].check(learning=job.code.learned)
-        gains = [cap * each.photons / training_set.summed_reflectance for each in jobs]
+        gains = [each.photons / training_set.summed_reflectance for each in jobs]
         seeds = [each.seed for each in jobs]
         noise = TrainingNoise.of(noises, gains, seeds, training_set.device)
         return cls(training_set, jobs, noise, matrix=matrix, start=start)
@@ -130,7 +128,7 @@ class ExposureTraining(ABC):
             camera.light,
             camera.rails,
             levels=self.levels,
-            shortest=camera.shortest_share / self.job.exposure.most_light,
+            shortest=camera.shortest_share,
             contrast=camera.contrast,
         ).to(self.scenes.device)
 
@@ -177,14 +175,10 @@ class ExposureTraining(ABC):
         kind = product_dtype(self.job, self.scenes.device)
         return self.scenes.centred(pixels, kind, self.detection), masks
 
-    def statistics(
-        self, exposures: tuple[Tensor, Tensor] | None = None, means: Tensor | None = None
-    ) -> FeatureStatistics:
-        """Statistics of features over all scenes.
+    def statistics(self, factor: float = 1.0, means: Tensor | None = None) -> FeatureStatistics:
+        """Statistics of features over all scenes, the noise times a factor.
 
-        Exposures differ in the noise and in the readings (R or 1, k) of each feature, unless all
-        are alike; the means (n, R or 1, k) are products of the scenes with the masks, where they
-        are known.
+        The means (n, R or 1, k) are products of the scenes with the masks, where they are known.
         """
         noise = self.noise
         detection = self.detection
@@ -215,15 +209,13 @@ class ExposureTraining(ABC):
                 else means[rows]
             )
             power += (expected - mean).square().sum(dim=0)
-        factor, often = exposures or (1.0, None)
         power = power / len(scenes) + noise.variance(mean, light, read) * factor
-        std = deviation(power, self.scale, often)
+        std = deviation(power, self.scale)
         return FeatureStatistics(mean.expand_as(std), std, light.expand_as(std))
 
     def trained(self, statistics: FeatureStatistics) -> list[MaskExposure]:
         """Exposure of each job with its masks, with statistics of all."""
         s = self.training_set.summed_reflectance
-        budget = s / self.job.exposure.most_light  # of features over it
         rails = self.masks().stacked
         made = []
         for job, exposure in enumerate(self.exposures):
@@ -233,9 +225,9 @@ class ExposureTraining(ABC):
                 image_shape=self.training_set.data.image_shape,
                 detection=self.detection,
                 summed_reflectance=s,
-                mean=statistics.mean[job] / budget,
-                std=statistics.std[job] / budget,
-                shares=statistics.light[job] / budget * self.parts,
+                mean=statistics.mean[job] / s,
+                std=statistics.std[job] / s,
+                shares=statistics.light[job] / s * self.parts,
             )
             made.append(replace(exposure, optics=optics))  # type: ignore[type-var]
         return made
@@ -276,14 +268,9 @@ def matrix_seeds(jobs: Sequence[Job]) -> list[int]:
     return seeds if drawn and len(set(seeds)) > 1 else seeds[:1]
 
 
-def standardise(features: Tensor, scale: Scale, shown: Tensor | None = None) -> Tensor:
+def standardise(features: Tensor, scale: Scale) -> Tensor:
     """Divide centred features by the standard deviation of their batch."""
     # features (B, R, m)
-    if shown is not None:
-        over = (0,) if scale == "each" else (0, 2)
-        power = (features.square() * shown).sum(dim=over, keepdim=True)
-        power = power / shown.sum(dim=over, keepdim=True).clamp(min=1)
-        return features / power.clamp(min=LEAST_POWER).sqrt()
     if scale == "each":
         columns = functional.batch_norm(
             features.flatten(1), None, None, training=True, eps=LEAST_POWER
@@ -293,13 +280,10 @@ def standardise(features: Tensor, scale: Scale, shown: Tensor | None = None) -> 
     return features / size.clamp(min=LEAST_POWER**0.5)[:, None]
 
 
-def deviation(power: Tensor, scale: Scale, weights: Tensor | None = None) -> Tensor:
+def deviation(power: Tensor, scale: Scale) -> Tensor:
     """Standard deviation (..., m) of features of known variance; 1 where that is 0."""
-    # power (..., m); weights (m,)
     if scale == "common":
-        weights = torch.ones_like(power) if weights is None else weights
-        common = (power * weights).sum(dim=-1, keepdim=True) / weights.sum(dim=-1, keepdim=True)
-        power = common.expand_as(power)
+        power = (power.sum(dim=-1, keepdim=True) / power.shape[-1]).expand_as(power)
     return torch.where(power > 0, power, 1.0).sqrt()
 
 

@@ -195,8 +195,7 @@ def network_dtype(job: Job, device: torch.device) -> torch.dtype:
 
 def _rounded(job: Job, device: torch.device) -> torch.dtype:
     """Type whose rounding stays under the readout noise, unless one was asked for."""
-    # See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise. The
-    # light of all masks may come to the first of nested ones
+    # See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise
     if job.training.precision != "auto":
         return getattr(torch, job.training.precision)
     fast = (
@@ -204,7 +203,7 @@ def _rounded(job: Job, device: torch.device) -> torch.dtype:
         if device.type == "cuda"
         else device.type == "cpu" and torch.cpu.get_capabilities().get("avx512_bf16", False)
     )
-    readouts = job.exposure.min_lit_masks(job.masks) * (2 if job.optics.rails == "dual" else 1)
+    readouts = job.masks * (2 if job.optics.rails == "dual" else 1)
     counts = job.exposure.highest(job.photons) / readouts
     noise = find_noise(job.noise)
     limit = 0.0

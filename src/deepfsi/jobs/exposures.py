@@ -2,10 +2,7 @@
 
     Fixed     every mask once, each for its own dwell; all are needed for an answer
     Range     the same for a range of budgets, and the network is told the budget
-    Nested    the first masks alone give an answer, too, and the network is told how many
     SharedLight  adaptive masks whose exposures end when a class is sure, at a mean budget
-
-Nested masks may share light among exposures, too: their `cap` is then above 1.
 
 A kind is here what is asked for, its settings, and what a design file's header says of it, its
 entry. An entry and the tensors beside it rebuild the exposure of a trained design: nothing of a
@@ -33,7 +30,6 @@ from deepfsi.base.models.strict import (
     Positive,
     StrictModel,
     UserModel,
-    WholeNumber,
     of_kinds,
 )
 from deepfsi.base.plugins import load_plugin
@@ -79,10 +75,6 @@ class Exposure(UserModel):
         """Highest budget of a training whose lowest is `photons`."""
         return photons
 
-    def min_lit_masks(self, masks: int) -> int:
-        """Fewest masks, of m, that the whole light may come to."""
-        return masks
-
     @property
     def most_light(self) -> float:
         """Most light of one exposure over the budget; above 1 the budget is the mean of all."""
@@ -114,34 +106,6 @@ class Exposure(UserModel):
         yield from ()
 
 
-CAP_TEXT = (
-    "most light of one exposure with adaptive or nested masks, over the mean of all, which the "
-    "budget then is: each ends as soon as a class is sure; all take the same unless given"
-)
-"""Help on `cap`, which several kinds have."""
-
-
-class _Sharing(LaterFields, Exposure):
-    """Base of those that may end when a class is sure: the budget then is the mean of all."""
-
-    LATER: ClassVar = ("cap",)
-
-    cap: float = Field(default=1.0, ge=1, le=100, description=CAP_TEXT)
-
-    @property
-    def most_light(self) -> float:
-        """The cap."""
-        return self.cap
-
-    def _sharing_faults(self, job: "Job") -> Iterator[str]:
-        """Faults of exposures that are to end when a class is sure."""
-        if self.cap > 1 and find_noise(job.camera.noise_name).gates:
-            yield Message(
-                "clicks of gates are read for one length of exposures: leave {cap} out",
-                setting="cap",
-            )
-
-
 class Entry(StrictModel, strict=True):
     """Entry of a design file's header: no further fields, and no conversions."""
 
@@ -157,10 +121,6 @@ class Entry(StrictModel, strict=True):
     def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
         """Shape of a mask."""
         return image_shape
-
-    def count_stops(self, masks: int) -> int:
-        """K, numbers of masks, of m, after which an exposure can be classified."""
-        return 1
 
 
 class Fixed(Exposure):
@@ -180,28 +140,18 @@ class FixedEntry(Entry):
     kind: Literal["fixed"] = "fixed"
 
 
-class _SharingEntry(LaterFields, Entry):
-    """Entry of an exposure that may end when a class is sure.
+class Range(Exposure):
+    """One design for a range of budgets, which are log-uniform in its training.
 
-    Attributes
-    ----------
-    cap : float
-        Light of a whole exposure over the budget, which above 1 is the mean of all exposures.
-    until : float
-        Probability of a class above which an exposure ends; 1 for never.
+    Examples
+    --------
+    >>> import deepfsi
+    >>> deepfsi.Range(span=1e4).highest(1e2)
+    1000000.0
     """
 
-    LATER: ClassVar = ("cap", "until")
-
-    cap: Annotated[float, Field(ge=1, le=100)] = 1.0
-    until: Annotated[float, Field(ge=0, le=1)] = 1.0
-
-
-class _Conditioned(Exposure):
-    """Base of those whose network is told the budget, and how many masks were shown."""
-
     trained_by: ClassVar[str] = "deepfsi.exposure.conditioned:ConditionedTraining"
-    span: float
+    span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
 
     def highest(self, photons: float) -> float:
         """The other end of the range."""
@@ -217,79 +167,11 @@ class _Conditioned(Exposure):
             left = "fluctuation"
         else:
             return
-        yield f"a range of budgets and nested masks are trained under ml_gauss: leave out {left}"
+        yield f"a range of budgets is trained under ml_gauss: leave out {left}"
 
 
-class Range(_Conditioned):
-    """One design for a range of budgets, which are log-uniform in its training.
-
-    Examples
-    --------
-    >>> import deepfsi
-    >>> deepfsi.Range(span=1e4).highest(1e2)
-    1000000.0
-    """
-
-    span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
-
-
-class Nested(_Conditioned, _Sharing):
-    """One design whose first masks alone already give an answer.
-
-    With a `cap` above 1 exposures end as soon as a class is sure: the budget is their mean, and
-    none takes more than `cap` times that.
-
-    Examples
-    --------
-    >>> import deepfsi
-    >>> deepfsi.Job(masks=16, photons=1e5, exposure=deepfsi.Nested(nested=2)).exposure.span
-    1.0
-    """
-
-    nested: int = Field(
-        ge=1,
-        description="nested masks: smallest number of first masks from which the network must "
-        "classify",
-    )
-    span: float = Field(default=1.0, ge=1, le=1e12, description="highest budget over the lowest")
-
-    def min_lit_masks(self, masks: int) -> int:
-        """Those that are shown at least."""
-        return self.nested
-
-    def faults(self, job: "Job") -> Iterator[str]:
-        """Those of all conditioned ones, more nested masks than there are, or light not shared."""
-        yield from super().faults(job)
-        yield from self._sharing_faults(job)
-        if self.cap > 1 and self.span > 1:
-            yield Message(
-                "a threshold is for one mean budget, not a range: give one number of {photons}, or "
-                "leave {cap} out",
-                setting=("photons", "cap"),
-            )
-        if self.cap > 1 and not LIGHT_LAWS[job.optics.light].in_turn:
-            yield Message(
-                "under the {given} constraint all masks see light at once, and no exposure ends "
-                "early: leave {cap} out, or give {light:free-dwell}",
-                setting=("cap", "light"),
-                given=job.optics.light,
-            )
-        if self.cap > 1 and self.nested == job.masks:
-            yield Message(
-                "all {count} masks are needed, and no exposure ends early: give fewer {nested} "
-                "masks, or leave {cap} out",
-                setting=("nested", "cap"),
-                count=job.masks,
-            )
-        if self.nested > job.masks:
-            yield (
-                f"the first {self.nested} of {job.masks} masks cannot be nested: give at most "
-                f"{job.masks}"
-            )
-
-
-class ConditionedEntry(_SharingEntry):
-    """Exposure of fixed dwells whose classifier has the budget and the number of masks as inputs.
+class ConditionedEntry(Entry):
+    """Exposure of fixed dwells whose classifier has the budget as an input.
 
     Attributes
     ----------
@@ -300,7 +182,7 @@ class ConditionedEntry(_SharingEntry):
     masks : int
         m, of the whole sequence.
     nested : int
-        Smallest number of first masks that can be classified alone; 0 if only all can.
+        0, of earlier versions.
     width : int
         Features of each mask.
     used : float
@@ -310,15 +192,11 @@ class ConditionedEntry(_SharingEntry):
     photons: Positive
     span: Annotated[float, Field(ge=1, allow_inf_nan=False)]
     masks: Count
-    nested: WholeNumber = 0
+    nested: Literal[0] = 0
     width: Count = 1
     used: Positive = 1.0
     kind: Literal["conditioned"] = "conditioned"
     restored_by: ClassVar[str] = "deepfsi.exposure.conditioned:ConditionedExposure"
-
-    def count_stops(self, masks: int) -> int:
-        """K, numbers of first masks, of m, that can be classified alone."""
-        return masks - (self.nested or masks) + 1
 
 
 def _registered_entry(kind: Any) -> type[Entry] | None:
@@ -353,7 +231,12 @@ class SharedLight(LaterFields, Exposure):
 
     LATER: ClassVar = ("least_cap",)
 
-    cap: float = Field(gt=1, le=100, description=CAP_TEXT)
+    cap: float = Field(
+        gt=1,
+        le=100,
+        description="most light of one exposure with adaptive masks, over the mean of all, which "
+        "the budget then is: each ends as soon as a class is sure; all take the same unless given",
+    )
     least_cap: float | None = Field(
         default=None,
         ge=1,
@@ -379,9 +262,8 @@ class SharedLight(LaterFields, Exposure):
             )
         if not job.code.adaptive:
             yield Message(
-                "{cap} is of exposures that may end early: leave it out, or give {nested} or "
-                "{design:adaptive}",
-                setting=("cap", "nested", "design"),
+                "{cap} is of exposures that may end early: leave it out, or give {design:adaptive}",
+                setting=("cap", "design"),
             )
 
 
@@ -518,14 +400,13 @@ def check_dictionary_camera(camera: Camera) -> None:
 
 
 EXPOSURE_KINDS: dict[str, type[Exposure]] = {
-    "nested": Nested,
     "span": Range,
     "cap": SharedLight,
     "least_cap": SharedLight,
 }
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 
-NEUTRAL = {"nested": "0", "span": "1", "cap": "1"}
+NEUTRAL = {"span": "1", "cap": "1"}
 """Values of these settings that ask for nothing."""
 
 
@@ -537,7 +418,7 @@ def exposure_kinds() -> dict[str, type[Exposure]]:
 
 
 def find_exposure(given: Any) -> Any:
-    """Exposure of its settings: none for `Fixed`, ``{"nested": 4}`` for `Nested`, and so on."""
+    """Exposure of its settings: none for `Fixed`, ``{"span": 10}`` for `Range`, and so on."""
     if not isinstance(given, Mapping):
         return given
     neutral = {names[0]: "0" for names, _ in installed().schemes.values()} | NEUTRAL

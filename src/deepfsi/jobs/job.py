@@ -61,14 +61,14 @@ class Job(UserModel):
     """One design to be trained.
 
     Settings of the training that are not given are those tuned for the design and its exposure.
-    An exposure may be given by its settings, ``{"nested": 4}``, and a training by its fields.
+    An exposure may be given by its settings, ``{"span": 100}``, and a training by its fields.
 
     Examples
     --------
     >>> import deepfsi
-    >>> job = deepfsi.Job(masks=10, photons=1e4, camera="two-arm", exposure={"nested": 4})
+    >>> job = deepfsi.Job(masks=10, photons=1e4, camera="two-arm", exposure={"span": 100})
     >>> job.camera.rails, job.exposure, job.training.start
-    ('dual', Nested(cap=1.0, span=1.0, nested=4), 'pca')
+    ('dual', Range(span=100.0), 'pca')
     """
 
     design: Annotated[str, AfterValidator(check_design)] = Field(
@@ -308,7 +308,7 @@ class Job(UserModel):
                 Message(
                     "counts within a budget are of learned masks that are shown once each, or of "
                     "adaptive masks for clicks: leave {counts} or {photons} out, or give "
-                    "{design:deepfsi} without nested or span, or {noise:click}",
+                    "{design:deepfsi} without span, or {noise:click}",
                     setting=("counts", "photons", "design", "noise"),
                 )
             ]
@@ -359,16 +359,8 @@ class Job(UserModel):
             )
             return
         scenes = len(data.x_train)
-        if not self.code.adaptive:  # a prior leaves each scene out by itself
-            if scenes >= FEW_SCENES and not data.held_out:
-                yield Message(
-                    "the threshold of {cap} is found on scenes that the training leaves out: give "
-                    "{hold_out}, such as {hold_out:1000}, or leave {cap} out",
-                    setting=("cap", "hold_out"),
-                )
-            scenes = data.held_out or scenes
         cap = self.exposure.most_light
-        if self.code.adaptive and self.masks < cap:
+        if self.masks < cap:
             yield Message(
                 "the first of {looks} looks takes {share:.3g} of the budget, which is the mean of "
                 "all: give more looks, or a lower {cap}",
@@ -398,7 +390,7 @@ class Job(UserModel):
                 most=fewest // 2,
             )
         if not isinstance(self.exposure, Fixed | SharedLight):
-            yield "adaptive masks have a look each: give no nested or span"
+            yield "adaptive masks have a look each: give no span"
         most = self.exposure.most_light
         if self.camera.clicks is not None:
             if len(data.x_train) < FEW_SCENES:

@@ -198,11 +198,12 @@ class SeedStream:
             self.batch, 1, count, generator=self.generator, device=self._labels.device
         )
 
-    def exposures(self, span: float, chances: Tensor) -> tuple[Tensor, Tensor]:
-        """Draw budgets, over the lowest, and numbers of masks shown, each (B, 1, 1)."""
+    def budgets(self, span: float, masks: int) -> Tensor:
+        """Draw budgets (B, 1, 1), over the lowest, and numbers of masks, of which all are shown."""
         uniform = torch.rand(self.batch, 1, 1, generator=self.generator, device=self._labels.device)
-        shown = 1 + torch.multinomial(chances, self.batch, True, generator=self.generator)
-        return span**uniform, shown.view(-1, 1, 1)
+        last = torch.eye(masks, device=self._labels.device)[-1]
+        torch.multinomial(last, self.batch, True, generator=self.generator)  # as ever
+        return span**uniform
 
     def repeated(self, shared: Tensor) -> Tensor:
         """Tensor (B, R, …) of what is the same for all jobs, (B, 1, …)."""

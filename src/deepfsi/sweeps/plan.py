@@ -364,8 +364,8 @@ def _cap_faults(recipe: Recipe) -> list[str]:
     return [
         Message(
             "{cap} is of exposures that may end early, and none of these designs has such: leave "
-            "it out, give {nested}, or add adaptive to the {designs}",
-            setting=("cap", "nested", "designs"),
+            "it out, or add adaptive to the {designs}",
+            setting=("cap", "designs"),
         )
     ]
 

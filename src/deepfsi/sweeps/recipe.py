@@ -229,7 +229,7 @@ class Recipe(UserModel):
         description="fields of the camera, each an axis; or a preset's name, or a TOML file",
     )
     exposure: Annotated[dict[str, Any], BeforeValidator(_read_exposure)] = Field(
-        default={}, description="settings of the exposure, each an axis, such as nested = [4, 8]"
+        default={}, description="settings of the exposure, each an axis, such as cap = [1, 2]"
     )
     trials: int = Field(default=1, ge=1, le=1000, description="seeds 0, 1, …")
     validation: int | None = Field(
@@ -280,8 +280,7 @@ class Recipe(UserModel):
         """Exposures of a design, of the product of its axes, with a name where there are several.
 
         Those that share light among scenes have one always, as their budget is a mean. A cap is of
-        the exposures that may end early: adaptive masks and nested ones. Beside nested ones
-        adaptive masks take the cap alone.
+        adaptive masks alone: their exposures may end early.
 
         Parameters
         ----------
@@ -289,15 +288,11 @@ class Recipe(UserModel):
             Its name.
         """
         axes = self.exposure
-        if DESIGNS[design].adaptive and self.shares_light:
-            axes = {name: axes[name] for name in axes if name != "nested"}
         others = {name: values for name, values in axes.items() if name != "cap"}
         exposures: dict[str, Exposure] = {}
         for point in _points(axes):
             plain = {name: point[name] for name in others}
-            exposure = find_exposure(plain)
-            if DESIGNS[design].adaptive or "cap" in type(exposure).model_fields:
-                exposure = find_exposure(point)
+            exposure = find_exposure(point if DESIGNS[design].adaptive else plain)
             names = [_variant(plain, others)]
             if exposure.most_light > 1:
                 names.append(f"(mean light, at most {exposure.most_light:g} Φ)")

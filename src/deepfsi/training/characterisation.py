@@ -35,7 +35,6 @@ from deepfsi.evaluation.confidence import (
     measure_left_out,
 )
 from deepfsi.evaluation.distribution_fit import find_distribution, sample_scenes
-from deepfsi.evaluation.stopping import share_light
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import FEW_SCENES, Job
 
@@ -76,11 +75,6 @@ def characterise(
             design.temperatures, test = find_temperatures(design, job, training_set.data, folds)
             if test is not None:
                 design.info["left_out"] = test.as_dict()
-            if job.exposure.most_light > 1:
-                scenes_left_out = _calibration_scenes(design, job, training_set.data, folds)
-                shared = share_light(design, scenes_left_out, job.photons, seed=job.seed ^ 2**31)
-                design.exposure = shared.exposure
-                design.info["stopping"] = shared.info["stopping"]
 
 
 def _scene_model(design: Design, scenes: Tensor, labels: np.ndarray) -> SceneModel | None:
@@ -111,20 +105,19 @@ def _calibration_scenes(
     design: Design, job: Job, data: Dataset, left_out: Sequence[tuple[Dataset, Design]]
 ) -> CalibrationScenes:
     """Scenes that calibrate a design."""
-    stops = design.mask_exposure.count_stops
     if left_out and not data.held_out:
         parts = [
             Exposed(made, made.front_end(job.camera), fold.x_test, fold.y_test)
             for fold, made in left_out
         ]
         draws = max(1, EXPOSURES // sum(len(fold.x_test) for fold, _ in left_out))
-        return CalibrationScenes(parts, stops, draws, doubt=DOUBT)
+        return CalibrationScenes(parts, 1, draws, doubt=DOUBT)
     held = data.held_out > 0
     x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
     readouts = prod(design.counts_shape) * prod(design.mask_exposure.part_axis)
     rows = sample_scenes(len(x), readouts, job.seed)
     part = Exposed(design, design.front_end(job.camera), x[rows], labels[rows])
-    return CalibrationScenes([part], stops, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
+    return CalibrationScenes([part], 1, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
 
 
 def _compared(design: Design) -> bool:

@@ -124,7 +124,7 @@ def learn(
     camera : Camera, str, path or mapping, optional
         The camera, a preset's name, a TOML file or fields; ``"dmd"`` unless given.
     exposure : Exposure or mapping, optional
-        `Nested`, `Range` or their fields; `Fixed` unless given.
+        `Range` or its fields; `Fixed` unless given.
     training : Training or mapping, optional
         Settings of the training; those tuned for the design unless given.
     seed : int

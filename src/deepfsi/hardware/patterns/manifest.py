@@ -180,11 +180,6 @@ class DesignRails:
             )
         if header.exposure.no_frames:
             raise InputError(header.exposure.no_frames)
-        if header.exposure.kind == "conditioned" and header.exposure.cap > 1:
-            raise InputError(
-                "nested masks that share light end when a class is sure, and frames of a run are "
-                "all shown: learn adaptive masks with this cap, or nested ones with cap 1"
-            )
         detectors = None
         with as_input_error(str(design.path)):
             brightness = Brightness.of(header.info)

@@ -182,25 +182,22 @@ class Page {
     drawHistory($("history"), exposure, count, top);
     const none = "No probabilities are given for this scene.";
     $("answer-words").textContent = unlike ? none : this.view.about(exposure);
-    $("verdict").textContent = this.verdict(count, top, chances);
+    $("verdict").textContent = this.verdict(top, chances);
   }
 
-  verdict(count, top, chances) {
+  verdict(top, chances) {
     const { exposure, model, label } = this;
     if (this.time === 0 && !this.playing) return "Nothing is exposed yet: press Expose.";
     const { stop, rule } = exposure;
     if (this.time < exposure.end - 1e-9) {
-      const going = `The exposure goes on.${chances ? ` Likeliest so far: ${model.classes[top]}.` : ""}`;
-      if (!stop || count < stop.count) return going;
-      return `${going} It could have stopped ${this.stopWords(stop)}`;
+      return `The exposure goes on.${chances ? ` Likeliest so far: ${model.classes[top]}.` : ""}`;
     }
     if (exposure.unlike) return "No answer: this scene is darker, brighter or flatter than all that the design was learned from.";
     const name = model.classes[top];
     const right = label === null ? "" : top === label ? ", which is right" : `, which is wrong: it is ${model.classes[label]}`;
     const dim = model.tooDim(exposure.photons) ? "Too little light for this design: its answer is hardly more than a guess. " : "";
     const answer = `${dim}Answer: ${name}${right}. Probability ${chanceText(chances[top])}.`;
-    if (exposure.end < exposure.length) return `${answer} It stopped ${this.stopWords(stop)}`;
-    if (stop) return `${answer} It could have stopped ${this.stopWords(stop)}`;
+    if (stop) return `${answer} It stopped ${this.stopWords(stop)}`;
     return rule && rule.threshold < 1 ? `${answer} It was never sure enough to stop earlier.` : answer;
   }
 

@@ -204,7 +204,7 @@ export function drawHistory(holder, exposure, count, top) {
   const at = across(stop.end);
   add("path", { class: "stop-line", d: `M${at} ${upper}V${bottom + 6}` });
   const anchor = at > (left + right) / 2 ? "end" : "start";
-  const words = `${exposure.end < exposure.length ? "stopped" : "could stop"}: ${Math.round(stop.saved * 100)} % saved`;
+  const words = `stopped: ${Math.round(stop.saved * 100)} % saved`;
   const x = at + (anchor === "end" ? -6 : 6);
   add("text", { class: "strong halo", x, y: y(0.5) + 4, "text-anchor": anchor }, words);
 }

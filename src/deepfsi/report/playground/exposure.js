@@ -45,7 +45,7 @@ export class Frames {
     this.rule = this.unlike ? null : model.rule(photons);
   }
 
-  /** When it ends: none of masks that are known before stops, the page says where it could have. */
+  /** When it ends: all masks that are known before are shown. */
   get end() {
     return this.length;
   }
@@ -66,14 +66,14 @@ export class Frames {
     if (!this.rule || this.stop || count >= this.frames.length) return;
     const { chances, at } = this.answer(count);
     const { end } = this.frames[count - 1];
-    if (this.rule.after.includes(at) && Math.max(...chances) > this.rule.threshold) {
+    if (Math.max(...chances) > this.rule.threshold) {
       this.stop = { count, end, saved: 1 - end / this.length, chances, at };
     }
   }
 }
 
 export class Exposure extends Frames {
-  /** Draw an exposure, and find where the rule of the model could have stopped it. */
+  /** Draw an exposure. */
   constructor(model, scene, photons, seed) {
     super(model, scene, photons, seed);
     const random = new Random(seed);
@@ -84,15 +84,12 @@ export class Exposure extends Frames {
       frame.counts = frame.places.map((place) => poisson(rates[place] * frame.scale, random));
     }
     this.lay();
-    for (let count = 1; count < this.frames.length && this.rule && !this.stop; count++) {
-      if (this.sound(count)) this.judge(count);
-    }
   }
 
   /** Counts are drawn beforehand: nothing is to be done to reach a moment. */
   reach() {}
 
-  /** Counts, those of light, and masks shown after so many frames. */
+  /** Counts, and those of light, after so many frames. */
   after(count) {
     const { model } = this;
     const counts = new Float64Array(model.readouts);
@@ -103,15 +100,12 @@ export class Exposure extends Frames {
         scale[place] += frame.scale;
       });
     });
-    const next = this.frames[count];
-    const shown = this.together || !next ? model.masks : next.mask;
-    return { counts, lit: model.withoutDark(counts, scale), scale, shown };
+    return { counts, lit: model.withoutDark(counts, scale), scale };
   }
 
   /**
-   * The last probabilities by so many frames, of those that the network learned to give: at the end,
-   * and after enough of nested masks. Where all masks see light at once they are those
-   * of so much light.
+   * The last probabilities by so many frames, which the network learned to give at the end. Where all
+   * masks see light at once they are those of so much light.
    */
   answer(count) {
     let last = count;
@@ -127,18 +121,15 @@ export class Exposure extends Frames {
 
   /** True after frames that the network has learned to answer after. */
   sound(count) {
-    const { model, frames, together } = this;
-    const [last, next] = [frames[count - 1], frames[count]];
-    if (!next || together) return true;
-    return next.mask > last.mask && next.mask >= (model.exposure.nested || model.masks);
+    return this.together || count === this.frames.length;
   }
 
   findAnswer(count) {
     const { model, photons, frames } = this;
     if (count === 0) return { chances: null };
-    const { lit, shown } = this.after(count);
+    const { lit } = this.after(count);
     const light = this.together ? photons * frames[count - 1].end : photons;
-    return { chances: model.classify(lit, light, shown), at: shown };
+    return { chances: model.classify(lit, light) };
   }
 }
 

@@ -54,15 +54,8 @@ export class KnownView {
   }
 
   about(exposure) {
-    const { model } = this;
-    const { rule } = exposure;
-    const judged = rule && rule.threshold < 1
-      ? ` The dashed line is the confidence above which an exposure may stop, chosen at ${photonsText(rule.photons)} photons.`
-      : "";
-    if (exposure.together) return `All masks see light at once: this is the answer to the light so far.${judged}`;
-    const { nested } = model.exposure;
-    const when = nested ? `mask ${nested} and each later one` : "the last mask";
-    return `The network answers after ${when}.${judged}`;
+    if (exposure.together) return "All masks see light at once: this is the answer to the light so far.";
+    return "The network answers after the last mask.";
   }
 
   drawFrame(exposure, frame) {

@@ -48,11 +48,9 @@ export class Design {
     return this.temperatures !== null && photons < this.temperatures.dimmest * (1 - 1e-9);
   }
 
-  /** The stopping rule whose budget is closest, or none where none was chosen near this one. */
+  /** The stopping rule, if there is one that was chosen near this budget. */
   rule(photons) {
-    const far = ({ photons: own }) => Math.abs(Math.log10(own / photons));
-    const near = this.rules.filter((rule) => far(rule) <= NEAR);
-    return near.length ? near.reduce((a, b) => (far(b) < far(a) ? b : a)) : null;
+    return this.rules.find(({ photons: own }) => Math.abs(Math.log10(own / photons)) <= NEAR) ?? null;
   }
 }
 
@@ -151,38 +149,26 @@ export class Model extends Design {
     return features;
   }
 
-  /**
-   * Inputs of the classifier of counts so far. Features of masks that were not shown are 0, their
-   * mean over the training scenes.
-   */
-  inputs(counts, photons, shown = this.masks) {
-    const features = this.read(counts);
-    const width = this.features / this.masks;
-    const inputs = [];
-    for (let i = 0; i < this.features; i++) {
-      const scaled = (features[i] / photons - this.mean[i]) / this.std[i];
-      inputs.push(i < shown * width ? scaled : 0);
-    }
+  /** Inputs of the classifier, of counts at a budget. */
+  inputs(counts, photons) {
+    const inputs = Array.from(this.read(counts), (each, i) => (each / photons - this.mean[i]) / this.std[i]);
     if (this.exposure.kind !== "conditioned") return inputs;
-    const { photons: low, span, masks, used } = this.exposure;
-    while (inputs.length < masks * width) inputs.push(0);
+    const { photons: low, span, used } = this.exposure;
     const middle = Math.log(span) / 2;
     inputs.push((Math.log(photons / (used * low)) - middle) / Math.max(middle, 1));
-    inputs.push(shown / masks);
+    inputs.push(1); // all masks are shown
     return inputs;
   }
 
   /** Calibrated probabilities of the classes; parameters as of `inputs`. */
-  classify(counts, photons, shown = this.masks) {
-    const temperature = this.temperature(photons, shown);
-    const logits = outputs(this.network, this.inputs(counts, photons, shown));
+  classify(counts, photons) {
+    const temperature = this.temperature(photons);
+    const logits = outputs(this.network, this.inputs(counts, photons));
     return softmax(logits.map((each) => each / temperature));
   }
 
-  /** What the logits are divided by: interpolated between budgets, and between masks. */
-  temperature(photons, shown) {
-    if (!this.temperatures) return 1;
-    const first = this.exposure.nested || this.masks;
-    return temperatureAt(this.temperatures, photons, shown - first);
+  /** What the logits are divided by: interpolated between budgets. */
+  temperature(photons) {
+    return this.temperatures ? temperatureAt(this.temperatures, photons, 0) : 1;
   }
 }

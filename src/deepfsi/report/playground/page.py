@@ -144,7 +144,6 @@ def _facts(payload: _Payload) -> list[tuple[str, str]]:
 def _networks(payload: _Payload) -> dict[str, str]:
     """Facts on masks that are known before, and their network."""
     budget = payload["budget"]
-    exposure = payload["exposure"]
     ends = dict.fromkeys(photons_text(budget[end]) for end in ("low", "high")) if budget else ()
     hidden = [str(layer["weight"]["shape"][0]) for layer in payload["network"][:-1]]
     return {
@@ -152,9 +151,6 @@ def _networks(payload: _Payload) -> dict[str, str]:
         "Learned for": f"{' to '.join(ends)} photons." if ends else "",
         "Noise": _noise(payload["dark"]),
         "Network": f"Fully connected, hidden layers of {' and '.join(hidden) or 'no'} units.",
-        "Nested": f"The first {exposure['nested']} masks are enough for an answer."
-        if exposure.get("nested")
-        else "",
         "Probabilities": _calibrated(payload),
     }
 
@@ -204,15 +200,7 @@ def _stopping(payload: _Payload) -> str:
     """Words for the rule by which an exposure stops, if there is one."""
     if not payload["rules"]:
         return "This design has no rule for stopping early."
-    if _is_adaptive(payload):
-        return (
-            "An exposure ends as soon as the probability of one class is above a threshold, found "
-            "with training scenes so that they take the budget in the mean. It holds near that "
-            "budget."
-        )
     return (
-        "An exposure may stop as soon as the probability of its answer is above a threshold. "
-        "It is chosen on scenes that the training left out, so that the accuracy on them stays "
-        "that of whole exposures. It holds near the light that it was chosen at, and where it was "
-        "not chosen no stop is offered."
+        "An exposure ends as soon as the probability of one class is above a threshold, found with "
+        "training scenes so that they take the budget in the mean. It holds near that budget."
     )
