@@ -81,12 +81,3 @@ def test_it_classifies_pictures_as_the_function_does(done, file, digits, tmp_pat
     found = predict(load_design(file), tmp_path / "p", 1e4)
     assert [each["class"] for each in told["pictures"]] == [p.predicted for p in found.pictures]
     assert told["score"]["new"] == found.score.new.as_dict()
-
-
-def test_it_stops_by_the_rule_that_is_written(done, file, tmp_path):
-    out, counts = tmp_path / "b.safetensors", []
-    done("stop", file, "--photons", "1e4", "--threshold", 0.6, "--draws", 1, "-o", out)
-    for design in (file, out):
-        said = json.loads(done("evaluate", design, "--photons", "1e4", "--draws", 1, "--json"))
-        counts.append(said["results"][0]["counts"])
-    assert counts[1] < 0.95 * counts[0]

@@ -135,8 +135,8 @@ class DesignFile:
             return self.header
         raise InputError(
             f"{self.path or 'this design'} makes its masks while the camera looks, and this takes "
-            "masks that are known before: `deepfsi evaluate`, `stop`, `show`, `page`, `dmd "
-            "export` and `camera live` take it"
+            "masks that are known before: `deepfsi evaluate`, `show`, `page`, `dmd export` "
+            "and `camera live` take it"
         )
 
     @property
