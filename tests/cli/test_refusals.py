@@ -110,9 +110,6 @@ REFUSED = {
         --designs impulse --detectors 2x2 | shows no masks: leave --detectors out
         --designs impulse --dmd dlp7000 | shows no masks: leave --dmd out
     """,
-    "compare --designs adaptive --masks 4 --photons 1e3": """
-        --cap 2 --data few.npz | training scenes say too little of the mean light
-    """,
     "sweep": """
         capped.toml | --cap is of exposures that may end early
         nosuch | no recipe at nosuch
@@ -255,7 +252,6 @@ def folder(tmp_path_factory):
         for design, name in (("adaptive", "looks"), ("click", "clicks")):
             Path(patterns_of(design)).rename(name)
     np.savez(folder / "small.npz", x=np.eye(60, 9), y=np.arange(60) % 2)
-    np.savez(folder / "few.npz", x=np.eye(90, 64), y=np.arange(90) % 2)
     arrays = {
         "bright": np.ones((4, 64)),
         "short": np.ones((4, 63)),
@@ -342,7 +338,6 @@ def test_what_cannot_be_is_one_line_that_names_it(refuse, monkeypatch, folder, l
         ("compare", "target"),
         ("design --masks 2", "photons"),
         ("evaluate a.safetensors", "photons"),
-        ("stop a.safetensors", "photons"),
     ],
 )
 def test_numbers_are_finite(refuse, monkeypatch, folder, command, option, number):
