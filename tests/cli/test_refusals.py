@@ -441,7 +441,6 @@ sweep none.toml
 report none
 design --photons 1e3 -o d.safetensors --data none.npz
 evaluate none.safetensors --photons 1e3
-stop none.safetensors --photons 1e3
 show none.safetensors -o x.png
 page none.safetensors -o x.html
 export none.safetensors
