@@ -110,6 +110,9 @@ REFUSED = {
         --designs impulse --detectors 2x2 | shows no masks: leave --detectors out
         --designs impulse --dmd dlp7000 | shows no masks: leave --dmd out
     """,
+    "compare --designs adaptive --masks 4 --photons 1e3": """
+        --cap 2 --data small.npz | training scenes say too little of the mean light
+    """,
     "sweep": """
         capped.toml | --cap is of exposures that may end early
         nosuch | no recipe at nosuch
