@@ -80,7 +80,7 @@ def test_masks_start_with_so_many_times_the_counts(digits, times, light):
     [
         ({"counts": None, "start_counts": 2.0}, "`start_counts` is of few counts within a budget"),
         ({"design": "pca"}, "are of learned masks"),
-        ({"camera": "dmd", "span": 2}, "are of learned masks"),
+        ({"camera": "dmd", "span": 2}, "counts are of one budget"),
         ({"train_noise": "ml_gauss"}, "not under ml_gauss noise"),
         ({"counts": 300.0}, "300 counts are not fewer than 200, the photons"),
         ({"noise": "click", "counts": 40.0}, "not fewer than 32, the clicks of all its gates"),
