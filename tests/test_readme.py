@@ -25,7 +25,7 @@ LINES = {
     "docs/do/cluster": 1,
     "docs/do/camera": 9,
     "docs/do/live": 5,
-    "docs/do/shared-light": 5,
+    "docs/do/shared-light": 3,
     "docs/do/values": 3,
     "docs/notebook/passing": 5,
     "docs/notebook/reproduce": 3,
