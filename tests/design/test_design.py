@@ -5,6 +5,7 @@ import io
 import os
 import pickle
 import random
+import sys
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +17,7 @@ from safetensors.torch import save
 from torch import nn
 
 from conftest import PHOTONS, every_optics, light_on
-from deepfsi import Design, evaluate
+from deepfsi import Design, evaluate, load_design
 from deepfsi.base.errors import InputError
 from shared import vectors
 from shared.design_files import header_of, refused, rewrite
@@ -38,6 +39,15 @@ def test_a_noise_that_a_file_names_is_not_run(digits, saved, tmp_path, monkeypat
         evaluate(loaded, digits, 1e4)
     assert evaluate(loaded, digits, 1e4, draws=1, noise="poisson")[0].noise == "poisson"
     assert not (tmp_path / "ran").exists()
+
+
+def test_no_file_beside_a_design_is_imported_for_it(saved, tmp_path, monkeypatch):
+    """Kinds of exposure and classifiers of the package are found without the current folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [path for path in sys.path if path not in ("", str(tmp_path))])
+    for file in (saved, "dmd-mnist", "adaptive-mnist"):
+        load_design(file)
+    assert str(tmp_path) not in sys.path
 
 
 class Bomb:

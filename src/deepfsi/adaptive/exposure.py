@@ -14,6 +14,7 @@ clusters stay, as each stands for many scenes.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from pkgutil import resolve_name
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -32,7 +33,6 @@ from deepfsi.adaptive.posterior import (
 from deepfsi.adaptive.sharing import CappedRule, Stops
 from deepfsi.base.errors import InputError, Message, as_input_error
 from deepfsi.base.numeric.arrays import check_memory, free_memory
-from deepfsi.base.plugins import load_plugin
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
@@ -671,4 +671,4 @@ def training_of(clicks: bool) -> type[AdaptiveTraining]:
             "adaptive masks for clicks are in deepfsi_clicks, which is not installed; install "
             "deepfsi again"
         )
-    return load_plugin(installed().adaptive["click"])
+    return resolve_name(installed().adaptive["click"])

@@ -10,8 +10,8 @@ import os
 import sys
 import tomllib
 from collections.abc import Mapping
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, NoReturn
 
 import click
@@ -74,13 +74,11 @@ class Group(click.Group):
             text = f"{entry[summary]}\n\nExample: {entry[example]}"
             return Group(cmd_name, text, {heading: entry[heading] for heading in headings})
         target, summary = entry
-        module, _, name = target.partition(":")
         gc.disable()  # what imports make stays: to look through it takes a seventh of their time
         try:
             from deepfsi.cli.command import ClickCommand  # slow: pydantic
 
-            command = getattr(import_module(module), name)
-            return ClickCommand(command, cmd_name, summary)
+            return ClickCommand(resolve_name(target), cmd_name, summary)
         finally:
             gc.enable()
 

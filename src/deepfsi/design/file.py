@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from importlib.metadata import version
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,6 @@ from torch import Tensor, nn
 
 from deepfsi.adaptive.exposure import training_of
 from deepfsi.base.errors import InputError
-from deepfsi.base.plugins import load_plugin
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.designfile.design_file import DesignFile, damaged_design
 from deepfsi.designfile.header import AdaptiveHeader, CustomEntry, DesignHeader, MaskHeader
@@ -140,7 +140,7 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
         **{name: torch.from_numpy(file.arrays[name]) for name in FEATURE_STATISTICS},
     )
     weights = {name: torch.from_numpy(array) for name, array in file.arrays_of("exposure").items()}
-    kind = load_plugin(header.exposure.restored_by)
+    kind = resolve_name(header.exposure.restored_by)
     exposure = kind.restored(header.exposure, weights, optics)
     scales = {name: torch.from_numpy(array) for name, array in file.arrays_of("values").items()}
     return {

@@ -8,6 +8,7 @@ gives what each job has learned. The step itself, and the classifiers, are in `t
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pkgutil import resolve_name
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.plugins import load_plugin
 from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.exposure.kind import MaskExposure, TrainedMasks
 from deepfsi.exposure.training_set import TrainingSet, product_dtype
@@ -301,4 +301,4 @@ def moments(parts: Iterable[Tensor]) -> tuple[Tensor, Tensor]:
 
 def build_training(group: JobGroup) -> ExposureTraining:
     """Masks of jobs before their training, and networks beside the classifiers."""
-    return load_plugin(group.jobs[0].exposure.trained_by)(group)
+    return resolve_name(group.jobs[0].exposure.trained_by)(group)

@@ -13,6 +13,7 @@ does with its masks is in `exposure`.
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
@@ -32,7 +33,6 @@ from deepfsi.base.models.strict import (
     UserModel,
     of_kinds,
 )
-from deepfsi.base.plugins import load_plugin
 from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, find_noise
@@ -202,7 +202,7 @@ class ConditionedEntry(Entry):
 def _registered_entry(kind: Any) -> type[Entry] | None:
     """Entry of a kind that a package beside the core has."""
     _, path = installed().schemes.get(str(kind), ((), ""))
-    return load_plugin(path).entry_type if path else None
+    return resolve_name(path).entry_type if path else None
 
 
 _Entries = FixedEntry | ConditionedEntry
@@ -414,7 +414,7 @@ NEUTRAL = {"span": "1", "cap": "1"}
 def exposure_kinds() -> dict[str, type[Exposure]]:
     """Kind of exposure by the setting that asks for it, those of packages beside the core last."""
     schemes = installed().schemes.values()
-    return EXPOSURE_KINDS | {name: load_plugin(path) for names, path in schemes for name in names}
+    return EXPOSURE_KINDS | {name: resolve_name(path) for names, path in schemes for name in names}
 
 
 def find_exposure(given: Any) -> Any:

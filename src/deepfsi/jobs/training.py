@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
@@ -21,7 +22,7 @@ from pydantic import (
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.models.strict import Count, LaterFields, Positive, StrictModel, UserModel
-from deepfsi.base.plugins import IMPORT_PATH, UNNAMED_PLUGIN, import_path, load_plugin
+from deepfsi.base.plugins import IMPORT_PATH, UNNAMED_PLUGIN, import_path
 from deepfsi.base.registry import installed
 from deepfsi.camera.names import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
@@ -57,7 +58,7 @@ def find_classifier(name: str) -> ClassifierFacts:
     if name == MLP:
         return MLP_FACTS
     path = installed().classifiers.get(name)
-    return load_plugin(path) if path else CUSTOM_CLASSIFIER
+    return resolve_name(path) if path else CUSTOM_CLASSIFIER
 
 
 MOST_LAYERS = 64

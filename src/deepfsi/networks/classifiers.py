@@ -4,13 +4,13 @@ import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from pkgutil import resolve_name
 from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.base.plugins import load_plugin
 from deepfsi.jobs.training import MLP, Training, find_classifier
 
 
@@ -139,7 +139,7 @@ class Mlp(NamedClassifier):
 
 def find_network(name: str) -> type[NamedClassifier]:
     """Class of a classifier that settings and design files name."""
-    return Mlp if name == MLP else load_plugin(find_classifier(name).network)
+    return Mlp if name == MLP else resolve_name(find_classifier(name).network)
 
 
 Network = TypeVar("Network", bound=NamedClassifier)
