@@ -13,14 +13,12 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from pydantic import TypeAdapter
 from safetensors.numpy import save
 
-from deepfsi.base.errors import InputError, as_input_error, other_version
+from deepfsi.base.errors import InputError, other_version
 from deepfsi.base.numeric.arrays import DamagedError, read_tensors
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.stop_rule import StopRule
 from deepfsi.designfile.distribution import ReadoutDistribution
 from deepfsi.designfile.header import DESIGN_SCHEMA, AdaptiveHeader, DesignHeader, MaskHeader
 from deepfsi.designfile.provenance import TrainingScenes, trained_camera
@@ -148,12 +146,6 @@ class DesignFile:
     def photons(self) -> float | None:
         """Budget Φ of the training, counts of an exposure; None where that is not known."""
         return self.header.info.get("job", {}).get("photons")
-
-    @property
-    def stop_rule(self) -> StopRule | None:
-        """When an exposure stops; None where no rule was chosen."""
-        with as_input_error("the design's stopping rule", "train it again"):
-            return TypeAdapter(StopRule | None).validate_python(self.header.info.get("stopping"))
 
     @cached_property
     def training_scenes(self) -> TrainingScenes | None:

@@ -68,7 +68,7 @@ class ConditionedExposure(MaskExposure):
 
 
 def standardised(features: Tensor, scale: Scale) -> Tensor:
-    """Centred features (B, R, k) over the deviation of their batch, in one sum."""
+    """Features (B, R, k) as of `training.standardise`, which rounds otherwise: bits stay."""
     over = (0,) if scale == "each" else (0, 2)
     power = features.square().sum(dim=over, keepdim=True)
     power = power / (features.numel() // power.numel())

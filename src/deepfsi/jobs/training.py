@@ -112,9 +112,8 @@ def _classifier(given: Any) -> Any:
     if not (isinstance(given, str) or callable(given)):
         raise ValueError(f"give {MLP}, or a module or factory of your own")
     name = classifier_name(given)
-    if not re.fullmatch(IMPORT_PATH, name) and (
-        name != UNNAMED_PLUGIN and find_classifier(name) is CUSTOM_CLASSIFIER
-    ):
+    own = name == UNNAMED_PLUGIN or re.fullmatch(IMPORT_PATH, name)
+    if not own and find_classifier(name) is CUSTOM_CLASSIFIER:
         raise ValueError(f"give {MLP}, or module:factory of your own")
     return given
 
