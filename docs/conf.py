@@ -38,7 +38,6 @@ extensions = [
     "links",
     "modules",
     "playable",
-    "rooms",
     "words",
 ]
 exclude_patterns = [

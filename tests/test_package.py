@@ -4,6 +4,7 @@ import ast
 import inspect
 import re
 import string
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -17,7 +18,6 @@ from deepfsi.base.progress import Progress, progress_bar
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import TUNED, Training
 from shared import commands
-from shared.house import trees
 from shared.jobs import learn
 
 BRIEF = {**RECIPE, "photons": 1e4, "masks": 5, "device": "cpu"}
@@ -77,6 +77,12 @@ def test_a_bar_is_shown_where_a_terminal_is_attached(digits, capsys, monkeypatch
     with progress_bar(Progress(lambda share, _: shares.append(share)), "work") as report:
         report(0.5)
     assert (shares, capsys.readouterr().err) == ([0.5], "")
+
+
+@cache
+def trees(folder):
+    """Modules of a folder by their files."""
+    return {path: ast.parse(path.read_text()) for path in folder.rglob("*.py")}
 
 
 def calls(*names):

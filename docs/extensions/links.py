@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 WHOLE = re.compile(r"\[\w+\]\(\.\./\.\./(\w+\.md)\)\n")
 SOURCE = re.compile(r"^Source: .*\n", re.M)
 MADE = re.compile(r"^(Fields|Modules): (.+)$", re.M)
-NAMES = "commands|devices|eval-rst|index|overview|playable|rooms|toctree"
+NAMES = "commands|devices|eval-rst|index|overview|playable|toctree"
 HIDDEN = re.compile(rf"^<!-- ({NAMES})\b ?(.*?)\s*-->$", re.M | re.S)
 HOMES = (
     (r"(?:\.\./)*CHANGELOG\.md", lambda path: "/lookup/changelog.md"),
