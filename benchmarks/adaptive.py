@@ -24,10 +24,29 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
 
 import deepfsi
+from deepfsi.adaptive.choice import next_masks
 from deepfsi.evaluation.page_data import of_page
-from deepfsi_paper.adaptive.clock import decision_time
+
+
+def decision_time(design: deepfsi.Design, photons: float, exposures: int = 4) -> float:
+    """Median time in s from the counts of a look to the next mask, one exposure alone."""
+    generator, times = torch.Generator().manual_seed(0), []
+    exposure = design.prior_exposure
+    optics = exposure.optics_at(photons)
+    with torch.no_grad():
+        for scene in exposure.prior.mean.expand(exposures, -1):
+            state = exposure.posterior(1, optics)
+            masks = next_masks(state, exposure.settings.shares[0], generator)
+            for share in exposure.settings.shares:
+                counts = torch.poisson(state.expected(masks, scene[None], share), generator)
+                began = time.perf_counter()
+                state.update(masks, counts, share)
+                masks = next_masks(state, share, generator)
+                times.append(time.perf_counter() - began)
+    return float(np.median(times))
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -20,7 +20,7 @@ LINES = {
     "base.models": 119,
     "base.numeric": 1530,
     "camera": 1580,
-    "cli": 3109,
+    "cli": 3108,
     "datasets": 3157,
     "design": 1184,
     "designfile": 1611,

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from deepfsi.base.errors import InputError, check_choice
-from deepfsi_paper import compression, detectors, mlgauss, quantization
-from deepfsi_paper.adaptive import claims as adaptive
+from deepfsi_paper import compression, mlgauss, quantization
 from deepfsi_paper.camera import claims as camera_study
 from deepfsi_paper.experiment import Experiment
 from deepfsi_paper.indian_pines import claims as indian_pines
@@ -25,8 +24,6 @@ STUDIES: dict[str, tuple[Experiment, ...]] = {
     "ovit-images": (ovit.IMAGES,),
     "ovit-full": (ovit.FULL,),
     "hardware": (camera_study.EXPERIMENT,),
-    "detectors": (detectors.MNIST, detectors.CIFAR10),
-    "adaptive": (adaptive.EXPERIMENT,),
 }
 """Experiments by the name under which they are reproduced, in the order of the page."""
 

@@ -186,7 +186,7 @@ def test_experiments_are_listed(done):
     listed = json.loads(done("reproduce", "list", "--json"))["experiments"]
     assert {row["name"] for row in listed} == {
         *("mnist", "compression", "mlgauss", "quantization", "indian-pines", "hardware"),
-        *("adaptive", "detectors", "ovit", "ovit-images", "ovit-full"),
+        *("ovit", "ovit-images", "ovit-full"),
         *("control", "training", "images"),
     }
     assert "compression" in done("reproduce", "list")

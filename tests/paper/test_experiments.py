@@ -85,9 +85,6 @@ def test_a_folder_without_experiments_is_refused(tmp_path):
     assert not studies.is_study(tmp_path)
 
 
-SCENES = {"adaptive": 2500, "images": 2500}
-"""Scenes that have as many clusters as a recipe asks for."""
-
 SHAPES = {"indian-pines": (200,), **{each.name: (64, 64) for each in OVIT}}
 
 
@@ -96,7 +93,7 @@ SHAPES = {"indian-pines": (200,), **{each.name: (64, 64) for each in OVIT}}
 def test_every_recipe_can_be_planned_and_takes_a_number_of_trials(each, quick):
     """On scenes of the data's shape."""
     assert all(recipe.trials >= 3 for recipe in each.recipes(quick).values())
-    data = synthetic(SHAPES.get(each.name, (32, 32)), SCENES.get(each.name, 120))
+    data = synthetic(SHAPES.get(each.name, (32, 32)), 2500 if each.name == "images" else 120)
     for recipe in each.recipes(quick, trials=1).values():
         assert recipe.trials == 1
         trials = plan_trials(recipe.model_copy(update={"validation": 20}), data)

@@ -53,10 +53,6 @@ def shrunk(experiment, trials: int, part: str, quick: Recipe):
         changes |= {"photons": 1e4, "test_photons": (1e2, 1e4, 1e6)}
     if experiment.name == "masks":
         changes |= {"photons": (1e3, 1e5), "ratios": 0.1}
-    if experiment.name.startswith("detectors"):
-        changes["ratios"] = 0.05
-    if experiment.name == "adaptive":
-        training |= {"clusters": 5} if "clusters" in training else {}
     if (experiment.name, part) == ("training", "epochs"):
         training["epochs"] = (1, 2)
     return type(quick)(**{**kept, **changes})

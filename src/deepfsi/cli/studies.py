@@ -193,8 +193,7 @@ class ReproducePaper(Command):
     """
 
     name: str = fields.argument(
-        "mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, "
-        "detectors, adaptive, or list"
+        "mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, or list"
     )
     out: Path = fields.option("output folder", Path("runs/paper"))
     quick: bool = fields.flag("a coarse grid, in a fraction of the time")

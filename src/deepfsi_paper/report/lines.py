@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from math import isfinite
-from typing import Any, Protocol
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,26 +16,10 @@ from deepfsi.report.style import (
     INK,
     MUTED,
     PANEL_HEIGHT,
-    SMALL,
     photons_text,
     styled,
 )
-
-
-class Reached(Protocol):
-    """Accuracy with its interval."""
-
-    @property
-    def accuracy(self) -> float:
-        """Mean over trials."""
-
-    @property
-    def low(self) -> float:
-        """Lower end of its interval."""
-
-    @property
-    def high(self) -> float:
-        """Upper end of its interval."""
+from deepfsi.sweeps.results import Point
 
 
 @dataclass(frozen=True)
@@ -48,11 +32,10 @@ class Line:
     accuracy: Sequence[float]  # with its interval; none is drawn where both ends are left out
     low: Sequence[float] = ()
     high: Sequence[float] = ()
-    start: str = ""  # words at its left end
 
     @classmethod
     def through(
-        cls, name: str, look: Mapping[str, Any], at: Iterable[tuple[float, Reached]]
+        cls, name: str, look: Mapping[str, Any], at: Iterable[tuple[float, Point]]
     ) -> "Line":
         """Line through accuracies, each with its place on the axis; with intervals if all have."""
         across, every = zip(*sorted(at, key=lambda each: each[0]), strict=True)
@@ -89,13 +72,6 @@ def draw_lines(ax: Axes, lines: Iterable[Line]) -> None:
         ax.plot(line.across, line.accuracy, label=line.name or "_", **line.look)
         if line.low:
             ax.vlines(line.across, line.low, line.high, color=line.look["color"], linewidth=1)
-        if line.start:
-            ax.margins(x=0.12)
-            ax.annotate(
-                line.start, (line.across[0], line.accuracy[0]), (-6, 0), color=line.look["color"],
-                textcoords="offset points", fontsize=SMALL, verticalalignment="center",
-                horizontalalignment="right",
-            )  # fmt: skip
     ax.grid(visible=True, color=GRID)
     ax.tick_params(colors=MUTED, labelcolor=INK)
     ax.legend(frameon=False, fontsize=8, loc="best")

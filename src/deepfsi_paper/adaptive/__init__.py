@@ -1,1 +1,0 @@
-"""Masks made for the scene in view, beside masks that are known before."""
