@@ -1,6 +1,5 @@
 """Words and numbers of the camera study: one name a design, all its trainings, why one falls."""
 
-import base64
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -47,14 +46,8 @@ def finding():
         for effect, values in laboratory.EFFECTS.items()
         for value in values
     ]
-    scenes = np.zeros((10, 4, 4)).tolist()
     measures = laboratory.Measures(
-        calibration={"spots": 25, "shown": 25, "residual": 0.05},
-        camera=laboratory.LAB.model_dump(mode="json"),
-        views=laboratory.Views(
-            scenes, np.zeros((10, 32, 32)).tolist(), [str(digit) for digit in range(10)]
-        ),
-        frame=base64.b64encode(bytes(laboratory.DEVICE.frame_bytes)).decode(),
+        digits=[str(digit) for digit in range(10)],
         tests=[*tests.values(), *varied],
         times=[laboratory.RunTime(name, label, 0.1, 1000, 10**6) for name, label in NAMES.items()],
     )

@@ -13,10 +13,9 @@ from conftest import synthetic
 from deepfsi.base.errors import InputError
 from deepfsi.sweeps.plan import plan_trials
 from deepfsi_paper import experiment, mlgauss, studies
-from deepfsi_paper.camera import claims
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.mnist import accuracy as mnist
-from shared.experiments import ALL, DRAWS, EVERY, OVIT, SMALL_DEVICE, run_all
+from shared.experiments import ALL, DRAWS, EVERY, OVIT, run_all
 from shared.results import a_point, of_three, some_results
 
 
@@ -25,7 +24,6 @@ def folder(tmp_path_factory, all_drawn_once):
     """Folder in which all experiments have been run, with one trial or with two."""
     with pytest.MonkeyPatch.context() as patch:  # the page and the tests share the sections
         patch.setattr(experiment.Experiment, "section", cache(experiment.Experiment.section))
-        patch.setattr(claims, "DEVICE", SMALL_DEVICE)
         yield run_all(tmp_path_factory.mktemp("all"))
 
 

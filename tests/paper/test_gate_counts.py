@@ -8,7 +8,6 @@ import pytest
 from scipy.special import gammainc
 from scipy.stats import chi2
 
-from deepfsi.base.errors import InputError
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S, Detector, Stream, divide
 from deepfsi_paper.camera import gate_counts
 
@@ -113,11 +112,3 @@ def test_counts_in_sum_are_as_event_by_event(kind, rate, length_s):
     )
     mean = detector.registered(rate) * length_s * (1 + detector.afterpulse_probability)
     assert abs(one_by_one.mean() - mean) <= 5 * one_by_one.std() / len(one_by_one) ** 0.5
-
-
-def test_background_is_taken_off_counts_of_the_same_patterns():
-    counts, background = np.full((3, 2, 2, 2), 1000), np.array([[60.0, 0], [0, 320]])
-    left = np.broadcast_to(1000 - background, counts.shape)
-    np.testing.assert_allclose(gate_counts.subtract_background(counts, background), left)
-    with pytest.raises(InputError, match="not of these patterns"):
-        gate_counts.subtract_background(counts[..., :1], background)

@@ -12,7 +12,7 @@ from deepfsi.datasets import catalog
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.training import learning
 from deepfsi_paper import bootstrap, experiment, studies
-from deepfsi_paper.camera import laboratory, rate_simulations
+from deepfsi_paper.camera import laboratory
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.mnist import images
 from deepfsi_paper.ovit import claims as ovit
@@ -95,10 +95,6 @@ def run_all(folder: Path) -> Path:
         patch.setattr(laboratory, "LAB", laboratory.LAB.model_copy(update={"blur": 2.0}))
         patch.setattr(laboratory, "calibrate", cache(laboratory.calibrate.__wrapped__))
         patch.setattr(laboratory, "processes", here)
-        patch.setattr(rate_simulations, "processes", here)
-        patch.setattr(rate_simulations, "SETTINGS_A_BUDGET", 2)
-        patch.setattr(rate_simulations, "PICTURES", 2)
-        patch.setattr(rate_simulations, "TABLES", 2)
         for each in EVERY:
             each.run(folder, command=f"deepfsi reproduce {each.name}")
     return folder

@@ -1,6 +1,5 @@
 """Claims, figures and tables of the camera, beside the numbers that the paper published."""
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -8,8 +7,6 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from deepfsi.base.numeric.intervals import Difference, all_above, mean_of_trials
-from deepfsi.camera.layout import DmdGrid, find_grid
-from deepfsi.hardware.patterns.frames import unpack
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
@@ -18,7 +15,6 @@ from deepfsi_paper.bootstrap import (
     studentised_bootstrap,
     wilcoxon_signed_rank,
 )
-from deepfsi_paper.camera import fit_claims
 from deepfsi_paper.camera.figures import (
     Accuracy,
     digits_figure,
@@ -27,18 +23,17 @@ from deepfsi_paper.camera.figures import (
 )
 from deepfsi_paper.camera.laboratory import (
     ASSUMED,
-    DEVICE,
     EXPOSURES,
     FLUX,
     FREE,
     LABELS,
-    LAYOUT,
     OURS,
     REPEATS,
     SWEPT,
     DigitTest,
     Measures,
     RunTime,
+    measure,
     prepare,
 )
 from deepfsi_paper.camera.published import (
@@ -48,8 +43,6 @@ from deepfsi_paper.camera.published import (
     STUDENTISED,
     WILCOXON,
 )
-from deepfsi_paper.camera.rate_simulations import measure
-from deepfsi_paper.camera.view_figures import mirrors_figure, views_figure
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.report.section import Claim, Picture, Table
 
@@ -101,28 +94,15 @@ def show(results: Results) -> Finding:
         {(test.design, test.exposure_s): test for test in tests},
         {test.design: test.label for test in tests},
     )
-    fit = measures.fit
     return Finding(
         _found(compared),
         (
             _exposure_picture(compared),
-            _digits_picture(compared, measures.views.names),
+            _digits_picture(compared, measures.digits),
             _effects_picture(measures),
-            *([fit_claims.picture(fit)] if fit else []),
-            *_optics_pictures(measures),
         ),
-        (
-            _first(compared),
-            _every_digit(compared),
-            _even(compared),
-            *([fit_claims.claim(fit)] if fit else []),
-        ),
-        (
-            _intervals(compared),
-            _tests(compared),
-            *(fit_claims.tables(fit) if fit else ()),
-            _times(measures.times),
-        ),
+        (_first(compared), _every_digit(compared), _even(compared)),
+        (_intervals(compared), _tests(compared), _times(measures.times)),
     )
 
 
@@ -278,39 +258,6 @@ def _effects_picture(measures: Measures) -> Picture:
         "training assumed the truth.",
         "Accuracy against ambient light, dark counts, dead time and assumed budget.",
     )
-
-
-def _optics_pictures(measures: Measures) -> tuple[Picture, Picture]:
-    """The camera's view of the digits, and a frame of its mirrors."""
-    views, fit = measures.views, measures.calibration
-    raw, seen = np.array(views.raw), np.array(views.seen)
-    grid = find_grid(DEVICE, seen.shape[1:], LAYOUT)
-    frame = np.frombuffer(base64.b64decode(measures.frame), np.uint8).reshape(DEVICE.rows, -1)
-    mirrors = unpack(frame, DEVICE)
-    return (
-        Picture(
-            views_figure(raw, seen, views.names, cell=(grid.height, grid.width)),
-            "Digits as displayed and as the camera's cells see them. The view was fitted to "
-            f"{fit['spots']} of {fit['shown']} spots, which lie {fit['residual']:.2f} cells from "
-            "it (rms).",
-            "Ten digits above, and below them tilted, blurred and darker at the edges.",
-        ),
-        Picture(
-            mirrors_figure(mirrors, grid, _greyest(mirrors, grid)),
-            f"First frame of {LABELS[OURS]}, and its nine cells with most grey mirror by mirror.",
-            "A grey mask made of mirrors that are ON or OFF.",
-        ),
-    )
-
-
-def _greyest(mirrors: np.ndarray, grid: DmdGrid, side: int = 3) -> tuple[int, int]:
-    """First cell of the window of side x side cells that are farthest from dark and full."""
-    cells = mirrors[grid.window].reshape(grid.down, grid.height, grid.across, grid.width)
-    share = cells.sum(axis=(1, 3)) / grid.mirrors
-    grey = np.minimum(share, 1 - share)
-    windows = np.lib.stride_tricks.sliding_window_view(grey, (side, side)).sum(axis=(2, 3))
-    down, across = np.unravel_index(windows.argmax(), windows.shape)
-    return int(down), int(across)
 
 
 def _intervals(compared: Comparison) -> Table:

@@ -1,8 +1,7 @@
-"""Counts of the virtual camera's gates in sum, without a file, and their background."""
+"""Counts of the virtual camera's gates in sum, without a file."""
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.hardware.patterns.timing import GatePlan
 from deepfsi.hardware.virtual.camera import VirtualCamera
@@ -159,27 +158,3 @@ def _share_inside(detector: Detector, length: np.ndarray) -> np.ndarray:
     delay = detector.afterpulse_s
     after = np.maximum(length - detector.dead_time_s, 0)
     return (after + delay * np.expm1(-after / delay)) / length
-
-
-def black_rates(on_rate: np.ndarray, off_rate: np.ndarray) -> tuple[float, float]:
-    """Dark and ambient rates of a run with the display black."""
-    # From counts/s in the frames with all mirrors ON and OFF, as `counts.Counts` has them. NaN
-    # passes are left out; an ambient rate below 0 is noise and becomes 0. Raises `InputError` if no
-    # pass has both rates
-    on, off = np.broadcast_arrays(np.asarray(on_rate, float), np.asarray(off_rate, float))
-    whole = np.isfinite(on) & np.isfinite(off)
-    if not whole.any():
-        raise InputError("no pass has frames all ON and all OFF: record the black scene again")
-    dark = float(off[whole].mean())
-    return dark, max(0.0, float(on[whole].mean()) - dark)
-
-
-def subtract_background(counts: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """Counts (..., rails, m) less what `expected_background` gives; its noise stays."""
-    # Raises `InputError` if the counts are not those of the patterns
-    if np.shape(counts)[-2:] != expected.shape:
-        raise InputError(
-            f"counts of shape {np.shape(counts)} are not of these patterns: give "
-            f"(..., {expected.shape[0]}, {expected.shape[1]})"
-        )
-    return np.asarray(counts) - expected

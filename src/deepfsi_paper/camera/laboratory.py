@@ -6,7 +6,6 @@ the patterns, and test with gates of four exposures in the same frames. The prot
 (ten test digits, one of each, ten exposures each), repeated for many draws of the ten digits.
 """
 
-import base64
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -32,7 +31,6 @@ from deepfsi.hardware.calibration.view import view_dataset
 from deepfsi.hardware.counting.acquisition import Calibration, read_run
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
-from deepfsi.hardware.patterns.frames import make_frames
 from deepfsi.hardware.patterns.manifest import DesignRails
 from deepfsi.hardware.patterns.timing import GatePlan
 from deepfsi.hardware.virtual.camera import (
@@ -44,8 +42,7 @@ from deepfsi.hardware.virtual.camera import (
 )
 from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.workers import cores, processes
-from deepfsi_paper.camera.gate_counts import black_rates, draw, draw_counts, subtract_background
-from deepfsi_paper.camera.rate_fit import RateFit
+from deepfsi_paper.camera.gate_counts import draw, draw_counts
 
 FLUX = 1e7
 """Photons/s on the device from a mean scene."""
@@ -178,29 +175,12 @@ class RunTime:
 
 
 @dataclass(frozen=True)
-class Views:
-    """Scenes as displayed, (n, h, w), and as the camera's cells see them, (n, down, across)."""
-
-    raw: Sequence[Sequence[Sequence[float]]]
-    seen: Sequence[Sequence[Sequence[float]]]
-    names: Sequence[str]
-
-
-@dataclass(frozen=True)
 class Measures:
-    """Everything that is measured in the laboratory, as `hardware.json` holds it.
+    """Everything that is measured in the laboratory, as `hardware.json` holds it."""
 
-    Calibration and camera are as their models write themselves; `frame` is DeepFSI's first in
-    base64, a bit for each mirror.
-    """
-
-    calibration: dict[str, Any]
-    camera: dict[str, Any]
-    views: Views
-    frame: str
+    digits: Sequence[str]
     tests: Sequence[DigitTest]
     times: Sequence[RunTime]
-    fit: RateFit | None = None  # of the published rates; none in results of an earlier version
 
 
 @lru_cache(maxsize=1)
@@ -222,11 +202,10 @@ def calibrate() -> Calibration:
     gates = GatePlan.of(patterns.manifest, exposure, repeats=1)
     counts = draw_counts(arrivals, patterns.manifest, gates, LAB, rng)
     pictures = counts[:, 0, 0].reshape(len(scenes), 32, 32)
-    black = arrivals[-1, :2, 0]
-    dark, ambient = black_rates(black[:1], black[1:])
+    lit, dark = arrivals[-1, :2, 0].tolist()  # a black display: all mirrors ON, all OFF
     return fit_calibration(
         spots, pictures[:-2], grid, white=pictures[-2], black=pictures[-1],
-        dark=dark, ambient=ambient,
+        dark=dark, ambient=max(0.0, lit - dark),
     )  # fmt: skip
 
 
@@ -316,7 +295,6 @@ def classify(
     camera: VirtualCamera,
     exposure_s: float,
     rng: np.random.Generator,
-    repeats: int = REPEATS,
 ) -> np.ndarray:
     """Classes (S, R) that a design gives to exposures of a camera.
 
@@ -333,12 +311,12 @@ def classify(
         Exposures R of each scene.
     """
     manifest = mounted.patterns.manifest
-    gates = GatePlan.of(manifest, exposure_s, repeats=repeats)
+    gates = GatePlan.of(manifest, exposure_s, repeats=REPEATS)
     arrivals = mounted.arrivals(camera)
     counts = draw_counts(arrivals, manifest, gates, camera, rng)
     window = manifest.picture_s[:2] - gates.settle_s
     on, off = (draw(camera, arrivals[:, :2, 0], window, rng) / window).mean(axis=0)
-    signal = subtract_background(counts, expected_background(mounted.patterns, exposure_s, off))
+    signal = counts - expected_background(mounted.patterns, exposure_s, off)
     chances = mounted.design.classify(mounted.design.readouts(signal), (on - off) * exposure_s)
     return chances.argmax(axis=-1)
 
@@ -368,11 +346,10 @@ class Laboratory:
 
 @dataclass(frozen=True)
 class DesignResult:
-    """Tests of one design, the time of a run, and the first frame (in base64)."""
+    """Tests of one design, and the time of a run."""
 
     tests: list[DigitTest]
     time: RunTime
-    frame: str
 
 
 def design_groups(results: Results) -> list[Group]:
@@ -405,17 +382,9 @@ def measure(
     for result in processes(in_laboratory, laboratory, costly_first, at_once):
         done[result.time.design] = result
         report(len(done) / len(groups), "laboratory")
-    seen = data.x_test[places[0]].reshape(-1, *data.image_shape)
     return asdict(
         Measures(
-            calibration=calibrate().model_dump(mode="json", exclude={"flat"}),
-            camera=LAB.model_dump(mode="json"),
-            views=Views(
-                laboratory.images[: len(seen)].round(3).tolist(),
-                seen.round(3).tolist(),
-                list(data.classes),
-            ),
-            frame=done[OURS].frame,
+            digits=list(data.classes),
             tests=[test for name in groups for test in done[name].tests],
             times=[done[name].time for name in groups],
         )
@@ -460,10 +429,7 @@ def in_laboratory(laboratory: Laboratory, group: Group) -> DesignResult:
             made = Design.load(laboratory.designs / f"{point.keys[0]}.safetensors")
             label = LABELS.get(name, point.label)
             time = RunTime(name, label, *run_time(made, laboratory.images[:1]))
-            shown = mounted[0].patterns
-            first = next(iter(make_frames(shown.on[:1], DEVICE, shown.manifest.grid)))
-            frame = base64.b64encode(first.tobytes()).decode()
-    return DesignResult(tests, time, frame)
+    return DesignResult(tests, time)
 
 
 def mounted_design(

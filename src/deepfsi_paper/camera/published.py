@@ -32,13 +32,6 @@ PUBLISHED: dict[str, dict[float, tuple[float, float, float]]] = {
 """Mean and cluster-bootstrap interval, the paper's first table of its hardware experiment."""
 
 
-def exposures_of(rate: float) -> int:
-    """Exposures of each of ten digits behind a published rate: 10, where it is no percentage 15."""
-    # "At least 10", says the paper. 0.327, 0.160 and 0.107 are 49, 24 and 16 of 150; 0.160 may be
-    # 16 of 100, too
-    return 10 if abs(100 * rate - round(100 * rate)) < 1e-9 else 15
-
-
 STUDENTISED: dict[str, dict[float, tuple[float, float]]] = {
     "deepfsi": {
         1e-1: (0.939, 0.998), 1e-2: (0.515, 0.960), 1e-3: (0.477, 0.823), 1e-4: (0.253, 0.434),
