@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from deepfsi.base.errors import InputError
-
 CONFIDENCE = 0.95
 """Of the intervals."""
 
@@ -56,9 +54,8 @@ def cluster_bootstrap(rates: ArrayLike, seed: int) -> Interval:
     the percentiles are not Student's: with ten classes and normal rates it covers the true mean in
     90.4 % of experiments, with thirty in 93.6 %.
     """
-    rates = _several(rates)
     found = stats.bootstrap(
-        (rates,),
+        (np.asarray(rates),),
         np.mean,
         n_resamples=RESAMPLES,
         confidence_level=CONFIDENCE,
@@ -76,7 +73,7 @@ def studentised_bootstrap(rates: ArrayLike, seed: int) -> Interval:
     most classes share one rate the interval is too narrow: for ten classes of Beta(9.7, 0.3) and
     ten exposures each it covers 65 %, where `cluster_bootstrap` covers 87 %.
     """
-    rates = _several(rates)
+    rates = np.asarray(rates)
     mean, error = rates.mean(), _standard_error(rates)
     if np.ptp(rates) == 0:
         return Interval(float(rates[0]), float(rates[0]))
@@ -101,12 +98,7 @@ def wilcoxon_signed_rank(a: ArrayLike, b: ArrayLike) -> Wilcoxon:
     that of ranks without ties, and a statistic that ties put between two of its values takes the
     larger p. C classes cannot give less than p = 2 / 2^C: a single one always gives 1, five 0.0625.
     """
-    a, b = _rates(a), _rates(b)
-    if a.shape != b.shape:
-        raise InputError(
-            f"{len(a)} rates cannot be paired with {len(b)}: give both sides of the same classes"
-        )
-    differences = np.round(a - b, DECIMALS)
+    differences = np.round(np.subtract(a, b), DECIMALS)
     counted = np.count_nonzero(differences)
     if counted == 0:
         return Wilcoxon(0.0, 1.0, 0.0)
@@ -125,28 +117,3 @@ def wilcoxon_signed_rank(a: ArrayLike, b: ArrayLike) -> Wilcoxon:
 
 def _standard_error(rates: np.ndarray) -> np.ndarray:
     return rates.std(axis=-1, ddof=1) / np.sqrt(rates.shape[-1])
-
-
-def _several(rates: ArrayLike) -> np.ndarray:
-    found = _rates(rates)
-    if len(found) < 2:
-        raise InputError(
-            "the rate of a single class has no interval over classes: give two classes or more"
-        )
-    return found
-
-
-def _rates(rates: ArrayLike) -> np.ndarray:
-    try:
-        found = np.asarray(rates, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("rates must be an array of numbers, one for each class") from None
-    if found.ndim != 1 or not len(found):
-        raise InputError(
-            f"rates of shape {found.shape} cannot be used: give one number for each class"
-        )
-    if not np.isfinite(found).all():
-        raise InputError(
-            "rates hold NaN or infinity: leave out the classes that have no test scene"
-        )
-    return found

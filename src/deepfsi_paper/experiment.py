@@ -26,7 +26,6 @@ from deepfsi.sweeps.results import Point, Results, read_results, write_results
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.summary import provenance_of
 from deepfsi.sweeps.workers import Workers
-from deepfsi_paper.report.maps import Cell
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
 
 Measure = Callable[[Results, Dataset, Path, int | None, Progress], dict[str, Any]]
@@ -45,42 +44,19 @@ class Finding:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment of the paper.
+    """One experiment of the paper."""
 
-    Attributes
-    ----------
-    name : str
-        Of its recipe file and its results.
-    title : str
-    paper : str
-        Findings of the paper.
-    show : callable
-        Results → Finding.
-    measure : callable, optional
-        (results, data, folder of the designs, workers, report) → further numbers, kept in the
-        results as `extra`; the data are those of the first recipe.
-    prepare : callable, optional
-        Data → data that designs are trained on and tested with.
-    adapt : callable, optional
-        Recipe → recipe for this machine, such as other data where those that it names are missing.
-    label : str
-        Of learned designs, where it is another here.
-    changes : mapping
-        Settings in place of those of its recipes.
-    part : str, optional
-        The only part to run, where the recipe has several.
-    """
-
-    name: str
+    name: str  # of its recipe file and its results
     title: str
-    paper: str
+    paper: str  # findings of the paper
     show: Callable[[Results], Finding]
+    # Further numbers, kept in the results as `extra`; the data are those of the first recipe
     measure: Measure | None = None
-    prepare: Callable[[Dataset], Dataset] = lambda data: data
-    adapt: Callable[[Recipe], Recipe] = lambda recipe: recipe
-    label: str = ""
-    changes: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    part: str | None = None
+    prepare: Callable[[Dataset], Dataset] = lambda data: data  # of trainings and tests
+    adapt: Callable[[Recipe], Recipe] = lambda recipe: recipe  # to the data of this machine
+    label: str = ""  # of learned designs, where it is another here
+    changes: Mapping[str, Any] = field(default_factory=dict, hash=False)  # of the recipes
+    part: str | None = None  # the only part to run, where the recipe has several
 
     def recipes(self, quick: bool, trials: int | None = None) -> dict[str, Recipe]:
         """The recipes, or their coarse versions, by part; a single one has the experiment's name.
@@ -120,22 +96,6 @@ class Experiment:
         another only tests. `NAME.json` holds the results, `NAME.csv` a row for each point of the
         figures, and `NAME-trials.csv` one for each test. Each point says the part that it is of,
         its `recipe`. Where a recipe names a split, its points and the name of the data do, too.
-
-        Parameters
-        ----------
-        folder : Path
-        command : str
-            For the results.
-        quick : bool
-            The coarse recipes.
-        trials : int, optional
-            Instead of those of the recipes.
-        device : {"auto", "cpu", "cuda"}
-        workers : int, optional
-            Processes; None for as many as are fastest here.
-        ray : str, optional
-            Address of a Ray cluster.
-        report : Report
         """
         recipes = self.recipes(quick, trials)
         data = self._data(recipes)
@@ -255,7 +215,7 @@ def best(results: Results, **fields: Any) -> dict[tuple[str, float], Point]:
     return {(point.design, point.photons): point for point in points(results, best=True, **fields)}
 
 
-def budgets(chosen: Iterable[Cell]) -> list[float]:
+def budgets(chosen: Iterable[Point]) -> list[float]:
     """Budgets of points, rising."""
     return sorted({point.photons for point in chosen})
 

@@ -7,8 +7,8 @@ from deepfsi.base.numeric.intervals import Difference, accuracy_difference, all_
 from deepfsi.report.style import DESIGN_COLOURS, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
-from deepfsi_paper.paired_maps import Pair, pair
 from deepfsi_paper.report.lines import Line, lines_figure
+from deepfsi_paper.report.maps import Pair, pair
 from deepfsi_paper.report.section import Claim, Picture, Table
 
 NOTICED = 0.02

@@ -40,13 +40,7 @@ def is_study(folder: Path) -> bool:
 
 
 def page(folder: Path) -> Path:
-    """Write `report.html` from whatever experiments a folder holds, with its figures.
-
-    Raises
-    ------
-    InputError
-        If it holds none, or one that cannot be read.
-    """
+    """Write `report.html` from whatever experiments a folder holds, with its figures."""
     sections = [section for each in _every() if (section := each.section(folder))]
     if not sections:
         raise InputError(f"no experiment in {folder}: run `deepfsi reproduce mnist -o {folder}`")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deepfsi.base.errors import InputError
 from deepfsi_paper import bootstrap
 
 UNTIED = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
@@ -103,24 +102,3 @@ def test_the_studentised_interval_covers_what_it_says():
         bootstrap.studentised_bootstrap, lambda rng: rng.normal(0.6, 0.1, 10), 0.6, seed=3
     )
     assert found == pytest.approx(bootstrap.CONFIDENCE, abs=five_sigma(bootstrap.CONFIDENCE))
-
-
-@pytest.mark.parametrize(
-    ("rates", "said"),
-    [
-        ([], r"shape \(0,\)"),
-        ([[0.1, 0.2]], r"shape \(1, 2\)"),
-        ([0.1, np.nan], "NaN"),
-        ([0.1, None], "NaN"),
-        (["a", "b"], "numbers"),
-    ],
-)
-def test_what_is_not_one_rate_for_each_class_is_refused(rates, said):
-    for ask in (
-        lambda: bootstrap.cluster_bootstrap(rates, 0),
-        lambda: bootstrap.studentised_bootstrap(rates, 0),
-        lambda: bootstrap.wilcoxon_signed_rank(rates, [0.1, 0.2]),
-        lambda: bootstrap.wilcoxon_signed_rank([0.1, 0.2], rates),
-    ):
-        with pytest.raises(InputError, match=said):
-            ask()

@@ -51,8 +51,6 @@ def test_grid_holds_every_point_once_and_gaps_are_nan():
     assert np.isnan(grid[-1]).all()
     for point in points:
         assert grid[RATIOS.index(point.ratio), BUDGETS.index(point.photons)] == point.accuracy
-    with pytest.raises(ValueError, match="two points"):
-        maps.accuracy_grid([*points, points[0]], *GRID)
 
 
 def test_cells_hold_their_values_and_the_training_budget_is_framed():

@@ -1,8 +1,7 @@
-"""The page of a study: what it says, what it refuses, and how it writes numbers."""
+"""The page of a study: what it says, and how it writes numbers."""
 
 import pytest
 
-from deepfsi.base.errors import InputError
 from deepfsi.report import rendering
 from deepfsi_paper.report import section as section_module
 from deepfsi_paper.report.study_page import write_study
@@ -45,27 +44,6 @@ def test_headings_are_in_order_and_abbreviations_explained(tmp_path):
     assert '<abbr title="' + rendering.ABBREVIATIONS["PN"] in page
     assert "CGs and USERS" in page
     assert page.index("This page tests how well") < page.index("<h2") < page.index('class="sketch"')
-
-
-@pytest.mark.parametrize(
-    ("sections", "told"),
-    [
-        ([], "without sections"),
-        ([section(name="a b")], "'a b': use letters"),
-        ([section(name="")], "use letters"),
-        ([section(), section()], "two sections named 'one'"),
-        ([section(files=("/data/a.csv",))], "does not lie beside the page"),
-        ([section(files=("../a.csv",))], "does not lie beside the page"),
-        (
-            [section(tables=(section_module.Table("t", ("a", "b"), ((1,),)),))],
-            "do not fit its 2 heads",
-        ),
-    ],
-)
-def test_studies_that_cannot_be_a_page_are_refused(tmp_path, sections, told):
-    with pytest.raises(InputError, match=told):
-        write_study(tmp_path, "title", sections)
-    assert not list(tmp_path.iterdir())
 
 
 def test_study_needs_no_torch(tmp_path):

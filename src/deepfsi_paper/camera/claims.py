@@ -60,18 +60,10 @@ AXES = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """Tests in the laboratory as it is, of designs trained for `ASSUMED`.
+    """Tests in the laboratory as it is, of designs trained for `ASSUMED`."""
 
-    Attributes
-    ----------
-    at : dict
-        (design, exposure in s) → test.
-    labels : dict of str to str
-        Of the designs.
-    """
-
-    at: dict[tuple[str, float], DigitTest]
-    labels: dict[str, str]
+    at: dict[tuple[str, float], DigitTest]  # (design, exposure in s) → test
+    labels: dict[str, str]  # of the designs
 
     @property
     def rivals(self) -> list[str]:

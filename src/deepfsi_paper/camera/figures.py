@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from deepfsi.base.errors import InputError
 from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes
 from deepfsi_paper.report import scales
@@ -55,40 +54,28 @@ def exposure_figure(
     points: Iterable[Accuracy],
     published: Iterable[Accuracy] = (),
     *,
-    classes: int = 10,
-    flux: float | None = None,
+    flux: float,
 ) -> Figure:
     """Accuracy against total exposure: a line for each design, published values open beside it.
 
     Bars are intervals. Circles are feature-specific designs, squares others.
-
-    Parameters
-    ----------
-    points : iterable of Accuracy
-    published : iterable of Accuracy
-        Of designs among the points.
-    classes : int
-        Chance is one over it.
-    flux : float, optional
-        Photons/s on the device; adds a photon axis on top.
     """
     own, others = list(points), list(published)
     exposures = sorted({point.exposure_s for point in [*own, *others]})
     figure = Figure(figsize=(5.6, 3.9), layout="constrained")
     ax = figure.subplots()
     span = min(exposures), max(exposures)
-    accuracy_axes(ax, own, ("design",), attrgetter("exposure_s"), chance=1 / classes, span=span)
+    accuracy_axes(ax, own, ("design",), attrgetter("exposure_s"), chance=0.1, span=span)
     _published(ax, own, others, exposures)
     ax.set_xlabel("total exposure (s)")
     ax.xaxis.set_major_locator(FixedLocator(exposures))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.power_text(value)))
-    if flux is not None:
-        to_photons, to_seconds = partial(np.multiply, flux), partial(np.multiply, 1 / flux)
-        top = ax.secondary_xaxis("top", functions=(to_photons, to_seconds))
-        top.set_xlabel("photons Φ of a mean scene on the device")
-        top.xaxis.set_major_locator(FixedLocator([exposure * flux for exposure in exposures]))
-        top.xaxis.set_minor_locator(NullLocator())
-        top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.power_text(value)))
+    to_photons, to_seconds = partial(np.multiply, flux), partial(np.multiply, 1 / flux)
+    top = ax.secondary_xaxis("top", functions=(to_photons, to_seconds))
+    top.set_xlabel("photons Φ of a mean scene on the device")
+    top.xaxis.set_major_locator(FixedLocator([exposure * flux for exposure in exposures]))
+    top.xaxis.set_minor_locator(NullLocator())
+    top.xaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.power_text(value)))
     if others:
         looks: dict[str, Any] = {"color": style.INK, "marker": "o"}
         keys = [
@@ -102,35 +89,12 @@ def exposure_figure(
 
 @style.styled
 def digits_figure(
-    panels: Mapping[str, np.ndarray],
-    designs: Sequence[str],
-    classes: Sequence[str],
-    *,
-    word: str = "digit",
+    panels: Mapping[str, np.ndarray], designs: Sequence[str], classes: Sequence[str]
 ) -> Figure:
     """Success rate of each class and design: a square for each pair, a panel for each exposure.
 
     Grey level and number both are the success rate, in per cent.
-
-    Parameters
-    ----------
-    panels : mapping of str to array, shape (designs, classes)
-        Heading → success rates, 0 to 1; NaN where there is none.
-    designs, classes : sequence of str
-    word : str
-        What a class is.
-
-    Raises
-    ------
-    InputError
-        If a panel has another shape.
     """
-    for heading, rates in panels.items():
-        if np.shape(rates) != (len(designs), len(classes)):
-            raise InputError(
-                f"{heading}: success rates of shape {np.shape(rates)}; give one for each of "
-                f"{len(designs)} designs and {len(classes)} classes"
-            )
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
     width = style.PAGE_WIDTH if columns == 2 else 0.6 * style.PAGE_WIDTH
@@ -148,7 +112,7 @@ def digits_figure(
         ax.label_outer()
     for ax in list(axes.flat)[len(panels) :]:
         ax.remove()
-    figure.supxlabel(word, fontsize=9)
+    figure.supxlabel("digit", fontsize=9)
     bar = figure.colorbar(
         ScalarMappable(norm, style.GREYS), ax=list(figure.axes), label="success rate (%)", aspect=30
     )
@@ -157,23 +121,11 @@ def digits_figure(
 
 
 @style.styled
-def effects_figure(
-    points: Iterable[Accuracy], axes: Mapping[str, str], *, flux: float | None = None
-) -> Figure:
+def effects_figure(points: Iterable[Accuracy], axes: Mapping[str, str], *, flux: float) -> Figure:
     """Accuracy against what the laboratory varies: a column for each effect.
 
     A row for each exposure, the longest on top. Values are on a logarithmic axis; 0 stands apart
     at its left end, behind a break of the axis.
-
-    Parameters
-    ----------
-    points : iterable of Accuracy
-    axes : mapping of str to str
-        Effect → label of its axis, with unit. Where this is "(s)" and all values are below a
-        millisecond, the axis is in nanoseconds.
-    flux : float, optional
-        Photons/s on the device. A line then marks as much ambient light as the scene's, and the
-        budget that was assumed rightly.
     """
     rows = list(points)
     exposures = sorted({each.exposure_s for each in rows}, reverse=True)
@@ -189,8 +141,8 @@ def effects_figure(
         values = [each.value for each in rows if each.effect == effect]
         unit, label = _unit(values, axes[effect])
         keys |= _effect_lines(ax, members, [value * unit for value in values], unit)
-        mark = {"ambient": flux, "assumed": (flux or 0) * exposure}.get(effect)
-        if flux and mark:
+        mark = {"ambient": flux, "assumed": flux * exposure}.get(effect)
+        if mark:
             keys[MARKS] = ax.axvline(mark, **DOTTED, zorder=1)
         ax.set_ylim(0, 1)
         ax.grid(axis="y")
@@ -198,8 +150,8 @@ def effects_figure(
             ax.set_xlabel(textwrap.fill(label, 24), fontsize=8)
         if column == 0:
             ax.set_ylabel(style.ACCURACY_AXIS)
-            photons = "" if flux is None else f", {style.photons_text(flux * exposure)} photons"
-            ax.set_title(f"exposure {exposure:g} s{photons}")
+            photons = style.photons_text(flux * exposure)
+            ax.set_title(f"exposure {exposure:g} s, {photons} photons")
     keys = {word: keys[word] for word in sorted(keys, key=lambda word: word == MARKS)}
     figure.legend(
         list(keys.values()),

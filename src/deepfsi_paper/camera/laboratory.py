@@ -100,34 +100,15 @@ EFFECTS: dict[str, tuple[float, ...]] = {
 
 @dataclass(frozen=True)
 class DigitTest:
-    """Success rates of one design, trained several times, with the ten digits of every draw.
-
-    Attributes
-    ----------
-    design, label : str
-    specific : bool
-        Whether the design is feature-specific.
-    masks : int
-    assumed : float
-        Photon budget assumed in training.
-    effect : str
-        What the laboratory varies, or "none".
-    value : float
-        Of the effect, in its unit.
-    exposure_s : float
-    rates : sequence, shape (trainings, draws, digits)
-        Share of the exposures that are classified rightly.
-    commonest : float
-        Share of the answers that are the class that a training answers most, mean over trainings.
-    """
+    """Success rates of one design, trained several times, with the ten digits of every draw."""
 
     design: str
     label: str
-    specific: bool
+    specific: bool  # whether the design is feature-specific
     masks: int
-    assumed: float
-    effect: str
-    value: float
+    assumed: float  # photon budget assumed in training
+    effect: str  # what the laboratory varies, or "none"
+    value: float  # of the effect, in its unit
     exposure_s: float
     rates: Sequence[Sequence[Sequence[float]]]
     commonest: float
@@ -216,23 +197,12 @@ def prepare(data: Dataset) -> Dataset:
 
 @dataclass(frozen=True)
 class MountedDesign:
-    """A design on the device, and the light of some scenes on the detector.
+    """A design on the device, and the light of some scenes on the detector."""
 
-    Attributes
-    ----------
-    design : Design
-        As the patterns realise it.
-    patterns : Patterns
-    scene_rates : array, shape (S, F, 1)
-        Photons/s that each scene sends to the detector in each frame.
-    ambient_rates : array, shape (1, F, 1)
-        The same for one photon/s of ambient light.
-    """
-
-    design: Design
+    design: Design  # as the patterns realise it
     patterns: Patterns
     scene_rates: np.ndarray
-    ambient_rates: np.ndarray
+    ambient_rates: np.ndarray  # (1, F, 1), The same for one photon/s of ambient light
 
     def arrivals(self, camera: VirtualCamera) -> np.ndarray:
         """Arrivals/s (S, F, 1) at a camera's detector."""
@@ -241,15 +211,7 @@ class MountedDesign:
 
 
 def draw_digits(labels: np.ndarray, draws: int, seed: int) -> np.ndarray:
-    """Places (draws, classes) of one scene of each class, no scene twice.
-
-    Parameters
-    ----------
-    labels : array of int
-        Classes of all scenes.
-    draws : int
-    seed : int
-    """
+    """Places (draws, classes) of one scene of each class, no scene twice."""
     rng = np.random.default_rng(seed)
     classes = np.unique(labels)
     columns = [rng.choice(np.flatnonzero(labels == k), draws, replace=False) for k in classes]
@@ -269,16 +231,7 @@ def mount(design: Design, scenes: np.ndarray) -> MountedDesign:
 
 
 def export(design: Design, repeats: int, folder: Path) -> Patterns:
-    """Patterns whose frames last for so many of the longest exposures, and a little more.
-
-    Parameters
-    ----------
-    design : Design
-    repeats : int
-        Exposures in one frame.
-    folder : Path
-        Of the patterns.
-    """
+    """Patterns whose frames last for so many of the longest exposures, and a little more."""
     rails = design.rails.stacked.numpy()
     frames = int((rails.max(axis=-1) > 0).sum())
     share = float(rails.max()) if LIGHT_LAWS[design.light].equal_times else 1 / frames
@@ -300,15 +253,6 @@ def classify(
 
     The budget is estimated from the all-ON frames and the dark rate from the all-OFF ones, as for
     a real run; no one knows of ambient light.
-
-    Parameters
-    ----------
-    mounted : MountedDesign
-    camera : VirtualCamera
-    exposure_s : float
-    rng : Generator
-    repeats : int
-        Exposures R of each scene.
     """
     manifest = mounted.patterns.manifest
     gates = GatePlan.of(manifest, exposure_s, repeats=REPEATS)
@@ -327,21 +271,11 @@ Group = tuple[str, list[Point]]
 
 @dataclass(frozen=True)
 class Laboratory:
-    """Files and digits with which every design is tested.
+    """Files and digits with which every design is tested."""
 
-    Attributes
-    ----------
-    designs : Path
-        Folder of their files.
-    images : array, shape (S, h, w)
-        Reflectance on the display.
-    truth : array, shape (draws, classes)
-        Labels; S is their number.
-    """
-
-    designs: Path
-    images: np.ndarray
-    truth: np.ndarray
+    designs: Path  # folder of their files
+    images: np.ndarray  # (S, h, w), Reflectance on the display
+    truth: np.ndarray  # (draws, classes), Labels; S is their number
 
 
 @dataclass(frozen=True)

@@ -55,16 +55,7 @@ LOOKS: tuple[dict[str, Any], ...] = (
 
 @style.styled
 def overview_figure(scene: Overview, *, title: str, band_name: str) -> Figure:
-    """One band of a scene, its classes, how many pixels each has, and spectra of some.
-
-    Parameters
-    ----------
-    scene : Overview
-        Of sixteen classes at most. Band numbers are drawn where wavelengths are not known.
-    title : str
-        What the scene is called.
-    band_name : str
-    """
+    """One band of a scene, its classes, how many pixels each has, and spectra of some."""
     labels = scene.labels.values
     figure = Figure(figsize=(style.PAGE_WIDTH, 6.4), layout="constrained")
     figure.suptitle(title, fontsize=10, fontweight="bold")
@@ -86,18 +77,7 @@ def overview_figure(scene: Overview, *, title: str, band_name: str) -> Figure:
 def class_maps_figure(
     scene: Overview, rows: Sequence[ClassMap], uses: Mapping[str, np.ndarray], *, title: str
 ) -> Figure:
-    """Maps of predicted classes, a row for each split, beside the truth and the test pixels.
-
-    Parameters
-    ----------
-    scene : Overview
-        Of sixteen classes at most.
-    rows : sequence of ClassMap
-    uses : mapping of str to array, shape (H, W)
-        For each split what pixels are for: 0 nothing, 1 training, 2 test, 3 neither.
-    title : str
-        What the scene is called.
-    """
+    """Maps of predicted classes, a row for each split, beside the truth and the test pixels."""
     truth, names = scene.labels.values, scene.classes
     budgets = sorted({row.photons for row in rows})
     columns = 2 + len(budgets)
@@ -139,14 +119,6 @@ def spectral_masks_figure(rows: Sequence[SpectralMasks], scene: Overview, *, tit
     """Masks learned under both noises as curves over wavelength, by photon budget.
 
     Each panel has a scale of its own.
-
-    Parameters
-    ----------
-    rows : sequence of SpectralMasks
-    scene : Overview
-        Band numbers are drawn where its wavelengths are not known.
-    title : str
-        What the masks were learned on.
     """
     figure = Figure(figsize=(style.PAGE_WIDTH, 0.7 + 1.6 * len(rows)), layout="constrained")
     figure.suptitle(title, fontsize=10, fontweight="bold")

@@ -65,29 +65,15 @@ def pack(values: np.ndarray) -> Packed:
 
 @dataclass(frozen=True)
 class Overview:
-    """Hyperspectral scene: its classes, one band and some spectra.
-
-    Attributes
-    ----------
-    classes : sequence of str
-    labels, band : Packed
-        Class of each pixel from 1, 0 for none; one band.
-    band_nm : float or None
-        Its wavelength, if known.
-    bands : int
-    wavelengths : sequence of float or None
-        Of all bands, nm.
-    spectra : dict of str to array, shape (3, bands)
-        Percentiles 5, 50 and 95 of some classes.
-    """
+    """Hyperspectral scene: its classes, one band and some spectra."""
 
     classes: Sequence[str]
-    labels: Packed
-    band: Packed
-    band_nm: float | None
+    labels: Packed  # class of each pixel from 1, 0 for none; one band
+    band: Packed  # class of each pixel from 1, 0 for none; one band
+    band_nm: float | None  # its wavelength, if known
     bands: int
-    wavelengths: Sequence[float] | None
-    spectra: dict[str, Curves]
+    wavelengths: Sequence[float] | None  # of all bands, nm
+    spectra: dict[str, Curves]  # (3, bands), Percentiles 5, 50 and 95 of some classes
 
 
 @dataclass(frozen=True)

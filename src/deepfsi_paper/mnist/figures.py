@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
-from deepfsi.base.errors import InputError
 from deepfsi.camera.names import noise_text
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report import style
@@ -49,49 +48,25 @@ PLAIN: tuple[dict[str, Any], ...] = (
 
 @dataclass(frozen=True)
 class Measure:
-    """Measure of learned masks at a budget.
+    """Measure of learned masks at a budget."""
 
-    Attributes
-    ----------
-    measure : str
-        What is measured.
-    series : str
-        Masks that are measured: "gaussian", "poisson" or other words.
-    photons : float
-    value : float
-        Mean over trials, in the measure's own unit.
-    low, high : float or None
-        Its 95 % interval; None where there is none.
-    values : sequence of float
-        Of each trial.
-    """
-
-    measure: str
-    series: str
+    measure: str  # what is measured
+    series: str  # masks that are measured: "gaussian", "poisson" or other words
     photons: float
-    value: float
-    low: float | None
-    high: float | None
-    values: Sequence[float] = ()
+    value: float  # mean over trials, in the measure's own unit
+    low: float | None  # its 95 % interval; None where there is none
+    high: float | None  # its 95 % interval; None where there is none
+    values: Sequence[float] = ()  # of each trial
 
 
 @dataclass(frozen=True)
 class LearnedMasks:
-    """Masks learned under both noises at one budget.
-
-    Attributes
-    ----------
-    photons : float
-    image_shape : tuple of int
-        Height and width.
-    gaussian, poisson : array, shape (m, N) or (2 or 1, m, N)
-        Masks, or rails.
-    """
+    """Masks learned under both noises at one budget."""
 
     photons: float
-    image_shape: Sequence[int]
-    gaussian: Any
-    poisson: Any
+    image_shape: Sequence[int]  # height and width
+    gaussian: Any  # (m, N) or (2 or 1, m, N), Masks, or rails
+    poisson: Any  # (m, N) or (2 or 1, m, N), Masks, or rails
 
     def under(self, noise: str) -> np.ndarray:
         """Masks under a noise."""
@@ -121,18 +96,8 @@ def error_figure(results: Results) -> Figure:
     far as they were tested, with the same axes. Less noise is on the right, as in figures against
     the budget. Bars are the points' intervals; circles are feature-specific designs, squares
     others.
-
-    Raises
-    ------
-    InputError
-        If neither noise was tested.
     """
     panels = [noise for noise in scales.AXIS_NOISES if noise in noises(results)]
-    if not panels:
-        raise InputError(
-            f"no impulse-imaging error for {', '.join(noises(results))}: give results of tests "
-            "under gaussian or poisson noise"
-        )
     mean, [sigma] = results.data.mean_reflectance, results.recipe["camera"]["sigma"]
     pixels = math.prod(results.data.image_shape)
 
@@ -258,14 +223,6 @@ def measures_figure(
 
     A panel for each `measure` and a line for each `series`, in the order of their first
     appearance; axes begin at 0. Bars run from `low` to `high`.
-
-    Parameters
-    ----------
-    rows : sequence of Measure
-    panels : mapping of str to tuple of str
-        Heading and label of the axis of each measure.
-    names : mapping of str to str
-        Of series that are not noises, for the key.
     """
     measures = list(dict.fromkeys(row.measure for row in rows))
     columns = min(3, len(measures))
@@ -305,14 +262,6 @@ def starts_figure(
 
     A row for each noise: accuracies on the left, paired differences to pca on the right. Bars
     are the intervals.
-
-    Parameters
-    ----------
-    accuracies : sequence of Start
-    differences : sequence of Start
-        Accuracy less that of the start "pca" in the same trial.
-    chance : float
-        Accuracy of guessing.
     """
     rows = list(dict.fromkeys(row.noise for row in accuracies))
     figure = Figure(figsize=(style.PAGE_WIDTH, 2.7 * len(rows) + 0.3), layout="constrained")

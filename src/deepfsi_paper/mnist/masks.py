@@ -54,20 +54,11 @@ PAPER = (
 
 @dataclass(frozen=True)
 class Measures:
-    """Measures of the learned masks, as `masks.json` holds them.
-
-    Attributes
-    ----------
-    measures : sequence of Measure
-    masks : sequence of LearnedMasks
-        Of the first trial, at the budgets that are shown.
-    chance : float
-        Likeness of the spaces that random masks span.
-    """
+    """Measures of the learned masks, as `masks.json` holds them."""
 
     measures: Sequence[Measure]
-    masks: Sequence[LearnedMasks]
-    chance: float
+    masks: Sequence[LearnedMasks]  # of the first trial, at the budgets that are shown
+    chance: float  # likeness of the spaces that random masks span
 
     def at(self, name: str, series: str) -> dict[float, Measure]:
         """One measure of some masks, by budget."""

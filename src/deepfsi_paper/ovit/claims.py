@@ -189,16 +189,7 @@ def _tables(results: Results, masks: Sequence[LearnedMasks]) -> tuple[Table, Tab
 
 
 def ahead(at: Mapping[tuple[str, float], Point], rival: str, budgets: Sequence[float]) -> Claim:
-    """Claim that the learned design is above another at every budget.
-
-    Parameters
-    ----------
-    at : mapping of (str, float) to point
-        Points by design and budget.
-    rival : str
-    budgets : sequence of float
-        Rising.
-    """
+    """Claim that the learned design is above another at every budget."""
     compared: dict[float, Difference] = {
         budget: accuracy_difference(at[(LEARNED, budget)], at[(rival, budget)])
         for budget in budgets
@@ -221,18 +212,7 @@ def grows(
     limit: float = 0.0,
     otherwise: str = "",
 ) -> Claim:
-    """Claim that a measure of the masks grows with the light, by more than a limit.
-
-    Parameters
-    ----------
-    text : str
-        The claim.
-    ends : pair of (float, sequence of float)
-        Smallest and largest budget, and the measure of each trial's masks.
-    limit : float
-    otherwise : str
-        Why the claim does not hold, if it does not.
-    """
+    """Claim that a measure of the masks grows with the light, by more than a limit."""
     said = " and ".join(
         f"{float(np.mean(values)):#.3g} at {photons_text(photons)}" for photons, values in ends
     )

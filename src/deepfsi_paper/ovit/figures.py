@@ -19,24 +19,13 @@ SHOWN = 16
 
 @dataclass(frozen=True)
 class LearnedMasks:
-    """Learned masks of one budget.
-
-    Attributes
-    ----------
-    photons : float
-    side : int
-        Of a patch, pixels.
-    throughput, directions : sequence of float
-        Share of the budget counted, and independent directions, of each trial's masks.
-    matrix : array, shape (m, side²)
-        Masks of the first trial.
-    """
+    """Learned masks of one budget."""
 
     photons: float
-    side: int
+    side: int  # of a patch, pixels
     throughput: Sequence[float]
     directions: Sequence[float]
-    matrix: Sequence[Sequence[float]]
+    matrix: Sequence[Sequence[float]]  # (m, side²), Masks of the first trial
 
 
 @styled

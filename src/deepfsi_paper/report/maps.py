@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +15,9 @@ from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
+from deepfsi.base.numeric.intervals import Difference, accuracy_difference
 from deepfsi.report import style
+from deepfsi.sweeps.results import Point
 from deepfsi_paper.report import scales
 
 DRAWN = 0.01
@@ -30,33 +32,14 @@ _DIM = (
 )
 
 
-class Cell(Protocol):
-    """Accuracy at a compression ratio and a budget."""
-
-    @property
-    def ratio(self) -> float:
-        """Number of masks over number of pixels, m / N."""
-
-    @property
-    def photons(self) -> float:
-        """Budget Φ."""
-
-    @property
-    def accuracy(self) -> float:
-        """Mean over trials."""
-
-
 def accuracy_grid(
-    points: Iterable[Cell], budgets: Sequence[float], ratios: Sequence[float]
+    points: Iterable[Point], budgets: Sequence[float], ratios: Sequence[float]
 ) -> np.ndarray:
     """Accuracy of one design's points by compression ratio and budget."""
     grid = np.full((len(ratios), len(budgets)), np.nan)
     for point in points:
         if point.ratio in ratios and point.photons in budgets:
-            place = ratios.index(point.ratio), budgets.index(point.photons)
-            if not np.isnan(grid[place]):
-                raise ValueError(f"two points at {point.photons} photons, {place[0]}th ratio")
-            grid[place] = point.accuracy
+            grid[ratios.index(point.ratio), budgets.index(point.photons)] = point.accuracy
     return grid
 
 
@@ -171,6 +154,68 @@ def contour_figure(
         keys.append((Line2D([], [], linestyle="none"), words))
     _name_keys(figure, keys)
     return figure
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Accuracies (ratios, budgets) of two tests, and their differences by (ratio, budget)."""
+
+    budgets: list[float]
+    ratios: list[float]
+    first: np.ndarray
+    second: np.ndarray
+    differences: dict[tuple[float, float], Difference]
+
+    @property
+    def largest(self) -> tuple[Difference, str]:
+        """The largest difference, and where it is."""
+        ratio, budget = max(self.differences, key=lambda place: abs(self.differences[place].mean))
+        where = f"{ratio:.0%} and {style.photons_text(budget)} photons"
+        return self.differences[(ratio, budget)], where
+
+    def figure(self, names: tuple[str, str], pixels: int | None = None) -> Figure:
+        """Contour maps of both accuracies and of their difference; see `contour_figure`."""
+        return contour_figure(
+            self.first,
+            self.second,
+            self.budgets,
+            self.ratios,
+            names,
+            pixels=pixels,
+            apart=self.apart,
+        )
+
+    @property
+    def apart(self) -> np.ndarray:
+        """Where (ratios, budgets) the difference is larger than its interval."""
+        return np.array(
+            [
+                [
+                    (each := self.differences[(ratio, budget)]).low > 0 or each.high < 0
+                    for budget in self.budgets
+                ]
+                for ratio in self.ratios
+            ]
+        )
+
+
+def pair(one: Sequence[Point], other: Sequence[Point]) -> Pair:
+    """Two tests at the same ratios and budgets: the second less the first."""
+    lights = sorted({point.photons for point in one})
+    ratios = sorted({point.ratio for point in one})
+    there = {(point.ratio, point.photons): point for point in one}
+    return Pair(
+        lights,
+        ratios,
+        accuracy_grid(one, lights, ratios),
+        accuracy_grid(other, lights, ratios),
+        {
+            (point.ratio, point.photons): accuracy_difference(
+                point, there[(point.ratio, point.photons)]
+            )
+            for point in other
+        },
+    )
 
 
 def _accuracy_panels(

@@ -2,13 +2,11 @@
 
 import math
 import os
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
-from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.report.rendering import flat, render
 from deepfsi.report.style import Figures
@@ -31,7 +29,6 @@ class Shown:
 
 def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[Section]) -> Path:
     """Write `report.html` and its figures into a folder."""
-    check(sections)
     home, figures = Path(folder), Figures()
     text = render(
         "study.html.jinja",
@@ -61,32 +58,6 @@ def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[S
     )
     figures.write(home)
     return write_atomically(home / "report.html", text.encode())
-
-
-def check(sections: Sequence[Section]) -> None:
-    """Refuse what cannot be a page; see `write_study`."""
-    if not sections:
-        raise InputError("a study without sections: give at least one")
-    names = [section.name for section in sections]
-    for section in sections:
-        if not re.fullmatch(r"[\w.-]+", section.name, re.ASCII):
-            raise InputError(
-                f"section name {section.name!r}: use letters, digits, '-', '_' and '.' only"
-            )
-        if names.count(section.name) > 1:
-            raise InputError(f"two sections named {section.name!r}: give each its own name")
-        for file in section.files:
-            if PurePosixPath(file).is_absolute() or ".." in PurePosixPath(file).parts:
-                raise InputError(
-                    f"{file} of section {section.name!r} does not lie beside the page: give a path "
-                    "inside its folder"
-                )
-        for table in section.tables:
-            if any(len(row) != len(table.heads) for row in table.rows):
-                raise InputError(
-                    f"table {table.caption!r} of section {section.name!r} has rows that do not "
-                    f"fit its {len(table.heads)} heads: give a cell for each, None where empty"
-                )
 
 
 def tally(claims: Iterable[Claim]) -> str:
