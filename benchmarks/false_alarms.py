@@ -110,10 +110,9 @@ def drawn(
 def kinds(rng: np.random.Generator, detectors: int = 1, **course) -> set[str]:
     """Kinds of the faults of an acquisition's light."""
     photons, seconds, middles = drawn(rng, **course)
-    passes, none = np.arange(PASSES), np.empty(0, np.int64)
     manifest = manifest_of(detectors)
     arrivals = Arrivals(manifest.frames, photons, photons, seconds, middles)
-    light = check_light(arrivals, manifest, range(detectors), scenes=passes, lost=none)
+    light = check_light(arrivals, manifest, range(detectors), scenes=np.arange(PASSES))
     return {fault.kind for fault in light.faults}
 
 

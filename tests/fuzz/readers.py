@@ -158,10 +158,10 @@ READERS = {
     "planes": Reader("planes/images/0000.bmp", check_patterns, (mangled,), 1),
     "bmp frames": Reader("bmp/frames/0002.bmp", check_patterns, (mangled,), 1),
     "table of planes": Reader("planes/patterns.csv", check_patterns, (mangled,), 1),
-    "acquisition": Reader("lost/acquisition.json", use_run, JSON),
-    "counted acquisition": Reader("lost/acquisition.json",
+    "acquisition": Reader("both-rails/acquisition.json", use_run, JSON),
+    "counted acquisition": Reader("both-rails/acquisition.json",
                                   lambda path: count_run(path.parent), JSON, 2),
-    "counts": Reader("lost/counts.npz", use_run, ZIP),
+    "counts": Reader("both-rails/counts.npz", use_run, ZIP),
     "photons": Reader("clicks/photons.ptu", use_photons, (mangled,), 8),
     "shown frames": Reader("live-adaptive/shown.jsonl", use_live, (changed_lines, mangled)),
     "calibration": Reader("calibration/calibration.json",
@@ -218,7 +218,7 @@ STORED = {
     "out/designs/key.safetensors": INPUTS / "files" / "fixed.safetensors",
     **{f"{name}.safetensors": INPUTS / "files" / f"{name}.safetensors"
        for name in ("range", "adaptive", "patches")},
-    **{name: INPUTS / "recordings" / name for name in ("clicks", "lost", "live-adaptive")},
+    **{name: INPUTS / "recordings" / name for name in ("clicks", "both-rails", "live-adaptive")},
     "virtual.toml": INPUTS / "ambient.toml",
     "device/device.toml": INPUTS / "loading.toml",
 }  # fmt: skip
@@ -266,7 +266,7 @@ def make_samples(folder: Path) -> None:
     for name, words in WORDS.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(words)
-    count_run(folder / "lost")
+    count_run(folder / "both-rails")
     device, rails = find_device("24x16"), design_rails(folder / "fixed.safetensors")
     packed = device.model_copy(update={"controller": "dlpc900"})
     for kind, shown in {"npy": device, "png": device, "bmp": device, "planes": packed}.items():

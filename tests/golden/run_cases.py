@@ -30,7 +30,7 @@ CASES, REAL_CASES = Cases(), Cases()
 DESIGNS = {
     **dict.fromkeys(("one-arm", "paralysable", "drifting", "edges", "flicker"), "single"),
     **dict.fromkeys(("drift", "ambient", "fluctuating"), "single"),
-    **dict.fromkeys(("both-rails", "lost", "late", "extra", "jump", "brighter"), "dual"),
+    **dict.fromkeys(("both-rails", "jump", "brighter"), "dual"),
     **dict.fromkeys(("gains", "blind"), "quad"),
     "two-arms": "arms",
     "image": "image",
@@ -54,7 +54,6 @@ COUNTED = {
     "paralysable": ("", "--dead-time 1us --dead-time-model paralysable", "--dead-time 2us"),
     "gains": ("", "--dead-time 1us", "--input 4 --input 3 --input 2 --input 1"),
     "clicks": ("", "--exposure 5ms"),
-    "late": ("", "--tolerance 80us"),
     "drifting": ("", "--tolerance 5us"),
     "edges": ("", "--settle 10us --dead-time 50ns"),
     "ambient": ("", "--background dark/dark.png", "--background dark/dark.png --dead-time 1us"),
@@ -132,24 +131,6 @@ def without_torch() -> dict[str, Any]:
     said = subprocess.run(words, input=asked, capture_output=True, text=True, check=True)
     answers = map(json.loads, said.stdout.splitlines())
     return {name: cleaned(one) for name, one in zip(lines, answers, strict=True)}
-
-
-@CASES.of(("both-rails", "two-arms"))
-def without_ends(name: str) -> dict[str, Any]:
-    """A stored run whose second pass lacks its first marker, or its last: photons place it."""
-    run, out = Path(recording(name, DESIGNS[name])), {}
-    whole = (run / "photons.ptu").read_bytes()
-    offset = whole.index(b"Header_End") + 48
-    frames = len(json.loads((run / "patterns/manifest.json").read_text())["frames"])
-    for lost in (frames, 2 * frames - 1):
-        words = np.frombuffer(whole, "<u4", offset=offset).copy()
-        inputs = words >> 25 & 63
-        markers = np.flatnonzero((words >> 31 == 1) & (inputs > 0) & (inputs < 16))
-        words[markers[lost]] ^= (inputs[markers[lost]] ^ 8) << 25  # on another marker input
-        (run / "photons.ptu").write_bytes(whole[:offset] + words.tobytes())
-        said = answer("camera", "count", run)
-        out[str(lost)] = {"said": said, "arrays": arrays(run / "counts.npz")}
-    return out
 
 
 @CASES

@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -82,20 +81,6 @@ def train(
     return starts + rng.uniform(-jitter, jitter, starts.shape)
 
 
-def lamp(manifest: Manifest, starts: np.ndarray, seed: int = 0) -> Callable[..., np.ndarray]:
-    """Photons as a detector would count them: 1e6/s at all ON, 1e3/s at all OFF."""
-    rng = np.random.default_rng(seed)
-    rates = rng.uniform(0.1, 0.9, starts.shape) * 1e6
-    rates[:, [0, -2]], rates[:, [1, -1]] = 1e6, 1e3
-    last = starts[:, -1:] + manifest.picture_s[-1]
-    length = np.diff(np.append(starts, last, axis=1), axis=1)
-    edges = np.stack([starts, starts + length], axis=-1).ravel()
-    rate = np.stack([rates, np.zeros_like(rates)], axis=-1).ravel() + 1e3
-    total = np.concatenate([[0.0], np.cumsum(np.diff(edges) * rate[:-1])])
-
-    return lambda begin, end: rng.poisson(np.diff(np.interp([begin, end], edges, total), axis=0)[0])
-
-
 @dataclass
 class Trouble:
     """Fault put into a marker train."""
@@ -116,22 +101,7 @@ class Trouble:
             return np.delete(markers, there)
         if self.kind == "late":
             return np.sort(np.append(np.delete(markers, there), time + self.amount * DWELL))
-        if self.kind == "extra":
-            return np.sort(np.append(markers, time + self.amount * DWELL))
-        if self.kind == "cut":
-            return markers[: max(near, 2)]
-        if self.kind == "next":
-            return np.append(markers, true[-1, -1] + DWELL * (1 + self.frame % 3))
-        if self.kind == "before":
-            return np.append(true[0, 0] - DWELL * (1 + self.frame % 3), markers)
-        first = int(np.argmin(np.abs(markers - true[0, frame])))
-        return markers[first:]  # the recording begins within the first pass
-
-
-def unseen(markers: np.ndarray, true: np.ndarray) -> bool:
-    """True if a pass left no marker and a later one did: nobody can tell which it was."""
-    left = np.isin(true, markers).any(axis=1)
-    return bool((np.diff(left.astype(int)) > 0).any())
+        return np.sort(np.append(markers, time + self.amount * DWELL))
 
 
 def troubles(*kinds: str) -> st.SearchStrategy[list[Trouble]]:

@@ -23,7 +23,7 @@ SCENES = [{"name": "a"}]
     [
         ({"scenes": []}, "acquisition.json cannot be used at scenes"),
         ({"scenes": SCENES * 4}, "photons.ptu .* 3 whole passes"),
-        ({"scenes": SCENES * 2}, "photons.ptu .* follow the last of 2"),
+        ({"scenes": SCENES * 2}, "photons.ptu .* 3 whole passes"),
         ({"scenes": SCENES * 65536}, "photons.ptu .* 65536 scenes"),
         ({"exposure_s": -1}, "exposure_s"),
         ({"exposure_s": 1.0}, "acquisition.json: an exposure of 1 s does not fit"),

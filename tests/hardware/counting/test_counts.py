@@ -39,7 +39,7 @@ EDITS = {
     "invalid": lambda held, about: held.update(valid=~held["valid"]),
     "exposure": lambda held, about: about.update(exposure_s=2 * about["exposure_s"]),
     "faults": lambda held, about: about.update(
-        faults=[{"kind": "lost", "scene": 0, "frame": None, "detail": ""}]
+        faults=[{"kind": "level", "scene": 0, "frame": None, "detail": ""}]
     ),
 }
 

@@ -31,7 +31,7 @@ from deepfsi.hardware.counting.corrections import (
     variance_of_clicks,
 )
 from deepfsi.hardware.counting.counts import Counts, RunLight
-from deepfsi.hardware.counting.markers import MOST_DRIFT, find_frames, find_steps
+from deepfsi.hardware.counting.markers import MOST_DRIFT, find_frames
 from deepfsi.hardware.counting.windows import (
     FrameStarts,
     WindowCounts,
@@ -46,12 +46,6 @@ from deepfsi.hardware.photons.reader import PhotonSource, summarise
 
 LEAST_GATE_TICKS = 10
 """Ticks of the counter that a gate must have at least."""
-
-SHIFTED = (
-    "its first and last frames are not the brightest and darkest: stray light in others, or the "
-    "pass is shifted"
-)
-"""Why a scene is given up whose sentinels are not where they should be."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +154,6 @@ class _Recording:
             run.manifest,
             tolerance_s,
             progress=progress,
-            by_light=not gates.clicks,  # they saturate, and do not tell the brightest frames
         )
         return cls(run, source, gates, starts)
 
@@ -192,24 +185,30 @@ class _Recording:
             *gated.around_first_mask(self.run.manifest.arm), room_s=float((pictures - ends).min())
         )
 
-    def check_lit(self, lit: np.ndarray) -> None:
+    def check_lit(self, lit: np.ndarray, *, inverted: bool = False) -> None:
         """Raise `InputError` if no pass has light, saying which inputs have photons."""
         if lit.any():
             return
+        if inverted:
+            raise InputError(
+                f"{self.source.path} has bright all-OFF frames and dark all-ON ones: the mirrors "
+                "are inverted, or a marker is missing at one end and another is extra; export the "
+                "patterns again with --invert, or give the inputs of the arms in the other order"
+            )
         photons = sorted(summarise(self.source.path).photons.items())
         there = ", ".join(f"{number} photons on input {k + 1}" for k, number in photons)
         raise InputError(
             f"{self.source.path} has no light on input {name_inputs(self.run.acquisition.inputs)}: "
             "no all-ON frame is brighter than the all-OFF ones. The file holds "
-            f"{there or 'no photons'}: give the input that the detector is wired to, or switch on "
-            "the lamp"
+            f"{there or 'no photons'}: give the input that the detector is wired to and the "
+            "patterns that were shown, or switch on the lamp"
         )
 
     def find_ambient(self, gated: WindowCounts, corrections: Sequence[Correction]) -> Ambient:
         """Background of passes with the scene dark."""
         manifest = self.run.manifest
         photons, spent = gated.per_frame()
-        factors = correct(photons / np.where(spent > 0, spent, np.inf)[..., None], corrections)
+        factors = correct(photons / spent[..., None], corrections)
         estimate = Estimate.of(gated.gates(self.gates.repeats), factors, manifest)
         return Ambient.of(
             manifest,
@@ -270,27 +269,16 @@ def _count_photons(
         Windows.of_parts(starts, gates.settle_s, PARTS_OF_FRAME),
         progress=progress.between(0.4, 1.0),
     )
-    faults = list(starts.faults)
     of_dark = []
     if dark is not None:
         others = gated.scenes != dark
-        if others.all():
-            raise InputError(
-                f"scene {settings.background} was not recorded whole: give another background"
-            )
         ambient = recording.find_ambient(gated.select(~others), corrections)
         gated = gated.select(others)
         parted = parted.select(others)
         detail = "it was dark, and its counts are subtracted from those of the others"
         of_dark.append(Fault(kind="background", scene=dark, detail=detail))
-    fits = _show_ends(recording, gated)
-    lost = gated.scenes[~fits]
-    faults += (Fault(kind="lost", scene=scene, detail=SHIFTED) for scene in lost.tolist())
-    gated = gated.select(fits)
-    parted = parted.select(fits)
-    faults += recording.find_late(gated)
     photons, spent = gated.per_frame()
-    rates = photons / np.where(spent > 0, spent, np.nan)[..., None]
+    rates = photons / spent[..., None]
     for correction in corrections:
         correction.check(rates, manifest.frames, acquisition.inputs, source)
     factors = correct(rates, corrections)
@@ -304,12 +292,12 @@ def _count_photons(
         seconds=parted.open_s.reshape(shape),
         middles=middles,
     )
-    light = check_light(arrivals, manifest, acquisition.inputs, scenes=gated.scenes, lost=lost)
-    recording.check_lit(light.lit)
+    light = check_light(arrivals, manifest, acquisition.inputs, scenes=gated.scenes)
     on, off = (
-        np.nanmean((rates * factors.arrivals)[:, frames], axis=1)[:, manifest.arm].sum(axis=1)
+        (rates * factors.arrivals)[:, frames].mean(axis=1)[:, manifest.arm].sum(axis=1)
         for frames in (ALL_ON, ALL_OFF)
     )
+    recording.check_lit(light.lit, inverted=off.sum() > 2 * on.sum())
     counts = gated.gates(gates.repeats)
     return recording.counts(
         gated.scenes,
@@ -319,7 +307,7 @@ def _count_photons(
             off_rate=off,
             flux=ambient.of_flux(light.flux, source),
             dark_rate=manifest.by_rail(light.dark_rate),
-            faults=(*faults, *light.faults, *of_dark),
+            faults=(*recording.find_late(gated), *light.faults, *of_dark),
         ),
         counts=manifest.by_readout(counts),
         exposure_s=settings.exposure_s or acquisition.exposure_s,
@@ -358,7 +346,7 @@ def _count_clicks(run: Run, gates: GatePlan, settings: CountSettings, progress: 
     )
     # Where clicks do not tell the flux, it is the one that was stated
     flux = np.where(np.isfinite(light.flux), light.flux, acquisition.flux or np.nan)
-    faults = (*recording.starts.faults, *recording.find_late(gated))
+    faults = recording.find_late(gated)
     ambient = Ambient.none(manifest)
     return recording.counts(
         parted.scenes,
@@ -391,33 +379,3 @@ def _read_ambient(
     recording = _Recording.open(Run(folder, rewired, run.patterns), gates)
     (counts,) = recording.count_in(Windows.of_gates(run.manifest, gates, recording.starts))
     return recording.find_ambient(counts, corrections)
-
-
-def _show_ends(recording: _Recording, gated: WindowCounts) -> np.ndarray:
-    """Passes (P,) whose first and last two frames are all ON and all OFF, as photons tell."""
-    # At least one of each must have been recorded
-    photons, seconds = gated.per_frame()
-    photons = photons[..., recording.run.manifest.arm].sum(axis=-1)
-    fits = np.array(
-        [
-            spent[ALL_ON].any()
-            and spent[ALL_OFF].any()
-            and find_steps(frames, spent)[0][[0, -1]].all()
-            for frames, spent in zip(photons, seconds, strict=True)
-        ]
-    )
-    if not fits.any():
-        path = recording.source.path
-        spent = seconds.sum(axis=0)
-        rates = photons.sum(axis=0) / np.where(spent > 0, spent, np.inf)
-        if min(rates[ALL_OFF]) > 2 * max(rates[ALL_ON]):
-            raise InputError(
-                f"{path} has bright all-OFF frames and dark all-ON ones: the mirrors are "
-                "inverted; export the patterns again with --invert, or give the inputs of the arms "
-                "in the other order"
-            )
-        raise InputError(
-            f"{path} has no pass that begins and ends with a bright and a dark frame: give "
-            "the patterns that were shown, and the input that the detector is wired to"
-        )
-    return fits

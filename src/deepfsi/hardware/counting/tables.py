@@ -413,7 +413,6 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
             manifest,
             range(manifest.inputs),
             scenes=np.arange(scenes),
-            lost=np.empty(0, np.int64),
         )
         measured = light.dark_rate
         flux = light.flux

@@ -15,7 +15,6 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS
-from deepfsi.hardware.light.checks import Fault
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.hardware.patterns.timing import GatePlan
 from deepfsi.hardware.photons.reader import PhotonSource, count_windows
@@ -28,13 +27,10 @@ GUARD_SHARE = 0.5
 class FrameStarts:
     """Frames of a recording, as its markers say when they start."""
 
-    starts_s: np.ndarray  # (S, F): Seconds on the counter's clock; NaN where it is not known
-    complete: np.ndarray  # (S,): bool; scenes whose masks' frames were all recorded
+    starts_s: np.ndarray  # (S, F): Seconds on the counter's clock
     pictures_s: np.ndarray  # (F,): Picture times on the counter's clock
     tolerance_s: float  # by how much a marker may be off
     drift: float  # by how much passes last longer than planned, as a share: their median
-    until_s: float  # up to when all photons are in the file, seconds; infinite unless it is cut
-    faults: tuple[Fault, ...]  # of the markers
 
 
 @dataclass(frozen=True)
@@ -168,37 +164,31 @@ def count_in_windows(
     inputs: Sequence[int],
     progress: Progress = SILENT,
 ) -> list[WindowCounts]:
-    """Photons of the complete passes of a recording in sets of windows, all read at once.
+    """Photons of the passes of a recording in sets of windows, all read at once.
 
     Where two clocks and a marker's jitter make a window reach into the next of its set, it ends
-    there. One whose frame's start is not known is not open, and none after the end of the photons.
+    there.
     """
     tick_s = source.tick_s
-    frames_s = starts.starts_s[starts.complete]
     edges = []
-    counted = []
     for windows in sets:
-        opens = frames_s[:, windows.frame] + windows.offset_s
-        closes = np.minimum(opens + windows.length_s, starts.until_s)
-        timed = np.isfinite(opens)
-        begins = in_ticks(opens[timed], tick_s)
-        ends = in_ticks(closes[timed], tick_s)
+        opens = starts.starts_s[:, windows.frame] + windows.offset_s
+        begins = in_ticks(opens.ravel(), tick_s)
+        ends = in_ticks((opens + windows.length_s).ravel(), tick_s)
         begins = np.minimum(np.minimum.accumulate(begins[::-1])[::-1], ends.max(initial=0))
         ends[:-1] = np.minimum(ends[:-1], begins[1:])
         edges.append(np.stack([begins, ends]))
-        counted.append(timed)
     every = np.concatenate(edges, axis=1)
     photons = np.split(
         count_overlapping(source, every[0], every[1], inputs, progress=progress),
         np.cumsum([one.shape[1] for one in edges])[:-1],
     )
+    passes = np.arange(len(starts.starts_s))
     out = []
-    for windows, timed, (begins, ends), some in zip(sets, counted, edges, photons, strict=True):
-        counts = np.zeros((*timed.shape, len(inputs)), np.int64)
-        open_s = np.zeros(timed.shape)
-        counts[timed] = some
-        open_s[timed] = (ends - begins) * tick_s
-        out.append(WindowCounts(counts, open_s, np.flatnonzero(starts.complete), windows))
+    for windows, (begins, ends), some in zip(sets, edges, photons, strict=True):
+        shape = len(passes), len(windows.frame)
+        open_s = ((ends - begins) * tick_s).reshape(shape)
+        out.append(WindowCounts(some.reshape(*shape, -1), open_s, passes, windows))
     return out
 
 

@@ -40,13 +40,8 @@ from deepfsi.hardware.light.curves import (
 from deepfsi.hardware.light.flux import HARMLESS, HARMLESS_DARK, Background, Flux
 from deepfsi.hardware.patterns.manifest import Brightness, Manifest
 
-MARKER_FAULTS = ("missing", "extra", "late", "lost")
-"""Faults of the markers; the others are of the light."""
-
-
 FaultKind = Literal[
-    "missing", "extra", "late", "lost",
-    "dark", "unsteady", "brighter", "flicker", "level", "background", "blind", "budget",
+    "late", "dark", "unsteady", "brighter", "flicker", "level", "background", "blind", "budget",
     "gain", "unsure", "unlike", "view",
 ]  # fmt: skip
 """Kinds of faults; a new check of the light may bring its own."""
@@ -55,17 +50,15 @@ FaultKind = Literal[
 class Fault(StrictModel):
     """Fault of a recording's markers or of its light."""
 
-    # Markers: `missing`, restored from its neighbours and the schedule; `extra`, dropped; `late` or
-    # early, replaced by the time of the schedule; `lost`, the time of the frame or of the whole
-    # pass is not known. Light: `dark`, there is none; `unsteady`, it changed within the pass;
-    # `brighter`, a mask sends more than all mirrors ON; `flicker`, it has a rhythm, in all passes;
-    # `level`, its brightness is another from this scene on; `background`, so is that of the dark
-    # frames. Detectors: `blind`, one of several saw almost no light in all scenes together; `gain`,
-    # they share the light as in no scenes of the training. `budget`: there is less light than the
-    # design was trained for, or, in a live run, not the stated light. Live runs: `unsure`, the
-    # counts of a scene do not look like those of the training; `unlike`, nor do those of several
-    # scenes before; `view`, the counts of all scenes so far are as if the picture on the
-    # device were mirrored, blurred or the like
+    # Markers: `late`, all of them. Light: `dark`, there is none; `unsteady`, it changed within the
+    # pass; `brighter`, a mask sends more than all mirrors ON; `flicker`, it has a rhythm, in all
+    # passes; `level`, its brightness is another from this scene on; `background`, so is that of the
+    # dark frames. Detectors: `blind`, one of several saw almost no light in all scenes together;
+    # `gain`, they share the light as in no scenes of the training. `budget`: there is less light
+    # than the design was trained for, or, in a live run, not the stated light. Live runs:
+    # `unsure`, the counts of a scene do not look like those of the training; `unlike`, nor do those
+    # of several scenes before; `view`, the counts of all scenes so far are as if the picture on
+    # the device were mirrored, blurred or the like
     kind: FaultKind
     scene: int | None = None  # Which, from 0; None where no pass is meant
     frame: int | None = None  # Which, from 0; None where no one frame is meant
@@ -86,7 +79,7 @@ class Fault(StrictModel):
 
     def line(self, names: Sequence[str] = ()) -> str:
         """The fault in one line that also says if it is of markers or light; as of `words`."""
-        return f"{'marker' if self.kind in MARKER_FAULTS else 'light'} {self.words(names)}"
+        return f"{'marker' if self.kind == 'late' else 'light'} {self.words(names)}"
 
 
 @dataclass
@@ -458,13 +451,11 @@ RESTLESS_SHARE = 0.1
 """Share of passes in which the light must be unsteady for the others to be in doubt."""
 
 
-def find_restless_lamp(
-    scenes: np.ndarray, lit: np.ndarray, sound: np.ndarray, lost: np.ndarray
-) -> list[Fault]:
+def find_restless_lamp(scenes: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> list[Fault]:
     """Fault of the whole recording if the light was wrong in many of its passes."""
     # One disturbance may reach into two passes that follow each other
-    wrong = np.concatenate([scenes[lit & ~sound], lost])
-    passes = np.count_nonzero(lit) + len(lost)
+    wrong = scenes[lit & ~sound]
+    passes = np.count_nonzero(lit)
     if len(wrong) < max(2, RESTLESS_SHARE * passes) or np.ptp(wrong) < 2:
         return []
     detail = (
@@ -490,7 +481,6 @@ def check_light(
     inputs: Sequence[int],
     *,
     scenes: np.ndarray,
-    lost: np.ndarray,
 ) -> Light:
     """Check the light of a recording, all passes together."""
     count = manifest.detector_count
@@ -505,7 +495,7 @@ def check_light(
         tested = light.sound.copy()
         of_curve = run_checks(light, "all", chance)
         if not any(fault.kind == "flicker" for fault in of_curve):
-            of_curve += find_restless_lamp(scenes, tested, light.sound, lost)
+            of_curve += find_restless_lamp(scenes, tested, light.sound)
         if curve.sees_part:  # what all detectors of an arm show together is said once
             of_curve = [fault for fault in of_curve if (fault.kind, fault.scene) not in of_arms]
         else:

@@ -113,8 +113,7 @@ class LightMonitor:
                 of_arms = {fault.kind for fault in faults}
         scenes = np.arange(last + 1)
         lit = np.array(self._lit)
-        lost = np.empty(0, np.int64)
-        faults += find_restless_lamp(scenes, lit, np.array(self._sound), lost)
+        faults += find_restless_lamp(scenes, lit, np.array(self._sound))
         return tuple(faults)
 
     def contradicts(self, photons_s: float) -> bool:
