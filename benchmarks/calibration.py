@@ -23,8 +23,8 @@ import deepfsi
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.evaluation.confidence import logits_at_stops
 from deepfsi.jobs.job import Job
-from deepfsi.measures.reliability import chance_error, confidence_error
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.measures.table import chance_error, confidence_error
+from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.training.characterisation import find_temperatures
 
 KINDS: dict[str, dict[str, Any]] = {

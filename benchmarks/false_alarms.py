@@ -23,7 +23,7 @@ from deepfsi.adaptive.posterior import AdaptivePosterior
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import DEVICES
 from deepfsi.designfile.distribution import REFUSED, UNSURE, ReadoutDistribution
-from deepfsi.evaluation.distribution_fit import find_distribution
+from deepfsi.evaluation.confidence import find_distribution
 from deepfsi.hardware.light.checks import check_light, find_lateness
 from deepfsi.hardware.light.curves import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
 from deepfsi.hardware.light.monitor import LightMonitor

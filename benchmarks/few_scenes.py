@@ -21,8 +21,8 @@ from scipy.special import softmax
 import deepfsi
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.evaluation.confidence import logits_at_stops
-from deepfsi.measures.reliability import chance_error, confidence_error
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.measures.table import chance_error, confidence_error
+from deepfsi.networks.classifiers import stop_temperatures
 
 DESIGNS: dict[str, dict[str, Any]] = {
     "adaptive masks": {"design": "adaptive", "masks": 16},

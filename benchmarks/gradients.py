@@ -36,8 +36,7 @@ from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
 from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics.detection import Detection
-from deepfsi.physics.laws import light_law
-from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.laws import LearnedMasks, light_law
 from deepfsi.physics.noise import Poisson
 from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import project

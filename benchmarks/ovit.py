@@ -24,8 +24,8 @@ from deepfsi.base.progress import Moments, Progress
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.exposure.training_set import TrainingSet, network_dtype
+from deepfsi.jobs.designs import sensing_matrix
 from deepfsi.jobs.job import Job
-from deepfsi.jobs.tiles import sensing_matrix
 from deepfsi.training.learning import train
 from deepfsi_paper.patches.settings import Patches
 from deepfsi_paper.patches.transformer import Vit

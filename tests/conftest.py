@@ -24,8 +24,7 @@ from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
-from deepfsi.jobs.designs import DESIGNS
-from deepfsi.jobs.tiles import count_allowed
+from deepfsi.jobs.designs import DESIGNS, count_allowed
 from deepfsi.physics.laws import light_law
 from deepfsi.physics.rails import Rails
 from shared.jobs import learn

@@ -20,8 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from deepfsi.physics.detection import Readouts
-from deepfsi.physics.laws import check_levels, through
-from deepfsi.physics.masks import FixedMasks, LearnedMasks
+from deepfsi.physics.laws import FixedMasks, LearnedMasks, check_levels, through
 from deepfsi.physics.rails import Rails
 
 SLOWEST = 0.01

@@ -234,7 +234,7 @@ def classify_transits(
     A transit is a rise of the rate above a threshold with a stated number of false alarms. Its
     place is where its photons are likeliest those of the mean trace of the training.
     """
-    from deepfsi.networks.values import check_classes
+    from deepfsi.networks.classifiers import check_classes
     from deepfsi.physics.surroundings import library_defaults
 
     check_classes(design.values, "a transit's answer")

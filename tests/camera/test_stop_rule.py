@@ -2,7 +2,7 @@
 
 import pytest
 
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera.dead_time import StopRule
 
 
 @pytest.mark.parametrize("photons", [300, 1e3, 1e4 / 3.1])

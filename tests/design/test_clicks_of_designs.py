@@ -5,7 +5,7 @@ import torch
 
 from conftest import quick
 from deepfsi import evaluate
-from deepfsi.physics.clicks import to_training_light
+from deepfsi.physics.noise import to_training_light
 
 FEW = 60.0
 

@@ -8,7 +8,7 @@ import torch
 
 from conftest import generator, once
 from deepfsi.base.errors import InputError
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.physics.detection import Detection
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from shared.design_files import assert_refused

@@ -10,8 +10,8 @@ from conftest import quick
 from deepfsi.base.errors import InputError
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.designfile.distribution import REFUSED, UNSURE, FrameLight
-from deepfsi.evaluation import distribution_fit
-from deepfsi.evaluation.distribution_fit import find_distribution
+from deepfsi.evaluation import confidence
+from deepfsi.evaluation.confidence import find_distribution
 from shared.design_files import assert_refused
 
 READOUTS = (2, 9)
@@ -33,7 +33,7 @@ def scenes_of(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def fitted(light: FrameLight | None = None):
     """Distribution of many scenes, and their rates."""
-    rates, labels = scenes_of(distribution_fit.MOST_SCENES, seed=2)
+    rates, labels = scenes_of(confidence.MOST_SCENES, seed=2)
     return find_distribution(torch.from_numpy(rates), labels, CLASSES, light=light), rates
 
 
@@ -51,7 +51,7 @@ def fluctuating(rates, light: FrameLight, seed: int):
 
 def assert_as_often(unsure, least_photons):
     """Within five sigma of this sample and of the one that calibrates."""
-    error = 5 * np.sqrt(UNSURE * (1 / len(unsure) + 1 / distribution_fit.MOST_SCENES))
+    error = 5 * np.sqrt(UNSURE * (1 / len(unsure) + 1 / confidence.MOST_SCENES))
     # counts of one or two take few values, so that fewer may be unsure
     least = UNSURE - error if least_photons > 100 else 0.0
     assert least <= unsure.mean() <= UNSURE + error
@@ -143,7 +143,7 @@ def test_unbalanced_classes_refuse_no_more_sound_acquisitions(sizes):
         rates, labels = scenes_of(4000, seed)
         some = np.concatenate([np.flatnonzero(labels == k)[:n] for k, n in enumerate(sizes)])
         known = find_distribution(torch.from_numpy(rates[some]), labels[some], 3)
-        assert (known is None) == (min(sizes) < distribution_fit.FEWEST_OF_A_CLASS)
+        assert (known is None) == (min(sizes) < confidence.FEWEST_OF_A_CLASS)
         for kinds in ([0], [1], [2], [0, 1, 2]) if known else ():
             chosen = np.flatnonzero(np.isin(labels[2000:], kinds))[-36:] + 2000
             for photons in (1e4, 1e6):

@@ -9,7 +9,7 @@ import pytest
 from conftest import real_mnist
 from deepfsi import evaluate, load_dataset, load_design
 from deepfsi.base.errors import InputError
-from deepfsi.designfile.published import SHIPPED_DESIGNS, find_design
+from deepfsi.designfile.design_file import SHIPPED_DESIGNS, find_design
 
 NAMES = {"dmd-mnist", "adaptive-mnist"}
 PAGE = Path(__file__).parents[2] / "docs/notebook/designs.md"

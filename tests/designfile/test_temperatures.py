@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi.designfile.temperatures import Temperatures
-from deepfsi.networks.temperatures import temperatures_at
+from deepfsi.designfile.design_file import Temperatures
+from deepfsi.networks.classifiers import temperatures_at
 
 FITTED = Temperatures(np.array([[4.0, 2.0, 0.0], [2.0, 1.0, 0.0]]), np.array([1.0, 10.0, 100.0]))
 

@@ -8,7 +8,7 @@ import torch
 from scipy.special import softmax
 
 from conftest import generator, quick
-from deepfsi.designfile.temperatures import calibration_budgets
+from deepfsi.designfile.design_file import calibration_budgets
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
     Exposed,
@@ -16,7 +16,7 @@ from deepfsi.evaluation.confidence import (
     logits_at_stops,
 )
 from deepfsi.jobs.job import Job
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.training.characterisation import find_temperatures
 
 PHOTONS = 1e4

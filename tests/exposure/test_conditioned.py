@@ -9,7 +9,7 @@ import torch
 from conftest import every_optics, generator, once
 from deepfsi.camera.light import photons_per_pixel
 from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.training.learning import train
 from shared.jobs import job
 

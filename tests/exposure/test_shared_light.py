@@ -8,8 +8,7 @@ import torch
 from pydantic import ValidationError
 
 import deepfsi
-from deepfsi.adaptive.exposure import AdaptiveExposure
-from deepfsi.adaptive.sharing import Stops
+from deepfsi.adaptive.exposure import AdaptiveExposure, Stops
 from deepfsi.base.errors import InputError
 from deepfsi.evaluation.accuracy import evaluate
 from deepfsi.jobs.exposures import AdaptiveMasks

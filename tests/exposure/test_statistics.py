@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepfsi.exposure.conditioned import standardised
+from deepfsi.exposure.fixed import standardised
 from deepfsi.exposure.training import standardise
 
 of_a_batch = pytest.mark.parametrize("divided", [standardise, standardised])

@@ -8,8 +8,7 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.jobs import designs
-from deepfsi.jobs.designs import hadamard_masks, mask_count
-from deepfsi.jobs.tiles import check_count, sensing_matrix
+from deepfsi.jobs.designs import check_count, hadamard_masks, mask_count, sensing_matrix
 
 
 def sequencies(mask: np.ndarray) -> tuple[int, int]:

@@ -10,8 +10,8 @@ from deepfsi import Camera
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
 from deepfsi.exposure import training_set
+from deepfsi.jobs.designs import sensing_matrix
 from deepfsi.jobs.job import Job, find_job
-from deepfsi.jobs.tiles import sensing_matrix
 from deepfsi.jobs.training import Training
 from deepfsi.physics.laws import light_law
 from deepfsi.physics.rails import Rails

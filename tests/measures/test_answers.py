@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from deepfsi.measures.answers import ClassAnswers, ValueAnswers
 from deepfsi.measures.results import Estimates, Result
+from deepfsi.measures.table import ClassAnswers, ValueAnswers
 
 TEST = {"photons": 1e3, "noise": "poisson", "covers": "", "counts": 0.0, "arriving": 0.0}
 

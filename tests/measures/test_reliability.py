@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.measures.reliability import BINS, calibration_error, confidence_groups
+from deepfsi.measures.table import BINS, calibration_error, confidence_groups
 
 
 def test_calibration_error_is_that_of_groups_written_out():

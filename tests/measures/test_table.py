@@ -5,9 +5,8 @@ import pytest
 
 from conftest import quick
 from deepfsi import evaluate
-from deepfsi.measures.answers import ClassAnswers
 from deepfsi.measures.lines import results_lines
-from deepfsi.measures.table import MEASURES, Measure, main_measure
+from deepfsi.measures.table import MEASURES, ClassAnswers, Measure, main_measure
 from deepfsi.report.comparison_page import write_report
 from deepfsi.sweeps.plan import plan_trials
 from deepfsi.sweeps.records import record_rows

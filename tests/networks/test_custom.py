@@ -16,7 +16,7 @@ from deepfsi.camera.detectors import DetectorMap
 from deepfsi.design.onnx import to_onnx
 from deepfsi.networks import custom as own
 from deepfsi.physics.detection import Detection
-from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.laws import LearnedMasks
 from shared.design_files import header_of
 from shared.jobs import learn
 from shared.networks import Cnn, Tied, linear

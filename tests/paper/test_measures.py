@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepfsi.camera.light import photons_per_pixel, summed_reflectance
-from deepfsi.jobs.tiles import sensing_matrix
+from deepfsi.jobs.designs import sensing_matrix
 from deepfsi.physics import noise as noise_module
 from deepfsi_paper import measures
 

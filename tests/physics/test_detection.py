@@ -9,8 +9,7 @@ from deepfsi import Scanner
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.physics.detection import Detection
-from deepfsi.physics.laws import light_law
-from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.laws import LearnedMasks, light_law
 from deepfsi.physics.noise import root
 from deepfsi.physics.scanner import project, project_rails
 from deepfsi.physics.training_noise import ml_gauss_features

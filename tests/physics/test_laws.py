@@ -23,11 +23,10 @@ from conftest import (
 from deepfsi import Scanner, evaluate
 from deepfsi.datasets.load import load_dataset
 from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.jobs.tiles import sensing_matrix
+from deepfsi.jobs.designs import sensing_matrix
 from deepfsi.physics import detection
 from deepfsi.physics import noise as noise_module
-from deepfsi.physics.laws import frames, light_law
-from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.laws import LearnedMasks, frames, light_law
 from deepfsi.physics.rails import Rails
 from deepfsi.training.learning import train
 from shared.jobs import job as job_of

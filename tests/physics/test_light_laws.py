@@ -11,9 +11,8 @@ from torch import Tensor
 
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, two_valued
 from deepfsi.base.errors import InputError
-from deepfsi.jobs.tiles import count_allowed, sensing_matrix
-from deepfsi.physics.laws import ROUNDING_SLACK, frames, light_law
-from deepfsi.physics.masks import LearnedMasks
+from deepfsi.jobs.designs import count_allowed, sensing_matrix
+from deepfsi.physics.laws import ROUNDING_SLACK, LearnedMasks, frames, light_law
 
 
 def signs_for(rails: str, matrix: Tensor) -> Tensor:

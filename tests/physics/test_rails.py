@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from conftest import generator
-from deepfsi.physics.masks import FixedMasks
+from deepfsi.physics.laws import FixedMasks
 from deepfsi.physics.rails import Rails
 
 

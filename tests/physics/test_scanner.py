@@ -10,7 +10,7 @@ from conftest import assert_moments, every_optics, generator
 from deepfsi import Scanner
 from deepfsi.base.errors import InputError
 from deepfsi.physics import detection, noise
-from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.laws import LearnedMasks
 from shared.noises import RAILS, TIMES
 
 DRAWS = 50_000

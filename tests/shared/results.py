@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.designfile.design_file import DesignFile
-from deepfsi.designfile.header import MaskHeader
+from deepfsi.designfile.design_file import DesignFile, MaskHeader
 from deepfsi.jobs.exposures import FixedEntry
 from deepfsi.sweeps.results import RESULTS_SCHEMA, Data, Point, Provenance, Results, write_results
 

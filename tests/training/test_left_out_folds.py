@@ -15,7 +15,7 @@ from deepfsi.adaptive.posterior import AdaptivePosterior
 from deepfsi.evaluation.confidence import logits_at_stops
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import find_job
-from deepfsi.networks.temperatures import stop_temperatures
+from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.training import characterisation
 
 PHOTONS, LOOKS = 1e4, 6

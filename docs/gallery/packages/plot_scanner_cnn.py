@@ -11,7 +11,7 @@ import torch
 from torch import nn
 
 import deepfsi
-from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.laws import LearnedMasks
 
 # %%
 # Sixteen signed masks obey ``free-dwell`` (one device, each frame for its own time). The network

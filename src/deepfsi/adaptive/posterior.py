@@ -27,10 +27,10 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import summed_reflectance
 from deepfsi.camera.names import LIGHT_LAWS
-from deepfsi.designfile.temperatures import Temperatures
+from deepfsi.designfile.design_file import Temperatures
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.networks.temperatures import temperatures_at
+from deepfsi.networks.classifiers import temperatures_at
 
 NEIGHBOURS = 3000
 """Scenes whose nearest neighbours tell how far scenes lie from those of the prior, at most."""

@@ -24,11 +24,11 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import MOST_INPUTS
 from deepfsi.camera.names import find_noise
 from deepfsi.datasets.load import check_source
-from deepfsi.designfile.published import find_design
+from deepfsi.designfile.design_file import find_design
 from deepfsi.jobs.exposures import exposure_kinds
 from deepfsi.jobs.job import SETTING_ALIASES, Job
 from deepfsi.jobs.training import Training
-from deepfsi.measures.answers import MOST_DRAWS
+from deepfsi.measures.table import MOST_DRAWS
 
 T = TypeVar("T")
 

@@ -20,9 +20,8 @@ from deepfsi.base.numeric.html import loss_curve, mask_picture
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import LightLawName, NoiseName
-from deepfsi.design import check_counts
 from deepfsi.design.file import fields_of, file_of
-from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.design_file import DesignFile, Temperatures, find_design
 from deepfsi.designfile.distribution import ConsistencyResult, ReadoutDistribution
 from deepfsi.designfile.provenance import (
     TrainingScenes,
@@ -30,16 +29,12 @@ from deepfsi.designfile.provenance import (
     trained_budgets,
     trained_camera,
 )
-from deepfsi.designfile.published import find_design
-from deepfsi.designfile.temperatures import Temperatures
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, Answer, ExposureKind, MaskExposure, Observation
+from deepfsi.networks.classifiers import Values, check_classes, temperatures_at
 from deepfsi.networks.custom import Given, OwnClassifier, rebuilt
-from deepfsi.networks.temperatures import temperatures_at
-from deepfsi.networks.values import Values, check_classes
-from deepfsi.physics.clicks import full_gates
 from deepfsi.physics.detection import Detection
-from deepfsi.physics.noise import NoiseFunction
+from deepfsi.physics.noise import NoiseFunction, full_gates
 from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner
 from deepfsi.physics.surroundings import library_defaults, torch_device
@@ -490,10 +485,8 @@ class Design:
     def _observed(self, counts: Any, photons: Any) -> tuple[Observation, Tensor]:
         """Exposures and their budgets, checked; parameters of `classify`."""
         exposure = self.mask_exposure
-        read, budget = check_counts.check_readouts(
-            counts, photons, self.counts_shape, exposure.part_axis
-        )
-        check_counts.check_click_counts(read, self.gates)
+        read, budget = _check_readouts(counts, photons, self.counts_shape, exposure.part_axis)
+        _check_click_counts(read, self.gates)
         device = exposure.device
         budget = budget.to(device)
         return Observation(self.features_of(read.to(device)) / exposure.scale(budget)), budget
@@ -527,7 +520,7 @@ class Design:
             raise InputError(
                 "no distribution is held: it takes photons that are counted, 100 scenes, 50 a class"
             )
-        read, budget = check_counts.check_readouts(counts, photons, self.counts_shape)
+        read, budget = _check_readouts(counts, photons, self.counts_shape)
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
         dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
@@ -574,9 +567,9 @@ class Design:
             If the patterns are of a design of another shape, or no frames can show this one.
         """
         self.exposure.check("frames")
-        check_counts.check_dimmed(dimmed, self.gates)
+        _check_dimmed(dimmed, self.gates)
         own = tuple(self.rails.stacked.shape), self.image_shape
-        check_counts.check_realised((rails.shape, image_shape), own)
+        _check_realised((rails.shape, image_shape), own)
         realised = Rails.of(torch.from_numpy(rails).to(self.rails.difference))
         return replace(
             self,
@@ -709,3 +702,73 @@ def load_design(
     6
     """
     return Design.of_file(DesignFile.read(find_design(path)), device, trust=trust)
+
+
+PatternShapes = tuple[tuple[int, ...], tuple[int, ...]]
+"""Shapes of rails (rails, m, N), and of the cells of a pattern."""
+
+
+def _check_readouts(
+    counts: Any,
+    photons: Any,
+    wanted: tuple[int, ...],
+    parts: tuple[int, ...] = (),
+) -> tuple[Tensor, Tensor]:
+    """Counts (..., *parts, *wanted) and budgets (..., 1), checked."""
+
+    def tensor(values: Any) -> Tensor:
+        return torch.from_numpy(np.asarray(values, dtype=np.float32).copy())
+
+    try:
+        read = tensor(counts)
+        budget = tensor(photons)
+    except (TypeError, ValueError):
+        raise InputError("counts and photons must be arrays of numbers") from None
+    shape = (*parts, *wanted)
+    if tuple(read.shape[-len(shape) :]) != shape:
+        raise InputError(
+            f"counts of shape {tuple(read.shape)} do not fit this design: give (..., "
+            f"{', '.join(map(str, shape))})"
+        )
+    if not bool(torch.isfinite(read).all()):
+        raise InputError("counts hold NaN or infinity: give finite counts")
+    if not bool((torch.isfinite(budget) & (budget > 0)).all()):
+        raise InputError("photons must be a finite number above 0 for every exposure")
+    try:
+        budget = budget.expand(read.shape[: -len(wanted)]).unsqueeze(-1)
+    except RuntimeError:
+        raise InputError(
+            f"photons of shape {tuple(budget.shape)} do not fit counts of shape "
+            f"{tuple(read.shape)}: give one number, or one for each exposure"
+        ) from None
+    return read, budget
+
+
+def _check_click_counts(read: Tensor, gates: int | None) -> None:
+    """Raise `InputError` where a readout has more counts than its detector can click."""
+    if gates is not None and bool((read > gates).any() | (read < 0).any()):
+        raise InputError(
+            f"this design reads detectors that click at most {gates} times in a frame, and a "
+            f"readout has {float(read.max()):g} counts: give clicks from 0 to {gates}"
+        )
+
+
+def _check_dimmed(dimmed: float, gates: int | None) -> None:
+    """Raise `InputError` where clicks are of patterns that pass less light than their design."""
+    if gates is not None and dimmed != 1:
+        raise InputError(
+            f"the patterns pass {dimmed:.3g} of the design's light, and clicks are not in "
+            "proportion to it: learn a design under a light law of the device"
+        )
+
+
+def _check_realised(given: PatternShapes, own: PatternShapes) -> None:
+    """Raise `InputError` where patterns of a device are not of a design's own shape."""
+    if given != own:
+        (rails, masks, _), cells = given
+        (own_rails, own_masks, _), own_cells = own
+        raise InputError(
+            f"patterns of {masks} masks of {cells} cells and {rails} rails are not of this design, "
+            f"with {own_masks} masks of {own_cells} and {own_rails} rails: export it with "
+            "`deepfsi dmd`"
+        )

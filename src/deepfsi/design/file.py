@@ -12,13 +12,18 @@ from torch import Tensor, nn
 from deepfsi.adaptive.exposure import training_of
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.designfile.design_file import DesignFile, damaged_design
-from deepfsi.designfile.header import AdaptiveHeader, CustomEntry, DesignHeader, MaskHeader
+from deepfsi.designfile.design_file import (
+    AdaptiveHeader,
+    CustomEntry,
+    DesignFile,
+    DesignHeader,
+    MaskHeader,
+    damaged_design,
+)
 from deepfsi.exposure.kind import Clicks, TrainedMasks
 from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.networks.classifiers import Classifier, find_network, restore_network
+from deepfsi.networks.classifiers import Classifier, Values, find_network, restore_network
 from deepfsi.networks.custom import OwnClassifier
-from deepfsi.networks.values import Values
 from deepfsi.physics.detection import Detection
 from deepfsi.physics.laws import light_law
 from deepfsi.physics.rails import Rails

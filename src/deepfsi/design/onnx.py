@@ -17,9 +17,8 @@ from torch import Tensor, nn
 from deepfsi.base.errors import InputError
 from deepfsi.design.design import Design
 from deepfsi.exposure.kind import Observation
-from deepfsi.networks.classifiers import Mlp
+from deepfsi.networks.classifiers import Mlp, check_classes
 from deepfsi.networks.custom import OwnClassifier
-from deepfsi.networks.values import check_classes
 from deepfsi.physics.surroundings import library_defaults
 
 GRAPH_SCHEMA = 1

@@ -1,30 +1,211 @@
 """The design file: a JSON header and arrays in one safetensors file that holds no code.
 
-A camera's computer, a page and a report read it without torch.
+A camera's computer, a page and a report read it without torch. There are two kinds, by when the
+masks are known: before an exposure (`MaskHeader`), or only while the camera looks
+(`AdaptiveHeader`). Nothing of a field's name, order or default may change.
 """
 
 import json
 import math
 import os
+import re
 from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
+from pydantic import AfterValidator, Field, SerializeAsAny, model_validator
 from safetensors.numpy import save
 
-from deepfsi.base.errors import InputError, other_version
+from deepfsi.base.errors import InputError, closest_choice, other_version
+from deepfsi.base.models.strict import Count, StrictModel, of_kinds
 from deepfsi.base.numeric.arrays import DamagedError, read_tensors
+from deepfsi.base.plugins import IMPORT_PATH
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera.light import TOO_DIM
+from deepfsi.camera.names import LightLawName, Readout, SummedReflectance
 from deepfsi.designfile.distribution import ReadoutDistribution
-from deepfsi.designfile.header import DESIGN_SCHEMA, AdaptiveHeader, DesignHeader, MaskHeader
 from deepfsi.designfile.provenance import TrainingScenes, trained_camera
-from deepfsi.designfile.temperatures import Temperatures
 from deepfsi.designfile.view_test import SceneModel
-from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs.designs import DESIGNS, check_design
+from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
+from deepfsi.jobs.training import Widths, find_classifier
+
+DESIGN_SCHEMA: Literal[1] = 1
+"""Number of the design file's schema."""
+
+
+def _check_info(info: dict[str, Any]) -> dict[str, Any]:
+    if any(not isinstance(info.get(part, {}), dict) for part in ("job", "data", "detector_light")):
+        raise ValueError("the provenance is no table")
+    budget = info.get("job", {}).get("photons", 1.0)
+    if type(budget) not in (int, float) or not 0 < budget < math.inf:
+        raise ValueError("the training has no budget")
+    return info
+
+
+DesignInfo = Annotated[dict[str, Any], AfterValidator(_check_info)]
+"""Provenance of a design: job and data of its training, and what was measured of it."""
+
+
+class MlpEntry(StrictModel, strict=True):
+    """Entry of the header for an `Mlp`: its parameters of the same names."""
+
+    kind: Literal["mlp"]
+    hidden: Widths  # widths of the hidden layers
+    dropout: float = Field(ge=0, lt=1)  # share of hidden units left out in a step of training
+    parts: ClassVar = 1
+
+
+class CustomEntry(StrictModel, strict=True):
+    """Entry of the header for an `OwnClassifier`: its parameters of the same names.
+
+    Attributes
+    ----------
+    factory : str
+        module:name of the function or class that makes the module; empty of one given as an object.
+    arguments : dict
+        Its keyword arguments.
+    """
+
+    kind: Literal["own"]
+    factory: str = Field(pattern=f"^({IMPORT_PATH})?$")
+    arguments: dict[str, Any]
+    parts: ClassVar = 1
+
+
+class MaskHeader(StrictModel, strict=True, populate_by_name=True):
+    """Header of a design whose masks are known before an exposure.
+
+    Attributes
+    ----------
+    name : str
+        Which design, such as deepfsi.
+    light : str
+        Light law that the rails obey.
+    summed_reflectance : float
+        s, the training scenes' mean summed reflectance: λ = Φ x / s.
+    image_shape : tuple of int
+        Rows and columns of a scene, or values of a spectrum.
+    classes : tuple of str
+        Names, in the order of the classifier's outputs; none of a design that estimates values.
+    values : tuple of str
+        Names of these, likewise.
+    info : dict
+        Provenance: settings of the training, data and their hash, versions, device, seconds.
+    schema_number : int
+        `DESIGN_SCHEMA`; "schema" in the file.
+    deepfsi : str
+        Version of the package that wrote it.
+    readout : str
+        What is read of two rails, of `detection.Detection`.
+    exposure, classifier
+        Kind and sizes: what rebuilds them, with the tensors.
+    """
+
+    schema_number: Literal[1] = Field(DESIGN_SCHEMA, alias="schema")
+    deepfsi: str = version("deepfsi")
+    name: Annotated[str, AfterValidator(check_design)]
+    light: LightLawName
+    readout: Readout
+    summed_reflectance: SummedReflectance
+    image_shape: tuple[Count, ...]
+    classes: tuple[str, ...]
+    values: tuple[str, ...] = ()
+    exposure: ExposureEntry
+    classifier: Annotated[
+        SerializeAsAny[Annotated[MlpEntry | CustomEntry, Field(discriminator="kind")]],
+        of_kinds((MlpEntry, CustomEntry), lambda kind: find_classifier(str(kind)).entry),
+    ]
+    info: DesignInfo
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if find_classifier(self.classifier.kind).features != self.exposure.features:
+            raise ValueError("classifier and masks have features of different kinds")
+        if bool(self.classes) == bool(self.values):
+            raise ValueError("a design answers either classes or values")
+        return self
+
+    @property
+    def mask_shape(self) -> tuple[int, ...]:
+        """Shape of a mask."""
+        return self.exposure.mask_shape(self.image_shape)
+
+
+class AdaptiveHeader(StrictModel, populate_by_name=True):
+    """Header of a design that makes each mask while the camera looks."""
+
+    schema_number: Literal[1] = Field(DESIGN_SCHEMA, alias="schema")
+    deepfsi: str = version("deepfsi")
+    name: Literal["adaptive"] = "adaptive"
+    settings: AdaptiveMasks  # looks, and the share of the exposure that each takes
+    image_shape: tuple[Count, ...]
+    classes: tuple[str, ...]
+    info: DesignInfo
+
+
+DesignHeader = MaskHeader | AdaptiveHeader
+"""Header of a design file."""
+
+
+CALIBRATION_REACH = 100.0
+"""Highest budget of a calibration over the highest of the training; lowest over lowest inverse."""
+
+LOG_BOUNDS = (-3.0, 15.0)
+"""Least and largest log τ."""
+
+BOUNDS_SLACK = 1e-6
+"""What rounding may add to them."""
+
+
+def calibration_budgets(low: float, high: float) -> np.ndarray:
+    """Budgets that calibrate a design, two a decade."""
+    low = low / CALIBRATION_REACH
+    high = high * CALIBRATION_REACH
+    return np.geomspace(low, high, 1 + int(np.ceil(2 * np.log10(high / low) - 1e-9)))
+
+
+@dataclass(frozen=True)
+class Temperatures:
+    """Temperatures of a design over budgets and stops."""
+
+    logs: np.ndarray  # (K, B), log τ after each number of looks, rising, at each budget
+    budgets: np.ndarray  # (B,), of whole exposures, rising in equal ratios
+
+    @classmethod
+    def restored(cls, arrays: Mapping[str, np.ndarray], stops: int) -> "Temperatures":
+        """Temperatures from a design file, or `ValueError` if it holds none of so many stops."""
+        logs, budgets = (arrays[name].astype(float) for name in ("logs", "budgets"))
+        if logs.shape != (stops, len(budgets)) or len(budgets) < 2 or not budgets.min() > 0:
+            raise ValueError("temperatures are not of this design")
+        least, most = LOG_BOUNDS
+        if not (least - BOUNDS_SLACK <= logs.min() and logs.max() <= most + BOUNDS_SLACK):
+            raise ValueError("temperatures are beyond all that are fitted")
+        ratios = np.diff(np.log(budgets))
+        if not ratios.min() > 0 or not np.allclose(ratios, ratios[0], rtol=1e-3):
+            raise ValueError("budgets of temperatures do not rise in equal ratios")
+        return cls(logs, budgets)
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Fields by name, as a design file takes them."""
+        return dict(vars(self))
+
+    @property
+    def dimmest(self) -> float:
+        """Lowest budget of which a design can say something: a tenth of the training's lowest."""
+        return float(self.budgets[0]) * CALIBRATION_REACH / TOO_DIM
+
+    def scaled(self, factor: float) -> "Temperatures":
+        """Temperatures where the same counts take so many times the budget."""
+        return Temperatures(self.logs, self.budgets * factor)
+
 
 STATISTICS = ("mean", "std", "shares")
 """Arrays of one number a feature."""
@@ -258,3 +439,29 @@ def _check_prior(header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]) -> No
     populated = arrays["members"].min() > 0 and sizes.min() >= 0 and sizes.sum() == scenes
     if not (lit and populated and 0 <= spread <= MOST_SPREAD):
         raise ValueError("the scenes of the prior are none")
+
+
+SHIPPED_DESIGNS = Path(str(files(__package__) / "shipped"))
+"""Their folder."""
+
+
+def find_design(given: str | os.PathLike[str]) -> Path:
+    """Path of a design file: the one that was given, or that of a published design by its name.
+
+    A name has no ending and no separator, and nothing is at that path.
+    """
+    name = os.fspath(given)
+    path = Path(given)
+    if path.exists():
+        return path
+    if path.name and (longer := path.with_name(f"{path.name}.safetensors")).is_file():
+        raise InputError(f"no design file at {name}: did you mean {longer}?")
+    if not re.fullmatch("[A-Za-z0-9_-]+", name):
+        return path
+    names = sorted(file.stem for file in SHIPPED_DESIGNS.iterdir())
+    if name not in names:
+        raise InputError(
+            f"no design file and no published design {name!r}: {closest_choice(name, names)}; "
+            "make a file with `deepfsi design`"
+        )
+    return SHIPPED_DESIGNS / f"{name}.safetensors"

@@ -23,8 +23,8 @@ from deepfsi.design.design import Design
 from deepfsi.designfile.provenance import new_scenes
 from deepfsi.evaluation.bounds import linear_bound
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, CountedLight
-from deepfsi.measures.answers import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
 from deepfsi.measures.results import Estimates, Result, ResultList
+from deepfsi.measures.table import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
 from deepfsi.physics.surroundings import library_defaults
 
 AnyAnswers = TypeVar("AnyAnswers", bound=Answers)

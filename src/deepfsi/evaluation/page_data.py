@@ -18,14 +18,13 @@ import numpy as np
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.progress import SILENT, Progress
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera.dead_time import StopRule
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
+from deepfsi.designfile.design_file import Temperatures
 from deepfsi.designfile.provenance import new_scenes
-from deepfsi.designfile.temperatures import Temperatures
 from deepfsi.evaluation.accuracy import check_data, evaluate
-from deepfsi.networks.classifiers import Mlp
-from deepfsi.networks.values import check_classes
+from deepfsi.networks.classifiers import Mlp, check_classes
 from deepfsi.physics.laws import ROUNDING_SLACK
 from deepfsi.physics.surroundings import library_defaults
 

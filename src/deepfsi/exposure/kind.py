@@ -19,10 +19,9 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName
 from deepfsi.designfile.provenance import click_gates
 from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
-from deepfsi.physics.clicks import to_training_light
 from deepfsi.physics.detection import Detection
 from deepfsi.physics.laws import light_law
-from deepfsi.physics.noise import NoiseFunction, noise_of
+from deepfsi.physics.noise import NoiseFunction, noise_of, to_training_light
 from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner
 

@@ -20,13 +20,18 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.exposure.kind import MaskExposure, TrainedMasks
 from deepfsi.exposure.training_set import TrainingSet, product_dtype
-from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs.designs import DESIGNS, count_allowed
 from deepfsi.jobs.job import Job
-from deepfsi.jobs.tiles import count_allowed
 from deepfsi.jobs.training import Scale
 from deepfsi.physics.detection import Detection
-from deepfsi.physics.laws import frame_peaks, frames, light_law, signed_parts
-from deepfsi.physics.masks import FixedMasks, LearnedMasks
+from deepfsi.physics.laws import (
+    FixedMasks,
+    LearnedMasks,
+    frame_peaks,
+    frames,
+    light_law,
+    signed_parts,
+)
 from deepfsi.physics.noise import noise_of
 from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import project, project_rails

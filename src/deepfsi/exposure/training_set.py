@@ -17,11 +17,10 @@ from deepfsi.camera.names import LIGHT_LAWS, LightLawName, find_noise
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.levels import LARGE
 from deepfsi.designfile.provenance import TrainingScenes
-from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs.designs import DESIGNS, check_count, count_allowed, sensing_matrix
 from deepfsi.jobs.exposures import Exposure
 from deepfsi.jobs.job import Job
-from deepfsi.jobs.tiles import check_count, count_allowed, sensing_matrix
-from deepfsi.networks.values import Values
+from deepfsi.networks.classifiers import Values
 from deepfsi.physics.detection import Detection
 from deepfsi.physics.surroundings import torch_device
 

@@ -150,7 +150,7 @@ class Range(Exposure):
     1000000.0
     """
 
-    trained_by: ClassVar[str] = "deepfsi.exposure.conditioned:ConditionedTraining"
+    trained_by: ClassVar[str] = "deepfsi.exposure.fixed:ConditionedTraining"
     span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
 
     def highest(self, photons: float) -> float:
@@ -196,7 +196,7 @@ class ConditionedEntry(Entry):
     width: Count = 1
     used: Positive = 1.0
     kind: Literal["conditioned"] = "conditioned"
-    restored_by: ClassVar[str] = "deepfsi.exposure.conditioned:ConditionedExposure"
+    restored_by: ClassVar[str] = "deepfsi.exposure.fixed:ConditionedExposure"
 
 
 def _registered_entry(kind: Any) -> type[Entry] | None:

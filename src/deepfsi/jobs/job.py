@@ -19,7 +19,14 @@ from deepfsi.camera.detectors import ONE_DETECTOR
 from deepfsi.camera.light import PhotonBudget, check_budget, check_one_budget
 from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light_law, find_noise, noise_name
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.jobs.designs import DESIGNS, Code, check_design, check_matrix
+from deepfsi.jobs.designs import (
+    DESIGNS,
+    Code,
+    check_count,
+    check_design,
+    check_matrix,
+    count_allowed,
+)
 from deepfsi.jobs.exposures import (
     AdaptiveMasks,
     AnyExposure,
@@ -31,7 +38,6 @@ from deepfsi.jobs.exposures import (
     exposure_kinds,
     find_exposure,
 )
-from deepfsi.jobs.tiles import check_count, count_allowed
 from deepfsi.jobs.training import (
     FEW_COUNTS,
     MLP,

@@ -18,7 +18,7 @@ from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import hash_file, read_regular
 from deepfsi.base.numeric.arrays import LARGEST_TENSORS
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera.dead_time import StopRule
 from deepfsi.design.design import Design
 from deepfsi.designfile.distribution import UNSURE
 from deepfsi.hardware.light.curves import Arrivals

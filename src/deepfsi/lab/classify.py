@@ -301,7 +301,7 @@ def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bo
     """Design of a file or a folder of patterns, as its patterns realise it."""
     with require_extras():
         from deepfsi.design.design import Design
-        from deepfsi.networks.values import check_classes
+        from deepfsi.networks.classifiers import check_classes
 
     file = Path(design) if patterns is None else _check_design(design, patterns.manifest)
     made = Design.load(file, trust=trust)
@@ -462,7 +462,7 @@ class _CountedScenes:
             if view is None:
                 return *lines, NO_VIEW
             return (*lines, view.remark) if view.remark else lines
-        from deepfsi.physics.clicks import full_gates
+        from deepfsi.physics.noise import full_gates
 
         design = self.design
         photons = float(self.budgets[self._often > 0].mean())

@@ -12,8 +12,7 @@ from deepfsi.base.files import read_regular
 from deepfsi.base.numeric.arrays import LARGEST_TENSORS
 from deepfsi.base.plugins import require_extras
 from deepfsi.camera.camera import Camera
-from deepfsi.designfile.design_file import DesignFile
-from deepfsi.designfile.header import AdaptiveHeader
+from deepfsi.designfile.design_file import AdaptiveHeader, DesignFile
 from deepfsi.hardware.live.looks import LookChooser
 from deepfsi.hardware.patterns.folder import Patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import DesignRails

@@ -179,7 +179,7 @@ def _predict(
     import torch
 
     from deepfsi.evaluation.accuracy import camera_for, check_draws
-    from deepfsi.networks.values import check_classes
+    from deepfsi.networks.classifiers import check_classes
 
     check_classes(design.values, "predict")
     check_draws(1, seed)

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.datasets.display import read_display, read_scene_list
-from deepfsi.designfile.design_file import DesignFile
-from deepfsi.designfile.header import DesignHeader
+from deepfsi.designfile.design_file import DesignFile, DesignHeader
 from deepfsi.designfile.provenance import scene_hashes, trained_on
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.patterns.folder import Patterns, read_patterns

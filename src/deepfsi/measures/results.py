@@ -9,8 +9,7 @@ import numpy as np
 from deepfsi.base.numeric.html import accuracy_curve, confusion_table
 from deepfsi.base.numeric.intervals import Z_95, pack_values, worst_class
 from deepfsi.camera.names import find_noise
-from deepfsi.measures.answers import Answers, ClassAnswers, ValueAnswers
-from deepfsi.measures.table import MEASURES, Measure
+from deepfsi.measures.table import MEASURES, Answers, ClassAnswers, Measure, ValueAnswers
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,12 @@
-"""The measures of answers, a table: what each is, what it stands for and where it is shown.
+"""Answers under noise, and their measures, a table: what each is, and where it is shown.
 
 A new measure is one entry. Results of tests, records of trials, tables of commands, points of
 comparisons and their pages take it from here.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,140 @@ from deepfsi.base.numeric.intervals import (
     balanced_interval,
     image_interval,
 )
-from deepfsi.measures.answers import Answers, ClassAnswers, ValueAnswers
-from deepfsi.measures.reliability import confidence_error
+
+BINS = 15
+"""Groups of answers of like confidence, all of one size, in which calibration is measured."""
+
+
+def confidence_groups(
+    confidence: np.ndarray, right: np.ndarray
+) -> list[tuple[float, float, float]]:
+    """Confidence, accuracy and weight of E answers in `BINS` groups, the least sure first."""
+    order = np.argsort(confidence, kind="stable")
+    return [
+        (float(confidence[part].mean()), float(right[part].mean()), len(part) / len(order))
+        for part in np.array_split(order, min(BINS, len(order)))
+    ]
+
+
+def calibration_error(groups: Sequence[tuple[float, float, float]]) -> float:
+    """Mean distance of confidence and accuracy over groups from `confidence_groups`."""
+    return sum(weight * abs(confidence - right) for confidence, right, weight in groups)
+
+
+def confidence_error(confidence: np.ndarray, right: np.ndarray) -> float:
+    """Expected calibration error of E answers, by their confidence and which are right."""
+    return calibration_error(confidence_groups(confidence, right))
+
+
+def chance_error(confidence: np.ndarray, draws: int = 200, seed: int = 0) -> float:
+    """Calibration error that exactly calibrated answers of confidence (E,) show, in the mean.
+
+    Groups are finite: each answer is right with the probability that it says, and yet the accuracy
+    of a group differs from its confidence.
+    """
+    rng = np.random.default_rng(seed)
+    errors = [
+        confidence_error(confidence, rng.random(len(confidence)) < confidence) for _ in range(draws)
+    ]
+    return float(np.mean(errors))
+
+
+MOST_DRAWS = 10_000
+"""Noise draws of each scene in one test: enough for any interval, and an end in sight."""
+
+LEAST_TRUE_CHANCE = np.finfo(np.float32).eps
+"""Least probability of a true class that the log loss is taken of."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Answers:
+    """Answers of one design at one budget: E exposures, so many draws of each of n scenes."""
+
+    photons: float  # budget Φ
+    noise: str
+    covers: str  # what an interval over images covers
+    draws: int  # independent noise draws of each scene
+    counts: float
+    arriving: float
+    shares: list[float]
+    truth: np.ndarray  # (n,), class of each scene, or its values
+    scenes: np.ndarray  # (E,)
+    used: float | None = None
+
+    def by_scene(self, values: np.ndarray) -> np.ndarray:
+        """Values (n, draws, …) of exposures (E, …)."""
+        order = np.argsort(self.scenes, kind="stable")
+        return values[order].reshape(len(self.truth), self.draws, *values.shape[1:])
+
+
+@dataclass(frozen=True, eq=False)
+class ClassAnswers(Answers):
+    """Answers that are classes."""
+
+    classes: np.ndarray  # (E,)
+    chances: np.ndarray  # (E, C), probability of each class
+
+    @cached_property
+    def true(self) -> np.ndarray:
+        """True class (E,) of each exposure."""
+        return self.truth[self.scenes]
+
+    @cached_property
+    def confusion(self) -> np.ndarray:
+        """Exposures (C, C): rows true classes, columns answers."""
+        counts = np.zeros([self.chances.shape[1]] * 2, dtype=np.int64)
+        np.add.at(counts, (self.true, self.classes), 1)
+        return counts
+
+    @property
+    def rates(self) -> list[float | None]:
+        """Accuracy of each class; None where the test has no scene of it."""
+        rows = enumerate(self.confusion)
+        return [float(row[k] / row.sum()) if row.any() else None for k, row in rows]
+
+    @property
+    def confidence(self) -> np.ndarray:
+        """Probability (E,) of the answers."""
+        return self.chances.max(axis=1).astype(float)
+
+    @property
+    def losses(self) -> np.ndarray:
+        """−ln of the probability (E,) of the true classes, in nats."""
+        chances = self.chances[np.arange(len(self.true)), self.true].astype(float)
+        return -np.log(chances.clip(min=LEAST_TRUE_CHANCE))
+
+    @cached_property
+    def right(self) -> np.ndarray:
+        """Share (n,) of the draws of each scene that are answered right."""
+        return self.by_scene(self.classes == self.true).mean(axis=1, dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class ValueAnswers(Answers):
+    """Answers that are estimates of values."""
+
+    estimates: np.ndarray  # (E, q), in the unit of each value
+    names: tuple[str, ...] = ()
+    bound: list[float] | None = None
+
+    @cached_property
+    def squares(self) -> np.ndarray:
+        """Squared error (n, q) of each scene, in the mean over draws."""
+        draws = np.moveaxis(self.by_scene(self.estimates.astype(float)), 1, 0)
+        return np.square(np.ascontiguousarray(draws) - self.truth).mean(axis=0)
+
+    @cached_property
+    def losses(self) -> np.ndarray:
+        """`squares` over the variance of the values; NaN of one that is alike in all scenes."""
+        variance = self.truth.var(axis=0, dtype=np.float64)
+        variance[variance == 0] = np.nan
+        return self.squares / variance
+
+    @property
+    def explained(self) -> np.ndarray:
+        """1 − `losses` (n,) in the mean over values, whose mean over scenes is R²."""
+        return 1 - self.losses.mean(axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)

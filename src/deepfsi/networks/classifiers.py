@@ -1,9 +1,13 @@
-"""Neural back ends. Any module from features (..., m) to logits (..., C) can take their place."""
+"""Neural back ends, what their answers mean, and the temperatures that divide their logits.
+
+Any module from features (..., m) to logits (..., C) can take their place.
+"""
 
 import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pkgutil import resolve_name
 from typing import Any, NamedTuple, Self, TypeVar
 
@@ -11,6 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from deepfsi.base.errors import InputError
+from deepfsi.datasets.dataset import Dataset
+from deepfsi.designfile.design_file import Temperatures
 from deepfsi.jobs.training import MLP, Training, find_classifier
 
 
@@ -203,3 +210,82 @@ class Replicas(nn.Module):
                     own_weight, own_bias = network.layers[place].parameters()
                     own_weight.copy_(w.T)
                     own_bias.copy_(b[0])
+
+
+def temperatures_at(fitted: Temperatures, place: Tensor | int, photons: Tensor) -> Tensor:
+    """Temperatures (..., 1) at places among the stops, from 0, and at budgets (..., 1)."""
+    start = np.log(fitted.budgets[0])
+    step = np.log(fitted.budgets[1] / fitted.budgets[0])
+    level = (photons.log() - start) / step
+    logs = torch.from_numpy(fitted.logs).to(level)
+    rows = _hats(torch.as_tensor(place).to(level), len(logs)) @ logs
+    log = (rows * _hats(level, logs.shape[1])).sum(dim=-1, keepdim=True)
+    return (log - level.clamp(max=0) * step).exp()
+
+
+def stop_temperatures(fitted: Temperatures, photons: float) -> np.ndarray:
+    """Temperatures (K,) after each number of masks or looks at a budget."""
+    places = torch.arange(len(fitted.logs))
+    budget = torch.tensor([photons], dtype=torch.double)
+    every = temperatures_at(fitted, places[:, None], budget.expand(len(places), 1))
+    return every.squeeze(1).numpy()
+
+
+def _hats(place: Tensor, count: int) -> Tensor:
+    """Weights (..., count) of linear interpolation between equidistant values; ends stay."""
+    # place (..., 1) or ()
+    away = place.clamp(0, count - 1) - torch.arange(count).to(place)
+    return (1 - away.abs()).relu()
+
+
+def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:
+    """Raise `InputError` where a design estimates values and `what` is of classes."""
+    if values:
+        names = values if isinstance(values, tuple) else values.names
+        raise InputError(
+            f"{what} is of classes, and this design estimates {', '.join(names)}: use "
+            "Design.estimate, or `deepfsi evaluate`"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Names of q values, and their mean and standard deviation in the training, (q,) each."""
+
+    names: tuple[str, ...]
+    mean: Tensor  # (q,)
+    std: Tensor  # (q,)
+
+    @classmethod
+    def of(cls, data: Dataset) -> "Values | None":
+        """Those of the training scenes of a data set; None where scenes have classes."""
+        if not data.values:
+            return None
+        y = torch.from_numpy(data.y_train)
+        return cls(data.values, y.mean(dim=0), y.std(dim=0, correction=0))
+
+    @classmethod
+    def restored(cls, names: tuple[str, ...], tensors: Mapping[str, Tensor]) -> "Values":
+        """Values of a design file, or an error where its tensors are not of these names."""
+        mean = tensors["mean"]
+        std = tensors["std"]
+        if not mean.shape == std.shape == (len(names),) or not bool((std > 0).all()):
+            raise ValueError("scales are not those of the values")
+        return cls(names, mean, std)
+
+    def standardised(self, values: Tensor) -> Tensor:
+        """Truth for a network of values (..., q)."""
+        return (values - self.mean) / self.std
+
+    def estimated(self, outputs: Tensor) -> Tensor:
+        """Values (..., q) of answers of a network, in their own units."""
+        return self.mean + self.std * outputs
+
+    def to(self, device: str | torch.device) -> Self:
+        """Move to a device."""
+        return replace(self, mean=self.mean.to(device), std=self.std.to(device))
+
+    @property
+    def tensors(self) -> dict[str, Tensor]:
+        """Tensors of a design file."""
+        return {"mean": self.mean, "std": self.std}

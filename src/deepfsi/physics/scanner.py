@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from deepfsi.base.errors import InputError
 from deepfsi.base.keywords import plain_keywords
 from deepfsi.physics.detection import Detection, Readouts
-from deepfsi.physics.masks import FixedMasks
+from deepfsi.physics.laws import FixedMasks
 from deepfsi.physics.noise import Expectation, NoiseFunction, make_noise
 from deepfsi.physics.rails import Rails
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.physics.detection import Detection, Readouts
-from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.laws import LearnedMasks
 from deepfsi.physics.noise import Expectation, Noise
 from deepfsi.physics.scanner import project, project_rails
 

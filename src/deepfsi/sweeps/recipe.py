@@ -30,11 +30,10 @@ from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.camera.light import PhotonBudget
 from deepfsi.camera.names import check_noise, find_noise
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.jobs.designs import DESIGNS, check_design, mask_count
+from deepfsi.jobs.designs import DESIGNS, check_design, count_allowed, mask_count
 from deepfsi.jobs.exposures import Exposure, find_exposure
-from deepfsi.jobs.tiles import count_allowed
 from deepfsi.jobs.training import CUSTOM_CLASSIFIER, MASK_SETTINGS, MLP, Training, find_classifier
-from deepfsi.measures.answers import MOST_DRAWS
+from deepfsi.measures.table import MOST_DRAWS
 from deepfsi.sweeps.workers import Resources
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))

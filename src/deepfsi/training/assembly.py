@@ -20,10 +20,9 @@ from deepfsi.exposure.kind import Clicks, TrainedMasks
 from deepfsi.exposure.training import ExposureTraining
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import Job
+from deepfsi.networks.classifiers import Values
 from deepfsi.networks.custom import OwnClassifier, make_custom
-from deepfsi.networks.values import Values
-from deepfsi.physics.laws import light_law
-from deepfsi.physics.masks import LearnedMasks
+from deepfsi.physics.laws import LearnedMasks, light_law
 from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner
 from deepfsi.physics.surroundings import library_defaults

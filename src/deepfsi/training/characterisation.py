@@ -23,18 +23,19 @@ from deepfsi.adaptive.exposure import (
 )
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
+from deepfsi.designfile.design_file import CALIBRATION_REACH, Temperatures, calibration_budgets
 from deepfsi.designfile.distribution import FrameLight, ReadoutDistribution
 from deepfsi.designfile.provenance import TrainedOn
-from deepfsi.designfile.temperatures import CALIBRATION_REACH, Temperatures, calibration_budgets
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
     Exposed,
     LeftOutTest,
+    find_distribution,
     fit_temperatures,
     measure_left_out,
+    sample_scenes,
 )
-from deepfsi.evaluation.distribution_fit import find_distribution, sample_scenes
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import FEW_SCENES, Job
 

@@ -12,7 +12,7 @@ from deepfsi.base.numeric.intervals import Difference, all_above, mean_of_trials
 from deepfsi.base.progress import Progress
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.designfile.design_file import DesignFile
-from deepfsi.jobs.tiles import sensing_matrix
+from deepfsi.jobs.designs import sensing_matrix
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding

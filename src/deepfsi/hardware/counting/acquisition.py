@@ -31,9 +31,8 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import hash_file, new_folder, read_regular, read_text, write_atomically
 from deepfsi.base.models.strict import Amount, Positive, Share, StrictModel
 from deepfsi.base.quantities import plural, time_text
-from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.camera.dead_time import CounterEffects, DeadTime, LiveSettings
 from deepfsi.camera.detectors import MOST_INPUTS
-from deepfsi.camera.stop_rule import LiveSettings
 from deepfsi.hardware.patterns.folder import Patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.hardware.patterns.timing import GatePlan

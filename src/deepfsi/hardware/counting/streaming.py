@@ -17,8 +17,7 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import time_text
-from deepfsi.camera.dead_time import CorrectionFactors
-from deepfsi.camera.stop_rule import LiveSettings
+from deepfsi.camera.dead_time import CorrectionFactors, LiveSettings
 from deepfsi.hardware.counting.corrections import correct, corrections_of
 from deepfsi.hardware.counting.markers import MOST_EXTRA, MOST_RATE
 from deepfsi.hardware.light.curves import PARTS_OF_FRAME

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from deepfsi.camera.stop_rule import StopRule
+from deepfsi.camera.dead_time import StopRule
 from deepfsi.designfile.provenance import TrainingScenes
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.hardware.counting.streaming import FrameCounts

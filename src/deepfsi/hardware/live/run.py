@@ -22,8 +22,7 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import GrowingFile
 from deepfsi.base.interrupts import note_saved_work
 from deepfsi.base.progress import Progress, progress_bar
-from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects
-from deepfsi.camera.stop_rule import LiveSettings, StopRule
+from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects, LiveSettings, StopRule
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
 from deepfsi.hardware.drivers.protocols import (
