@@ -45,8 +45,6 @@ from deepfsi.jobs.job import Job
 BLUR = 0.5
 """Standard deviation of the blur of the scenes of the prior, pixels."""
 
-COMPONENTS = 300
-"""Components of blurred scenes: strokes are to be dark beside them."""
 
 FLOOR = 0.01
 """Reflectance that a mirror of a mask is taken to add where a scene is dark."""
@@ -60,11 +58,6 @@ VARIATION = 0.05
 DWELLS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Dwells that a look may have, over the exposure's equal parts."""
 
-STRICT = (0.4, 0.6, 0.8)
-"""Of the largest difference over light, above which mirrors of strict masks are ON."""
-
-DARKEST_PIXEL = 1e-2
-"""Least reflectance that the mean scene is taken to have, in choosing mirrors: it may be black."""
 
 LOOK_COST = 0.1
 """Clicks that a look is taken to cost, were it dark for certain.
@@ -81,11 +74,6 @@ it is at its end after some five clicks of images of MNIST on black; where it co
 clicks that are asked for, a sixth of it is used, and those clicks tell less.
 """
 
-SAMPLED_SCENES = 256
-"""Scenes drawn of the posterior by which looks are compared."""
-
-LEAST_PRICE = 1e-3
-"""Nats for a click below which a look tells nothing: exposures end there whatever they may cost."""
 
 PRICING_SCENES = 512
 """Training scenes by which the price is found: their mean clicks are known to some 3 %."""
@@ -140,7 +128,7 @@ class ClickPosterior(AdaptivePosterior):
     def next_look(self, dwells: Tensor, costs: Tensor, generator: torch.Generator) -> ClickLook:
         """The look that is worth most, of all masks, dwells (L,) and their costs (L,) in clicks."""
         masks = click_candidates(self)  # (b, P, N)
-        places, drawn = draw_places(self.weights, generator, SAMPLED_SCENES)
+        places, drawn = draw_places(self.weights, generator, 256)
         mean, parts = self.prior.light(masks)  # (b, P), (b, P, d)
         scenes = self.prior.coefficients[places].transpose(1, 2)  # (b, d, S)
         light = mean[..., None] + parts @ scenes + FLOOR * _on(masks)  # (b, P, S)
@@ -202,16 +190,13 @@ def _binary_entropy(chance: Tensor) -> Tensor:
 def click_candidates(state: AdaptivePosterior) -> Tensor:
     """Masks (b, P, N) that separate the likeliest classes in two groups, brightly or strictly."""
     differ = group_differences(state)
-    scene = state.scene.clamp(min=DARKEST_PIXEL)[:, None].expand_as(differ)
+    scene = state.scene.clamp(min=1e-2)[:, None].expand_as(differ)  # the mean scene may be black
     bright = difference_masks(differ, scene, state.optics.areas(scene))
     ratio = differ / scene
     largest = ratio.amax(dim=-1, keepdim=True)
-    strict = [(ratio > share * largest).to(differ.dtype) for share in STRICT]
+    # of the largest difference over light
+    strict = [(ratio > share * largest).to(differ.dtype) for share in (0.4, 0.6, 0.8)]
     return torch.cat([bright, *strict], dim=1)
-
-
-BRIGHT_PHOTONS = 20.0
-"""Photons of the mean scene in a look with all mirrors ON: the detector clicks all but surely."""
 
 
 class ClickRun(NamedTuple):
@@ -290,7 +275,9 @@ class ClickLooks(NamedTuple):
             chances[step.rows] = step.chances
             clicked[step.rows] |= step.clicked
         dark = ~clicked & (used > 0)
-        dwells = dark * (1 - used).clamp(min=0.0, max=BRIGHT_PHOTONS / self.photons)
+        dwells = dark * (1 - used).clamp(
+            min=0.0, max=20.0 / self.photons
+        )  # the detector clicks all but surely
         light = x.sum(dim=1) * dwells * state.gain
         seen = -torch.expm1(-light)
         silent = dark & (torch.rand(len(x), generator=generator) >= seen)
@@ -383,7 +370,7 @@ class ClickTraining(AdaptiveTraining):
     def __init__(self, data: Dataset, settings: AdaptiveMasks) -> None:
         self.data = data
         self.settings = settings.model_copy(
-            update={"components": COMPONENTS, "spread": SPREAD, "price": 0.0}
+            update={"components": 300, "spread": SPREAD, "price": 0.0}
         )
         self.prior = prior_of(blurred(data), self.settings)
         self.prior.summed_reflectance = summed_reflectance(data.x_train)  # not of the blurred
@@ -409,7 +396,7 @@ class ClickTraining(AdaptiveTraining):
             size = len(rows), settings.looks
             runs.append(PricedLooks.of(steps, size, self.prior.classes))
         whole = PricedLooks(*(torch.cat(some) for some in zip(*runs, strict=True)))
-        price = LEAST_PRICE
+        price = 1e-3  # nats for a click below which a look tells nothing
         if asked is not None:
             price = max(price, whole.price(asked))
         if not bool((whole.least_worth > price).any()):

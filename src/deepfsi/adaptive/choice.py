@@ -18,17 +18,8 @@ from torch.nn import functional
 from deepfsi.adaptive.posterior import AdaptivePosterior
 from deepfsi.physics.noise import Fluctuation, Poisson
 
-LIKELIEST = 4
-"""Classes that the next mask is to separate at most."""
-
 SAMPLES = 128
 """Scenes drawn of the posterior by which masks are compared; all where there are no more."""
-
-HALVINGS = 4
-"""Steps by which the best threshold of a mask is found."""
-
-DARKEST = 1e-3
-"""Least reflectance that the mean scene is taken to have, in choosing mirrors."""
 
 
 def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generator) -> Tensor:
@@ -66,7 +57,7 @@ def candidate_masks(state: AdaptivePosterior) -> Tensor:
     if state.ready is not None:
         return state.ready.expand(len(state), -1, -1)
     differ = group_differences(state)
-    scene = state.scene.clamp(min=DARKEST)[:, None]
+    scene = state.scene.clamp(min=1e-3)[:, None]  # reflectance of the mean scene at least
     areas = state.optics.areas(scene)
     return difference_masks(differ, scene.expand_as(differ), areas, state.optics.arms)
 
@@ -78,7 +69,7 @@ def group_differences(state: AdaptivePosterior) -> Tensor:
     """
     chances = state.class_weights
     sums = state.class_sums
-    count = min(LIKELIEST, chances.shape[1])
+    count = min(4, chances.shape[1])  # classes that a mask is to separate at most
     likely, top = chances.topk(count, dim=1)
     own = sums.gather(1, top[..., None].expand(-1, -1, sums.shape[-1]))
     groups = groups_of(count).to(sums.dtype)
@@ -102,7 +93,7 @@ def difference_masks(differ: Tensor, scene: Tensor, areas: Tensor, arms: int = 1
     threshold = torch.zeros_like(differ)
     if arms == 2:
         threshold = _ratio(torch.ones_like(differ), differ, scene, areas) @ areas
-    for _ in range(HALVINGS):
+    for _ in range(4):  # steps by which the threshold is found
         on = (ratio > threshold).to(differ.dtype)
         middle = _ratio(on, differ, scene, areas)
         if arms == 2:
@@ -168,17 +159,7 @@ class Look(NamedTuple):
 
 
 def look_at(state: AdaptivePosterior, x: Tensor, share: float, generator: torch.Generator) -> Look:
-    """Next look at scenes (b, N) for a share of the exposure, which the state does not know yet.
-
-    Parameters
-    ----------
-    state : AdaptivePosterior
-    x : tensor, shape (b, N)
-        Reflectance.
-    share : float
-    generator : torch.Generator
-        Of the noise.
-    """
+    """Next look at scenes (b, N) for a share of the exposure, which the state does not know yet."""
     masks = next_masks(state, share, generator)
     expected = state.expected(masks, x, share)
     dark = state.optics.dark * share

@@ -40,14 +40,6 @@ COMPARED_SCENES = (16, 32)
 All where there are no more.
 """
 
-SCENES_A_DRAW = 1800
-"""Scenes of the prior for each that is drawn, between these numbers."""
-
-COMPARED_MASKS = 500
-"""Masks that a decision compares, about, or more where the prior has many scenes."""
-
-SCENES_A_MASK = 30
-"""Scenes of the prior for each mask that is compared then: their probabilities take longer."""
 
 SUMMED = 16
 """Scenes whose probabilities are added before one is drawn among them."""
@@ -55,8 +47,6 @@ SUMMED = 16
 RUNNING = np.triu(np.ones((SUMMED, SUMMED), np.float32))
 """Sums of the first scenes of a block of them."""
 
-STEP = (math.sqrt(5) - 1) / 2
-"""Part of a step by which the points of the drawn scenes move from look to look."""
 
 TABLED = 64
 """Masks of which tables are computed at a time."""
@@ -138,7 +128,8 @@ class MaskTables:
 
 def _parts(masks: int, scenes: int) -> int:
     """Parts of a dictionary, of which each decision compares one."""
-    return max(1, round(masks / max(COMPARED_MASKS, scenes / SCENES_A_MASK)))
+    # some 500 masks are compared, or more where the probabilities of many scenes take longer
+    return max(1, round(masks / max(500, scenes / 30)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +208,8 @@ class DictionaryPosterior(AdaptivePosterior):
         self.dictionary = dictionary
         self.ready = dictionary.masks
         self.tables = dictionary.tables(prior, optics, share)
-        drawn = int(np.clip(len(prior) // SCENES_A_DRAW, *COMPARED_SCENES))
+        # scenes of the prior for each that is drawn
+        drawn = int(np.clip(len(prior) // 1800, *COMPARED_SCENES))
         self._points = np.arange(drawn, dtype=np.float32) / drawn
         self._ones = np.ones(drawn, np.float32)
         self._block = np.ones(SUMMED, np.float32)
@@ -297,7 +289,7 @@ class DictionaryPosterior(AdaptivePosterior):
         """Scenes (S,) at equal steps of the sum of their probabilities, `_powers`."""
         blocks = self._sums @ self._block
         ends = blocks.cumsum()
-        shift = (self._looks * STEP) % 1 / len(self._points)
+        shift = self._looks * ((math.sqrt(5) - 1) / 2) % 1 / len(self._points)
         points = (self._points + shift) * ends[-1]
         block = ends.searchsorted(points)
         ends -= blocks

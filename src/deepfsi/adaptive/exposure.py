@@ -56,9 +56,6 @@ LIKELIHOODS_AT_ONCE = 2**22
 MOST_EXPOSURES = 32
 """Exposures that are computed at a time, at most: a thousand of them take twice as long each."""
 
-PRIOR_COPIES = 6
-"""Arrays as large as the log-likelihoods, or as the scenes of the prior, held at a time."""
-
 
 MASKS_ARE_MADE = (
     "this design makes its masks while the camera looks, and this takes masks that are known "
@@ -84,9 +81,7 @@ POSTERIOR_ANSWERS = Message(
 def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
     """Prior of the training scenes of a data set, or `InputError` if it does not fit the memory."""
     scenes = len(data.x_train)
-    needed = 4 * (
-        scenes * (3 * data.pixels + settings.components) + PRIOR_COPIES * LIKELIHOODS_AT_ONCE
-    )
+    needed = 4 * (scenes * (3 * data.pixels + settings.components) + 6 * LIKELIHOODS_AT_ONCE)
     check_memory(needed, free_memory(), "the prior of these scenes", "give fewer scenes")
     return ScenePrior(
         np.asarray(data.x_train),
@@ -109,17 +104,6 @@ MISFIT_BUDGETS = (0.1, 1.0, 10.0)
 SMALLEST_MISFIT = 1e-6
 """Misfit below which it is taken for this."""
 
-FEWEST_MISFIT_SCENES = 50
-"""Training scenes below which nothing is measured."""
-
-MISFIT_SCENES = 256
-"""Training scenes that are exposed at each budget, at most: they tell misfit and temperatures."""
-
-DICTIONARY_SCENES = 512
-"""Training scenes for which the masks of a dictionary are made, at most."""
-
-DICTIONARY_LOOKS = 32
-"""Looks in which they are made, at most."""
 
 SHARING_SCENES = 1024
 """Training scenes by which the threshold of a mean light is found, at most.
@@ -241,10 +225,6 @@ def _looks(
         yield look
 
 
-LIGHT_ROUNDING = 1e-9
-"""Light over the budget that sums of shares differ by, at most."""
-
-
 class Stops(NamedTuple):
     """Where an exposure may stop: after each look."""
 
@@ -280,7 +260,7 @@ class Stops(NamedTuple):
         every = np.arange(len(confidence))
         rules = []
         for count in range(1, len(self.used) + 1):
-            if self.used[count - 1] < least - LIGHT_ROUNDING:
+            if self.used[count - 1] < least - 1e-9:  # sums of shares are rounded
                 continue
             stops = Stops(self.used[:count])  # none goes on
             threshold = stops.threshold(confidence[:, :count], light)
@@ -678,9 +658,9 @@ class AdaptiveTraining:
         if count is None:
             return None
         generator = torch.Generator().manual_seed(job.seed ^ 2**30)
-        left_out = self.left_out(DICTIONARY_SCENES, generator)
+        left_out = self.left_out(512, generator)  # training scenes for which masks are made
         optics = LookOptics.of(job.optics, self.data.image_shape, job.photons)
-        made = AdaptiveMasks(looks=min(self.settings.looks, DICTIONARY_LOOKS))
+        made = AdaptiveMasks(looks=min(self.settings.looks, 32))
         masks: list[Tensor] = []
         for rows, some in left_out.parts(MOST_EXPOSURES):
             state = AdaptivePosterior(self.prior, len(rows), optics)
@@ -722,12 +702,12 @@ class AdaptiveTraining:
         made = AdaptiveExposure(self.prior, self.settings, shape, counted, dictionary=dictionary)
         generator = torch.Generator().manual_seed(job.seed)
         if left_out is None:
-            left_out = self.left_out(MISFIT_SCENES, generator)
+            left_out = self.left_out(256, generator)  # they tell misfit and temperatures
         budgets = np.array(MISFIT_BUDGETS) * job.photons
         optics = [LookOptics.of(job.optics, shape, each) for each in budgets.tolist()]
         logarithms, counts, odds = measure(made, optics, left_out, generator)
         shares = (counts[MISFIT_BUDGETS.index(1.0)] / job.photons).float()
-        few = len(left_out.scenes) < FEWEST_MISFIT_SCENES
+        few = len(left_out.scenes) < 50  # fewer measure nothing
         misfit = None if few else UsualMisfit(budgets, logarithms)
         return shares, misfit, LeftOutAnswers(budgets, odds, left_out.labels)
 

@@ -32,9 +32,6 @@ from deepfsi.designfile.view_test import SceneModel
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.networks.classifiers import temperatures_at
 
-NEIGHBOURS = 3000
-"""Scenes whose nearest neighbours tell how far scenes lie from those of the prior, at most."""
-
 CENTRE_SPREAD = 1.4
 """How far scenes are taken to lie from centres of clusters, over the distance of their members.
 
@@ -44,8 +41,6 @@ Chosen on 1024 validation images of MNIST at 1e4 photons: with 1 the posterior i
 TEMPERATURE = "temperature_"
 """Beginning of the names of their arrays in a file."""
 
-LEAST_COMPONENT_VARIANCE = 1e-3
-"""Least variance of a component between neighbours, over the mean of all components."""
 
 LEAST_LIGHT = 1e-6
 """Least light of a scene through a mask, over that of the whole mean scene."""
@@ -249,7 +244,8 @@ class ScenePrior:
 
     def _neighbours(self, generator: torch.Generator) -> Tensor:
         """Differences (n, d) of some scenes from their nearest neighbours of their class."""
-        chosen = torch.randperm(len(self), generator=generator)[:NEIGHBOURS].sort().values
+        # scenes whose neighbours are looked for
+        chosen = torch.randperm(len(self), generator=generator)[:3000].sort().values
         starts = np.cumsum([0, *self.sizes[:-1]])
         found = []
         for start, own in zip(starts.tolist(), self.coefficients.split(self.sizes), strict=True):
@@ -265,7 +261,7 @@ class ScenePrior:
         """Scale components so that the covariance of differences (n, d) is the identity."""
         differ = differ.double()
         covariance = differ.T @ differ / len(differ)
-        least = LEAST_COMPONENT_VARIANCE * covariance.diagonal().mean()
+        least = 1e-3 * covariance.diagonal().mean()
         covariance += least * torch.eye(len(covariance), dtype=torch.double)
         variances, vectors = torch.linalg.eigh(covariance)
         self.components = (vectors * variances.sqrt()).float().T.contiguous() @ self.components
@@ -341,20 +337,7 @@ def confidence_of(chances: Tensor) -> Tensor:
 
 
 class AdaptivePosterior:
-    """Posterior of the scene in b exposures that see masks of their own.
-
-    Parameters
-    ----------
-    prior : ScenePrior
-    exposures : int
-        b.
-    optics : LookOptics
-
-    Raises
-    ------
-    InputError
-        If light fluctuates, and the prior has no spread.
-    """
+    """Posterior of the scene in b exposures that see masks of their own."""
 
     ready: Tensor | None = None
     """Masks (P, N) of a dictionary, one of which is shown; None where they are made."""

@@ -19,10 +19,8 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
-    SerializerFunctionWrapHandler,
     ValidationInfo,
     field_validator,
-    model_serializer,
 )
 
 from deepfsi.base.errors import InputError, as_input_error, check_choice, closest_choice
@@ -68,14 +66,6 @@ FILE_EXAMPLES = {
 }
 """Values of a camera file, as TOML writes them."""
 
-UNIT_EXPOSURE_S = 1.0
-"""Exposure where none is given, seconds: rates are then the counts of an exposure."""
-
-GUARD_S = 2e-6
-"""Time of a frame, besides settling, that is not counted, seconds."""
-
-MOST_GATES = 1_000_000
-"""Gates of a frame at most: with more, clicks are as good as Poisson counts."""
 
 NAMES_OF_ONE = ("1x1", "1")
 """Names of one detector that sees all, of images and of spectra."""
@@ -327,7 +317,7 @@ class Camera(UserModel):
     gates: int = Field(
         default=1,
         ge=1,
-        le=MOST_GATES,
+        le=1_000_000,  # with more, clicks are as good as Poisson counts
         description="gates of a frame, in each of which a detector clicks at most once; for click "
         "noise",
     )
@@ -350,6 +340,7 @@ class Camera(UserModel):
         default=0.0,
         ge=0,
         le=10,
+        exclude_if=lambda deviation: not deviation,  # so that older files are the same
         description="relative standard deviation of the light from frame to frame, such as 0.05",
     )
     contrast: float | None = Field(
@@ -357,6 +348,7 @@ class Camera(UserModel):
         gt=1,
         allow_inf_nan=False,
         validate_default=True,
+        exclude_if=lambda contrast: not contrast,
         description="contrast of a projector (light law dose), light of an ON pixel over that of "
         "an OFF one, such as 1000; OFF is dark unless given",
     )
@@ -375,13 +367,6 @@ class Camera(UserModel):
                 noise = noise_name(fields.get("noise"))
                 raise ValueError(message.format_map({**fields, "noise": noise}))
         return value
-
-    @model_serializer(mode="wrap")
-    def _without_later(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Fields, but for later ones that are not given, so that older files are the same."""
-        fields: dict[str, Any] = dump(self)
-        later = ("fluctuation", "contrast")
-        return {name: each for name, each in fields.items() if name not in later or each}
 
     @classmethod
     @plain_keywords()
@@ -431,14 +416,7 @@ class Camera(UserModel):
     ) -> "Camera":
         """Camera of a run of a design: what one device cannot show is shown with less light.
 
-        Parameters
-        ----------
-        source
-            Camera of the design, as for `load`.
-        camera
-            Another one in its place.
-        settings
-            Fields that override those of either.
+        Another camera stands in its place; parameters as of `load`.
         """
         known = cls.load(source if camera is None else camera)
         if "device" in settings and not LIGHT_LAWS[known.light].one_device:
@@ -468,7 +446,7 @@ class Camera(UserModel):
     @property
     def exposure_s(self) -> float:
         """Time of a whole exposure, seconds."""
-        return UNIT_EXPOSURE_S if self.exposure is None else self.exposure
+        return 1.0 if self.exposure is None else self.exposure
 
     @property
     def shortest_share(self) -> float:
@@ -626,4 +604,5 @@ def _shortest_frame(device: Device | None) -> float:
     """Shortest time for which a device's frame is counted, seconds."""
     if device is None:
         return 0.0
-    return max(round(device.shortest_us * 1e-6 - device.settle_us * 1e-6 - GUARD_S, 12), 0.0)
+    # besides settling, 2 µs of a frame are not counted
+    return max(round(device.shortest_us * 1e-6 - device.settle_us * 1e-6 - 2e-6, 12), 0.0)

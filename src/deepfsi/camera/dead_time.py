@@ -26,12 +26,6 @@ from deepfsi.base.models.strict import Count, Positive, Share, StrictModel
 LONGEST_DEAD_TIME_S = 1e-5
 """Longest dead time that is corrected for, seconds: a gate must hold many of them."""
 
-MOST_BLIND = {False: 1.0, True: 0.5}
-"""Arrivals in a dead time at most, of a counter that is not paralysable and of one that is.
-
-With more, a dead time that is wrong by a tenth makes the light wrong by more than a tenth.
-"""
-
 
 class DeadTime(StrictModel):
     """Dead time of a counter with its detector."""
@@ -47,7 +41,9 @@ class DeadTime(StrictModel):
     @property
     def most_registered(self) -> float:
         """Highest rate of counts that is corrected, counts/s."""
-        most = MOST_BLIND[self.paralysable]
+        # arrivals in a dead time: with more, one that is wrong by a tenth makes the light wrong by
+        # more than a tenth
+        most = 0.5 if self.paralysable else 1.0
         lost = np.exp(-most) if self.paralysable else 1 / (1 + most)
         return float(most * lost / self.seconds) if self.seconds else np.inf
 

@@ -12,9 +12,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.models.strict import Amount, Share, StrictModel, WholeNumber
 from deepfsi.base.numeric.arrays import read_npy
 
-MOST_DETECTORS = 2**16
-"""Detectors of an arm at most."""
-
 MOST_INPUTS = 64
 """Inputs of a counter at most."""
 
@@ -39,7 +36,7 @@ class DetectorMap(StrictModel):
         Standard deviation of a scene's shares about those of its class, (D,).
     """
 
-    count: int = Field(ge=1, le=MOST_DETECTORS)
+    count: int = Field(ge=1, le=2**16)
     cells: tuple[WholeNumber, ...] | None = None
     shares: tuple[tuple[Share, ...], ...] | None = None
     spread: tuple[Amount, ...] = ()

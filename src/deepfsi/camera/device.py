@@ -153,21 +153,7 @@ DEVICES, DEVICE_SOURCES = _read_devices()
 def find_device(
     name: str, shortest_s: float | None = None, settle_s: float | None = None
 ) -> Device:
-    """Device of a name, or one of COLUMNSxROWS mirrors, perhaps with times of its own.
-
-    Parameters
-    ----------
-    name : str
-        One of `DEVICES`, or a size such as ``"1920x1080"``.
-    shortest_s, settle_s : float, optional
-        Shortest picture time, and time in which mirrors settle, seconds, if other than the
-        device's.
-
-    Raises
-    ------
-    InputError
-        If no device has this name, or none shows pictures of such times.
-    """
+    """Device of a name, or one of COLUMNSxROWS mirrors, perhaps with times of its own, seconds."""
     device = DEVICES.get(name.lower()) or _device_of_size(name)
     return device.timed(shortest_s, settle_s)
 

@@ -208,15 +208,7 @@ class Design:
         return click_gates(self.info)
 
     def full_gates(self, counts: float, photons: float) -> str | None:
-        """Remark on clicks in nearly all gates of an exposure; None where they are not that many.
-
-        Parameters
-        ----------
-        counts : float
-            Clicks of an exposure.
-        photons : float
-            Budget Φ.
-        """
+        """Remark on clicks in nearly all gates of an exposure; None where they are not so many."""
         if self.gates is None or self.exposure.makes_masks:  # of which a click has a price
             return None
         return full_gates(counts / (prod(self.counts_shape) * self.gates), photons)
@@ -272,39 +264,12 @@ class Design:
     def observe(
         self, front: Any, rates: Tensor, generator: torch.Generator, photons: float
     ) -> Iterator[Observation]:
-        """Exposures at each stop, after masks or looks.
-
-        Parameters
-        ----------
-        front
-            As from `front_end` or `scanner`.
-        rates : tensor, shape (..., rails, m · D)
-            As from `rates`: expected counts for a budget of one photon.
-        generator : torch.Generator
-            Of the noise.
-        photons : float
-            Budget Φ.
-        """
+        """Exposures at each stop, after masks or looks; parameters as of `ExposureKind.observe`."""
         return self.exposure.observe(front, rates, photons, generator)
 
     @library_defaults(grad=False)
     def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> LookedAt:
-        """One exposure of a scene (N,) with adaptive masks, look by look.
-
-        Parameters
-        ----------
-        scene : array, shape (N,)
-            Reflectance.
-        photons : float
-            Budget Φ.
-        seed : int
-            Of the noise.
-
-        Raises
-        ------
-        InputError
-            If masks are known before.
-        """
+        """One exposure of a scene (N,) with adaptive masks; parameters as of `expose`."""
         generator = torch.Generator().manual_seed(seed)
         return self.prior_exposure.look_by_look(torch.from_numpy(scene), photons, generator)
 
@@ -404,15 +369,7 @@ class Design:
     # Answering
 
     def logits(self, features: Tensor, photons: Tensor | float) -> Tensor:
-        """Logits (..., C) of features.
-
-        Parameters
-        ----------
-        features : tensor, shape (..., k)
-            In counts, as from `features_of`.
-        photons : float or tensor, shape (...)
-            Budget Φ of each exposure.
-        """
+        """Logits (..., C) of features (..., k) in counts, at a budget of each exposure (...)."""
         scale = self.mask_exposure.scale(photons)
         return self.logits_of(Observation(features / scale), photons)
 
@@ -547,24 +504,10 @@ class Design:
         return replace(self, exposure=self.exposure.quantised(levels), distribution=None)
 
     def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":
-        """The design as patterns on a device realise it.
+        """The design as patterns on a device realise it, with rails (2 or 1, m, N) and cells.
 
-        The classifier stays as it is. Where one device gives a design less light, its features are
-        as much smaller, and so are the statistics that scale them.
-
-        Parameters
-        ----------
-        rails : array, shape (2 or 1, m, N)
-            What the patterns realise.
-        image_shape : tuple of int
-            Cells of a pattern.
-        dimmed : float
-            Realised matrix over designed one, up to 1.
-
-        Raises
-        ------
-        InputError
-            If the patterns are of a design of another shape, or no frames can show this one.
+        Where one device gives a design less light, `dimmed`, its features are as much smaller, and
+        so are the statistics that scale them. Parameters as of `check_patterns(...).realised`.
         """
         self.exposure.check("frames")
         _check_dimmed(dimmed, self.gates)
@@ -627,23 +570,7 @@ class Design:
         trust: bool = False,
         classifier: Given | None = None,
     ) -> "Design":
-        """Design of a file that was read.
-
-        Parameters
-        ----------
-        file : DesignFile
-        device : str or torch.device
-        trust : bool
-            Import and run the factory that the file names, if its classifier has one.
-        classifier : nn.Module, callable or str, optional
-            The module, factory or import path that the classifier is made of instead.
-
-        Raises
-        ------
-        InputError
-            If header and arrays do not fit together; if its classifier cannot be imported or is
-            not the one given.
-        """
+        """Design of a file that was read; other parameters as of `load`."""
         design = cls(**fields_of(file))
         if isinstance(design.classifier, OwnClassifier) and (trust or classifier is not None):
             design = design.with_classifier(classifier or design.classifier.factory)
@@ -651,18 +578,7 @@ class Design:
 
     @library_defaults()
     def with_classifier(self, classifier: Given) -> "Design":
-        """The design with its classifier made by the user's code, and the weights it has.
-
-        Parameters
-        ----------
-        classifier : nn.Module, callable or str
-            A module, a factory or its import path.
-
-        Raises
-        ------
-        InputError
-            If it cannot be imported, or is not the one that the weights are of.
-        """
+        """The design with its classifier made by the user's code, and the weights it has."""
         inputs = self.mask_exposure.input_count(self.features)
         answers = len(self.values.names) if self.values else len(self.classes)
         assert self.classifier is not None

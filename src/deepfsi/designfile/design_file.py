@@ -160,9 +160,6 @@ CALIBRATION_REACH = 100.0
 LOG_BOUNDS = (-3.0, 15.0)
 """Least and largest log τ."""
 
-BOUNDS_SLACK = 1e-6
-"""What rounding may add to them."""
-
 
 def calibration_budgets(low: float, high: float) -> np.ndarray:
     """Budgets that calibrate a design, two a decade."""
@@ -185,7 +182,7 @@ class Temperatures:
         if logs.shape != (stops, len(budgets)) or len(budgets) < 2 or not budgets.min() > 0:
             raise ValueError("temperatures are not of this design")
         least, most = LOG_BOUNDS
-        if not (least - BOUNDS_SLACK <= logs.min() and logs.max() <= most + BOUNDS_SLACK):
+        if not (least - 1e-6 <= logs.min() and logs.max() <= most + 1e-6):
             raise ValueError("temperatures are beyond all that are fitted")
         ratios = np.diff(np.log(budgets))
         if not ratios.min() > 0 or not np.allclose(ratios, ratios[0], rtol=1e-3):
@@ -213,11 +210,6 @@ STATISTICS = ("mean", "std", "shares")
 REFLECTANCE_SLACK = 1e-3
 """What rounding may change of a reflectance, or of a sum of them, relative."""
 
-MOST_REFLECTANCE = 1e3
-"""Largest sum of all components of a prior."""
-
-MOST_SPREAD = 1e2
-"""Largest spread of a prior."""
 
 HEADER_KEY = "deepfsi"
 """Key of the header in the file's metadata."""
@@ -431,13 +423,13 @@ def _check_prior(header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]) -> No
     mean = arrays["mean"]
     farthest = 127 * arrays["steps"] @ np.abs(arrays["components"])
     brightest = 1 + REFLECTANCE_SLACK
-    if mean.min() < 0 or mean.max() > brightest or farthest.max() > MOST_REFLECTANCE:
+    if mean.min() < 0 or mean.max() > brightest or farthest.max() > 1e3:
         raise ValueError("the prior holds no reflectances")
     sizes = arrays["sizes"]
     light, spread = arrays["numbers"]
     lit = math.isclose(light, mean.sum(dtype=float), rel_tol=REFLECTANCE_SLACK)
     populated = arrays["members"].min() > 0 and sizes.min() >= 0 and sizes.sum() == scenes
-    if not (lit and populated and 0 <= spread <= MOST_SPREAD):
+    if not (lit and populated and 0 <= spread <= 1e2):
         raise ValueError("the scenes of the prior are none")
 
 

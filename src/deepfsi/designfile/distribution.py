@@ -35,26 +35,6 @@ TAIL_COUNTS = tuple(10.0 ** np.arange(-2, 6))
 TAIL_CHANCES = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4)
 """p-values whose statistics are stored; smaller ones are not told apart."""
 
-OVER_DISPERSED = 3.1
-"""Standard deviations of photon noise beyond which scenes differ: one in 1000 that do not."""
-
-LARGEST_SHARE = 1.001
-"""Largest share in a file: 1, and what rounding may add."""
-
-LOG_ERROR = 1e-5
-"""Error of a logarithm in the file: what is equal is no further out."""
-
-DIRECTIONS = 32
-"""Directions of the scenes' covariance that are kept, at most; the rest is a diagonal."""
-
-FEW_READOUTS = 128
-"""Readouts whose whole covariance is decomposed faster than its main directions are drawn."""
-
-READOUT_ERROR = 0.02
-"""Relative error of a readout that a sound device may have: rounded masks, dead time."""
-
-BRIGHTNESS_ERROR = 0.1
-"""Relative error of a budget that is estimated well: dead time in the all-ON frame."""
 
 EXPOSURES_AT_ONCE = 256
 """Exposures with noise of their own that are in memory at a time."""
@@ -187,14 +167,14 @@ class ReadoutModel:
         weights = exposures.weights
         complete = exposures.expected * (weights @ self.share)
         power = (1 + dark.sum(axis=1) / complete) / complete
-        power += self.spread**2 + BRIGHTNESS_ERROR**2
+        power += self.spread**2 + 0.1**2  # dead time in the all-ON frame
         power += self.fluctuation**2 * np.square(self.share).sum()
         bright = counts.sum(axis=1) / complete
         brightness = np.square(bright - 1) / power
         counted = weights > 0
         scale = np.where(counted, weights, 1.0) * exposures.expected[:, None]
         off = np.where(counted, counts / scale - bright[:, None] * self.share, 0.0)
-        floor = self.rest + np.square(READOUT_ERROR * self.share)
+        floor = self.rest + np.square(0.02 * self.share)  # rounded masks, dead time
         floor = floor + np.square(self.fluctuation * self.share)
         noise = np.where(counted, (self.share + dark / scale) / scale + floor, np.inf)
         if (noise == noise[0]).all():  # most often of fixed dwells: one matrix serves them all
@@ -260,7 +240,7 @@ class ReadoutDistribution:
         shares = [arrays[name] for name in ("mean", "directions", "rest") if arrays[name].size]
         most = max(float(np.abs(share).max()) for share in shares)
         falling = any((np.diff(arrays[name]) < 0).any() for name in ("tails", "pairs"))
-        if least < 0 or most > LARGEST_SHARE or falling or not (arrays["mean"] > 0).any():
+        if least < 0 or most > 1.001 or falling or not (arrays["mean"] > 0).any():
             raise ValueError("the distribution of the readouts is none")
         return cls(**arrays)
 
@@ -338,7 +318,8 @@ class ReadoutDistribution:
 
     def _alike(self, model: ReadoutModel, exposures: ReadoutCounts) -> float:
         """p-value of the likeness of exposures, taken two by two."""
-        if not len(self.pairs) or _dispersion(exposures, model.fluctuation) > OVER_DISPERSED:
+        # one in 1000 that do not differ
+        if not len(self.pairs) or _dispersion(exposures, model.fluctuation) > 3.1:
             return 1.0
         pairs = len(exposures.counts) // 2
         first = slice(0, pairs)
@@ -351,8 +332,8 @@ class ReadoutDistribution:
 
 def _principal(patterns: np.ndarray) -> np.ndarray:
     """Principal axes (k, R) of patterns (n, R), each as long as their standard deviation."""
-    count = min(DIRECTIONS, *patterns.shape)
-    if patterns.shape[1] <= FEW_READOUTS:
+    count = min(32, *patterns.shape)
+    if patterns.shape[1] <= 128:  # faster than to draw its main directions
         variances, axes = np.linalg.eigh(patterns.T @ patterns / len(patterns))
         return (axes * np.sqrt(variances.clip(min=0))).T[: -count - 1 : -1]
     from sklearn.utils.extmath import randomized_svd
@@ -403,6 +384,7 @@ def _survival(statistic: np.ndarray, noise: np.ndarray, tail: np.ndarray) -> np.
     below = np.minimum(row.astype(int), len(TAIL_COUNTS) - 2)
     weight = (row - below)[:, None]
     levels = (1 - weight) * tail[below] + weight * tail[below + 1]
-    log = np.log(np.maximum(statistic, SMALLEST_STATISTIC)) - LOG_ERROR
+    # what is equal is no further out
+    log = np.log(np.maximum(statistic, SMALLEST_STATISTIC)) - 1e-5
     logs = [np.interp(*pair, np.log(TAIL_CHANCES)) for pair in zip(log, levels, strict=True)]
     return np.exp(logs)

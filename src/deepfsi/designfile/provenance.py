@@ -20,14 +20,9 @@ from deepfsi.camera.names import find_noise
 from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.jobs.exposures import ExposureEntry
 
-HASH_BYTES = 4
-"""Bytes of the hash of a scene. A scene that is new is taken for one of n with n / 2³²."""
-
 IMAGE_LEVELS = 255
 """Highest level to which images are rounded before they are hashed: that of a picture's file."""
 
-FINE_LEVELS = 2**16 - 1
-"""Highest level to which other scenes are rounded before they are hashed."""
 
 SCENE_HASHES = "training_scenes"
 """Name of the tensor of a design file that holds the hashes."""
@@ -72,12 +67,10 @@ def scene_hashes(scenes: np.ndarray, image_shape: tuple[int, ...]) -> tuple[str,
     """Short hash, in hex, of each of scenes (n, ...), rounded to levels."""
     # Rounded as `write_pictures` does, so that a scene keeps its hash when it is written as a
     # picture and read again
-    most = IMAGE_LEVELS if len(image_shape) == 2 else FINE_LEVELS
+    most = IMAGE_LEVELS if len(image_shape) == 2 else 2**16 - 1
     kind = np.uint8 if most == IMAGE_LEVELS else np.uint16
     return tuple(
-        blake2b(
-            np.rint(scene.ravel() * most).clip(0, most).astype(kind), digest_size=HASH_BYTES
-        ).hexdigest()
+        blake2b(np.rint(scene.ravel() * most).clip(0, most).astype(kind), digest_size=4).hexdigest()
         for scene in scenes
     )
 

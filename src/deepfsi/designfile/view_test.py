@@ -26,24 +26,6 @@ FALSE_ALARM = 0.005
 MOST_AXES = 40
 """Principal axes of the scenes about their classes' means that are kept."""
 
-SCENES_OF_AN_AXIS = 5
-"""Training scenes that each axis needs."""
-
-FEWEST_MODELLED = 100
-"""Training scenes from which on runs can be tested."""
-
-FEWEST_MODELLED_OF_A_CLASS = 20
-"""Training scenes of each class from which on runs can be tested."""
-
-FREE_BRIGHTNESS = 0.3
-"""Standard deviation of the brightness of a scene that is allowed beyond that of the training."""
-
-FREE_GAIN = 0.03
-"""The same of the efficiency of each detector."""
-
-MOST_FAULTS_NAMED = 3
-"""Faults that a remark lists at most."""
-
 
 @dataclass(frozen=True)
 class _FaultSizes:
@@ -166,7 +148,7 @@ class SceneModel:
     @staticmethod
     def are_enough(sizes: np.ndarray) -> bool:
         """True if runs can be tested with so many training scenes of each class, (C,)."""
-        return bool(sizes.sum() >= FEWEST_MODELLED and sizes.min() >= FEWEST_MODELLED_OF_A_CLASS)
+        return bool(sizes.sum() >= 100 and sizes.min() >= 20)
 
     @classmethod
     def fit(cls, x: np.ndarray, labels: np.ndarray, classes: int) -> "SceneModel | None":
@@ -176,7 +158,7 @@ class SceneModel:
             return None
         means = np.stack([x[labels == k].mean(axis=0, dtype=float) for k in range(classes)])
         away = np.asarray(x, float) - means[labels]
-        axes = min(MOST_AXES, len(x) // SCENES_OF_AN_AXIS)
+        axes = min(MOST_AXES, len(x) // 5)
         return cls.of(means, away / np.sqrt(len(x) - classes), sizes / len(x), axes)
 
     @classmethod
@@ -298,7 +280,7 @@ class ViewResult:
             return None
         counts = [scenes for scenes in possible.values() if np.isfinite(scenes)]
         enough = f"about {max(counts):.0f} scenes would" if counts else "more light or scenes would"
-        first = list(possible)[:MOST_FAULTS_NAMED]
+        first = list(possible)[:3]
         others = len(possible) - len(first)
         more = f" or {others} others" if others else ""
         return (
@@ -344,7 +326,7 @@ class ViewTest:
             # The all-ON frames that measure the light see the stray light, too
             views.append(image / (1 + fault.stray))
         # The same freedom whatever the view: brightness alone speaks for none
-        free = [FREE_BRIGHTNESS * self._shares @ view[None, : self._classes] for view in views]
+        free = [0.3 * self._shares @ view[None, : self._classes] for view in views]
         self._views = np.stack([np.concatenate(pair) for pair in zip(views, free, strict=True)])
         self._faults = tuple(fault.words for fault in faults)
         # Every view is as likely before as another
@@ -372,7 +354,8 @@ class ViewTest:
         light = self._views @ rows.masks[lit].T * scale  # (V, C + axes, k)
         away = rows.counts[lit] * scale - light[:, : self._classes]
         gains = rows.inputs[lit, None] == np.unique(rows.inputs)
-        free = (FREE_GAIN * (expected[lit] * scale)[:, None] * gains).T
+        # the efficiency of each detector is free by 3 %
+        free = (0.03 * (expected[lit] * scale)[:, None] * gains).T
         axes = np.concatenate(
             [light[:, self._classes :], np.broadcast_to(free, (len(light), *free.shape))], axis=1
         )

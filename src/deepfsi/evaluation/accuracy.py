@@ -32,11 +32,6 @@ AnyAnswers = TypeVar("AnyAnswers", bound=Answers)
 COVERS = "test images and noise draws, of one training"
 """What the interval of a test of classes covers."""
 
-VALUES_COVER = (
-    "test images and noise draws, of one training; the variance of the values is taken as known"
-)
-"""What the intervals of a test of values cover."""
-
 
 @plain_keywords()
 @library_defaults()
@@ -94,12 +89,13 @@ def evaluate(
     check_data(design, scenes)
     check_draws(draws, seed)
     camera = camera_for(design, camera, **settings)
+    known = ["the variance of the values is taken as known"] if design.values else []
     conditions = Conditions(
         budgets,
         draws,
         seed,
         noise=camera.noise_name,
-        covers=coverage_text(VALUES_COVER if design.values else COVERS, left),
+        covers="; ".join([COVERS, *known, *([left] if left else [])]),
     )
     title = f"{design.name}, {design.masks} masks"
     front = design.front_end(camera)
@@ -123,11 +119,6 @@ def evaluate(
         )
         for estimates in every
     ]
-
-
-def coverage_text(covers: str, left: str | None) -> str:
-    """Words on what an interval covers, with the scenes that were left out."""
-    return covers if left is None else f"{covers}; {left}"
 
 
 Guessed = tuple[tuple[Tensor, ...], CountedLight]

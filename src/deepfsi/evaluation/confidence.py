@@ -33,12 +33,6 @@ from deepfsi.designfile.distribution import (
 )
 from deepfsi.networks.classifiers import stop_temperatures
 
-CALIBRATED_STOPS = 8
-"""Numbers of masks or looks at which temperatures are fitted, at most."""
-
-LEAST_CLASS_SHARE = 1e-6
-"""Share of a class that guessing is taken to give at least."""
-
 
 class Exposed(NamedTuple):
     """Scenes of known classes, and the design that answers them."""
@@ -124,7 +118,8 @@ def fit_temperatures(
     it becomes less sure only, never surer than it is.
     """
     stops = scenes.stops
-    fitted = np.unique(np.rint(np.geomspace(1, stops, CALIBRATED_STOPS)).astype(int)) - 1
+    # at eight numbers of masks or looks, at most
+    fitted = np.unique(np.rint(np.geomspace(1, stops, 8)).astype(int)) - 1
     logs = np.array(
         [
             [_fit(logits, scenes) for logits in scenes.logits(budget, seed, fitted.tolist())]
@@ -149,7 +144,7 @@ def measure_left_out(
     last = scenes.stops - 1
     [logits] = scenes.logits(photons, seed, [last])
     losses = scenes.losses(logits, float(stop_temperatures(temperatures, photons)[last]))
-    guessed = -np.log(guess.clip(min=LEAST_CLASS_SHARE))[scenes.labels]
+    guessed = -np.log(guess.clip(min=1e-6))[scenes.labels]
     # exposures of one scene are no scenes of their own
     gains = (losses - guessed).reshape(-1, scenes.draws).mean(axis=1)
     return LeftOutTest(
@@ -212,31 +207,16 @@ def _fit(logits: np.ndarray, scenes: CalibrationScenes) -> float:
     return float(minimize_scalar(log_loss, bounds=LOG_BOUNDS, method="bounded", options=options).x)
 
 
-FEWEST_SCENES = 100
-"""Scenes from which on a tail is calibrated."""
-
 FEWEST_OF_A_CLASS = 50
-"""Scenes of each class from which on a tail is calibrated: `IN_TAIL` of them are a fifth."""
+"""Scenes of each class from which on a tail is calibrated: those that a tail has are a fifth."""
 
 MOST_SCENES = 4096
 """Training scenes that are looked at, at most."""
 
-MOST_NUMBERS = 2**21
-"""Scenes times readouts that are looked at, at most, but for `LEAST_SCENES`."""
-
-LEAST_SCENES = 512
-"""Training scenes that are looked at however many readouts there are."""
-
-FIT_FOLDS = 4
-"""Parts of the scenes, each calibrated with the covariance of the others."""
-
-IN_TAIL = 10
-"""Scenes to which a tail's power law is fitted, at least."""
-
 
 def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
     """Places of the training scenes, of `count`, that are looked at."""
-    most = min(max(MOST_NUMBERS // readouts, LEAST_SCENES), MOST_SCENES)
+    most = min(max(2**21 // readouts, 512), MOST_SCENES)
     return np.random.default_rng(seed).permutation(count)[:most]
 
 
@@ -255,11 +235,12 @@ def find_distribution(
     fluctuation = 0.0 if light is None else light.fluctuation
     every = rates.double().cpu().numpy()
     rng = np.random.default_rng([seed, 12])
-    folds = np.array_split(rng.permutation(len(every)), FIT_FOLDS)
+    # each calibrated with the covariance of the others
+    folds = np.array_split(rng.permutation(len(every)), 4)
     # what the scenes of one fold alone light cannot be compared with those of the others
     lit = np.sum([(every[fold] > 0).any(axis=0) for fold in folds], axis=0) > 1
     sizes = np.bincount(labels, minlength=classes)
-    if len(every) < FEWEST_SCENES or sizes.min() < FEWEST_OF_A_CLASS or not lit.any():
+    if len(every) < 100 or sizes.min() < FEWEST_OF_A_CLASS or not lit.any():
         return None
     held = every[:, lit]
     total = held.mean(axis=0).sum()
@@ -322,7 +303,8 @@ def _calibrate(
 def _tail(logs: np.ndarray) -> np.ndarray:
     """Logarithms (..., chances) that values (..., n) exceed with each of `TAIL_CHANCES`."""
     chances = np.array(TAIL_CHANCES)
-    tail = chances[chances * logs.shape[-1] >= IN_TAIL].min()
+    # scenes to which the power law is fitted, at least
+    tail = chances[chances * logs.shape[-1] >= 10].min()
     bulk = np.moveaxis(np.quantile(logs, 1 - chances, axis=-1), 0, -1)
     start = bulk[..., chances == tail]
     beyond = np.where(logs > start, logs - start, 0).mean(axis=-1, keepdims=True) / tail

@@ -36,12 +36,6 @@ from deepfsi.networks.classifiers import check_classes
 from deepfsi.physics.scanner import Scanner
 from deepfsi.physics.surroundings import library_defaults
 
-MOST_LIKELIHOODS = 2**24
-"""Likelihoods that are held at a time: those of some hundred exposures under all scenes."""
-
-COPIES = 4
-"""Arrays as large as the rates of all training scenes that are held at a time."""
-
 
 class IdealObserver:
     """Posterior of the class of Poisson counts, with given scenes as prior.
@@ -92,7 +86,7 @@ class IdealObserver:
         photons : float
             Budget Φ.
         """
-        rows = max(1, MOST_LIKELIHOODS // len(self._logs))
+        rows = max(1, 2**24 // len(self._logs))  # likelihoods held at a time
         read = counts.flatten(1)[:, self._lit].to(self._logs.dtype)
         return torch.cat([self._chances(part, photons) for part in read.split(rows)])
 
@@ -173,7 +167,8 @@ def ideal_observer(
 
     with torch.no_grad(), progress_bar(report, "ideal observer") as bar:
         rates = rates_of(torch.from_numpy(np.asarray(scenes.x_train)))
-        needed = COPIES * rates.numel() * rates.element_size()
+        # arrays as large as the rates of all training scenes
+        needed = 4 * rates.numel() * rates.element_size()
         check_memory(needed, free_memory(), "likelihoods of these scenes", "give fewer scenes")
         observer = IdealObserver(rates, torch.from_numpy(scenes.y_train), len(scenes.classes))
         shares = rates.mean(dim=0).flatten(0, -2).sum(dim=0)

@@ -34,14 +34,9 @@ SLIDER_BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 
 SCENES = 30
 """Test scenes in the page, of each class as many as can be."""
 
-COEFFICIENTS = 10**6
-"""Coefficients of training scenes in a page of adaptive masks, at most: 8 bits each."""
 
 TESTED = 300
 """Test scenes by which the accuracy of adaptive masks is measured, at most: a look takes a ms."""
-
-LARGEST_SHORT = 2**16 - 1
-"""Largest 16-bit number, the highest level of a scene."""
 
 
 @library_defaults()
@@ -96,7 +91,7 @@ def playable(
 
 def of_page(design: Design, seed: int = 0) -> Design:
     """The design as a page plays it: with some of its scenes, and a stop for shared light alone."""
-    return replace(design, exposure=design.prior_exposure.few(COEFFICIENTS, seed))
+    return replace(design, exposure=design.prior_exposure.few(10**6, seed))  # 8 bits each
 
 
 def few_tests(data: Dataset, seed: int) -> Dataset:
@@ -241,7 +236,7 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
     turns = [queue[turn] for turn in range(SCENES) for queue in queues if turn < len(queue)]
     rows = np.array(sorted(turns[:SCENES], key=lambda row: (data.y_test[row], row)))
     share = (data.x_test[rows] - low) / max(high - low, 1e-9)
-    levels = np.rint(share.clip(0, 1) * LARGEST_SHORT).astype(np.uint16)
+    levels = np.rint(share.clip(0, 1) * (2**16 - 1)).astype(np.uint16)
     sums = data.x_train.sum(axis=1, dtype=float)
     return {
         "clearest": _clearest(data, rows),

@@ -23,12 +23,6 @@ from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import project_rails
 from deepfsi.physics.training_noise import Draws, SeedStream, ml_gauss_features, side_by_side
 
-CLICKING = 0.9
-"""Part of the gates that click at the start, at most."""
-
-DIMMINGS = 30
-"""Steps of the search for the brightness of the start."""
-
 
 @dataclass(frozen=True, eq=False)
 class FixedExposure(MaskExposure):
@@ -151,11 +145,12 @@ class _LearnedTraining(ExposureTraining):
             readouts = rails.count * rails.masks * detection.count
             most = float(self.noise.kind.mean(torch.tensor(torch.inf)))  # if it is limited
             bright_start = self.job.training.start_counts * counts
-            goal = max(counts, min(bright_start, CLICKING * most * readouts))
+            # nine tenths of the gates click at most
+            goal = max(counts, min(bright_start, 0.9 * most * readouts))
             low = torch.full_like(bright, -20.0)
             high = torch.zeros_like(bright)
             whole = {name: each.clone() for name, each in masks.state_dict().items()}
-            for _ in range(DIMMINGS):
+            for _ in range(30):
                 masks.load_state_dict(whole)
                 middle = (low + high) / 2
                 masks.dim(middle.exp())

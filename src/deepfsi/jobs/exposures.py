@@ -27,7 +27,6 @@ from pydantic import (
 from deepfsi.base.errors import InputError, Message, as_input_error, closest_choice
 from deepfsi.base.models.strict import (
     Count,
-    LaterFields,
     Positive,
     StrictModel,
     UserModel,
@@ -213,7 +212,7 @@ ExposureEntry = Annotated[
 """Field of a header: how the masks of a design are exposed, where they are known before."""
 
 
-class SharedLight(LaterFields, Exposure):
+class SharedLight(Exposure):
     """Adaptive masks that share the light among exposures: the budget is the mean of all.
 
     An exposure ends as soon as the probability of a class is above a threshold, and takes at most
@@ -229,8 +228,6 @@ class SharedLight(LaterFields, Exposure):
     2.0
     """
 
-    LATER: ClassVar = ("least_cap",)
-
     cap: float = Field(
         gt=1,
         le=100,
@@ -241,6 +238,7 @@ class SharedLight(LaterFields, Exposure):
         default=None,
         ge=1,
         le=100,
+        exclude_if=lambda cap: cap is None,
         description="of adaptive masks: the training finds the cap, from this to --cap; --cap "
         "itself unless given",
     )
@@ -274,10 +272,8 @@ What a look tells of how far the scene is from those of the prior is not kept fo
 """
 
 
-class AdaptiveMasks(LaterFields, UserModel):
+class AdaptiveMasks(UserModel):
     """Exposure with adaptive masks: how a design that makes each next mask looks at a scene."""
-
-    LATER: ClassVar = ("cap", "price", "light_price", "dictionary")
 
     looks: int = Field(
         default=16, ge=1, le=1024, strict=True, description="masks that are shown one after another"
@@ -320,6 +316,7 @@ class AdaptiveMasks(LaterFields, UserModel):
         default=1.0,
         ge=1,
         le=100,
+        exclude_if=lambda cap: cap == 1,  # files of before it stay as they are, as of others
         description="light of all looks over the budget, which is the mean of exposures that stop",
     )
 
@@ -327,6 +324,7 @@ class AdaptiveMasks(LaterFields, UserModel):
         default=None,
         ge=0,
         allow_inf_nan=False,
+        exclude_if=lambda price: price is None,
         description="of a detector that clicks at most once a look: information about the class "
         "that a click has to tell, nats; none of detectors that count",
     )
@@ -335,6 +333,7 @@ class AdaptiveMasks(LaterFields, UserModel):
         default=0.0,
         ge=0,
         allow_inf_nan=False,
+        exclude_if=lambda price: price == 0,
         description="of a detector that clicks at most once a look: clicks that a photon on the "
         "device is taken to cost",
     )
@@ -344,6 +343,7 @@ class AdaptiveMasks(LaterFields, UserModel):
         ge=1,
         le=MOST_READY,
         strict=True,
+        exclude_if=lambda count: count is None,
         description="masks that stay on the device, of which each look shows one, at most; masks "
         "are made anew unless given",
     )

@@ -210,13 +210,7 @@ class Job(UserModel):
     def faults(self, data: Dataset, matrix: np.ndarray | None = None) -> list[str]:
         """Everything that the job asks and that cannot be had on this data, in words.
 
-        Parameters
-        ----------
-        data : Dataset
-            Scenes of the training.
-        matrix : array, shape (m, N), optional
-            Masks of a design that are the user's own. Whether they break the light law is seen when
-            they are shown, by `physics.LightLaw.rails_of`.
+        Whether a user's own matrix (m, N) breaks the light law is seen when it is shown.
         """
         faults = [*self._classifier_faults(), *self.exposure.faults(self)]
         if self.training.counts is not None:

@@ -14,8 +14,6 @@ from deepfsi.datasets.decoding import PICTURE_FORMATS, check_grey_levels, unread
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""
 
-LARGEST_MASK_IMAGE = 2**31
-"""Bytes of an image file at most."""
 
 LARGEST = 2**28
 """Values of a matrix at most: a small file may claim more than memory holds."""
@@ -84,7 +82,7 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            opened = open_regular(file, LARGEST_MASK_IMAGE, "replace it")
+            opened = open_regular(file, 2**31, "replace it")
             with opened as stream, Image.open(stream, formats=PICTURE_FORMATS) as image:
                 pixels = image.width * image.height * getattr(image, "n_frames", 1)
                 check_unpacked(pixels, file.stat().st_size, str(file), "replace it")

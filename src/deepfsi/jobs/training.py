@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pkgutil import resolve_name
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -21,7 +21,7 @@ from pydantic import (
 )
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import Count, LaterFields, Positive, StrictModel, UserModel
+from deepfsi.base.models.strict import Count, Positive, StrictModel, UserModel
 from deepfsi.base.plugins import IMPORT_PATH, UNNAMED_PLUGIN, import_path
 from deepfsi.base.registry import installed
 from deepfsi.camera.names import NoiseSetting
@@ -64,8 +64,6 @@ def find_classifier(name: str) -> ClassifierFacts:
 MOST_LAYERS = 64
 """Hidden layers of a network at most."""
 
-MOST_EPOCHS = 100_000
-"""Epochs of one training: far more than any has needed, and fewer than never end."""
 
 Widths = Annotated[tuple[Count, ...], Field(max_length=MOST_LAYERS)]
 """Widths of the hidden layers of a network."""
@@ -159,7 +157,7 @@ PRIOR_SETTINGS = {"clusters", "dictionary"}
 """Settings of the training that adaptive masks take, which learn by no steps."""
 
 
-class Training(LaterFields, UserModel):
+class Training(UserModel):
     """Settings of a training: its steps, its network, its precision and its start.
 
     Examples
@@ -169,11 +167,7 @@ class Training(LaterFields, UserModel):
     0.01
     """
 
-    LATER: ClassVar = ("dictionary", "start_counts")
-
-    epochs: int = Field(
-        default=40, ge=1, le=MOST_EPOCHS, description="passes over the training scenes"
-    )
+    epochs: int = Field(default=40, ge=1, le=100_000, description="passes over the training scenes")
     batch: int | None = Field(
         default=None,
         ge=2,
@@ -225,6 +219,7 @@ class Training(LaterFields, UserModel):
     )
     start_counts: Positive = Field(
         default=10.0,
+        exclude_if=lambda times: times == 10,  # keys and files of before it stay as they are
         description="of few counts: masks start from so many times those asked for, unless that "
         "would be nine tenths of all gates",
     )
@@ -238,6 +233,7 @@ class Training(LaterFields, UserModel):
         default=None,
         ge=1,
         le=MOST_READY,
+        exclude_if=lambda count: count is None,
         description="of adaptive masks: each look shows one of so many masks, which stay on the "
         "device; masks are made anew unless given",
     )

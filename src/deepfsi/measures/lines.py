@@ -15,9 +15,6 @@ from deepfsi.base.quantities import (
 from deepfsi.measures.results import Estimates, Result
 from deepfsi.measures.table import Measure
 
-FEW_CLASSES = 5
-"""Classes whose names head the columns of a confusion matrix in full."""
-
 
 def score_text(result: Result | Estimates) -> str:
     """Test accuracy, or R² of values, with its interval."""
@@ -122,7 +119,7 @@ def _confusion_table(result: Result, classes: Sequence[str]) -> Table:
         (short_name(name), *(f"{100 * x:.0f}" if x else "" for x in row))
         for name, row in zip(classes, confusion_shares(result.confusion), strict=True)
     ]
-    width = NAME_WIDTH if len(classes) <= FEW_CLASSES else 5
+    width = NAME_WIDTH if len(classes) <= 5 else 5
     heads = ("true \\ answered", *(short_name(name, width) for name in classes))
     return Table(f"answers {where}", heads, rows)
 

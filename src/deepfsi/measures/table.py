@@ -59,9 +59,6 @@ def chance_error(confidence: np.ndarray, draws: int = 200, seed: int = 0) -> flo
 MOST_DRAWS = 10_000
 """Noise draws of each scene in one test: enough for any interval, and an end in sight."""
 
-LEAST_TRUE_CHANCE = np.finfo(np.float32).eps
-"""Least probability of a true class that the log loss is taken of."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Answers:
@@ -118,7 +115,7 @@ class ClassAnswers(Answers):
     def losses(self) -> np.ndarray:
         """−ln of the probability (E,) of the true classes, in nats."""
         chances = self.chances[np.arange(len(self.true)), self.true].astype(float)
-        return -np.log(chances.clip(min=LEAST_TRUE_CHANCE))
+        return -np.log(chances.clip(min=np.finfo(np.float32).eps))
 
     @cached_property
     def right(self) -> np.ndarray:

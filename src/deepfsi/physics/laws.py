@@ -448,10 +448,6 @@ def _softmax_dwells(dwell: Tensor, shortest: float, pattern: Tensor | None = Non
     return through(shares, shown).view_as(dwell)
 
 
-ROUNDING = 1e-6
-"""Share by which a dwell may fall short of the shortest one, which is rounding."""
-
-
 def share_out(dwell: Tensor, shortest: float) -> Tensor:
     """Dwells (..., q) of frames without those that are too short, whose time the others get.
 
@@ -463,7 +459,7 @@ def share_out(dwell: Tensor, shortest: float) -> Tensor:
     order = dwell.argsort(dim=-1, descending=True, stable=True)
     longest_first = dwell.gather(-1, order)
     total = dwell.sum(-1)[..., None]
-    enough = longest_first * total >= shortest * (1 - ROUNDING) * longest_first.cumsum(-1)
+    enough = longest_first * total >= shortest * (1 - 1e-6) * longest_first.cumsum(-1)
     count = enough.sum(-1)[..., None].clip(min=1)
     shown = dwell * (order.argsort() < count)
     return shown * (total / shown.sum(-1)[..., None])

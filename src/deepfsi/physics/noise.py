@@ -86,17 +86,7 @@ class Noise(ABC):
 
     @abstractmethod
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
-        """Counts of rails that are read out.
-
-        Parameters
-        ----------
-        rates : tensor, shape (...)
-            Expected counts.
-        random : torch.Generator, optional
-            Torch's own unless given.
-        dark : tensor, broadcastable to rates
-            Expected dark counts of each rail, from `dark_counts`.
-        """
+        """Counts of rails (...) that are read out, with dark counts from `dark_counts`."""
 
     def sample(
         self,
@@ -106,17 +96,7 @@ class Noise(ABC):
         random: Random = None,
         rails: int = -2,
     ) -> Tensor:
-        """Counts of rails as from `draw`, but 0 of those that are not read out.
-
-        Parameters
-        ----------
-        rates, dark, random
-            As of `draw`.
-        read : Readouts
-            Broadcastable to rates.
-        rails : int
-            Axis of the rails, where they are not before the masks.
-        """
+        """Counts of rails as from `draw`, but 0 of those that are not read out."""
         if not self.unbiased:
             rates = torch.where(read.active, rates, 1.0)  # the slope of a root at 0 is infinite
         return torch.where(read.active, self.draw(rates, random, dark), 0.0)
@@ -564,12 +544,6 @@ def _normal(like: Tensor, random: Random) -> Tensor:
     return torch.randn(like.shape, generator=random, device=like.device, dtype=like.dtype)
 
 
-LEAST_NOISE = 1e-30
-"""Least ν over G, that of a readout that is dark."""
-
-MOST_GAIN = 100.0
-"""Largest factor of clicks, where nearly every gate clicks, or none, and clicks tell nothing."""
-
 MOST_CLICKS = 0.95
 """Share of gates that click above which one is told: with r photons in a gate the information on
 log r is r² e⁻ʳ / (1 − e⁻ʳ), highest at a share of 0.80, and 0.73 of that at 0.95."""
@@ -615,9 +589,10 @@ def to_training_light(
         halves = [(part / 2).tanh() for part in parts]
         plus, minus = (2 * half / (1 + half) for half in halves)
         noise = plus * (-parts[0]).exp() + minus * (-parts[1]).exp()
-        return gates * (plus - minus), noise.clamp(min=LEAST_NOISE)
+        return gates * (plus - minus), noise.clamp(min=1e-30)  # that of a readout that is dark
 
     trained, noise = moments(1.0)
     now, noise_now = moments(ratio)
-    gain = (noise / noise_now).sqrt().clamp(max=MOST_GAIN)
+    # clicks of nearly every gate, or none, tell nothing
+    gain = (noise / noise_now).sqrt().clamp(max=100.0)
     return gain, trained - now * gain

@@ -83,23 +83,10 @@ class TrainingNoise:
     def learn(
         self, scenes: Tensor, masks: LearnedMasks, detection: Detection, draws: "Draws"
     ) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
-        """Centred features of a step's scenes behind masks that learn.
+        """Centred features (B, R, k) of a step's scenes behind masks that learn, and their light.
 
-        Parameters
-        ----------
-        scenes : tensor, shape (n + 1, N)
-            Centred scenes, and their mean as the last row, arranged as the masks are.
-        masks : LearnedMasks
-            Of all R trainings.
-        detection : Detection
-        draws : Draws
-            Of the step.
-
-        Returns
-        -------
-        features : tensor, shape (B, R, k)
-        light : list of pairs of tensors, shape (B, R_i, k)
-            Products x D and x S of each seed, under a noise that counts; else none.
+        Scenes (n + 1, N) are centred, with their mean as the last row, arranged as the masks are.
+        The light is the products x D and x S (B, R_i, k) of each seed, under a noise that counts.
         """
         parts = detection.count
         features: list[Tensor] = []

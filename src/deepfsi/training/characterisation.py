@@ -48,9 +48,6 @@ LEFT_OUT = 150
 DOUBT = 1.0
 """Scenes of any class that are added to those left out."""
 
-EXPOSURES = 1000
-"""Exposures of left-out scenes by which networks are calibrated, about."""
-
 
 def characterise(
     training_set: TrainingSet,
@@ -111,7 +108,8 @@ def _calibration_scenes(
             Exposed(made, made.front_end(job.camera), fold.x_test, fold.y_test)
             for fold, made in left_out
         ]
-        draws = max(1, EXPOSURES // sum(len(fold.x_test) for fold, _ in left_out))
+        # exposures in all, about
+        draws = max(1, 1000 // sum(len(fold.x_test) for fold, _ in left_out))
         return CalibrationScenes(parts, 1, draws, doubt=DOUBT)
     held = data.held_out > 0
     x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)

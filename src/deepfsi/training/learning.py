@@ -53,29 +53,11 @@ from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, array_hash
 from deepfsi.training.hooks import Epoch, LoopHooks
 from deepfsi.training.loop import batch_of, optimise
 
-MASK_COPIES = 16
-"""Copies of the masks alive in a step: weights, gradients, moments, their stages and products."""
-
-QUANTISED_MASK_COPIES = 10
-"""Those besides of quantised masks: two rails, their steps, what is shown, and its two sums."""
-
-FEATURE_COPIES = 12
-"""Copies of the features and hidden units alive in a step."""
-
-FLOAT_BYTES = 4.0
-"""Bytes of a number."""
-
 NEAR = 0.02
 """Relative difference between the counts asked for and those in the mean that is taken for none."""
 
 MOST_TRAININGS = 6
 """Trainings after which the last design is taken, whatever it counts."""
-
-REMEDY = "lower lr and mask_lr, or try another seed or more photons"
-"""What to do where a training diverged."""
-
-ADAPTIVE_SHARE = 0.5
-"""Share of the budget that adaptive masks count, nearly: half of the mirrors are ON."""
 
 
 HOOKS = ("callback", "patience", "optimiser", "schedule")
@@ -378,7 +360,10 @@ def _optimised(
         bool(torch.isfinite(tensor).all()) for tensor in [exposure.masks().stacked, *weights]
     ):
         checkpoint.remove()
-        raise Diverged(f"training of {group.jobs[0].design} diverged: {REMEDY}")
+        raise Diverged(
+            f"training of {group.jobs[0].design} diverged: lower lr and mask_lr, or try another "
+            "seed or more photons"
+        )
     return exposure, classifiers
 
 
@@ -388,7 +373,7 @@ def _first_share(
     """Share of the budget that the masks count before training; parameters as for `train`."""
     _check(training_set, [job], matrix, start)
     if job.code.adaptive:
-        return ADAPTIVE_SHARE
+        return 0.5  # nearly: half of the mirrors are ON
     exposure = build_training(JobGroup.of(training_set, [job], matrix=matrix, start=start))
     exposure.fix()
     light = exposure.masks().total[0] @ exposure.scenes.full.mean(dim=0)
@@ -497,9 +482,11 @@ def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     masks = replicas * job.masks
     batch = batch_of(job.training, count)
     levels = job.optics.mask_levels(training_set.data.image_shape)
-    copies = MASK_COPIES + (QUANTISED_MASK_COPIES if levels else 0)
+    # of masks: weights, gradients, moments, their stages and products; rounded ones besides
+    copies = 16 + (10 if levels else 0)
     learned = copies * masks * scene if job.mask_job().code.learned else 0
     own = replicas if job.code.learned_under else len(matrix_seeds(jobs))
     products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
-    step = FEATURE_COPIES * batch * (masks + replicas * sum(job.training.hidden))
-    return 3 * training_set.memory + FLOAT_BYTES * (learned + products_of_all + step)
+    # copies of features and hidden units
+    step = 12 * batch * (masks + replicas * sum(job.training.hidden))
+    return 3 * training_set.memory + 4.0 * (learned + products_of_all + step)

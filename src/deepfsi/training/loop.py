@@ -30,9 +30,6 @@ from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
 from deepfsi.training.hooks import LoopHooks, check_made
 from deepfsi.training.losses import CountsCost, find_loss
 
-THREADED_ELEMENTS = 2**15
-"""Elements below which torch itself does not share an operation among threads."""
-
 REPORT_SECONDS = 1.0
 """Time after which a training says how far it is, within an epoch, too."""
 
@@ -176,7 +173,7 @@ def _classifiers(exposure: ExposureTraining) -> list[Classifier]:
 def _threads(elements: int) -> Iterator[None]:
     """Use one thread where a step is too small for several: they would wait for one another."""
     threads = torch.get_num_threads()
-    torch.set_num_threads(threads if elements >= THREADED_ELEMENTS else 1)
+    torch.set_num_threads(threads if elements >= 2**15 else 1)  # as torch itself does
     try:
         yield
     finally:

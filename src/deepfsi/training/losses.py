@@ -26,18 +26,6 @@ from deepfsi.jobs.training import Training
 SceneLoss = Callable[[Tensor, Tensor], Tensor]
 """Loss (n,) of outputs (n, C) and truth (n,) or (n, q)."""
 
-RAMP = 1 / 3
-"""Part of the training after which the counts are to be those asked for."""
-
-FIRST_WEIGHT = 0.4
-"""μ before it follows the counts, nats: of what few counts were found to cost, 0.1 to 1."""
-
-PACE = 12.0
-"""κ: the counts follow the weight within a tenth of a training or so."""
-
-MOST_EXCESS = 0.3
-"""Largest |log(c / C)| that the weight follows, as counts that are far off take time to fall."""
-
 
 def find_loss(settings: Training, training_set: TrainingSet, rows: bool) -> SceneLoss:
     """Loss of a training; `rows` as of `_cross_entropy`."""
@@ -73,7 +61,7 @@ class CountsCost:
         self._counts = counts
         self._steps = steps
         self._step = 0
-        self.weight = torch.tensor(FIRST_WEIGHT)
+        self.weight = torch.tensor(0.4)  # μ, nats: few counts were found to cost 0.1 to 1
 
     def restore(self, step: int, weight: Tensor) -> None:
         """Go to a step, at which μ was this."""
@@ -83,12 +71,13 @@ class CountsCost:
     def __call__(self, expected: Tensor) -> Tensor:
         """Cost (R,) of expected counts (R,) of a step, and one step of the weight."""
         ratio = expected / self._counts
-        done = self._step / (RAMP * self._steps)
+        done = self._step / (1 / 3 * self._steps)
         self._step += 1
         if done < 1:
             return done * self.weight * (ratio - 1).clamp(min=0)
-        excess = ratio.detach().log().clamp(-MOST_EXCESS, MOST_EXCESS)
-        self.weight = self.weight.to(excess) * (PACE / self._steps * excess).exp()
+        excess = ratio.detach().log().clamp(-0.3, 0.3)  # counts that are far off take time to fall
+        # κ is 12: the counts follow the weight within a tenth of a training or so
+        self.weight = self.weight.to(excess) * (12.0 / self._steps * excess).exp()
         return self.weight * (ratio - 1).clamp(min=0)
 
 

@@ -2,18 +2,16 @@
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, dataclass_transform, get_args
+from typing import TYPE_CHECKING, Annotated, Any, dataclass_transform, get_args
 
 from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
-    SerializerFunctionWrapHandler,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
     WrapValidator,
-    model_serializer,
 )
 
 from deepfsi.base.errors import InputError, Message, as_input_error
@@ -48,25 +46,6 @@ def of_kinds(
         return model.model_validate_json(json.dumps(given)) if as_json else model(**given)
 
     return WrapValidator(validate)
-
-
-class LaterFields(BaseModel):
-    """Base of models that got fields after files and keys of them were written.
-
-    These stay as they are: a field of `LATER` is written only where it has another value than its
-    default.
-    """
-
-    LATER: ClassVar[tuple[str, ...]] = ()
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        content: dict[str, Any] = handler(self)
-        fields = type(self).model_fields
-        for name in self.LATER:
-            if getattr(self, name) == fields[name].default:
-                content.pop(name, None)
-        return content
 
 
 @dataclass_transform(kw_only_default=True, field_specifiers=(Field,))

@@ -21,13 +21,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
-from typing import Any, ClassVar, Literal, Self, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from deepfsi.base.errors import InputError, as_input_error, check_choice
-from deepfsi.base.models.strict import Amount, Count, LaterFields, Share, StrictModel
+from deepfsi.base.models.strict import Amount, Count, Share, StrictModel
 from deepfsi.camera.detectors import DetectorMap, SeveralDetectors
 from deepfsi.camera.device import DEVICE_SOURCES, DEVICES, Device
 from deepfsi.camera.layout import DmdGrid, DmdLayout, find_grid
@@ -134,13 +134,12 @@ class Brightness(StrictModel):
         return None if stored is None else cls.model_validate(stored)
 
 
-class LookPlan(LaterFields, StrictModel):
+class LookPlan(StrictModel):
     """Looks at one mask each, which the design beside it makes or chooses.
 
     It is loaded before its look, or is one of a dictionary that stays on the device.
     """
 
-    LATER: ClassVar = ("dictionary",)
     count: int = Field(ge=1, le=1024)  # K
     each_rail: Literal[False] = False  # Of earlier versions
     # Dwell of the mask of the first look, a share of the exposure; of a dictionary that of each
@@ -148,7 +147,7 @@ class LookPlan(LaterFields, StrictModel):
     shortest: float = Field(0.0, ge=0, le=0)  # Of earlier versions
     loop_sha256: None = None  # Of earlier versions
     # True if the frames of masks are all that looks may show: one each, by its index
-    dictionary: bool = False
+    dictionary: bool = Field(False, exclude_if=lambda chosen: not chosen)
 
     @property
     def loads(self) -> bool:
