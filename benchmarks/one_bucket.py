@@ -18,7 +18,6 @@ from torch import Tensor
 import deepfsi
 from deepfsi.adaptive.choice import look_at
 from deepfsi.adaptive.posterior import AdaptivePosterior
-from deepfsi.evaluation.bounds import information_rate
 
 STARTS = 300
 """Random starts of the search."""
@@ -28,6 +27,22 @@ STEPS = 40
 
 DARKEST = 1e-3
 """Least reflectance of a class's mean scene."""
+
+
+def information_rate(light: np.ndarray, chances: np.ndarray) -> np.ndarray:
+    """Rate (...) at which counts of a short look tell of the class, nats for each unit of light.
+
+    In a time dt a readout counts one photon of a class c with the chance r_c dt, where r_c is its
+    mean rate over the scenes of the class, and more than one never. The mutual information is then
+    R dt with R = Σ_i Σ_c p_c r_ic ln (r_ic / r_i), r_i = Σ_c p_c r_ic and the chances p_c before.
+    Shapes: light (..., k, C); chances (C,).
+    """
+    rates = np.asarray(light, float)
+    mean = rates @ chances
+    ratio = np.divide(
+        rates, mean[..., None], out=np.ones_like(rates), where=(rates > 0) & (mean[..., None] > 0)
+    )
+    return np.asarray(((rates * np.log(ratio)) @ chances).sum(axis=-1))
 
 
 def class_scenes(state: AdaptivePosterior) -> Tensor:

@@ -24,7 +24,7 @@ LINES = {
     "datasets": 3157,
     "design": 1081,
     "designfile": 1536,
-    "evaluation": 1160,
+    "evaluation": 1137,
     "exposure": 1271,
     "hardware.calibration": 1231,
     "hardware.counting": 2593,

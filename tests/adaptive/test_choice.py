@@ -152,27 +152,6 @@ def test_photons_are_conserved(light):
         assert 50 < found.counts < 450
 
 
-def test_an_exposure_stops_where_a_class_is_sure():
-    x, labels = small(7)
-    data = from_arrays(x, labels, x, labels)
-    settings = {"looks": 16, "spread": 0.0, "draws": 20}
-    whole = tried(data, 3e3, **settings)
-    stopped = tried(data, 3e3, until=0.95, **settings)
-    assert stopped.counts < 0.7 * whole.counts
-    # errors of stopped exposures: at most 1 in 20 in the mean, and those of the last look
-    trials = 20 * SCENES
-    assert stopped.accuracy > min(0.95, whole.accuracy) - 5 * np.sqrt(0.05 * 0.95 / trials)
-
-
-@pytest.mark.slow
-def test_adaptive_masks_tell_more_than_fixed_ones_and_as_sure_as_right(digits, made):
-    found = tried(digits, 1e4, looks=16)
-    [fixed] = evaluate(made("deepfsi", "free-dwell", "single"), digits, 1e4)
-    assert found.low > fixed.high
-    assert found.accuracy > 0.95
-    assert found.calibration_error < 0.03
-
-
 @pytest.mark.parametrize(
     ("settings", "match"),
     [

@@ -81,35 +81,6 @@ def test_one_look_tells_what_it_tells_of_masks_that_are_made(optics):
     assert state.weights.amax() > 1.8**tables.POWER / SCENES
 
 
-def test_looks_at_one_scene_tell_less_together_than_apart(monkeypatch):
-    """What a scene differs from those of the prior is the same in all looks: answers are too sure.
-
-    Of six masks, shown again and again, the log loss falls by more than five of its errors.
-    """
-    prior, random, looks, many = prior_with(spread=0.7), generator(0), 60, 1500
-    rows = torch.randint(len(prior), (many,), generator=random)
-    near = torch.randn(many, prior.coefficients.shape[1], generator=random)
-    scenes = prior.mean + (prior.coefficients[rows] + near) @ prior.components
-    states = []
-    for power in (1.0, tables.POWER):
-        monkeypatch.setattr(tables, "POWER", power)
-        states.append(state_of(prior, MaskDictionary(EVERY.masks), many))
-    for look in range(looks):
-        masks = EVERY.masks[look % 6].expand(many, -1)
-        expected = states[0].expected(masks, scenes.clamp(min=0), SHARE)
-        counts = Poisson().draw(expected, random)
-        for state in states:
-            state.update(masks, counts, SHARE)
-    losses = [
-        torch.nn.functional.cross_entropy(
-            state.chances.clamp(min=1e-30).log(), prior.labels[rows], reduction="none"
-        )
-        for state in states
-    ]
-    fall = losses[0] - losses[1]
-    assert fall.mean() > 5 * fall.std() / many**0.5
-
-
 @pytest.mark.parametrize("spread", [0.0, 0.7])
 def test_a_dictionary_that_holds_the_mask_that_would_be_made_gives_it(spread, monkeypatch):
     """After no look, and where scenes are known after every look: the information is the same."""
@@ -144,48 +115,6 @@ def scored(state, masks):
     nearby = (parts.square().sum(dim=1) * bool(prior.spread))[None, :, None, None]
     unknown = nearby * (state.gain * SHARE) ** 2 / usual
     return choice.information(counts.expand(len(state), -1, -1, -1), members, unknown).T
-
-
-def test_drawn_scenes_have_the_shares_of_the_posterior():
-    """Points at equal steps: each scene as often as its probability says, to one point."""
-    prior = ScenePrior(np.repeat(X, 20, axis=0), np.repeat(LABELS, 20), CLASSES, PIXELS)
-    state = state_of(prior, exposures=1)
-    weights = np.random.default_rng(7).random(len(prior)).astype(np.float32) ** 40
-    state._powers[:] = weights / weights.sum()
-    rows = state._draw()
-    drawn = tables.COMPARED_SCENES[0]
-    points = np.arange(drawn) / drawn
-    exact = np.cumsum(state._powers.astype(float)).searchsorted(points, side="left")
-    assert np.abs(rows - exact).max() <= 1
-    assert len(np.unique(rows)) > 3
-
-
-def test_every_mask_is_compared_as_looks_go_on():
-    """Each part of the dictionary in its turn; the index is that of the whole."""
-    many = torch.rand(1500, PIXELS, generator=generator(8)) < 0.5
-    state = state_of(prior_with(), MaskDictionary.drawn(many, 1200, generator(9)), exposures=2)
-    sizes = [len(noise) for noise in state.tables.noises]
-    assert sum(sizes) == len(state.dictionary)
-    assert len(sizes) == 2
-    for look in range(4):
-        [index, _] = state.choose()
-        low = sum(sizes[: look % 2])
-        assert low <= index < low + sizes[look % 2]
-        state.take([index, index], [3.0, 4.0])
-
-
-def test_probabilities_are_shares_and_rows_keep_their_looks():
-    state = state_of(prior_with(0.5))
-    exposed(state, 3)
-    torch.testing.assert_close(state.chances.sum(dim=1), torch.ones(5))
-    rows = torch.tensor([True, False, True, False, True])
-    some = state.rows_of(rows)
-    torch.testing.assert_close(some.chances, state.chances[rows])
-    assert torch.equal(
-        choice.next_masks(some, SHARE, None), choice.next_masks(state, SHARE, None)[rows]
-    )
-    some.take(some.choose(), [1.0, 2.0, 3.0])
-    assert not torch.allclose(some.chances, state.chances[rows])  # of their own from here on
 
 
 def test_several_readouts_are_refused():
@@ -227,20 +156,6 @@ def test_shown_masks_are_of_the_dictionary_and_nearly_as_good_as_made_ones(ready
     assert results[0].accuracy > results[1].accuracy - 0.05
     assert made.prior_exposure.dictionary is None
     assert "dictionary" not in made.prior_exposure.settings.model_dump()
-
-
-def test_light_is_shared_among_exposures_with_masks_of_a_dictionary(digits):
-    shared = deepfsi.learn(
-        digits,
-        design="adaptive",
-        masks=16,
-        photons=1e3,
-        exposure={"cap": 2},
-        training={"dictionary": 200},
-    )
-    [result] = evaluate(shared, digits, 1e3, draws=1)
-    assert result.score("mean_light") == pytest.approx(1, abs=0.1)
-    assert shared.prior_exposure.settings.until < 1
 
 
 def test_damaged_dictionaries_are_refused(ready, tmp_path):

@@ -1,15 +1,12 @@
 """Laws of adaptive masks under light that fluctuates from look to look."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
 from scipy.stats import nbinom
 
-import deepfsi
 from conftest import generator
-from deepfsi.adaptive import choice, posterior
+from deepfsi.adaptive import posterior
 from deepfsi.base.errors import InputError
 
 PIXELS = 12
@@ -74,47 +71,6 @@ def test_readouts_of_a_look_have_one_light_and_looks_have_their_own(prior, field
     shift, unknown = state._shift[0].double(), state.unknown(torch.eye(size)[None])[0].double()
     assert torch.allclose(shift, (weights @ (reading - mean))[:size], rtol=2e-3, atol=2e-3)
     assert torch.allclose(unknown, covariance[:size, :size], atol=2e-3)
-
-
-def test_looks_vary_as_their_light_does(prior):
-    """Counts of both arms have the variance r + (σ r)² and the covariance σ² r r'."""
-    exposures = 20_000
-    state = posterior.AdaptivePosterior(prior, exposures, optics(arms=2, dark=100.0))
-    x = torch.full((1, PIXELS), 0.4).expand(exposures, -1)
-    state.logs = state.logs[:1].expand(exposures, -1)
-    look = choice.look_at(state, x, 0.5, generator(3))
-    light = look.light[0].double()
-    of_mask = (look.masks == look.masks[0]).all(dim=1)
-    counts = look.counts[of_mask].double()
-    dark = 50.0
-    covariance = SIGMA**2 * torch.outer(light, light) + torch.diag(light + dark)
-    error = torch.sqrt(
-        (covariance**2 + torch.outer(covariance.diag(), covariance.diag())) / len(counts)
-    )
-    # a log-normal light has somewhat heavier tails than a normal one
-    assert ((torch.cov(counts.T) - covariance).abs() < 6 * error).all()
-    mean_error = (covariance.diag() / len(counts)).sqrt()
-    assert ((counts.mean(dim=0) - light - dark).abs() < 5 * mean_error).all()
-
-
-def test_a_posterior_that_takes_the_light_for_steady_is_too_sure(digits):
-    camera = deepfsi.Camera.load("dmd", fluctuation=SIGMA)
-    design = deepfsi.learn(digits, design="adaptive", masks=8, photons=1e6, camera=camera, seed=0)
-    [result] = deepfsi.evaluate(design, digits, 1e6)
-    assert result.accuracy > 0.7
-    exposure, scenes, draws = design.exposure, torch.from_numpy(digits.x_test), generator()
-    aware, unaware = (
-        posterior.AdaptivePosterior(exposure.prior, len(scenes), each)
-        for each in (exposure.optics_at(1e6), replace(exposure.optics_at(1e6), fluctuation=0.0))
-    )
-    for share in exposure.settings.shares:
-        look = choice.look_at(aware, scenes, share, draws)
-        for state in (aware, unaware):
-            state.update(look.masks, look.counts, share)
-    truth = torch.from_numpy(digits.y_test)[:, None]
-    right = [state.class_weights.gather(1, truth).clamp(min=1e-30) for state in (aware, unaware)]
-    differ = (right[0] / right[1]).log()
-    assert differ.mean() > 4 * differ.std() / len(differ) ** 0.5
 
 
 def test_a_prior_without_spread_is_refused():

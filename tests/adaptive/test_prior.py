@@ -22,14 +22,6 @@ def unequal(seed: int = 0):
     return (x + 0.1 * rng.normal(size=(sum(SIZES), PIXELS)).clip(-2, 2)).astype(np.float32), labels
 
 
-def test_before_any_count_classes_are_as_likely_as_they_are_frequent():
-    prior = ScenePrior(*unequal(), 3, clusters=4)
-    state = AdaptivePosterior(prior, 2, posterior.LookOptics(PHOTONS))
-    wanted = torch.tensor(SIZES) / sum(SIZES)
-    torch.testing.assert_close(state.chances, wanted.expand(2, 3))
-    torch.testing.assert_close(state.scene, state.prior.mean.expand(2, PIXELS))
-
-
 def test_one_centre_a_class_is_a_normal_law_of_each_class():
     """At so many photons counts are normal: by hand, from the scenes themselves."""
     (x, labels), rng = unequal(), np.random.default_rng(1)

@@ -111,19 +111,6 @@ def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
     assert (counts.variance > counts.arrivals).all()
 
 
-@both
-def test_sound_light_gives_no_false_fault(tmp_path, paralysable):
-    """All tests of a recording may raise one false alarm in a thousand: here of forty, none."""
-    shown = patterns_of(tmp_path / "p", "free-dwell").manifest
-    rates = arrival_rates(tmp_path / "p", scenes(20), VirtualCamera(), 1.4e7)[..., 0]
-    detector = Detector(dead_time_s=TAU, paralysable=paralysable)
-    settings = corrected(TableSettings, DeadTime(seconds=TAU, paralysable=paralysable))
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        values = gate_counts.draw(detector, rates, shown.picture_s, rng).astype(float)
-        assert count_table(NumberTable(values), shown, settings)[0].faults == ()
-
-
 def test_a_counter_near_saturation_is_named(run):
     folder, shown, rates, dead = run
     slow = dead.model_copy(update={"seconds": 200e-9})

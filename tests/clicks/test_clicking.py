@@ -121,19 +121,6 @@ def test_a_click_and_none_are_taken_in_by_bayes_rule(training):
         assert state.weights[row].numpy() == pytest.approx(expected, rel=2e-3, abs=1e-8)
 
 
-def test_an_endless_price_counts_nothing_and_no_price_uses_all_looks_or_all_light(training, data):
-    x = data.x_test[:40]
-    nothing = run(training, x, price=1e6)
-    assert nothing.clicks.sum() == nothing.used.sum() == 0
-    shares = training.prior.class_shares
-    assert nothing.chances.numpy() == pytest.approx(shares.expand(40, -1).numpy(), abs=1e-6)
-    dwells = np.array(clicking.DWELLS) / LOOKS
-    all_of_it = run(training, x, price=0.0)
-    shown = LOOKS * dwells.min()
-    assert (all_of_it.used >= shown - 1e-6).all()  # all looks, or less light than the shortest
-    assert (all_of_it.used <= 1 + 1e-5).all()
-
-
 def test_a_detector_that_stays_dark_in_a_bright_look_gives_no_answer(training, data):
     """Scenes send 20 photons to the bright look in the mean, and a dead detector sees none."""
     price = 0.1
@@ -144,24 +131,6 @@ def test_a_detector_that_stays_dark_in_a_bright_look_gives_no_answer(training, d
     seen = run(training, data.x_test, price)
     assert not (seen.chances == shares).all(dim=1).any()  # one of 128 by a chance of 1e-4
     assert (seen.used <= 1 + 1e-5).all()
-
-
-def test_clicks_fall_as_their_price_rises(training, data):
-    x = data.x_test[:60]
-    means = []
-    for price in (0.0, 0.03, 0.3):
-        seen = run(training, x, price)
-        means.append(float(seen.clicks.mean()))
-        assert (seen.used <= 1 + 1e-5).all()
-    assert means == sorted(means, reverse=True)
-    assert means[-1] < means[0] / 2
-
-
-def test_less_light_is_taken_where_it_costs_more(training, data):
-    x = data.x_test[:60]
-    used = [run(training, x, price=0.03, light_price=each).used for each in (0.0, 0.2)]
-    errors = sum(float(each.var()) / len(x) for each in used) ** 0.5
-    assert used[1].mean() < used[0].mean() - 3 * errors
 
 
 def test_the_price_of_mean_clicks_is_the_lowest_that_costs_no_more():
@@ -246,29 +215,6 @@ def test_what_clicks_cannot_have_is_refused_in_a_line(data, changes, words):
     with pytest.raises(InputError, match=words) as refused:
         deepfsi.learn(data, **{**asked, **changes})
     assert "\n" not in str(refused.value)
-
-
-def test_centres_of_clusters_stand_for_the_scenes(data):
-    """No scene is left out of them, and the price is found all the same."""
-    asked = {"design": "adaptive", "masks": 8, "photons": PHOTONS, "camera": CAMERA}
-    asked |= {"training": {"clusters": 20}}
-    made = deepfsi.learn(data, counts=2, **asked)
-    assert len(made.exposure.prior) == 200
-    [result] = deepfsi.evaluate(made, data, PHOTONS, draws=1)
-    assert result.accuracy > 0.3  # of two clicks; chance is a tenth
-    # the first look is worth less than the second: no price leaves it alone, and none half of it
-    with pytest.raises(InputError, match=r"as few clicks as 0\.01"):
-        deepfsi.learn(data, counts=0.01, **asked)
-
-
-def test_an_exposure_without_any_look_is_said_to_be_one(training, data):
-    settings = training.settings.model_copy(update={"price": 1e6})
-    nothing = clicking.ClickingExposure(
-        training.prior, settings, data.image_shape, torch.zeros(LOOKS)
-    )
-    scene = torch.from_numpy(data.x_test[0])
-    with pytest.raises(InputError, match="no look is worth its clicks"):
-        nothing.look_by_look(scene, PHOTONS, torch.Generator().manual_seed(0))
 
 
 def test_few_scenes_are_refused(data):

@@ -49,16 +49,3 @@ def test_clicks_of_any_light_have_mean_and_noise_of_the_training(gates, ratio):
     error = (seen.var(dim=0) / n).sqrt() + (wanted.var(dim=0) / n).sqrt()
     assert bool(((seen.mean(dim=0) - wanted.mean(dim=0)).abs() < 5 * error).all())
     torch.testing.assert_close(seen.std(dim=0), wanted.std(dim=0), rtol=0.02, atol=0)
-
-
-def test_clicks_off_their_budget_are_answered_as_their_light_allows(digits):
-    """Three times the light lost three answers of four; a confidence is the share that is right."""
-    bright = {"noise": "click", "gates": 4, "light": "free-dwell", "rails": "single"}
-    design = quick(digits, masks=60, photons=1500.0, mask_lr=0.05, epochs=10, **bright)
-    results = evaluate(design, digits, [450.0, 1500.0, 4500.0], draws=2)
-    dim, trained, more = (each.accuracy for each in results)
-    assert trained > 0.3
-    assert more > 0.8 * trained
-    assert 0.2 < dim < trained
-    for result in results:  # groups of 48 answers: their error at chance, and 0.05
-        assert result.calibration_error < 0.8 * (0.25 / 48) ** 0.5 + 0.05

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from conftest import generator, once
-from deepfsi.base.errors import InputError
 from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.physics.detection import Detection
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
@@ -61,21 +60,6 @@ def test_the_light_of_all_detectors_is_that_of_one(digits):
     rates = [each.rates(each.scanner("none"), x) for each in (design, one)]
     assert torch.allclose(rates[0].unflatten(-1, (6, 4)).sum(dim=-1), rates[1], rtol=1e-5)
     assert float(design.shares.sum()) <= 1 + 1e-6
-
-
-@pytest.mark.parametrize(
-    ("settings", "match"),
-    [
-        ({"light": "column"}, "several detectors are parts of one device"),
-        ({"detectors": "9x9"}, "do not divide scenes of 8x8"),
-        ({"detectors": (0,) * 63}, "give 64 whole numbers"),
-        ({"design": "raster", "masks": 64}, "64 masks .* with 4 detectors: give exactly 16"),
-        ({"readout": "sum"}, "readout"),
-    ],
-)
-def test_what_cannot_be_detected_is_told(digits, settings, match):
-    with pytest.raises(InputError, match=match):
-        trained(digits, **settings)
 
 
 @pytest.mark.parametrize(

@@ -107,15 +107,6 @@ def test_sound_exposures_of_fluctuating_light_are_unsure_as_often_as_stated(know
     assert aware.test(counts[:20, :, ::-1], budgets[:20], 0.0).refused
 
 
-def test_scenes_that_are_alike_are_told_under_fluctuating_light():
-    light = FrameLight(0.03, FRAMES["one after another"])
-    aware, rates = fitted(light)
-    rng, level = fluctuating(rates[:40], light, seed=8)
-    for scenes, wanted in ((rates[:1], 0), (rates[:40], 1)):
-        alike = aware.test(rng.poisson(scenes * 1e6 * level), np.full(40, 1e6), 0.0).alike
-        assert alike == 1 if wanted else alike < REFUSED
-
-
 @pytest.mark.parametrize("classes", [CLASSES, 1, 2])
 def test_sound_acquisitions_are_refused_as_seldom_as_stated(known, classes):
     """Of any size, budgets scene by scene, background and classes."""
@@ -133,24 +124,6 @@ def test_sound_acquisitions_are_refused_as_seldom_as_stated(known, classes):
     most = trials * REFUSED + 5 * np.sqrt(trials * REFUSED)
     assert sum(each.refused for each in results) <= most
     assert sum(each.alike < REFUSED for each in results) <= most
-
-
-@pytest.mark.parametrize("sizes", [[200, 15, 12], [200, 50, 50], [200, 80, 60]])
-def test_unbalanced_classes_refuse_no_more_sound_acquisitions(sizes):
-    """New scenes of any classes; classes that are too few to tell are not tested."""
-    refused = []
-    for seed in range(6):
-        rates, labels = scenes_of(4000, seed)
-        some = np.concatenate([np.flatnonzero(labels == k)[:n] for k, n in enumerate(sizes)])
-        known = find_distribution(torch.from_numpy(rates[some]), labels[some], 3)
-        assert (known is None) == (min(sizes) < confidence.FEWEST_OF_A_CLASS)
-        for kinds in ([0], [1], [2], [0, 1, 2]) if known else ():
-            chosen = np.flatnonzero(np.isin(labels[2000:], kinds))[-36:] + 2000
-            for photons in (1e4, 1e6):
-                counts = np.random.default_rng(seed).poisson(rates[chosen] * photons)
-                refused.append(known.test(counts, np.full(36, photons), 0.0).refused)
-    assert sum(refused) <= len(refused) * REFUSED + 5 * np.sqrt(len(refused) * REFUSED)
-    assert find_distribution(torch.from_numpy(rates[some]), labels[some], 4) is None  # none of one
 
 
 @pytest.fixture(scope="module")
@@ -204,16 +177,6 @@ def test_what_is_not_trained_for_is_refused(design, data, fault):
         assert design.consistency(part, photons).refused
 
 
-def test_a_scene_with_stray_light_in_some_frames_is_unsure(design, data):
-    """All-ON and all-OFF frames do not see light that comes and goes with other frames."""
-    rates = rates_of(design, data.x_test[:40])
-    rates[7, :, :4] += rates.mean()
-    result = design.consistency(np.random.default_rng(13).poisson(rates * 1e4), 1e4)
-    assert result.unsure[7]
-    assert result.unsure.sum() <= 1 + 4  # of 39 sound ones, more by chance once in 15 000
-    assert not result.refused
-
-
 @pytest.mark.parametrize(
     ("name", "change"),
     [
@@ -255,13 +218,3 @@ def test_what_has_no_distribution_says_so(data, design):
 def test_bad_counts_are_named(design, counts, photons, said):
     with pytest.raises(InputError, match=said):
         design.consistency(counts, photons)
-
-
-def test_two_tests_of_an_acquisition_share_its_chance():
-    """Of one exposure of a single class both are the same test: its own chance counts twice."""
-    rates, labels = scenes_of(2000, seed=2)
-    one_class = find_distribution(torch.from_numpy(rates), 0 * labels, 1)
-    rates, _ = scenes_of(40, seed=9)
-    for counts in np.random.default_rng(8).poisson(rates * 1e4):
-        result = one_class.test(counts[None], np.array([1e4]), 0.0)
-        assert result.whole == pytest.approx(min(1.0, 2 * result.exposures[0]), rel=1e-6)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.special import softmax
 
-from conftest import generator, quick
+from conftest import quick
 from deepfsi.designfile.design_file import calibration_budgets
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
@@ -57,16 +57,6 @@ def test_mean_confidence_is_the_accuracy(design, digits, ratio):
         assert raw.mean() > right.mean() + 0.3  # what a network says by itself
 
 
-def test_two_photons_make_nobody_sure(design):
-    """Of any scene, the blank one too; without temperatures most are answered at once."""
-    scenes = torch.rand(200, 64, generator=generator())
-    every = torch.cat([scenes, torch.zeros(1, 64), torch.ones(1, 64)]).numpy()
-    _, raw, sure = answers(design, every, 2.0, draws=5, seed=0)
-    assert sure.max() < 0.75
-    assert sure.mean() < 0.25
-    assert raw.mean() > 0.6
-
-
 def test_held_out_scenes_calibrate_where_there_are_any(fixed, digits):
     rng = np.random.default_rng(0)
     kept = digits.hold_out(HELD_OUT)
@@ -96,11 +86,3 @@ def test_scenes_of_the_training_make_no_network_surer(fixed, digits):
     )
     assert left_out.logs.min() < -0.5
     assert trained_on.logs.min() == 0
-
-
-def test_dimmer_devices_have_the_temperatures_of_their_light(fixed):
-    shown = fixed.as_shown(fixed.rails.stacked.numpy() / 2, fixed.image_shape, 0.5)
-    counts = np.full(fixed.counts_shape, 40.0)
-    np.testing.assert_allclose(
-        shown.classify(counts, 2 * PHOTONS), fixed.classify(counts, PHOTONS), atol=1e-5
-    )

@@ -9,11 +9,9 @@ import torch
 from scipy.special import logsumexp
 from scipy.stats import poisson
 
-from conftest import every_optics, generator, real_mnist
+from conftest import every_optics, generator
 from deepfsi import IdealObserver, evaluate, ideal_observer
 from deepfsi.base.errors import InputError
-from deepfsi.datasets.arrays import from_arrays
-from deepfsi.datasets.load import load_dataset
 
 
 def exact(rates: np.ndarray, labels: np.ndarray, counts: np.ndarray, photons: float) -> np.ndarray:
@@ -41,26 +39,6 @@ def test_chances_are_those_of_the_poisson_law(made, digits, light, rails, photon
     np.testing.assert_allclose(found, exact(flat, labels, read, photons), atol=2e-3)
 
 
-def test_two_scenes_are_told_apart_as_by_the_likelihood_ratio():
-    """One readout, one scene a class: the error is Σ min(P(y | a), P(y | b)) / 2."""
-    a, b, photons = 0.4, 0.7, 20.0
-    observer = IdealObserver(torch.tensor([[a], [b]]), torch.tensor([0, 1]), 2)
-    counts = np.arange(80)
-    likelihood = np.stack([poisson.pmf(counts, photons * rate) for rate in (a, b)], axis=1)
-    chances = observer.chances(torch.from_numpy(counts[:, None]).float(), photons).numpy()
-    ratio = likelihood / likelihood.sum(axis=1, keepdims=True)
-    np.testing.assert_allclose(chances, ratio, atol=1e-5)
-    error = likelihood[counts, 1 - chances.argmax(axis=1)].sum() / 2
-    assert error == pytest.approx(likelihood.min(axis=1).sum() / 2, abs=1e-12)
-
-    scenes, labels = np.array([[a], [b]]), np.array([0, 1])
-    data = from_arrays(scenes, labels, np.tile(scenes, (4000, 1)), np.tile(labels, 4000))
-    phi = photons * scenes.mean()  # so that the mean counts are those above
-    [found] = ideal_observer(torch.ones(1, 1, 1), data, phi)
-    spread = math.sqrt(error * (1 - error) / 8000)
-    assert abs(1 - found.accuracy - error) < 5 * spread
-
-
 @pytest.mark.parametrize("photons", [30.0, 300.0])
 def test_no_other_rule_is_better_on_scenes_of_the_prior(good, digits, photons):
     """Test scenes are the training scenes: no rule has a higher accuracy in the mean."""
@@ -81,33 +59,6 @@ def test_what_cannot_be_had_is_refused(good, digits):
     ):
         with pytest.raises(InputError, match=match):
             ideal_observer(design, digits, photons)
-
-
-@real_mnist
-@pytest.mark.slow
-def test_one_photon_tells_what_was_published_first():
-    """Fischbacher and Sbaiz, *Single-photon image classification*: MNIST from exactly one photon.
-
-    The best rule that knows the test images is right in 0.2296, as in their manuscript of 2020
-    (their later text has 0.2127); that of the training images in 0.2284. Both are sums over
-    pixels, without any draw.
-    """
-    data = load_dataset("mnist", rescale=(0.0, 1.0))
-    where = torch.eye(data.pixels)
-
-    def accuracy(prior: np.ndarray, labels: np.ndarray) -> float:
-        # scenes of one brightness: that there is one photon says nothing
-        known = torch.from_numpy(prior / prior.sum(axis=1, keepdims=True))
-        observer = IdealObserver(known, torch.from_numpy(labels), 10)
-        answer = observer.chances(where, 1.0).argmax(dim=1).numpy()
-        right = [photons[label, answer == label].sum() for label in range(10)]
-        return float(sum(right) / len(data.x_test))
-
-    photon = data.x_test / data.x_test.sum(axis=1, keepdims=True, dtype=np.float64)
-    photons = np.stack([photon[data.y_test == label].sum(axis=0) for label in range(10)])
-
-    assert accuracy(data.x_test, data.y_test) == pytest.approx(0.2296, abs=5e-5)
-    assert accuracy(data.x_train, data.y_train) == pytest.approx(0.2284, abs=5e-5)
 
 
 def test_counts_that_a_scene_cannot_give_exclude_it():

@@ -77,18 +77,6 @@ def test_principal_components_are_completed_where_data_has_too_few(scenes):
     assert np.allclose(designs.principal_components(x, 7), rows[:7])
 
 
-def test_discriminants_separate_classes_better_than_components(digits):
-    def ratio(rows: np.ndarray) -> float:
-        features = digits.x_train.astype(float) @ rows.T
-        means = np.stack([features[digits.y_train == c].mean(axis=0) for c in range(10)])
-        within = features - means[digits.y_train]
-        return float(np.trace(np.linalg.solve(np.cov(within.T), np.cov(means.T))))
-
-    lda = sensing_matrix("lda", 9, digits)
-    assert np.allclose(np.linalg.norm(lda, axis=1), 1)
-    assert ratio(lda) > ratio(sensing_matrix("pca", 9, digits))
-
-
 def test_class_pairs_are_differences_of_means_the_nearest_first(digits):
     means = [digits.x_train[digits.y_train == c].mean(axis=0, dtype=float) for c in range(10)]
     gaps = [means[a] - means[b] for a, b in itertools.combinations(range(10), 2)]

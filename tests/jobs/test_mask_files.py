@@ -1,18 +1,13 @@
 """Masks of one's own, from everything that holds them."""
 
-import struct
-
 import h5py
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 from scipy.io import savemat
 
-from conftest import OPTICS
 from deepfsi.base.errors import InputError
 from deepfsi.jobs.mask_files import read_matrix
-from deepfsi.physics.laws import light_law
 from shared.pictures import save_images
 
 SIGNED = np.linspace(-0.1, 0.2, 24).reshape(3, 8)
@@ -62,13 +57,6 @@ def test_images(tmp_path, stack, wanted):
     (folder / "notes.txt").write_text("of ours")
     for source in (tmp_path / "m.tif", folder):
         np.testing.assert_allclose(read_matrix(str(source)), wanted, rtol=1e-12)
-
-
-@pytest.mark.parametrize(("light", "rails"), OPTICS)
-def test_grey_levels_obey_every_constraint(tmp_path, light, rails):
-    np.save(tmp_path / "m.npy", np.full((5, 4, 4), 255, dtype=np.uint8))
-    own = torch.from_numpy(read_matrix(f"{tmp_path}/m.npy"))
-    light_law(light).check(light_law(light).rails(own, rails))
 
 
 def save(path, content):
@@ -127,17 +115,3 @@ def test_a_small_file_of_a_large_matrix_is_refused(tmp_path, monkeypatch):
     for name in ("m.mat", "m.tif"):
         with pytest.raises(InputError, match="20"):
             read_matrix(f"{tmp_path}/{name}")
-
-
-@pytest.mark.parametrize(
-    ("bits", "kind", "photometric", "said"),
-    [(64, 3, 1, "64-bit floats, which is not read"), (16, 1, 0, "has 0 for white")],
-)
-def test_what_a_tiff_says_of_its_levels_is_not_ignored(tmp_path, bits, kind, photometric, said):
-    fields = {256: 1, 257: 1, 258: bits, 259: 1, 262: photometric, 273: 134, 277: 1, 278: 1}
-    fields |= {279: bits // 8, 339: kind}
-    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in fields.items())
-    head = struct.pack("<2sHIH", b"II", 42, 8, len(fields))
-    (tmp_path / "a.tif").write_bytes(head + entries + bytes(4 + bits // 8))
-    with pytest.raises(InputError, match=said):
-        read_matrix(str(tmp_path / "a.tif"))

@@ -27,12 +27,6 @@ def test_the_log_loss_of_knowing_nothing_or_the_wrong_is_finite(right):
     assert Result.of(classes(chances, truth)).log_loss == pytest.approx(loss, rel=1e-5)
 
 
-def test_the_answer_is_that_of_the_design_where_rounded_chances_are_alike():
-    answered = np.array([1, 1])
-    answers = classes(np.full((2, 2), 0.5), np.array([0, 1]), answered=answered)
-    assert Result.of(answers).rates == [0, 1]
-
-
 def test_errors_of_values_are_means_over_draws_and_r2_is_of_their_variance():
     truth = np.array([[0.0], [2.0]], dtype=np.float32)
     estimates = np.array([[1.0], [2.0], [-1.0], [2.0]], dtype=np.float32)  # draw by draw

@@ -54,33 +54,8 @@ def test_any_module_or_factory_learns_and_survives_its_file(digits, tmp_path, ki
     assert same(before, after)
 
 
-def test_ranges_take_one(digits):
-    design = learned(digits, Cnn, masks=8, span=10.0)
-    assert evaluate(design, digits, 1e4, draws=1)[0].images == len(digits.x_test)
-
-
 def leaving(inputs, classes):
     raise SystemExit(7)
-
-
-class Small(nn.Linear):
-    """Fails at more rows than it is tried on."""
-
-    def __init__(self, error: type[BaseException]) -> None:
-        super().__init__(6, 10)
-        self.error = error
-
-    def forward(self, rows):
-        if len(rows) > 3:
-            raise self.error("too many\nrows")
-        return super().forward(rows)
-
-
-@pytest.mark.parametrize("error", [ValueError, AssertionError, SystemExit])
-def test_a_classifier_that_fails_at_work_is_named_in_one_line(digits, error):
-    with pytest.raises(InputError, match=r"classifier Small fails at .* too many rows") as told:
-        learned(digits, Small(error))
-    assert isinstance(told.value.__cause__, error)
 
 
 @pytest.mark.parametrize(
@@ -139,18 +114,6 @@ def test_loading_runs_no_code_unless_told_to(foreign, tmp_path, made):
     assert (tmp_path / "ran").exists()
     with pytest.raises(InputError, match="package's own"):
         made("deepfsi", "column", "dual").with_classifier(nn.Linear(7, 10))
-
-
-def test_a_classifier_that_is_not_the_one_is_refused(digits, tmp_path):
-    cnn = learned(digits, Cnn, classifier_arguments={"width": 5}).save(tmp_path / "a.safetensors")
-    assert Design.load(cnn, trust=True).classifier.module.width == 5
-    unnamed = learned(digits, nn.Linear(6, 10)).save(tmp_path / "b.safetensors")
-    for file, settings, match in (
-        (cnn, {"classifier": nn.Linear(6, 10)}, "not the one of this design"),
-        (unnamed, {"trust": True}, "does not say where its classifier is imported from"),
-    ):
-        with pytest.raises(InputError, match=match):
-            Design.load(file, **settings)
 
 
 @pytest.mark.parametrize("rails", ["dual", "single"])

@@ -36,13 +36,6 @@ def test_clicks_are_binomial_of_the_chance_that_a_gate_has_photons(rate, gates):
     assert ((found - shares).abs() <= error).all()
 
 
-def losses(outcomes: Tensor) -> Tensor:
-    """A loss of clicks (..., 3) that is not quadratic: cross entropy of a small network."""
-    weights = torch.tensor([[1.5, -2.0, 0.7], [0.3, 1.0, -1.2]], dtype=torch.float64)
-    hidden = torch.tanh(outcomes @ weights.T / 2 + torch.tensor([0.2, -0.5], dtype=torch.float64))
-    return torch.nn.functional.softplus(hidden[..., 0] - 2 * hidden[..., 1])
-
-
 def square(k: Tensor) -> Tensor:
     """At most quadratic in each of three clicks, and of their products."""
     return 3 * k[..., 0] * k[..., 1] - 2 * k[..., 2].square() + k[..., 1] * k[..., 2] + k[..., 0]
@@ -73,19 +66,6 @@ def test_the_gradient_of_a_quadratic_is_that_of_its_exact_mean(rates, gates):
     found, wanted = drawn(square, rates, gates), of_all_outcomes(square, rates, gates)
     error = 5 * found.std(dim=0) / math.sqrt(DRAWS) + 1e-6
     assert ((found.mean(dim=0) - wanted).abs() <= error).all()
-
-
-@every_rate
-def test_of_another_loss_it_is_nearer_than_straight_through(rates):
-    """The trapezoid rule is not exact, but nearer than a plain slope, by far more than chance."""
-    rates = torch.tensor(rates, dtype=torch.float64)
-    wanted, found = of_all_outcomes(losses, rates, 1), drawn(losses, rates, 1).mean(dim=0)
-    every = torch.tensor(list(itertools.product((0.0, 1.0), repeat=3))).double().requires_grad_()
-    (slope,) = torch.autograd.grad(losses(every).sum(), every)
-    chance = 1 - torch.exp(-rates)
-    law = torch.where(every.detach() == 1, chance, 1 - chance).prod(dim=1)
-    straight = (law @ slope) * (1 - chance)
-    assert (found - wanted).norm() < 0.9 * (straight - wanted).norm()
 
 
 @pytest.mark.parametrize("rate", [0.0, 1e-6, 30.0, 1e6])

@@ -102,22 +102,6 @@ def test_dark_counts_and_read_noise_do_not_fluctuate():
     assert_covariance(counts.flatten(1), rates, expected)
 
 
-def test_a_reference_count_divides_the_light_out():
-    """Y C / c has the variance r + r² / C, of a detector whose pixel no mask changes."""
-    # Pixels 0 and 1 behind masks, 2 the reference; of the second order in 1 / C is less than 1 %
-    light, rates = torch.tensor([100.0, 200.0, 1e4], dtype=torch.float64), 200.0
-    rails = torch.tensor([[[1.0, 0.5, 1.0], [0.0, 1.0, 1.0]]], dtype=torch.float64) / 1.0
-    detection = Detection(count=2, labels=torch.tensor([0, 0, 1]))
-    scanner = Scanner.from_rails(rails, FLUCTUATION, detection=detection)
-    counts = scanner.counts(light.expand(DRAWS, 3), generator())[:, 0].unflatten(-1, (2, 2))
-    measured, reference = counts.unbind(dim=-1)
-    divided = measured / reference * 1e4
-    # given ε the photon noise is r (1 + ε), over (1 + ε)²: E 1 / (1 + ε) = 1 + σ² of a log-normal
-    power = (rates + rates**2 / 1e4) * (1 + SIGMA**2)
-    assert float(divided.var(dim=0).sub(power).abs().max()) <= 0.03 * power
-    assert float(measured.var(dim=0).min()) > 8 * power
-
-
 def test_what_is_of_steady_light_says_so():
     with pytest.raises(InputError, match="column shows all masks at once"):
         Camera.load("paper", fluctuation=0.1)

@@ -76,30 +76,6 @@ def test_a_projector_sends_no_more_than_its_dose(made, digits, design, light, ra
     assert counted <= white.sum() * (1 + FLOAT32)
 
 
-@pytest.mark.parametrize("rails", ["dual", "single"])
-def test_column_and_dose_are_one_law_where_all_pixels_get_the_same(rails):
-    """Masks whose columns sum to the same: fitted, used, excess and levels alike."""
-    matrix = torch.randn(5, 12, generator=generator())
-    matrix = (matrix if rails == "dual" else matrix.abs()) / matrix.abs().sum(dim=0)
-    column, dose = light_law("column"), light_law("dose")
-    fitted = dose.fit(matrix, rails)
-    assert torch.allclose(column.fit(matrix, rails), fitted)
-    assert column.excess(fitted) == pytest.approx(dose.excess(fitted), abs=1e-6)
-    assert torch.allclose(column.used(fitted)[-1], dose.used(fitted)[-1])
-    for law in (column, dose):
-        assert torch.allclose(law.project(law.weights(matrix, rails), rails).stacked, fitted)
-
-
-def test_a_dose_that_lights_what_tells_beats_impulse_imaging():
-    """Not a law under `dose`: light of pixels that are alike in all scenes goes to others."""
-    first, second = torch.tensor([[2.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]]).double()
-    mean, difference = (first + second) / 2, first - second
-    told = light_law("dose").fit(torch.tensor([[1.0, 0, 0, 0]]), "single")[0].double()
-    assert float(told.max()) == 4
-    impulse = separation(torch.eye(4).double(), mean, difference)
-    assert separation(told, told @ mean, difference) == pytest.approx(4 * float(impulse))
-
-
 @pytest.mark.parametrize("levels", [0, 4])
 @pytest.mark.parametrize("rails", ["dual", "single"])
 def test_what_a_projector_leaks_is_of_its_dose(rails, levels):
@@ -117,12 +93,6 @@ def test_what_a_projector_leaks_is_of_its_dose(rails, levels):
     assert not masks.disjoint
 
 
-def test_half_the_dose_of_a_scan_is_leak_at_a_contrast_of_its_pixels():
-    scan = light_law("dose").leak(torch.eye(1024)[None], 1023.0)
-    assert float(scan.diagonal(dim1=-2, dim2=-1).mean()) == pytest.approx(0.5, rel=1e-5)
-    assert float(scan.sum(dim=(0, 1)).mean()) == pytest.approx(1, rel=1e-5)
-
-
 @pytest.mark.usefixtures("uncharacterised", "trained_once")
 @pytest.mark.parametrize("design", ["deepfsi", "pca", "raster", "control"])
 def test_a_design_for_a_projector_counts_what_leaks(design):
@@ -133,16 +103,6 @@ def test_a_design_for_a_projector_counts_what_leaks(design):
     assert torch.allclose(lit.amin(dim=-1), lit.amax(dim=-1) / 20, rtol=1e-4)
     assert light_law("dose").excess(made_design.rails.stacked) <= FLOAT32
     assert made_design.camera.contrast == 20
-
-
-@pytest.mark.usefixtures("uncharacterised", "trained_once")
-@pytest.mark.parametrize("design", ["hadamard", "truncated-hadamard", "s-matrix"])
-def test_padding_takes_no_light_from_the_laws(design):
-    data = synthetic((12, 10))
-    made_design = quick(data, design)
-    photons = light_on(made_design, data.x_test)
-    counted = made_design.scanner("none").rates(photons).sum(dim=(-2, -1))
-    assert (counted <= photons.sum(dim=-1) * (1 + FLOAT32)).all()
 
 
 def scan(design: str, digits) -> Tensor:
@@ -261,23 +221,6 @@ def test_coded_counts_are_impulse_counts_routed_at_random(made, digits, light, r
     for drawn in (routed[:, :-1], every[:, : len(shown)][:, shown].numpy()):
         assert np.all(abs(drawn.mean(axis=0) - rates) <= 5 * np.sqrt(rates / draws))
         assert np.all(abs(np.cov(drawn.T) - np.diag(rates)) <= 5 * power)
-
-
-def test_gaussian_noise_impulse_can_be_beaten():
-    """Not a law: impulse imaging pays for N readouts, one bucket detector for one."""
-    bucket, eye = torch.ones(1, N).double(), torch.eye(N).double()
-    difference, read_noise = torch.full((N,), 2.0).double(), torch.ones(1).double()
-    assert separation(bucket, read_noise, difference) > separation(eye, read_noise, difference)
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize("design", ["deepfsi", "pca", "truncated-hadamard"])
-def test_more_light_classifies_better(digits, design):
-    accuracy = [
-        evaluate(quick(digits, design, 10, photons=photons, epochs=8), digits, photons)[0].accuracy
-        for photons in (1e2, 1e3, 1e4)
-    ]
-    assert accuracy[0] < accuracy[1] < accuracy[2]
 
 
 @real_mnist

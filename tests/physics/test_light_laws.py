@@ -184,13 +184,6 @@ def test_check_refuses_more_light_than_there_is_and_gives_the_factor(light, rail
             law.check(fitted)
 
 
-def test_two_arms_get_what_the_other_does_not():
-    uneven = light_law("two-arm").fit(torch.randn(3, 8, generator=generator()))
-    uneven[0, 1, 4] *= 0.5
-    with pytest.raises(InputError, match="two-arm"):
-        light_law("two-arm").check(uneven)
-
-
 @every_optics
 def test_the_first_masks_use_the_share_of_the_law_that_they_take_alone(light, rails):
     """Of masks none of which is dark; frames of equal dwells are a share of all frames."""
@@ -203,18 +196,6 @@ def test_the_first_masks_use_the_share_of_the_law_that_they_take_alone(light, ra
         share = whole if light == "equal-dwell" else limits(part, light).max()
         assert float(used[count - 1]) == pytest.approx(float(share), rel=1e-5)
     assert torch.allclose(law.used(torch.stack([fitted, fitted / 2]))[0], used)
-
-
-@every_optics
-def test_free_numbers_begin_like_the_start(light, rails):
-    """Where the law has one common factor, masks are the fitted start but for it; else patterns."""
-    law, start = light_law(light), positive(4, 9)
-    weights = law.weights(start, rails)
-    matrix = law.project(weights, rails).difference.detach()
-    parts = start / start.amax(dim=-1, keepdim=True)
-    shape = start if light in ("column", "dose") else parts
-    assert torch.allclose(matrix / matrix.max(), shape / shape.max(), atol=1e-6)
-    assert all(tensor.shape[-2:] == (4, 9) for name, tensor in weights.items() if name == "weight")
 
 
 @every_optics
@@ -239,25 +220,3 @@ def test_learned_masks_obey_after_every_step(light, rails, rate, levels):
             assert replica.min() >= 0
             assert limits(replica, light).max() <= 1 + ROUNDING_SLACK
             assert light_law(light).excess(replica) <= ROUNDING_SLACK
-
-
-@every_optics
-def test_the_light_of_a_start_does_not_matter(light, rails):
-    law, matrix = light_law(light), positive(4, 9)
-    fitted = law.fit(matrix, rails)
-    assert torch.allclose(law.fit(7 * matrix, rails), fitted)
-    small, large = (LearnedMasks(k * matrix, light, rails)().stacked for k in (0.01, 100))
-    assert torch.allclose(small, large, rtol=1e-5)
-    assert light != "column" or torch.allclose(small, fitted)
-
-
-@pytest.mark.parametrize("factor", [1.5, 10.0])
-@pytest.mark.parametrize("kind", ["single", "dual"])
-def test_masks_that_learn_under_a_dose_take_all_of_it(kind, factor):
-    """From weights that are too bright they are divided until the mean over pixels is 1."""
-    masks = LearnedMasks(positive(1, 3, 16), "dose", kind)
-    with torch.no_grad():
-        for weight in masks.parameters():
-            weight *= factor
-        sums = masks().total.sum(dim=-2)
-    assert float(sums.mean()) == pytest.approx(1, rel=1e-5)

@@ -54,16 +54,6 @@ def test_counts_and_features_have_the_moments_of_the_noise(name, rate):
 
 
 @every_noise
-def test_float64_light_gives_float64_counts_whatever_the_masks(name):
-    """So that single photons can be told apart above 2²⁴ counts."""
-    scanner = scanner_of(name, RAILS.float())
-    photons = torch.tensor([[1e10 + 4, 0.0]], dtype=torch.float64)
-    assert scanner(photons, generator()).dtype == torch.float64
-    assert scanner.counts(photons, generator()).dtype == torch.float64
-    assert scanner.rates(photons)[0, 0, 0] == 5e9 + 2
-
-
-@every_noise
 @every_optics
 def test_replicas_give_an_axis_before_the_masks(name, light, rails):
     start = torch.rand(3, 4, 6, generator=generator()) + 0.1

@@ -65,16 +65,6 @@ def test_a_training_counts_what_was_asked_for_within_its_light_law(digits, noise
     light_law(light).check(made.rails.stacked)
 
 
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize(("times", "light"), [(2.0, "free-dwell"), (4.0, "column")])
-def test_masks_start_with_so_many_times_the_counts(digits, times, light):
-    """One epoch of masks that hardly move: 1.5 clicks, times as many, of 16 gates."""
-    few = {**FEW, "epochs": 1, "mask_lr": 1e-6, "start_counts": times}
-    made = learn(digits, counts=1.5, noise="click", light=light, rails="single", **few)
-    [result] = evaluate(made, digits, FEW["photons"], draws=1)
-    assert result.counts == pytest.approx(times * 1.5, rel=0.1)
-
-
 @pytest.mark.parametrize(
     ("settings", "match"),
     [

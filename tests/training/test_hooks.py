@@ -10,7 +10,7 @@ from conftest import RECIPE, same
 from deepfsi import evaluate
 from deepfsi import learn as learned
 from deepfsi.base.errors import InputError
-from shared.checkpoints import TRAININGS, Stopped, write_each_step
+from shared.checkpoints import TRAININGS
 from shared.jobs import learn
 
 SHORT = {**RECIPE, "epochs": 3, "batch": 64, "photons": 1e3, "masks": 5, "device": "cpu"}
@@ -69,26 +69,6 @@ def test_patience_keeps_the_weights_of_the_best_epoch(held):
     best = int(np.argmin(losses)) + 1
     assert len(losses) == best + 2 < 30
     assert same(patient, learn(held, callback=lambda each: each.epoch == best, **settings))
-
-
-@pytest.mark.usefixtures("uncharacterised")
-def test_a_training_that_was_ended_is_resumed_to_the_same_end(few, tmp_path, monkeypatch):
-    """The folds that follow begin after it, not its next epoch."""
-    settings = {**SHORT, "batch": 32, "checkpoint": tmp_path / "state"}
-    numbers = []
-
-    def once(epoch):
-        numbers.append(epoch.epoch)
-        return True
-
-    whole = learn(few, callback=once, **settings)
-    state = write_each_step(monkeypatch)
-    state["last"] = 4  # the first step of the first fold
-    with pytest.raises(Stopped):
-        learn(few, callback=once, **settings)
-    state["last"] = 0
-    assert same(learn(few, callback=once, **settings), whole)
-    assert numbers == [1, 1]
 
 
 @pytest.mark.usefixtures("uncharacterised")

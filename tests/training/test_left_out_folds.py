@@ -7,11 +7,9 @@ import pytest
 import torch
 from scipy.special import softmax
 
-from conftest import exposing, generator
-from deepfsi import evaluate, learn
-from deepfsi.adaptive.choice import next_masks
+from conftest import generator
+from deepfsi import learn
 from deepfsi.adaptive.exposure import AdaptiveExposure, AdaptiveTraining, LeftOutAnswers
-from deepfsi.adaptive.posterior import AdaptivePosterior
 from deepfsi.evaluation.confidence import logits_at_stops
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import find_job
@@ -115,27 +113,3 @@ def test_its_test_says_what_new_scenes_give(design, few):
     assert not test["guesses"]
     assert abs(right - test["accuracy"]) < 4 * (right * (1 - right) / 3 / EACH) ** 0.5 + 0.05
     assert test["log_loss"] <= test["uncalibrated_log_loss"] + 0.02
-
-
-def test_temperatures_change_confidence_and_no_mask_or_answer(few):
-    adaptive = learn(few, photons=PHOTONS, **SETTINGS["adaptive"])
-    prior = adaptive.prior_exposure.prior
-    plain = exposing(adaptive, prior=prior.with_temperatures(None))
-    states = []
-    for each in (adaptive, plain):
-        optics, draws = adaptive.exposure.optics_at(PHOTONS), generator(1)
-        state = AdaptivePosterior(each.prior_exposure.prior, 40, optics)
-        for share in adaptive.exposure.settings.shares:
-            masks = next_masks(state, share, draws)
-            rates = state.expected(masks, torch.from_numpy(few.x_test[:40]), share)
-            counts = torch.poisson(rates, draws)
-            state.update(masks, counts, share)
-        states.append((masks, counts, state.chances))
-    (masks, counts, sure), (plain_masks, plain_counts, plain_sure) = states
-    assert torch.equal(masks, plain_masks)
-    assert torch.equal(counts, plain_counts)
-    assert torch.equal(sure.argmax(dim=1), plain_sure.argmax(dim=1))
-    assert float((sure - plain_sure).abs().max()) > 0.05
-    found, wanted = (evaluate(each, few, PHOTONS, draws=1)[0] for each in (adaptive, plain))
-    assert found.confusion == wanted.confusion
-    assert found.log_loss < wanted.log_loss

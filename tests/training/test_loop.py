@@ -10,7 +10,6 @@ import torch
 
 from conftest import OPTICS, RECIPE, quick, same
 from deepfsi import Design
-from deepfsi.exposure import training as exposure_training
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.networks.classifiers import Replicas
 from deepfsi.training import loop
@@ -120,15 +119,6 @@ def test_seeds_train_together_as_alone(few, varies, monkeypatch, design, change,
         assert apart(together[0], together[2], varies) > 0.01
 
 
-def test_small_steps_take_one_thread_and_give_the_others_back(digits, monkeypatch):
-    seen = []
-    monkeypatch.setattr(torch, "set_num_threads", seen.append)
-    monkeypatch.setattr(torch, "get_num_threads", lambda: 7)
-    for batch in (32, 1000):
-        quick(digits, masks=4, batch=batch, hidden=(40, 128))
-    assert seen == [1, 7, 7, 7]
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="asks GNU OpenMP, which torch has on Linux")
 @pytest.mark.parametrize(("given", "spins"), [({}, 0), ({"GOMP_SPINCOUNT": "7"}, 7)])
 def test_threads_wait_asleep_unless_the_user_says_otherwise(monkeypatch, given, spins):
@@ -140,20 +130,3 @@ def test_threads_wait_asleep_unless_the_user_says_otherwise(monkeypatch, given, 
         command, env={**os.environ, **asked, **given}, check=True, capture_output=True, text=True
     ).stderr
     assert f"GOMP_SPINCOUNT = '{spins}'" in said
-
-
-def test_random_masks_of_one_seed_are_measured_once(digits, monkeypatch):
-    """Photons do not change them; seeds do."""
-    made, fixed = [], exposure_training.FixedMasks
-
-    def counted(rails):
-        made.append(len(rails))
-        return fixed(rails)
-
-    monkeypatch.setattr(exposure_training, "FixedMasks", counted)
-    alike = {"design": "random", "masks": 6, **LONGER, "epochs": 1}
-    for seeds in ((3, 3, 3), (3, 4, 5)):
-        pairs = zip(seeds, (1e2, 1e3, 1e4), strict=True)
-        jobs = [job_of(seed=seed, photons=photons, **alike) for seed, photons in pairs]
-        train(TrainingSet(digits, "cpu"), jobs)
-    assert made == [1, 3]

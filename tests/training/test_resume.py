@@ -1,7 +1,6 @@
 """The law of checkpoints: a resumed training ends in the bits of one that was never stopped."""
 
 import os
-import re
 import signal
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.training import checkpoint as module
 from deepfsi.training import loop
 from deepfsi.training.checkpoint import Checkpoint
-from deepfsi.training.learning import Diverged, train
+from deepfsi.training.learning import train
 from shared.checkpoints import TRAININGS, Stopped, write_each_step
 from shared.jobs import job as job_of
 from shared.jobs import learn
@@ -129,19 +128,6 @@ def test_a_checkpoint_of_another_training_is_refused_and_kept(few, stopped):
         assert stopped.read_bytes() == before
 
 
-def test_a_checkpoint_of_another_source_file_is_refused(few, writes, path, monkeypatch):
-    (path.parent / "lab_net.py").write_text("import torch\nnet = torch.nn.Linear\n")
-    monkeypatch.syspath_prepend(path.parent)
-    given = settings({"classifier": "lab_net:net", "hidden": None})
-    source = iter("abab")
-    monkeypatch.setattr(module, "source_hash", lambda name: next(source))
-    writes["last"] = 2
-    with pytest.raises(Stopped):
-        learn(few, checkpoint=path, **given)
-    with pytest.raises(InputError, match="is of another training"):
-        learn(few, checkpoint=path, **given)
-
-
 def damages(path: Path):
     content, tensors = path.read_bytes(), load_file(path)
     yield from (content[: len(content) // 2], b"", b"photons")
@@ -170,25 +156,6 @@ def test_a_full_disk_does_not_end_a_training(few, writes, monkeypatch, path):
     with pytest.warns(UserWarning, match="no space left"):
         design = learn(few, checkpoint=path, **SHORT)
     assert bits(design) == bits(learn(few, **SHORT))
-
-
-def test_the_time_before_a_stop_counts(few, stopped, monkeypatch):
-    read = module.read_tensors
-
-    def late(*given):
-        text, tensors = read(*given)
-        return re.sub(r'"seconds": ?[\d.e-]+', '"seconds": 1000.0', text), tensors
-
-    monkeypatch.setattr(module, "read_tensors", late)
-    assert 1000 < learn(few, checkpoint=stopped, **SHORT).info["seconds"] < 2000
-
-
-@pytest.mark.usefixtures("trained_once")
-def test_a_training_that_diverged_leaves_no_checkpoint(few, writes, path):
-    with pytest.raises(Diverged):
-        learn(few, checkpoint=path, **settings({"lr": 1e30, "mask_lr": 1e30}))
-    assert writes["count"]
-    assert not path.exists()
 
 
 @pytest.mark.usefixtures("trained_once")

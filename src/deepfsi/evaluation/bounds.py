@@ -13,16 +13,6 @@ way, x(θ). With r_i the photons that readout i expects and F_i the information 
 them, the covariance of any unbiased estimator is at least the inverse of
 
     I_kl = Σ_i F_i (∂r_i / ∂θ_k) (∂r_i / ∂θ_l),     F_i = 1 / r_i under photon noise.
-
-`information_rate` is what counts of a short look tell of the class. In a time dt a readout counts
-one photon of a class c with the chance r_c dt, where r_c is its mean rate over the scenes of the
-class, and more than one never. The mutual information is then R dt, with the chances p_c before,
-
-    R = Σ_i Σ_c p_c r_ic ln (r_ic / r_i),     r_i = Σ_c p_c r_ic.
-
-R is a sum of relative entropies, so it is convex in the rates and grows in proportion to them. The
-rates are linear in a mask M. So R(M) is convex, no grey mask is above the best binary one, and
-R(M) ≤ Σ_j M_j R_j of the pixels j alone, which for all mirrors ON is that of impulse imaging.
 """
 
 from typing import Any
@@ -123,16 +113,3 @@ def cramer_rao(
 def _fixed(design: Design) -> bool:
     """True of an exposure whose expected counts follow from the scene alone."""
     return design.exposure.comparable
-
-
-def information_rate(light: np.ndarray, chances: np.ndarray) -> np.ndarray:
-    """Rate (...) at which counts of a short look tell of the class, nats for each unit of light.
-
-    Shapes: light (..., k, C); chances (C,).
-    """
-    rates = np.asarray(light, float)
-    mean = rates @ chances
-    ratio = np.divide(
-        rates, mean[..., None], out=np.ones_like(rates), where=(rates > 0) & (mean[..., None] > 0)
-    )
-    return np.asarray(((rates * np.log(ratio)) @ chances).sum(axis=-1))
