@@ -65,11 +65,10 @@ def test_what_is_no_table_of_these_patterns_is_one_line(refuse, lab, classify, v
     (tmp_path / "run").mkdir()
     shutil.copy(lab / "d.safetensors", tmp_path / "d.safetensors")
     patterns = ["camera", "classify", lab / "patterns"]
-    short = "an exposure has 8 values (8 frames of masks), or 12"
+    short = "an exposure is a row of 8 values (8 frames of masks), or 12"
     assert short in refuse(*classify(values[:, :-1]))
     assert "give --photons" in refuse(*classify(values[:, 2:-2]))
     table = classify(values)
-    assert "--exposures" in refuse(*table, "--exposures", "up")
     assert "there is no file" in refuse(*patterns, tmp_path / "none.csv")
     assert "--gain is for tables" in refuse(*patterns, tmp_path / "run", "--gain", 2)
     table[2] = lab / "d.safetensors"
@@ -117,9 +116,9 @@ def test_events_of_another_counter_are_counted_as_a_photon_file(done, refuse, la
         found = file.decode_records()
     found = found[(found["marker"] == 1) | (found["channel"] >= 0)]
     events = np.stack([found["time"], np.where(found["marker"] == 1, 8, 3)], axis=1)
-    np.savetxt(tmp_path / "tags.txt", events.astype(np.int64), "%d")
+    np.savetxt(tmp_path / "tags.csv", events.astype(np.int64), "%d", ",")
     photons.unlink()
-    words = ["camera", "import", tmp_path / "tags.txt", "--unit", "1ps", "-o", photons]
+    words = ["camera", "import", tmp_path / "tags.csv", "--unit", "1ps", "-o", photons]
     assert "channel 9 has no events" in refuse(*words, "--marker-channel", 9)
     words += ["--marker-channel", 8]
     said = json.loads(done(*words, "--json"))

@@ -191,9 +191,7 @@ READERS = {
     "hdf5 masks": Reader("masks.h5", load_masks, (mangled,)),
     "tiff masks": Reader("masks.tif", load_masks, (mangled,)),
     "csv": Reader("table.csv", load_table, TABLE, 8),
-    "text": Reader("table.txt", load_table, TABLE, 3),
     "parquet": Reader("table.parquet", load_table, (mangled,)),
-    "hdf5 table": Reader("table.h5", load_table, (mangled,), 2),
     "labels": Reader("folder/labels.csv", load_small, TABLE, 2),
 }  # fmt: skip
 
@@ -313,7 +311,6 @@ def _arrays(folder: Path, rng: np.random.Generator) -> None:
     for name, values in (("masks", masks), ("table", table)):
         with h5py.File(folder / f"{name}.h5", "w") as file:
             file.create_dataset("counts", data=values, compression="gzip")
-    np.savetxt(folder / "table.txt", table)
     frame = polars.DataFrame(table, schema=[f"mask{k}" for k in range(6)], orient="row")
     frame = frame.with_columns(scene=polars.Series(list("abcde")))
     frame.write_csv(folder / "table.csv")

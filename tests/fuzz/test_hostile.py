@@ -288,16 +288,9 @@ def test_a_bomb_in_parquet(tmp_path):
     refused("parquet", path, "would unpack")
 
 
-def test_a_wide_table_costs_little_more_than_its_numbers(tmp_path):
-    """A series of polars for each of many columns took 150 times the file."""
-    path = tmp_path / "x.csv"
-    path.write_text("\n".join([",".join(["123"] * 200_000)] * 6))
-    assert not fault_of("csv", path, 40 * path.stat().st_size + 2**24)
-
-
 def test_a_table_of_more_columns_is_refused(tmp_path):
     (tmp_path / "x.csv").write_text(",".join(["1"] * 300_000))
-    refused("csv", tmp_path / "x.csv", "262144 columns")
+    refused("csv", tmp_path / "x.csv", "32768 columns")
 
 
 # ---------------------------------------------------------------- settings and runs

@@ -481,11 +481,11 @@ class ImportRecording(Command):
     Time stamps become a photon file, their trigger marker 0. Without a trigger it has no markers,
     as for `camera transits`.
 
-    Example: deepfsi camera import tags.txt --unit 81ps --marker-channel 8 -o run_lab/photons.ptu
+    Example: deepfsi camera import tags.csv --unit 81ps --marker-channel 8 -o run_lab/photons.ptu
     """
 
     events: Path = fields.argument(
-        "time stamps: two columns, time and channel (.txt .csv .npy .parquet)"
+        "time stamps: two columns, time and channel (.csv .npy .parquet)"
     )
     out: Annotated[Path, fields.Output((".ptu",))] = fields.required("photon file, .ptu, new")
     unit: fields.Time = fields.required("unit of the times, such as 1ps")

@@ -119,7 +119,7 @@ class ClassifyRun(Command):
     )
     counted: Path = fields.argument(
         "acquisition folder that was counted; or counts of any counter, .csv .parquet .npy .mat "
-        ".h5 (FILE:VARIABLE), a row for each exposure",
+        "(FILE:VARIABLE), a row for each exposure",
         "RUN|TABLE",
     )
     photons: fields.ExposureBudget = None
@@ -129,9 +129,6 @@ class ClassifyRun(Command):
     )
     settle_s: fields.Time | None = fields.option(
         "table: time after each marker without counting; 0 unless given", alias="settle"
-    )
-    exposures: str | None = fields.option(
-        "table: exposures are rows or columns; by its shape unless given"
     )
     repeats: Count = fields.option("table: number of consecutive exposures of each scene", 1)
     gain: float | None = fields.option(
@@ -148,7 +145,7 @@ class ClassifyRun(Command):
         from deepfsi.lab.classify import classify_run, classify_table
 
         if self.counted.is_dir():
-            of_tables = ("background", "settle_s", "exposures", "gain", "read_noise", "repeats")
+            of_tables = ("background", "settle_s", "gain", "read_noise", "repeats")
             for name in (*self.explicit(of_tables), *self.settings):
                 raise InputError(
                     f"{self.option(name)} is for tables, and {self.counted} is a folder: leave it "
@@ -176,7 +173,7 @@ class ClassifyRun(Command):
     def _table_settings(self) -> "TableSettings":
         from deepfsi.hardware.counting.tables import TableSettings
 
-        names = ("photons", "settle_s", "exposures", "repeats", "gain", "read_noise")
+        names = ("photons", "settle_s", "repeats", "gain", "read_noise")
         settings = self.explicit(names)
         if self.background is not None and is_table(self.background):
             settings["dark"] = read_table(self.background, TableSettings.WORDS)

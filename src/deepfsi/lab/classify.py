@@ -238,8 +238,8 @@ def classify_table(
     design : str or path
         Folder of the patterns that were shown, or the design file, which knows no times of frames.
     table : str or path
-        A value for each frame, in the order of the patterns: .csv, .parquet, .npy, .mat or .h5
-        (``FILE:VARIABLE``), an exposure a row or a column.
+        A row for each exposure with a value for each frame, in the order of the patterns: .csv,
+        .parquet, .npy or .mat (``FILE:VARIABLE``).
     settings : TableSettings, optional
         Budget and background in counts, times in seconds, and the like.
     camera : mapping, optional

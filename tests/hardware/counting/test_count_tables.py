@@ -102,14 +102,11 @@ def refuse(manifest, said: str, table: NumberTable, **settings) -> None:
 @pytest.mark.parametrize(
     ("shape", "settings", "said"),
     [
-        ((3, 8), {}, r"3 rows and 8 columns: .* has 5 values \(5 frames of masks\), or 9"),
-        ((9, 5), {}, "either may be exposures: say `exposures` rows or columns"),
-        ((3, 9), {"exposures": "columns"}, "exposures are its columns"),
+        ((3, 8), {}, r"3 rows and 8 columns: .* row of 5 values \(5 frames of masks\), or 9"),
         ((3, 5), {}, "give `photons`"),
         ((3, 9), {"repeats": 2}, "no multiple of 2"),
         ((3, 9), {"settle_s": 1.0}, "nothing of the shortest frame"),
         *(((3, 9), {name: -1.0}, f"`{name}`") for name in ("photons", "gain", "read_noise")),
-        ((3, 9), {"exposures": "up"}, "`exposures`"),
     ],
 )
 def test_what_does_not_fit_is_one_line(counted, shape, settings, said):
@@ -120,9 +117,7 @@ def test_names_and_values_that_do_not_fit_are_one_line(counted):
     manifest, values = counted
     names = tables.column_names(manifest)
     for said, *table in (
-        ("'time' that is no frame", values, ("time", *names[1:])),
-        ("no column 'on'", values[:, 1:], tuple(names[1:])),
-        ("no column 'mask1'", np.delete(values, 3, 1), tuple(np.delete(names, 3))),
+        ("'off' where 'on' stands", values, ("off", "on", *names[2:])),
         ("which is no count of photons", values + 0.5),
         ("which is no count of photons", values - 1e9),
         ("scene twice", values, (), {"scene": ("a", "b", "a")}),

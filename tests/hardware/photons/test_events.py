@@ -36,8 +36,8 @@ def test_events_are_those_of_the_ptu_file(tmp_path, kind):
 @pytest.mark.parametrize("start", [-(10**12), 0, 2**53, 2**62])
 def test_a_tagger_may_be_on_for_any_time(tmp_path, start):
     """Times in ps pass 2^53 after 2.5 hours; only their differences count."""
-    np.savetxt(tmp_path / "tags.txt", np.add(TABLE, [start, 0]), "%d")
-    write_ptu(tmp_path / "p.ptu", *read_events(tmp_path / "tags.txt"), marker=8, tick_s=UNIT)
+    np.savetxt(tmp_path / "tags.csv", np.add(TABLE, [start, 0]), "%d", ",")
+    write_ptu(tmp_path / "p.ptu", *read_events(tmp_path / "tags.csv"), marker=8, tick_s=UNIT)
     with ptufile.PtuFile(tmp_path / "p.ptu") as file:
         found = np.sort(file.decode_records()["time"])
     assert np.array_equal(found, TIMES - TIMES[0])

@@ -1,9 +1,8 @@
 """Tables of numbers, and lists of names, labels and numbers that a person or a program wrote.
 
-Tables are ``.csv``, ``.parquet``, ``.npy``, ``.mat`` and HDF5 files (`read_table`); lists are text
-alone, a row of cells for each line (`read_rows`). Either is refused where it may be misread: a
-decimal comma that may part thousands, a whole number that floating point rounded, a first line that
-numbers the columns.
+Tables are ``.csv``, ``.parquet``, ``.npy`` and ``.mat`` files (`read_table`); lists are text alone,
+a row of cells for each line (`read_rows`). A table is refused where it may be misread: a whole
+number that floating point rounded, a first line that numbers the columns.
 """
 
 import csv
@@ -21,15 +20,12 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import WINDOWS_ENCODING, check_unpacked, open_regular, read_text
-from deepfsi.base.numeric.arrays import VARIABLE_ENDINGS, read_array, split_variable
+from deepfsi.base.numeric.arrays import read_array, split_variable
 
 if TYPE_CHECKING:
     import polars as pl
 
-TEXT_ENDINGS = (".csv", ".txt", ".tsv", ".dat")
-"""Ends of the names of text files."""
-
-TABLE_ENDINGS = (*TEXT_ENDINGS, ".parquet", ".npy", *VARIABLE_ENDINGS)
+TABLE_ENDINGS = (".csv", ".parquet", ".npy", ".mat")
 """Ends of the names of files that hold tables."""
 
 USUAL_VARIABLE = "counts"
@@ -41,11 +37,8 @@ LARGEST_TABLE = 2**27
 LARGEST_TABLE_FILE = 2**31
 """Bytes of a text or Parquet file at most."""
 
-MOST_COLUMNS = 2**18
-"""Columns of a text file at most."""
-
-MOST_PARQUET_COLUMNS = 2**15
-"""Columns of a Parquet file at most: each takes 8 kB of memory, however few its rows are."""
+MOST_COLUMNS = 2**15
+"""Columns of a file at most: each takes 8 kB of memory, however few its rows are."""
 
 LARGEST_WHOLE = 2.0**53
 """Numbers above which floating point leaves out whole ones."""
@@ -62,11 +55,8 @@ WITHOUT_VALUE = ("nan", "inf", "-inf", "+inf", "na", "n/a", "#n/a", "#num!", "#d
 LABEL_HEADS = ("label", "labels", "class", "classes", "category", "target", "y", "class name")
 """Words over a column of labels, in lower case."""
 
-TABLE_SEPARATORS = ";\t, "
-"""Characters that may stand between the numbers of a line of text."""
-
 LIST_SEPARATORS = ";\t,"
-"""The same of a list, whose cells may hold blanks."""
+"""Characters that may stand between the cells of a line of text."""
 
 SEPARATOR_LINE = re.compile(r"sep=(.)\n")
 """First line of a table by which Excel is told the separator."""
@@ -123,7 +113,7 @@ def read_whole_numbers(
     if isinstance(columns, np.ndarray):
         return whole_numbers(columns[:, list(choose((), columns.shape[1]))], str(path))
     chosen = list(choose(columns.names, columns.width))
-    out = np.empty((columns.rows, len(chosen)), np.int64)
+    out = np.empty((columns.frame.height, len(chosen)), np.int64)
     for number, index in enumerate(chosen):
         values = columns.numbers([index])[:, 0]
         wrong = np.flatnonzero(~np.isfinite(values))
@@ -167,10 +157,11 @@ def _read(source: str | Path) -> "tuple[Path, np.ndarray | Columns]":
         raise InputError(f"{path} is no table: give a file ending in {', '.join(TABLE_ENDINGS)}")
     if not path.exists():
         raise InputError(f"there is no file {path}: give one ending in {', '.join(TABLE_ENDINGS)}")
-    if suffix in (*TEXT_ENDINGS, ".parquet"):
-        columns = read_columns(path)
-        if not (columns.width and columns.rows):
-            raise InputError(f"{path} holds no numbers: give a row or column for each exposure")
+    if suffix in (".csv", ".parquet"):
+        with _as_table(path):
+            columns = _read_csv(path) if suffix == ".csv" else _read_parquet(path)
+        if not (columns.width and columns.frame.height):
+            raise InputError(f"{path} holds no numbers: give a row for each exposure")
         return path, columns
     dimensions = (2,) if suffix == ".mat" else (1, 2)
     values = read_array(path, dimensions, variable, largest=LARGEST_TABLE, usual=USUAL_VARIABLE)
@@ -199,40 +190,8 @@ def _finite(values: np.ndarray, path: Path) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _TextColumns:
-    """Cells of a text file, row by row: a series for each of many columns would take far more."""
-
-    names: tuple[str, ...]
-    width: int
-    flat: "pl.Series"
-
-    @property
-    def rows(self) -> int:
-        """Rows of numbers or words."""
-        return len(self.flat) // self.width
-
-    def cells(self, column: int) -> "pl.Series":
-        """Cells of a column."""
-        return self.flat.gather_every(self.width, column)
-
-    def numbers(self, chosen: Sequence[int]) -> np.ndarray:
-        """Numbers of some columns, (rows, columns); not finite where a cell holds none."""
-        import polars as pl
-
-        flat = self.cells(chosen[0]) if len(chosen) == 1 else self.flat
-        values = flat.cast(pl.Float64, strict=False).to_numpy().reshape(self.rows, -1)
-        return values if values.shape[1] == len(chosen) else values[:, list(chosen)]
-
-    def exact(self, column: int) -> "pl.Series":
-        """Whole numbers of a column as its file has them, int64; null where it has others."""
-        import polars as pl
-
-        return self.cells(column).cast(pl.Int64, strict=False)
-
-
-@dataclass(frozen=True)
-class _ParquetColumns:
-    """Columns of a Parquet file."""
+class Columns:
+    """Columns of a text or Parquet file, and their names if its first line has some."""
 
     names: tuple[str, ...]
     frame: "pl.DataFrame"
@@ -241,11 +200,6 @@ class _ParquetColumns:
     def width(self) -> int:
         """Number of columns."""
         return self.frame.width
-
-    @property
-    def rows(self) -> int:
-        """Rows of numbers or words."""
-        return self.frame.height
 
     def cells(self, column: int) -> "pl.Series":
         """Cells of a column."""
@@ -265,16 +219,6 @@ class _ParquetColumns:
         cells = self.cells(column)
         numbers = cells.cast(pl.Int64, strict=False)
         return numbers.clear(len(numbers)) if cells.dtype.is_float() else numbers
-
-
-Columns = _TextColumns | _ParquetColumns
-
-
-def read_columns(path: Path) -> Columns:
-    """Columns of a text or Parquet file, by the end of its name."""
-    with _as_table(path):
-        is_text = path.suffix.lower() in TEXT_ENDINGS
-        return _read_text_columns(path) if is_text else _read_parquet_columns(path)
 
 
 @contextmanager
@@ -313,79 +257,60 @@ def _without_reports() -> Iterator[None]:
         os.close(nowhere)
 
 
-def _read_parquet_columns(path: Path) -> _ParquetColumns:
+def _read_parquet(path: Path) -> Columns:
     import polars as pl
 
     with open_regular(path, LARGEST_TABLE_FILE, "give a .parquet file"):
         lazy = pl.scan_parquet(path)
         schema = lazy.collect_schema()
         rows = int(lazy.select(pl.len()).collect().item())
-        _check_size(rows, len(schema), MOST_PARQUET_COLUMNS)
+        _check_size(rows, len(schema))
         size = path.stat().st_size
         check_unpacked(rows * len(schema), size, str(path), "save it as a .npy file")
         for name, kind in schema.items():
             if kind.is_temporal() or kind.is_nested():
                 raise InputError(f"{path}: column {name} holds {kind}: give numbers")
-        return _ParquetColumns(tuple(schema.names()), pl.read_parquet(path))
+        return Columns(tuple(schema.names()), pl.read_parquet(path))
 
 
-def _check_size(rows: int, columns: int, most: int = MOST_COLUMNS) -> None:
+def _check_size(rows: int, columns: int) -> None:
     """Raise `InputError` for a table that is larger than any is read."""
-    if columns > most or rows * columns > LARGEST_TABLE:
+    if columns > MOST_COLUMNS or rows * columns > LARGEST_TABLE:
         raise InputError(
-            f"it has {rows} rows of {columns} columns: give {most} columns and {LARGEST_TABLE} "
-            "numbers or fewer"
+            f"it has {rows} rows of {columns} columns: give {MOST_COLUMNS} columns and "
+            f"{LARGEST_TABLE} numbers or fewer"
         )
 
 
-def _read_text_columns(path: Path) -> _TextColumns:
+def _read_csv(path: Path) -> Columns:
     """Cells of a text file, and the names of its columns if its first line has some."""
     import polars as pl
 
     text = read_text(path, LARGEST_TABLE_FILE, "give a table of text", WINDOWS_ENCODING)
-    text, separator, _ = _separated(text, TABLE_SEPARATORS)
-    written = separator
-    if '"' in text:
-        cells = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
-        text = "\n".join("\x1f".join(row).replace("\n", " ") for row in cells)
-        separator = "\x1f"
-    lines = pl.Series([text]).str.split("\n").explode().str.strip_chars(" ")
-    del text
-    lines = lines.filter((lines != "") & ~lines.str.starts_with("#"))
-    if separator == " ":  # as wide as MATLAB's -ascii and others make them
-        lines = lines.str.replace_all(r"\s+", " ")
-    while (
-        len(lines)
-        and lines[-1]
-        and lines[1 if len(lines) > 1 else 0 :].str.ends_with(separator).all()
-    ):
-        lines = lines.str.strip_suffix(separator)  # a separator at the end of every line
-    rows = lines.str.split(separator)
-    widths = rows.list.len()
-    if not len(rows):
-        return _TextColumns((), 0, pl.Series([], dtype=pl.String))
-    width = int(widths[0])
-    _check_size(len(rows), max(width, int(widths.max())))  # type: ignore[arg-type]
-    if other := (widths != width).arg_max() if (widths != width).any() else None:
-        raise InputError(
-            f"{path}: row {other + 1} has {widths[other]} cells and row 1 has {width}: give each "
-            "row as many"
-        )
-    flat = rows.explode().str.strip_chars()
-    with_comma = flat.filter(flat.str.contains(",", literal=True))
-    comma = has_decimal_commas(with_comma.head(MOST_COLUMNS), written)
-    if comma:
-        flat = flat.str.replace(r"^([^,.]*),([^,.]*)$", "${1}.${2}")
-    heads = flat[:width].to_list()
+    first = next(_first_lines(text), None)
+    if first is None:
+        return Columns((), pl.DataFrame())
+    separator = next((one for one in LIST_SEPARATORS if one in first), ",")
+    _check_size(1, first.count(separator) + 1)
+    frame = pl.read_csv(
+        text.encode(),
+        separator=separator,
+        has_header=False,
+        infer_schema=False,
+        comment_prefix="#",
+    ).select(pl.all().str.strip_chars())
+    frame = frame.filter(~pl.all_horizontal(pl.all().is_null()))
+    _check_size(frame.height, frame.width)
+    heads = [head or "" for head in frame.row(0)]
     numbers = [parse_number(head) for head in heads]
     if any(number is not None for number in numbers) or not set(heads).isdisjoint(WITHOUT_VALUE):
-        _check_heading(numbers, len(rows), path)
-        return _TextColumns((), width, flat)
+        _check_heading(numbers, frame.height, path)
+        return Columns((), frame)
     if len(set(heads)) < len(heads) or "" in heads:
         raise InputError(
             f"{path}: its first line must give each column a name of its own, or hold numbers"
         )
-    return _TextColumns(tuple(heads), width, flat[width:])
+    return Columns(tuple(heads), frame[1:])
 
 
 def _check_heading(numbers: list[float | None], rows: int, path: Path) -> None:
@@ -410,7 +335,7 @@ class TextRows:
 def read_rows(path: Path, largest: int, advice: str) -> TextRows:
     """Rows of a list, in which a line `# …` is a comment."""
     text = read_text(path, largest, advice, WINDOWS_ENCODING)
-    text, separator, skipped = _separated(text, LIST_SEPARATORS)
+    text, separator, skipped = _separated(text)
     lines = ["" if re.match(r"#($|\s)", line) else line for line in text.split("\n")]
     source = io.StringIO("\n".join(lines), newline="")
     reader = csv.reader(source, delimiter=separator, skipinitialspace=True, strict=True)
@@ -458,15 +383,15 @@ def normal_name(name: str) -> str:
     return unicodedata.normalize("NFC", name).strip()
 
 
-def _separated(text: str, separators: str) -> tuple[str, str, int]:
+def _separated(text: str) -> tuple[str, str, int]:
     """Text, its separator, and how many lines were taken off: one, if it names the separator."""
-    # Otherwise it is the first of `separators` that is in every line; then one in the first line
+    # Otherwise it is the first of `LIST_SEPARATORS` in every line; then one in the first line
     if match := SEPARATOR_LINE.match(text.replace('"', "", 2) if text[:1] == '"' else text):
         return text.split("\n", 1)[1], match[1], 1
     lines = list(_first_lines(text))
-    every = (one for one in separators if lines and all(one in line for line in lines))
-    some = (one for one in separators if lines and one in lines[0])
-    return text, next(every, next(some, separators[-1])), 0
+    every = (one for one in LIST_SEPARATORS if lines and all(one in line for line in lines))
+    some = (one for one in LIST_SEPARATORS if lines and one in lines[0])
+    return text, next(every, next(some, ",")), 0
 
 
 def _first_lines(text: str) -> Iterator[str]:

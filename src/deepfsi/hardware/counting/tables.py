@@ -10,11 +10,11 @@ and the budget is the flux times E: all the light of these frames.
 """
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, Self, get_args
+from typing import ClassVar, Self
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, Message, check_choice, closest_choice
+from deepfsi.base.errors import InputError, Message
 from deepfsi.base.numeric.tables import NumberTable
 from deepfsi.base.quantities import time_text
 from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects
@@ -36,12 +36,6 @@ from deepfsi.hardware.light.checks import Fault, check_light
 from deepfsi.hardware.light.curves import Arrivals
 from deepfsi.hardware.patterns.manifest import Manifest
 
-SMALLEST = float(np.nextafter(0, 1))
-"""Smallest number above 0."""
-
-Along = Literal["rows", "columns"]
-"""Exposures are the rows of a table, or its columns."""
-
 
 @dataclass(frozen=True)
 class TableSettings:
@@ -54,7 +48,6 @@ class TableSettings:
     photons: float | None = None  # budget of an exposure, counts
     background: float | None = None
     settle_s: float = 0.0  # time after each marker that was not counted, seconds
-    exposures: str | None = None  # as the shape says unless given
     repeats: int = 1  # exposures of each scene, one after another, where the table names no scenes
     gain: float | None = None  # counts for a unit of the table, of an analogue detector
     read_noise: float | None = None  # of each value of an analogue detector, counts rms
@@ -63,13 +56,9 @@ class TableSettings:
     clicks: int | None = None  # gates of a frame, of tables of clicks: values from 0 to this
 
     def __post_init__(self) -> None:
-        if self.exposures is not None:
-            check_choice(
-                Message("{exposures}", setting="exposures"), self.exposures, get_args(Along)
-            )
         for name, least, allowed in (
-            ("photons", SMALLEST, "a number above 0"),
-            ("gain", SMALLEST, "a number above 0"),
+            ("photons", 5e-324, "a number above 0"),
+            ("gain", 5e-324, "a number above 0"),
             ("background", 0, "counts, 0 or more"),
             ("read_noise", 0, "counts, 0 or more"),
             ("repeats", 1, "1 or more"),
@@ -195,7 +184,7 @@ class _Exposures:
         cls, table: NumberTable, manifest: Manifest, settings: TableSettings, name: str
     ) -> Self:
         """Exposures of a table, or `InputError` if it does not hold them."""
-        values = _arrange(table, manifest, settings, name)
+        values = _arrange(table, manifest, name)
         sentinels = values.shape[1] == len(manifest.frames)
         if not sentinels:
             values = np.pad(values, ((0, 0), (2, 2), (0, 0)))
@@ -262,57 +251,28 @@ class _Exposures:
         )
 
 
-def _arrange(
-    table: NumberTable, manifest: Manifest, settings: TableSettings, name: str
-) -> np.ndarray:
-    """Values (E, F, inputs), or without sentinels where there are none, by their names or shape."""
+def _arrange(table: NumberTable, manifest: Manifest, name: str) -> np.ndarray:
+    """Values (E, F, inputs) of all frames, or of the masks' alone."""
     names = column_names(manifest)
     inputs = manifest.inputs
     masks = names[2 * inputs : -2 * inputs]
-    values = table.values
-    columns = [column.lower() for column in table.names]
-    if set(columns) & set(names):
-        other = [column for column in table.names if column.lower() not in names]
-        if other:
-            raise InputError(
-                f"{name} has a column {other[0]!r} that is no frame: "
-                f"{closest_choice(other[0], names)}, and {' and '.join(TableSettings.WORDS)}"
-            )
-        missing = [column for column in names if column not in columns]
-        if missing and set(missing) != {*names} - {*masks}:
-            lacking = [column for column in missing if column in masks] or missing
-            raise InputError(
-                f"{name} has no column {lacking[0]!r}: give one for each of the masks' frames, "
-                "and all of the all-ON and all-OFF frames or none"
-            )
-        order = [columns.index(column) for column in (masks if missing else names)]
-        return values[:, order].reshape(len(values), -1, inputs)
-    shape = dict(zip(("columns", "rows"), values.shape, strict=True))  # exposures along the other
-    allowed = (len(masks), len(names))
-    fits = {along: many in allowed for along, many in shape.items()}
-    fits["columns"] &= not table.words
-    if settings.exposures is None and all(fits.values()):
-        raise InputError(
-            "{name} has {columns} rows and {rows} columns, and either may be exposures: say "
-            "{exposures} rows or columns",
-            setting="exposures",
-            name=name,
-            columns=shape["columns"],
-            rows=shape["rows"],
-        )
-    along = settings.exposures or ("rows" if fits["rows"] else "columns")
-    if not fits[along]:
-        asked = f", and exposures are its {along}" if settings.exposures else ""
+    rows, columns = table.values.shape
+    if columns not in (len(masks), len(names)):
         frames = f"{len(masks) // inputs} frames of masks"
         if inputs > 1:
             frames += f" x {inputs} inputs"
         raise InputError(
-            f"{name} has {shape['columns']} rows and {shape['rows']} columns{asked}: an exposure "
-            f"has {allowed[0]} values ({frames}), or {allowed[1]} with all ON and all OFF before "
-            "and after them"
+            f"{name} has {rows} rows and {columns} columns: an exposure is a row of {len(masks)} "
+            f"values ({frames}), or {len(names)} with all ON and all OFF before and after them"
         )
-    values = values.T if along == "columns" else values
-    return values.reshape(len(values), -1, inputs)
+    asked = names if columns == len(names) else masks
+    for column, wanted in zip(table.names, asked, strict=False):
+        if column.lower() in names and column.lower() != wanted:
+            raise InputError(
+                f"{name} has {column!r} where {wanted!r} stands: put columns into the order of the "
+                "frames"
+            )
+    return table.values.reshape(rows, -1, inputs)
 
 
 def _find_scenes(

@@ -60,7 +60,7 @@ FOREIGN = {
 }
 """What else counters write, by the first bytes."""
 
-TABLE_ENDS = (".txt", ".csv", ".tsv", ".dat", ".npy", ".mat", ".parquet")
+TABLE_ENDS = (".txt", ".csv", ".npy", ".mat", ".parquet")
 """Ends of the names of tables, which may hold events."""
 
 _TO_TAGS = "save times and channels as two columns, and give these to `deepfsi camera import`"
