@@ -3,12 +3,10 @@
 A case is a function that works in the current folder, empty and its own, and stands in `CASES` of a
 module `…_cases.py`. It uses the command line in this process and public names only, so that it
 stays as it is while modules are moved and rewritten, and gives a dict of facts: numbers, words,
-lists, arrays, bytes. Whole numbers, words, keys and exit codes are compared with those in `exact/`
-(of a module that says `HASHED`, their hashes), and floats and bytes, bit for bit, with what the
-package of `beside.REFERENCE` gives on this machine, as their last bits differ between processors.
-Whole numbers that follow such bits are given as floats. The reference runs the cases in a process
-of its own, once a machine; where its source is not at hand, sizes of floats are compared with
-stored ones. After a new case: `python tests/golden/beside.py store MODULE`.
+lists, arrays, bytes. They are compared, bit for bit, with what the package of `beside.REFERENCE`
+gives on this machine, as the last bits of floats differ between processors. The reference runs the
+cases in a process of its own, once a machine, and not where `known.json` has the hash of their
+facts. After a new case: `python tests/golden/beside.py MODULE`.
 
 `inputs/` holds designs, recordings, tables and pictures, so that a change of training or of the
 virtual camera does not change what is counted. Command lines made them; photons and markers of some

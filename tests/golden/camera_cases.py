@@ -7,8 +7,6 @@ import deepfsi
 from golden.facts import Cases, refused_or
 
 CASES = Cases()
-HASHED = True
-
 PRESETS = ("dmd", "dmd-2x2", "dmd-4x4", "two-arm", "paper")
 
 ALLOWED: dict[str, tuple[Any, ...]] = {

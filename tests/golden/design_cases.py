@@ -19,9 +19,6 @@ from golden.scenes import (
 )
 
 CASES = Cases()
-HASHED = True
-"""Of the exact facts of so many designs only hashes are stored."""
-
 EXPOSURES: dict[str, dict[str, Any]] = {
     "fixed": {"masks": 4},
     "range": {"masks": 4, "exposure": {"span": 10}},

@@ -10,7 +10,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
@@ -198,28 +198,6 @@ def _without_floats(value: Any, place: str, bits: dict[str, str]) -> Any:
     if isinstance(value, (list, tuple)):
         return [_without_floats(one, f"{place}/{k}", bits) for k, one in enumerate(value)]
     return value
-
-
-def sizes(value: dict[str, Any]) -> dict[str, float]:
-    """For each first key of a case's facts, the mean size of all floats below it, to four digits.
-
-    The size of an array or a number is ln(1 + rms): rough, and nearly the same on every processor.
-    """
-    terms = {key: list(_sizes(one)) for key, one in value.items()}
-    return {key: float(f"{np.mean(one):.4g}") if one else 0.0 for key, one in terms.items()}
-
-
-def _sizes(value: Any) -> Iterator[float]:
-    if isinstance(value, dict):
-        value = [one for key, one in value.items() if key not in LEFT]
-    if isinstance(value, (list, tuple)):
-        for one in value:
-            yield from _sizes(one)
-    elif isinstance(value, (float, np.floating, np.ndarray)):
-        numbers = np.asarray(value)
-        if numbers.dtype.kind == "f" and numbers.size:
-            finite = np.nan_to_num(numbers.astype(float), posinf=0.0, neginf=0.0)
-            yield float(np.log1p(np.sqrt(np.mean(np.square(np.clip(finite, -1e100, 1e100))))))
 
 
 def files(folder: Path | str, *left_out: str) -> dict[str, bytes]:

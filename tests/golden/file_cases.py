@@ -13,8 +13,6 @@ from golden.facts import INPUTS, Cases, parts, refused_or
 from golden.scenes import about, file_facts, opened
 
 CASES = Cases()
-HASHED = True
-
 MADE_BY = "0.2.0"
 """Version of the package that wrote the stored files, and those that it comes with."""
 

@@ -13,8 +13,6 @@ from golden.facts import Cases, answer, cleaned, refused_or, timeless
 from golden.scenes import digits, file_facts
 
 CASES = Cases()
-HASHED = True
-
 TRAINING = ("--epochs", 1, "--hidden", 8, "--batch", 40, "--workers", 1)
 
 COMPARED = {
