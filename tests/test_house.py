@@ -16,12 +16,12 @@ SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
     "adaptive": 1698,
-    "base": 1545,
-    "base.models": 98,
-    "base.numeric": 1455,
+    "base": 1502,
+    "base.models": 88,
+    "base.numeric": 1452,
     "camera": 1533,
-    "cli": 3105,
-    "datasets": 3157,
+    "cli": 3100,
+    "datasets": 3142,
     "design": 1081,
     "designfile": 1536,
     "evaluation": 1137,
@@ -42,7 +42,7 @@ LINES = {
     "report": 1490,
     "report.playground": 207,
     "report.style": 276,
-    "sweeps": 2827,
+    "sweeps": 2804,
     "training": 1813,
 }
 """Lines of each room, which may only fall: lower the number with them."""

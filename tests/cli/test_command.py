@@ -48,7 +48,9 @@ class Show(command.Command):
             self.model_dump(mode="json"),
             [f"shown: {self.name}", Table("things", ("name",), [(self.name,)])],
             failed=self.name == "bad",
-            refusal="it is torn" if self.name == "torn" else "",
+            refusal='it is torn: leave `loss` out, or give `light="dose"`'
+            if self.name == "torn"
+            else "",
         )
 
 
@@ -78,7 +80,7 @@ def test_a_result_says_itself_and_its_exit_code():
     ]  # fmt: skip
     assert run("bad")[0] == 1
     assert "at once" not in run("bad", "--json")[1]
-    with pytest.raises(InputError, match="it is torn"):
+    with pytest.raises(InputError, match="it is torn: leave `loss` out, or give --light dose"):
         run("torn")
 
 

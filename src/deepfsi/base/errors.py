@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, get_args
@@ -24,59 +24,30 @@ LONGEST_MESSAGE = 4000
 """Characters of a message at most; one that repeats more is cut in its middle."""
 
 
-class Message(str):
-    r"""Text that names settings: in Python as `bins`, on the command line as --bins."""
+class _Setting:
+    """A setting in a template: `bins`, or with a value, of {design:pca}, `design="pca"`."""
 
-    template: str  # text with a field, in braces, for each setting and each value
-    settings: tuple[str, ...]
-    values: dict[str, Any]  # values of the other fields
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __format__(self, value: str) -> str:
+        if not value:
+            return f"`{self.name}`"
+        return f"`{self.name}={value}`" if value.isdecimal() else f'`{self.name}="{value}"`'
+
+
+class Message(str):
+    """Text of a template that names settings as Python does: `bins`."""
 
     def __new__(
         cls, template: str, /, *, setting: str | tuple[str, ...] = (), **values: Any
     ) -> "Message":
-        """Write the text as Python names settings."""
+        """Fill the fields of settings, and of other values."""
         settings = (setting,) if isinstance(setting, str) else setting
-        self = super().__new__(cls, _written(template, settings, values, _in_python))
-        self.template = template
-        self.settings = settings
-        self.values = values
-        return self
-
-    def write(self, name: Callable[[str, str], str]) -> str:
-        """Text with settings as a function names them, of a setting and the value it is to have."""
-        return _written(self.template, self.settings, self.values, name)
-
-
-class _Setting:
-    def __init__(self, setting: str, name: Callable[[str, str], str]) -> None:
-        self.setting = setting
-        self.name = name
-
-    def __format__(self, value: str) -> str:
-        return self.name(self.setting, value)
-
-
-def _in_python(setting: str, value: str) -> str:
-    if not value:
-        return f"`{setting}`"
-    return f"`{setting}={value}`" if value.isdecimal() else f'`{setting}="{value}"`'
-
-
-def _written(
-    template: str,
-    settings: tuple[str, ...],
-    values: Mapping[str, Any],
-    name: Callable[[str, str], str],
-) -> str:
-    if not settings and not values:
-        return template
-    fields: dict[str, Any] = {setting: _Setting(setting, name) for setting in settings}
-    if len(settings) == 1:
-        fields["setting"] = fields[settings[0]]
-    for field, value in values.items():
-        message = value.message if isinstance(value, InputError) else value
-        fields[field] = message.write(name) if isinstance(message, Message) else value
-    return template.format_map(fields)
+        fields: dict[str, Any] = {name: _Setting(name) for name in settings}
+        if len(settings) == 1:
+            fields["setting"] = fields[settings[0]]
+        return super().__new__(cls, template.format_map({**fields, **values}))
 
 
 class InputError(ValueError):
@@ -110,7 +81,7 @@ class InputError(ValueError):
 
     @property
     def message(self) -> str:
-        """The message, a `Message` if it names settings."""
+        """The message."""
         return self.args[0]
 
     def __str__(self) -> str:
@@ -124,12 +95,6 @@ def one_line(text: str) -> str:
     if len(words) <= LONGEST_MESSAGE:
         return words
     return f"{words[: LONGEST_MESSAGE // 2]} ... {words[-LONGEST_MESSAGE // 2 :]}"
-
-
-def join_messages(messages: Iterable[str]) -> Message:
-    """Messages in one line, which name settings as each of them does."""
-    values = {f"message_{number}": message for number, message in enumerate(messages)}
-    return Message("; ".join(f"{{{field}}}" for field in values), **values)
 
 
 def closest_choice(name: str, allowed: Iterable[str]) -> str:
@@ -147,7 +112,7 @@ def check_choice(what: str, name: str, known: Iterable[str]) -> None:
     """Raise `InputError` with the closest known name unless a name is known."""
     if name not in (known := list(known)):
         advice = closest_choice(name, known)
-        raise InputError("unknown {what} {name!r}: {advice}", what=what, name=name, advice=advice)
+        raise InputError(f"unknown {what} {name!r}: {advice}")
 
 
 def other_version(content: str | bytes, schema: int, again: str = "make it again") -> str:
@@ -192,16 +157,12 @@ def as_input_error(
         if words := other_version(content, schema, advice or "make it again"):
             raise InputError(f"{file} {words}") from None
         if not file:
-            raise InputError(join_messages(field_errors(error))) from None
+            raise InputError("; ".join(field_errors(error))) from None
         # of a wrong name and the field that is missing for it, the name says what to do
         fault = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
-        raise InputError(
-            "{file} cannot be used{at}: {words}{end}",
-            file=file,
-            at=f" at {_field(fault)}" if fault["loc"] else "",
-            words=_words(fault, error.title),
-            end=advice and f"; {advice}",
-        ) from None
+        place = f" at {_field(fault)}" if fault["loc"] else ""
+        words = _words(fault, error.title) + (advice and f"; {advice}")
+        raise InputError(f"{file} cannot be used{place}: {words}") from None
 
 
 def field_errors(
@@ -210,7 +171,7 @@ def field_errors(
     """Every bad field of pydantic's error, with what was given."""
     name = name or _given
     return [
-        Message("{field}{words}", field=name(fault), words=_words(fault, error.title))
+        name(fault) + _words(fault, error.title)
         for fault in error.errors()
         if fault["type"] != "default_factory_not_called"  # what follows from a bad field
     ]

@@ -284,12 +284,8 @@ def check_disk_space(path: str | os.PathLike[str], size: float, advice: str) -> 
     free = shutil.disk_usage(above).free if above else math.inf
     if size > free:
         raise InputError(
-            "{path} would take {size_mb:.4g} MB, and its disk has {free_mb:.4g} MB free: free the "
-            "disk, give a folder on another one, or {advice}",
-            path=path,
-            size_mb=size / 1e6,
-            free_mb=free / 1e6,
-            advice=advice,
+            f"{path} would take {size / 1e6:.4g} MB, and its disk has {free / 1e6:.4g} "
+            f"MB free: free the disk, give a folder on another one, or {advice}"
         )
 
 

@@ -17,11 +17,10 @@ from typing import Any, NoReturn
 import click
 
 import deepfsi
-from deepfsi.base.errors import InputError
+from deepfsi.base.errors import InputError, one_line
 from deepfsi.base.interrupts import STOPPED_EXIT_CODE, say_stopped
 from deepfsi.base.plugins import require_extras
 from deepfsi.base.registry import installed
-from deepfsi.cli.terminal import error_line
 
 
 @click.pass_context
@@ -150,5 +149,6 @@ def _check_here() -> None:
 
 def _fail(message: str) -> NoReturn:
     with contextlib.suppress(OSError):  # a full disk takes no message
-        print(f"deepfsi: {error_line(message)}", file=sys.stderr, flush=True)
+        line = " ".join(one_line(message).split())
+        print(f"deepfsi: {line}", file=sys.stderr, flush=True)
     sys.exit(2)

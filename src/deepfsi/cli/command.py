@@ -9,7 +9,7 @@ import inspect
 import shlex
 import sys
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -20,13 +20,14 @@ from pydantic import BeforeValidator, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticUndefined
 
-from deepfsi.base.errors import InputError, field_errors, join_messages
+from deepfsi.base.errors import InputError, field_errors
 from deepfsi.base.files import readable_name
 from deepfsi.base.interrupts import STOPPED_EXIT_CODE
 from deepfsi.base.models.strict import StrictModel
 from deepfsi.base.quantities import seconds, time_text
-from deepfsi.cli.fields import FIRST, OptionsOf, Output, Written
-from deepfsi.cli.terminal import Outcome, Terminal, option_name
+from deepfsi.camera.camera import Camera
+from deepfsi.cli.fields import FIRST, OptionsOf, Output, Written, job_options
+from deepfsi.cli.terminal import Outcome, Terminal, as_options, option_name
 
 ONE_VALUE = ("camera", "hidden")
 """Options of one value where others are axes."""
@@ -254,6 +255,15 @@ class ClickCommand(click.Command):
         )
 
     def invoke(self, ctx: click.Context) -> None:
+        """Run the command; an error names settings as options."""
+        own = {each.key for each in self.declared}
+        settings = own | job_options().fields.keys() | Camera.model_fields.keys()
+        try:
+            self._run(ctx, settings)
+        except InputError as error:
+            raise InputError(as_options(error.message, settings)) from error
+
+    def _run(self, ctx: click.Context, names: Collection[str]) -> None:
         """Read the settings, check what is written to, run, and print what was found."""
         given = {
             name: value for name, value in ctx.params.items() if value not in (None, False, ())
@@ -265,7 +275,7 @@ class ClickCommand(click.Command):
                 if isinstance(output, Output) and (path := getattr(settings, name)) is not None:
                     output.check(path, getattr(settings, "force", False))
         typed = shlex.join(["deepfsi", *map(readable_name, sys.argv[1:])])
-        terminal = Terminal(as_json, typed)
+        terminal = Terminal(as_json, typed, names)
         try:
             outcome = settings.run(terminal)
         except KeyboardInterrupt:  # of which `click` would make an empty line
@@ -315,7 +325,6 @@ class ClickCommand(click.Command):
         try:
             return self.command.model_validate(given)
         except ValidationError as error:
-            faults = join_messages(field_errors(error, name_of))
-            if not any(map(name_of, error.errors())):
-                raise InputError("{faults}", faults=faults) from None
-            raise InputError("{faults}; see `{path} --help`", faults=faults, path=path) from None
+            faults = "; ".join(field_errors(error, name_of))
+            more = f"; see `{path} --help`" if any(map(name_of, error.errors())) else ""
+            raise InputError(f"{faults}{more}") from None

@@ -140,9 +140,8 @@ def _job_fields(
     job = sorted_settings(settings)
     if job.get("design") == "adaptive" and str(settings.get("levels", 2)) != "2":
         raise InputError(
-            "adaptive masks are ON and OFF, of 2 levels: leave {levels} out, or give "
-            "{design:deepfsi}",
-            setting=("levels", "design"),
+            "adaptive masks are ON and OFF, of 2 levels: leave `levels` out, or give "
+            '`design="deepfsi"`'
         )
     job["camera"] = Camera.load(job.get("camera"))
     if matrix is not None:
@@ -159,10 +158,8 @@ def _check_mask_settings(settings: Mapping[str, Any], job: Job) -> None:
     for setting in MASK_SETTINGS:
         if setting in settings and not job.code.learns_masks:
             raise InputError(
-                "{setting} is of learned masks, and {given} has its own: leave it out, or give "
-                "another design",
-                setting=setting,
-                given=job.design,
+                f"`{setting}` is of learned masks, and {job.design} has its own: leave it out, or "
+                "give another design"
             )
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
-from deepfsi.base.errors import InputError, Message, as_input_error
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.models.strict import WholeNumber
 from deepfsi.camera.device import find_device
 from deepfsi.camera.layout import DmdLayout
@@ -99,12 +99,9 @@ class ExportPatterns(Command):
         with terminal.progress("patterns") as report:
             patterns = export_patterns(rails, frames, self.out, report)
         write_reference(patterns, self.out)
-        raised = Message(
-            "the mean picture time was raised to {time} µs: {device} shows no shorter picture "
-            "({shortest})",
-            setting="shortest",
-            time=device.shortest_us,
-            device=device.name,
+        raised = (
+            f"the mean picture time was raised to {device.shortest_us} µs: {device.name} shows no "
+            "shorter picture (`shortest`)"
         )
         return _patterns_in(self.out, patterns, [raised] * frames.raised)
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from deepfsi.base.errors import InputError, Message
+from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
@@ -165,4 +165,4 @@ def full_gates_lines(design: "Design", results: Sequence[Result | Estimates]) ->
     """Say at which budgets nearly all gates click, so that clicks tell little of a scene."""
     for result in results:
         if result.clicks and (remark := design.full_gates(result.counts, result.photons)):
-            yield Message("note: {remark}", remark=remark)
+            yield f"note: {remark}"

@@ -190,20 +190,14 @@ def ask_for_room(terminal: Terminal, events: float) -> None:
 def exposure_of(camera: Camera) -> float:
     """Time of a whole exposure in seconds, or `InputError` where the camera has none."""
     if camera.exposure is None:
-        raise InputError(
-            "an exposure needs a time: give {exposure}, such as 10ms, or a camera",
-            setting="exposure",
-        )
+        raise InputError("an exposure needs a time: give `exposure`, such as 10ms, or a camera")
     return camera.exposure
 
 
 def flux_of(camera: Camera) -> float:
     """Flux in counts/s, or `InputError` where the camera has none."""
     if camera.flux is None:
-        raise InputError(
-            "a virtual camera needs its light: give {flux}, such as 1e6, or a camera",
-            setting="flux",
-        )
+        raise InputError("a virtual camera needs its light: give `flux`, such as 1e6, or a camera")
     return camera.flux
 
 

@@ -3,12 +3,12 @@
 import json
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
-from deepfsi.base.errors import InputError, Message, one_line
+from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress, terminal_bar
 from deepfsi.base.quantities import Table
 
@@ -30,9 +30,10 @@ class Outcome:
 class Terminal:
     """Where a command runs: it shows progress, says and asks."""
 
-    def __init__(self, as_json: bool = False, command_line: str = "") -> None:
+    def __init__(self, as_json: bool, command_line: str, settings: Collection[str]) -> None:
         self.as_json = as_json
         self.command_line = command_line
+        self.settings = settings  # those that are options
 
     def progress(self, what: str) -> AbstractContextManager[Progress]:
         """Progress bar on standard error with the time left."""
@@ -41,11 +42,11 @@ class Terminal:
     def say(self, line: str | Table) -> None:
         """Print a part of a result at once, which JSON has at the end."""
         if not self.as_json:
-            _print(line)
+            self._print(line)
 
     def warn(self, text: str) -> None:
         """Say on standard error what a reader should know in any case."""
-        print(as_options(text), file=sys.stderr, flush=True)
+        print(as_options(text, self.settings), file=sys.stderr, flush=True)
 
     def ask(self, what: str) -> None:
         """Ask someone to do something, and wait until it is done."""
@@ -66,26 +67,30 @@ class Terminal:
             print_json(outcome.schema or command, outcome.content)
             return
         for line in outcome.lines:
-            _print(line)
+            self._print(line)
+
+    def _print(self, line: str | Table) -> None:
+        if isinstance(line, Table):
+            print_table(line)
+        else:
+            print(as_options(line, self.settings), flush=True)
 
 
-def as_options(text: str) -> str:
+def as_options(text: str, settings: Collection[str]) -> str:
     """A message with the settings that it names as options: `size` is --size."""
-    return text.write(_as_option) if isinstance(text, Message) else text
+
+    def option(named: re.Match[str]) -> str:
+        setting, value = named.groups()
+        if setting not in settings:
+            return named[0]
+        return f"{option_name(setting)} {(value or '').strip(chr(34))}".rstrip()
+
+    return re.sub(r'`([a-z_]+)(?:=("[^"`]*"|\d+))?`', option, text)
 
 
 def option_name(setting: str) -> str:
     """Name of the option of a setting: --shortest-dwell of `shortest_dwell`."""
     return f"--{setting.replace('_', '-')}"
-
-
-def _as_option(setting: str, value: str) -> str:
-    return f"{option_name(setting)} {value}".rstrip()
-
-
-def error_line(text: str) -> str:
-    """Message of an error in one line."""
-    return " ".join(one_line(as_options(text)).split())
 
 
 def print_json(schema: str, content: Mapping[str, Any]) -> None:
@@ -95,13 +100,6 @@ def print_json(schema: str, content: Mapping[str, Any]) -> None:
     # bytes of a path that are no UTF-8, which no reader of JSON takes
     text = re.sub("[\udc80-\udcff]", lambda byte: f"\\\\x{ord(byte[0]) - 0xDC00:02x}", text)
     print(json.dumps(json.loads(text), indent=1))
-
-
-def _print(line: str | Table) -> None:
-    if isinstance(line, Table):
-        print_table(line)
-    else:
-        print(as_options(line), flush=True)
 
 
 def print_table(content: Table) -> None:

@@ -185,10 +185,7 @@ def split_arrays(
             )
         targets = _classes((train[1], y_test), classes, counts, name)
     elif classes is not None:
-        raise InputError(
-            "{name}: names of classes go with labels; y is of floats, give `values`",
-            name=name,
-        )
+        raise InputError(f"{name}: names of classes go with labels; y is of floats, give `values`")
     else:
         targets = _values((train[1], y_test), values, counts, name)
     y = targets.y
@@ -292,11 +289,7 @@ def check_no_classes(
     else:
         return
     raise InputError(
-        "{what} holds {said}: if they are classes, {for_classes}; if they are values, {for_values}",
-        what=what,
-        said=said,
-        for_classes=for_classes,
-        for_values=for_values,
+        f"{what} holds {said}: if they are classes, {for_classes}; if they are values, {for_values}"
     )
 
 

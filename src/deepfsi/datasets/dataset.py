@@ -221,9 +221,8 @@ class Dataset:
         """
         if not self.drawn:
             raise InputError(
-                "{name} has a test part of its own: it has no folds, leave {folds} out or give 1",
-                setting="folds",
-                name=self.name,
+                f"{self.name} has a test part of its own: it has no folds, leave `folds` out or "
+                "give 1"
             )
         x = np.concatenate([self.x_train, self.x_test])
         y = np.concatenate([self.y_train, self.y_test])

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy.typing as npt
 
-from deepfsi.base.errors import InputError, Message, closest_choice
+from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.files import check_readable_name, content_of
 from deepfsi.base.keywords import plain_keywords
 from deepfsi.datasets.arrays import load_npz, split_arrays
@@ -62,7 +62,7 @@ TAKERS = {
     "split": ("a split", "a hyperspectral image takes"),
     "white": ("a white", "a folder, zip file or .csv file of images or arrays take"),
     "skip_bad": (
-        Message("{skip_bad}", setting="skip_bad"),
+        "`skip_bad`",
         "a folder, zip file or .csv file of images takes",
     ),
 }
@@ -202,12 +202,7 @@ def _refuse(options: LoadOptions, name: str, allowed: tuple[str, ...]) -> None:
     """Raise `InputError` for an option that is given but not among those that a source takes."""
     for option, (what, who) in TAKERS.items():
         if option not in allowed and getattr(options, option) not in (None, False):
-            raise InputError(
-                "{name}: {what} was given; only {who} one, leave it out",
-                name=name,
-                what=what,
-                who=who,
-            )
+            raise InputError(f"{name}: {what} was given; only {who} one, leave it out")
 
 
 def absolute_source(source: str) -> str:

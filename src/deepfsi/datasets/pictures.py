@@ -21,7 +21,7 @@ from typing import IO, Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.errors import InputError, Message
+from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_unpacked, read_regular, readable_name
 from deepfsi.base.numeric.arrays import open_zip, read_zip_entry
 from deepfsi.base.numeric.tables import (
@@ -485,9 +485,7 @@ def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:
     text = f"cannot read {what} {named}; replace or remove {them}"
     if not may_skip:
         return text
-    return Message(
-        "{text}, or leave {them} out with {skip_bad}", setting="skip_bad", text=text, them=them
-    )
+    return f"{text}, or leave {them} out with `skip_bad`"
 
 
 def _read(

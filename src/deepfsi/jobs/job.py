@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from deepfsi.base.errors import InputError, Message, closest_choice, join_messages
+from deepfsi.base.errors import InputError, Message, closest_choice
 from deepfsi.base.models.strict import UserModel
 from deepfsi.base.plugins import UNNAMED_PLUGIN
 from deepfsi.camera.camera import Camera, CameraSource
@@ -205,7 +205,7 @@ class Job(UserModel):
     def check(self, data: Dataset, matrix: np.ndarray | None = None) -> None:
         """Raise `InputError` for whatever the job asks that cannot be had on this data."""
         if faults := self.faults(data, matrix):
-            raise InputError(join_messages(faults))
+            raise InputError("; ".join(faults))
 
     def faults(self, data: Dataset, matrix: np.ndarray | None = None) -> list[str]:
         """Everything that the job asks and that cannot be had on this data, in words.

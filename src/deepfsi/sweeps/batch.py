@@ -169,9 +169,7 @@ class BatchTrainer:
         except torch.OutOfMemoryError:
             if len(batch) == 1:
                 raise InputError(
-                    "{title} do not fit the memory of this GPU: use {device:cpu}",
-                    setting="device",
-                    title=self.title(batch),
+                    f'{self.title(batch)} do not fit the memory of this GPU: use `device="cpu"`'
                 ) from None
             parts = [batch[: len(batch) // 2], batch[len(batch) // 2 :]]
         else:

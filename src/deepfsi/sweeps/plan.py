@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base.errors import InputError, Message, join_messages
+from deepfsi.base.errors import InputError
 from deepfsi.base.models.strict import StrictModel
 from deepfsi.base.plugins import source_hash
 from deepfsi.camera.detectors import ONE_DETECTOR
@@ -104,7 +104,7 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
     """
     plan = _Plan(recipe, data, matrix)
     if faults := [*_scene_faults(recipe, data), *plan.faults(), *_cap_faults(recipe)]:
-        raise InputError(join_messages(faults))
+        raise InputError("; ".join(faults))
     trials: dict[str, Trial] = {}
     hash_of_file = functools.cache(source_hash)
     matrix_hash = "" if matrix is None else _matrix_hash(matrix)
@@ -154,7 +154,7 @@ def check_settings(
         faults += _fold_faults(recipe, data)
         faults += [] if draft.lost & _OPTICS_FIELDS else _Plan(recipe, data, matrix).faults()
     if faults or data is None:
-        raise InputError(join_messages(faults))
+        raise InputError("; ".join(faults))
     return recipe, data
 
 
@@ -342,15 +342,9 @@ def check_used(recipe: Recipe, options: Iterable[str]) -> None:
         _, name = find_table(option)
         reason = next((text for holds, names, text in reasons if holds and name in names), None)
         if reason is not None:
-            faults.append(
-                Message(
-                    "{reason}: leave {setting} out, or add other designs",
-                    setting=option,
-                    reason=reason,
-                )
-            )
+            faults.append(f"{reason}: leave `{option}` out, or add other designs")
     if faults:
-        raise InputError(join_messages(faults))
+        raise InputError("; ".join(faults))
 
 
 def _cap_faults(recipe: Recipe) -> list[str]:
@@ -362,10 +356,9 @@ def _cap_faults(recipe: Recipe) -> list[str]:
     ):
         return []
     return [
-        Message(
-            "{cap} is of exposures that may end early, and none of these designs has such: leave "
-            "it out, or add adaptive to the {designs}",
-            setting=("cap", "designs"),
+        (
+            "`cap` is of exposures that may end early, and none of these designs has such: leave "
+            "it out, or add adaptive to the `designs`"
         )
     ]
 

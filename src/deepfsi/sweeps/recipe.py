@@ -18,11 +18,9 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, mo
 
 from deepfsi.base.errors import (
     InputError,
-    Message,
     as_input_error,
     closest_choice,
     field_errors,
-    join_messages,
 )
 from deepfsi.base.models.strict import Count, UserModel
 from deepfsi.camera.camera import Camera, Levels
@@ -105,7 +103,7 @@ def _read_axes(table: Any, make: Callable[[Settings], Any]) -> _Axes:
             faults.append(f"{name} is empty: give one value or more")
         axes[name] = tuple(values)
     if faults:
-        raise InputError(join_messages(faults))
+        raise InputError("; ".join(faults))
     return axes
 
 
@@ -157,8 +155,7 @@ def _read_exposure(given: Any) -> _Axes:
     if isinstance(given, Mapping) and "least_cap" in given:
         raise InputError(
             "adaptive masks alone can find their cap, and a comparison gives all the same: leave "
-            "{least_cap} out, or give several values of {cap}",
-            setting=("least_cap", "cap"),
+            "`least_cap` out, or give several values of `cap`"
         )
     return _read_axes(given, find_exposure)
 
@@ -173,9 +170,9 @@ def _read_tuned(given: Any) -> dict[str, _Axes]:
         try:
             axes[check_design(design)] = _read_training(settings)
         except (InputError, ValueError) as error:
-            faults.append(Message("{design}: {error}", design=design, error=error))
+            faults.append(f"{design}: {error}")
     if faults:
-        raise InputError(join_messages(faults))
+        raise InputError("; ".join(faults))
     return axes
 
 

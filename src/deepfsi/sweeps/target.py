@@ -21,26 +21,18 @@ def check_target(target: float, recipe: Recipe, data: Dataset) -> None:
     """Raise `InputError` where no curve can meet a target accuracy."""
     if data.measure != "accuracy":
         raise InputError(
-            "{target} is an accuracy, and answers to {data} are measured by {measure}: leave it "
-            "out",
-            setting="target",
-            data=data.name,
-            measure=data.measure,
+            f"`target` is an accuracy, and answers to {data.name} are measured by {data.measure}: "
+            "leave it out"
         )
     if not data.chance < target < 1:
         raise InputError(
-            "{target} {given:g} is not allowed: give an accuracy below 1 and above {chance:.3g}, "
-            "that of guessing the commonest class of {data}",
-            setting="target",
-            given=target,
-            chance=data.chance,
-            data=data.name,
+            f"`target` {target:g} is not allowed: give an accuracy below 1 and above "
+            f"{data.chance:.3g}, that of guessing the commonest class of {data.name}"
         )
     if len(recipe.photons) < 2 or recipe.test_photons:
         raise InputError(
-            "{target} is read off curves of designs, each trained for its budget: give two budgets "
-            "of {photons} or more",
-            setting=("target", "photons"),
+            "`target` is read off curves of designs, each trained for its budget: give two budgets "
+            "of `photons` or more"
         )
 
 

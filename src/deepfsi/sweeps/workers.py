@@ -111,11 +111,8 @@ def processes(
                 future.result()
     except BrokenProcessPool:
         raise InputError(
-            "one of {given} worker processes was killed, perhaps for want of memory: run again "
-            "with fewer {workers}{saved_work_text}",
-            setting="workers",
-            given=workers,
-            saved_work_text=saved_work_text(),
+            f"one of {workers} worker processes was killed, perhaps for want of memory: run again "
+            f"with fewer `workers`{saved_work_text()}"
         ) from None
     finally:
         if running:

@@ -10,11 +10,10 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationInfo,
-    ValidatorFunctionWrapHandler,
     WrapValidator,
 )
 
-from deepfsi.base.errors import InputError, Message, as_input_error
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.quantities import seconds
 
 if TYPE_CHECKING:
@@ -86,12 +85,3 @@ Amount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 Share = Annotated[float, Field(ge=0, le=1)]
 """Part of a whole, 0 to 1."""
-
-
-def _as_message(text: Any, read: ValidatorFunctionWrapHandler) -> Any:
-    """A message as it is: pydantic would copy its text alone."""
-    return text if isinstance(text, Message) else read(text)
-
-
-MessageText = Annotated[str, WrapValidator(_as_message)]
-"""Text of a message, which may name settings."""

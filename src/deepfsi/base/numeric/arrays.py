@@ -416,11 +416,8 @@ def check_memory(needed: float, free: float, what: str, advice: str) -> None:
     """Raise `InputError` where something would not fit."""
     if needed > free:
         raise InputError(
-            "{what} need {needed_gb:.3g} GB of memory, and {free_gb:.3g} GB are free: {advice}",
-            what=what,
-            needed_gb=needed / 1e9,
-            free_gb=free / 1e9,
-            advice=advice,
+            f"{what} need {needed / 1000000000.0:.3g} GB of memory, and {free / 1000000000.0:.3g} "
+            f"GB are free: {advice}"
         )
 
 

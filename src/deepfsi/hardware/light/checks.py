@@ -24,7 +24,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from deepfsi.base.errors import Message
-from deepfsi.base.models.strict import MessageText, StrictModel
+from deepfsi.base.models.strict import StrictModel
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,
@@ -62,7 +62,7 @@ class Fault(StrictModel):
     kind: FaultKind
     scene: int | None = None  # Which, from 0; None where no pass is meant
     frame: int | None = None  # Which, from 0; None where no one frame is meant
-    detail: MessageText  # What was seen and when
+    detail: str  # What was seen and when
 
     def __str__(self) -> str:
         return self.words()
