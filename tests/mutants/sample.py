@@ -10,15 +10,22 @@ seed and code. The fast tests of the wing run against it, first those that impor
 of the tree is changed, never the tree itself. Survivors are missing laws, or change nothing.
 """
 
+import os
 import random
 import re
+import shutil
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator
 from difflib import unified_diff
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
-from run import copied_tree, first_failure
+
+LONGEST_S = 900.0
+"""Seconds after which tests that hang count as failed."""
 
 OPERATORS = re.compile(
     "core/(AddNot|ReplaceTrueWithFalse|ReplaceFalseWithTrue|ReplaceAndWithOr|ReplaceOrWithAnd|"
@@ -64,6 +71,23 @@ def stages(tests: Path, module: Path, near_only: bool) -> list[tuple[str, ...]]:
     return [tuple(str(each.relative_to(tests)) for each in group) for group in kept]
 
 
+def first_failure(tree: Path, tests: tuple[str, ...]) -> str | None:
+    """Fast test below ``tests`` that fails first in a copy of the tree, or None."""
+    environment = {**os.environ, "PYTHONPATH": str(tree / "src"), "OMP_NUM_THREADS": "1"}
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"  # a change of equal length may look unchanged
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-rfE"]
+    command += ["-m", "not slow", *(f"tests/{each}" for each in tests)]
+    try:
+        done = subprocess.run(
+            command, cwd=tree, env=environment, capture_output=True, text=True, timeout=LONGEST_S
+        )
+    except subprocess.TimeoutExpired:
+        return f"no answer after {LONGEST_S:g} s"
+    failed = re.search(r"^(?:FAILED|ERROR) .*?(?= - |$)", done.stdout, re.M)
+    said = failed[0] if failed else done.stdout[-300:] + done.stderr[-300:]
+    return said if done.returncode else None
+
+
 def try_fault(tree: Path, fault: Fault, near: bool) -> tuple[bool, str]:
     """True and the test that fails of a fault, or False and the difference that it makes."""
     from cosmic_ray.mutating import mutate_code
@@ -75,7 +99,7 @@ def try_fault(tree: Path, fault: Fault, near: bool) -> tuple[bool, str]:
     path.write_text(wrong)
     try:
         for tests in stages(tree / "tests", fault.module, near):
-            if killer := first_failure(tree, tests, "-m", "not slow"):
+            if killer := first_failure(tree, tests):
                 return True, killer
     finally:
         path.write_text(source)
@@ -94,9 +118,13 @@ def main(
     """Draw faults of wings, list the survivors, and give the share that was found."""
     from scipy.stats import binomtest
 
-    with copied_tree() as tree:
+    left_out = shutil.ignore_patterns(".*", "runs", "__pycache__")
+    with tempfile.TemporaryDirectory() as folder:
+        tree = shutil.copytree(
+            Path(__file__).parents[2], Path(folder) / "tree", symlinks=True, ignore=left_out
+        )
         for wing in wings:
-            if not trust and (failure := first_failure(tree, (wing,), "-m", "not slow")):
+            if not trust and (failure := first_failure(tree, (wing,))):
                 raise SystemExit(f"fails without any fault: {failure}")
             every, dead = list(faults(tree / "src/deepfsi", wing)), 0
             drawn = random.Random(seed).sample(every, min(number, len(every)))[first - 1 :]
