@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import psutil
 import pytest
 import torch
 from scipy.stats import binom
@@ -185,9 +184,6 @@ ADAPTIVE = "--validation 1100 --scenes 200 --looks 3"
             "--data digits --scenes 600 --epochs 2 --masks 4",
             ["trained with "],
         ),
-        pytest.param(
-            "growth", "records classes --most 1", ["| 100 | ", "| 2 | 4 | "], marks=pytest.mark.slow
-        ),
     ],
 )
 def test_a_comparison_runs(printed, name, words, rows):
@@ -253,17 +249,6 @@ def test_light_that_falls_where_it_tells_reads_more(printed, tmp_path):
     assert light_law("dose").excess(rails) == pytest.approx(0, abs=ROUNDING_SLACK)
     assert rails.max() > 1  # more than `column` would give to any pixel
     assert float(cells(rows[2])[4]) > 0.8
-
-
-@pytest.mark.slow
-def test_a_training_is_timed_and_processes_beside_it_can_be_busy(printed, monkeypatch):
-    """One way of the three, each of which takes a process that imports torch."""
-    load = benchmark("load")
-    monkeypatch.setattr(load, "WAYS", {"one thread": load.WAYS["one thread"]})
-    few = "--data digits --scenes 200 --masks 3 --epochs 1 --busy 0 --rounds 1"
-    assert any("| 0 | one thread |" in line for line in printed("load", few))
-    with load.busy(2):
-        assert len(psutil.Process().children()) >= 2
 
 
 def test_the_faults_of_the_table_of_power_are_what_they_are_called(digits):

@@ -1,6 +1,6 @@
 """No mutated file makes a reader fail otherwise than with one line, hang, or take much memory.
 
-`DEEPFSI_FUZZ` inputs are read, 1500 unless given, from the seed `DEEPFSI_FUZZ_SEED`, 0 unless
+`DEEPFSI_FUZZ` inputs are read, 750 unless given, from the seed `DEEPFSI_FUZZ_SEED`, 0 unless
 given. A failure names its reader and seed: `python -m fuzz.worker SAMPLES WORK SEED 1 READER`.
 """
 
@@ -13,7 +13,7 @@ import pytest
 
 from fuzz.readers import READERS
 
-INPUTS = int(os.environ.get("DEEPFSI_FUZZ", 1500))
+INPUTS = int(os.environ.get("DEEPFSI_FUZZ", 750))
 SEED = os.environ.get("DEEPFSI_FUZZ_SEED", "0")
 ROUNDS = math.ceil(INPUTS / sum(reader.weight for reader in READERS.values()))
 """Inputs of a reader of weight 1."""
