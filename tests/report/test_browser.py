@@ -15,10 +15,8 @@ from selenium.webdriver.common.by import By
 
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import write_report
-from deepfsi.report.masks import masks_figure
-from deepfsi.report.pictures import pictures_figure
-from deepfsi.report.style import DESIGN_COLOURS
-from deepfsi.report.style.figures import NARROWEST_SHARE
+from deepfsi.report.masks import masks_figure, pictures_figure
+from deepfsi.report.style import DESIGN_COLOURS, NARROWEST_SHARE
 from deepfsi.sweeps.results import read_results, write_results
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
 from deepfsi_paper.report.study_page import write_study

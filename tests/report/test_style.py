@@ -4,8 +4,7 @@ import matplotlib.style
 from cycler import cycler
 
 from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.style import Figures, photons_text
-from deepfsi.report.style import figures as figures_module
+from deepfsi.report.style import Figures, photons_text, svg
 from shared.figures import assert_sound
 from shared.results import make_results
 
@@ -46,7 +45,7 @@ def test_figures_are_the_same_whatever_the_caller_set(tmp_path):
 
 
 def test_svg_colours_follow_the_page(tmp_path):
-    text = figures_module.svg(accuracy_figure(make_results(tmp_path)), "a", 'quoted "words"')
+    text = svg(accuracy_figure(make_results(tmp_path)), "a", 'quoted "words"')
     assert "var(--deepfsi)" in text
     assert "var(--ink)" in text
     assert "#d55e00" not in text

@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ElementTree
 import matplotlib
 import numpy as np
 
-from deepfsi.report.style import figures
+from deepfsi.report import style
 
 
 def words(figure):
@@ -47,11 +47,11 @@ def assert_legible(figure, smallest=6.5):
 def assert_sound(draw):
     """A fragment is well formed, its links lead somewhere, and settings stay as they were."""
     before = dict(matplotlib.rcParams)
-    text = figures.svg(draw(), "a", "words")
+    text = style.svg(draw(), "a", "words")
     assert dict(matplotlib.rcParams) == before
     root = ElementTree.fromstring(text)
     ids = [element.get("id") for element in root.iter() if element.get("id")]
     assert len(ids) == len(set(ids))
     links = [element.get("href") for element in root.iter() if element.get("href")]
     assert all(link[1:] in ids or link.startswith("data:image/png;base64,") for link in links)
-    assert text == figures.svg(draw(), "a", "words")
+    assert text == style.svg(draw(), "a", "words")

@@ -200,7 +200,7 @@ class ReconstructScenes(Command):
         """Picture of each scene."""
         from deepfsi.hardware.calibration.reconstruction import reconstruct
         from deepfsi.hardware.counting.acquisition import read_run
-        from deepfsi.report.pictures import pictures_figure
+        from deepfsi.report.masks import pictures_figure
         from deepfsi.report.style import write_figure
 
         out = self.out or self.folder / "picture.png"

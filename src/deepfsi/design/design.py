@@ -3,7 +3,6 @@
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from html import escape
 from math import prod
 from pathlib import Path
 from typing import Any, Self, get_args
@@ -16,7 +15,6 @@ from deepfsi.adaptive.exposure import AdaptiveExposure, LookedAt
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, check_ending, write_atomically
 from deepfsi.base.keywords import plain_keywords
-from deepfsi.base.numeric.html import loss_curve, mask_picture
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import LightLawName, NoiseName
@@ -95,15 +93,6 @@ class Design:
         if self.classifier is not None:
             parts.append(getattr(self.classifier, "title", type(self.classifier).__name__))
         return f"{', '.join([*parts, answers])}{trained}>"
-
-    def _repr_html_(self) -> str:
-        text = f"<p>{escape(repr(self))}</p>"
-        if self.exposure.makes_masks:
-            return text
-        history = self.info.get("history", [])
-        epochs = [(each["epoch"], each["loss"], each["validation_loss"]) for each in history]
-        curve = loss_curve(epochs) if epochs else ""
-        return f"{text}{mask_picture(self.matrix, self.mask_shape)}{curve}"
 
     # What it shows
 

@@ -23,7 +23,7 @@ from deepfsi.design.design import Design
 from deepfsi.designfile.provenance import new_scenes
 from deepfsi.evaluation.bounds import linear_bound
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, CountedLight
-from deepfsi.measures.results import Estimates, Result, ResultList
+from deepfsi.measures.results import Estimates, Result
 from deepfsi.measures.table import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
 from deepfsi.physics.surroundings import library_defaults
 
@@ -106,7 +106,7 @@ def evaluate(
             classes = expose_scenes(
                 scenes, answer, conditions, light, kind=ClassAnswers, report=bar
             )
-            return ResultList(map(Result.of, classes))
+            return list(map(Result.of, classes))
         every = expose_scenes(scenes, answer, conditions, light, kind=ValueAnswers, report=bar)
     names = design.values.names
     return [

@@ -30,7 +30,7 @@ from deepfsi.evaluation.accuracy import (
     expose_scenes,
 )
 from deepfsi.exposure.kind import CountedLight
-from deepfsi.measures.results import Result, ResultList
+from deepfsi.measures.results import Result
 from deepfsi.measures.table import ClassAnswers
 from deepfsi.networks.classifiers import check_classes
 from deepfsi.physics.scanner import Scanner
@@ -187,7 +187,7 @@ def ideal_observer(
 
         conditions = Conditions(budgets, draws, seed, noise="poisson")
         answers = expose_scenes(scenes, guess_of, conditions, shares, kind=ClassAnswers, report=bar)
-        return ResultList(map(Result.of, answers))
+        return list(map(Result.of, answers))
 
 
 def _check_design(design: Design, data: Dataset) -> None:

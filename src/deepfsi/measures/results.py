@@ -1,12 +1,10 @@
 """Results of tests: how good the answers of a design at one budget are, and what light it took."""
 
 from dataclasses import dataclass, field, fields
-from html import escape
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from deepfsi.base.numeric.html import accuracy_curve, confusion_table
 from deepfsi.base.numeric.intervals import Z_95, pack_values, worst_class
 from deepfsi.camera.names import find_noise
 from deepfsi.measures.table import MEASURES, Answers, ClassAnswers, Measure, ValueAnswers
@@ -163,26 +161,10 @@ class Result(AnswerTest):
         """
         return self.image_terms.get("accuracy", [])
 
-    def _repr_html_(self) -> str:
-        classes = [str(place) for place in range(len(self.confusion))]
-        return (
-            f"<p>accuracy {self.accuracy:.3f} ({self.low:.3f} to {self.high:.3f}) at "
-            f"{self.photons:.3g} photons, {escape(self.noise)} noise</p>"
-            f"{confusion_table(self.confusion, classes)}"
-        )
-
     @property
     def worst(self) -> int:
         """Place of the class with the lowest accuracy."""
         return worst_class(self.rates)
-
-
-class ResultList(list[Result]):
-    """Results at several budgets, which a notebook shows as a curve."""
-
-    def _repr_html_(self) -> str:
-        points = [(result.photons, result.accuracy, result.low, result.high) for result in self]
-        return accuracy_curve(points) if points else ""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from markupsafe import Markup
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
-from deepfsi.base.numeric.html import confusion_table
 from deepfsi.base.numeric.intervals import accuracy_difference
 from deepfsi.base.quantities import Table, budget_text, plural, rate_text, short_name
 from deepfsi.camera.names import LIGHT_LAWS, noise_text
@@ -23,7 +22,15 @@ from deepfsi.measures.results import lit_masks, lit_text
 from deepfsi.measures.table import MEASURES, main_measure
 from deepfsi.report.accuracy import accuracy_figure, count_figure
 from deepfsi.report.masks import masks_figure, peak_value, signed, values_figure
-from deepfsi.report.rendering import DESIGN_TERMS, capital, english_list, flat, render, share_text
+from deepfsi.report.rendering import (
+    DESIGN_TERMS,
+    capital,
+    confusion_table,
+    english_list,
+    flat,
+    render,
+    share_text,
+)
 from deepfsi.report.series import DESIGN_AND_OPTICS, Series, noises, shares_light
 from deepfsi.report.style import Figures, photons_text
 from deepfsi.report.verdict import ComparisonVerdict, better, ranking, uneven_point, verdict_of

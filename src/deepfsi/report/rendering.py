@@ -1,8 +1,9 @@
-"""Templates of every page: their filters, and terms and abbreviations with what they mean."""
+"""Templates of every page: their filters, tables, terms and abbreviations with what they mean."""
 
+import html
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,16 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from deepfsi.base.numeric.intervals import MOST_CLASSES, confusion_shares, frequent_confusions
 from deepfsi.camera.names import LIGHT_LAWS, noise_text
 from deepfsi.report.style import DARK_COLOURS, DESIGN_COLOURS, photons_text
 
 _TEMPLATES = Path(__file__).parent
 
 _TERMS = tomllib.loads(files(__package__).joinpath("terms.toml").read_text("utf-8"))
+
+TINT = "0, 114, 178"
+"""Red, green and blue of the cells of a confusion matrix."""
 
 DESIGN_TERMS: dict[str, str] = _TERMS["designs"]
 """What each design is."""
@@ -121,3 +126,30 @@ def _setting(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def confusion_table(confusion: Sequence[Sequence[int]], classes: Sequence[str]) -> str:
+    """Table of the shares of answers (C, C) for each true class; of many, of frequent mistakes."""
+    names = [html.escape(name) for name in classes]
+    if len(names) > MOST_CLASSES:
+        rows = [
+            f"<tr><th scope='row'>{names[i]}</th><td>{names[j]}</td><td>{share:.1%}</td></tr>"
+            for i, j, share in frequent_confusions(confusion)
+        ]
+        heads = "".join(f"<th scope='col'>{head}</th>" for head in ("true", "answered", "share"))
+        return f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    heads = "".join(f"<th scope='col'>{name}</th>" for name in names)
+    rows = []
+    for name, row in zip(names, confusion_shares(confusion), strict=True):
+        cells = "".join(
+            f"<td style='background: rgba({TINT}, {0.6 * share:.3f})'>{_percent(share)}</td>"
+            for share in row
+        )
+        rows.append(f"<tr><th scope='row'>{name}</th>{cells}</tr>")
+    head = f"<tr><th scope='col'>true \\ answered, %</th>{heads}</tr>"
+    return f"<table class='confusion'><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+def _percent(share: float) -> str:
+    """Share in per cent; nothing for none, so that mistakes stand out."""
+    return "" if share == 0 else "100" if share == 1 else f"{100 * share:.1f}"
