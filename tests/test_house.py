@@ -21,7 +21,7 @@ LINES = {
     "base.numeric": 1279,
     "camera": 1533,
     "cli": 3100,
-    "datasets": 3142,
+    "datasets": 3065,
     "design": 1070,
     "designfile": 1536,
     "evaluation": 1137,

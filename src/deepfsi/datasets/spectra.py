@@ -7,20 +7,18 @@ neighbours were trained on, and flatters; a split in blocks keeps the two parts 
 Files are ``.mat``, ``.npy`` or ENVI's, of a cube and of its label map beside it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from glob import escape
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base.errors import InputError, check_choice
-from deepfsi.base.files import WINDOWS_ENCODING, open_regular, read_text
+from deepfsi.base.files import open_regular
 from deepfsi.base.numeric.arrays import check_size, read_array
 from deepfsi.base.numeric.tables import parse_number
 from deepfsi.datasets.arrays import TEST_SHARE, assemble, check_seed, draw_fifth
@@ -43,14 +41,14 @@ GUARD = 1
 CUBE_ENDINGS = (".mat", ".npy", ".hdr")
 """Ends of the names of files that hold cubes."""
 
+NOT_APPLIED = ("data gain values", "data offset values", "file compression")
+"""Fields of an ENVI header with which a cube is refused."""
+
 HEADER_KEYS = (
-    *("data ignore value", "bbl", "data gain values", "data offset values", "file compression"),
-    *("reflectance scale factor", "wavelength", "wavelength units"),
+    *("data ignore value", "bbl", "reflectance scale factor", "wavelength", "wavelength units"),
+    *NOT_APPLIED,
 )
 """Fields of an ENVI header that change what its data mean, besides those that spectral reads."""
-
-MAX_HEADER = 2**26
-"""Bytes of a header at most."""
 
 MAX_VALUES = 2**30
 """Values of a cube at most."""
@@ -268,7 +266,7 @@ def read_cube(
 
 def _find_labels(path: Path) -> Path:
     stems = [path.stem + "_gt", path.stem.removesuffix("_corrected") + "_gt"]
-    files = _files_beside(path)
+    files = {file.name.lower(): file for file in path.parent.iterdir() if file.is_file()}
     for name in (stem + suffix for stem in stems for suffix in CUBE_ENDINGS):
         if labels := files.get(name.lower()):
             return labels
@@ -276,11 +274,6 @@ def _find_labels(path: Path) -> Path:
         f"{path} has no label map beside it: put one there as {stems[-1]} with the ending "
         f"{' or '.join(CUBE_ENDINGS)}, 0 where a pixel has no label"
     )
-
-
-def _files_beside(path: Path) -> dict[str, Path]:
-    """Files in the folder of a file, by their names in lower case."""
-    return {file.name.lower(): file for file in path.parent.iterdir() if file.is_file()}
 
 
 def _read(path: Path, dimensions: int, variable: str | None) -> _Array:
@@ -312,8 +305,7 @@ def _read_envi(path: Path, dimensions: int) -> _Array:
             with open_regular(file):
                 pass
     try:
-        with _plain_header(path) as (header, data):
-            image = envi.open(str(header), data)
+        image = envi.open(str(path))
         if not image.using_memmap:
             raise ValueError("its data file holds less than the header says")
         mapped = image.open_memmap()
@@ -333,37 +325,16 @@ def _read_envi(path: Path, dimensions: int) -> _Array:
     return array._replace(classes=tuple(names) if names else None)
 
 
-@contextmanager
-def _plain_header(path: Path) -> Iterator[tuple[Path, str | None]]:
-    """Header as spectral reads it, and the data file where it would not be found.
-
-    It reads UTF-8 without a byte order mark alone, and looks for data beside the header.
-    """
-    text = read_text(path, MAX_HEADER, "write it again", WINDOWS_ENCODING)
-    if text.isascii() and path.read_bytes()[:1] == b"E":
-        yield path, None
-        return
-    kinds = ("", ".img", ".dat", ".raw", ".bip", ".bil", ".bsq", ".sli", ".bin", ".hyspex")
-    files = _files_beside(path)
-    data = next((file for kind in kinds if (file := files.get((path.stem + kind).lower()))), None)
-    if data is None:
-        raise ValueError(f"there is no data file such as {path.stem}.raw")
-    with TemporaryDirectory() as folder:
-        header = Path(folder) / "header.hdr"
-        header.write_text(text, errors="replace")  # as spectral reads it: in the locale's encoding
-        yield header, str(data)
-
-
 def by_header(values: npt.NDArray[Any], header: Mapping[str, Any]) -> _Array:
     """Cube (height, width, bands) of stored values of this shape, as its ENVI header says.
 
-    Bands that the header calls bad are left out, numbers become radiance by gain and offset and
-    reflectance by the scale factor, and pixels with the data ignore value in any band are without
-    data.
+    Bands that the header calls bad are left out, numbers become reflectance by the scale factor,
+    and pixels with the data ignore value in any band are without data.
     """
     notes = []
-    if header.get("file compression") not in (None, "0"):
-        raise ValueError("its data are compressed, which is not read: save it without compression")
+    for key in NOT_APPLIED:
+        if header.get(key) not in (None, "0"):
+            raise ValueError(f"its header has {key!r}, which is not applied: save it without")
     bands = values.shape[2]
     centres = _field(header, "wavelength", bands)
     good = _field(header, "bbl", bands)
@@ -379,12 +350,6 @@ def by_header(values: npt.NDArray[Any], header: Mapping[str, Any]) -> _Array:
             raise ValueError("every pixel has its data ignore value in some band")
         values[missing] = values[~missing][0]  # so that it sets no range
         notes.append(f"{np.count_nonzero(missing)} pixels without data left out")
-    for key, what in {"data gain values": "gains", "data offset values": "offsets"}.items():
-        factors = _field(header, key, bands)
-        if factors is not None:
-            factors = factors if good is None else factors[good != 0]
-            values = values * factors if what == "gains" else values + factors
-            notes.append(f"with the header's {what}")
     if (factor := header.get("reflectance scale factor")) is not None:
         if not 0 < float(factor) < np.inf:
             raise ValueError(f"its reflectance scale factor is {factor}")
