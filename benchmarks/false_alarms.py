@@ -1,4 +1,4 @@
-"""False alarms of every test of light, gain, flicker and consistency, and what each finds.
+"""False alarms of every test of light, gain and consistency, and what each finds.
 
     python benchmarks/false_alarms.py
 
@@ -83,12 +83,11 @@ def manifest_of(detectors: int = 1) -> Manifest:
 def drawn(
     rng: np.random.Generator,
     lamp: Callable[[np.ndarray], np.ndarray] | None = None,
-    stray: Callable[[np.ndarray], np.ndarray] | None = None,
     gains: tuple[float, ...] = (1.0,),
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Photons (P, F, K, D) of an acquisition, seconds (P, F, K) and middles (F, K).
+) -> tuple[np.ndarray, np.ndarray]:
+    """Photons (P, F, K, D) of an acquisition, and seconds (P, F, K).
 
-    The lamp is a factor, and stray light a rate, of the time (P, F, K) in seconds.
+    The lamp is a factor of the time (P, F, K) in seconds.
     """
     frames, count = MASKS + 4, len(gains)
     middles = (
@@ -100,18 +99,17 @@ def drawn(
     shown[:, [0, -2]], shown[:, [1, -1]] = 1.0, 0.0
     light = FLUX * bright[:, None, None] * shown[..., None]
     light = light * (1.0 if lamp is None else lamp(time))
-    dark = DARK if stray is None else stray(time)
     parts = rng.dirichlet(np.full(count, 2500.0 / count), PASSES)[:, None, None] * np.array(gains)
-    rates = light[..., None] * parts + np.broadcast_to(dark, time.shape)[..., None]
+    rates = light[..., None] * parts + DARK
     seconds = np.full(time.shape, FRAME_S / PARTS_OF_FRAME)
-    return rng.poisson(rates * seconds[..., None]), seconds, middles
+    return rng.poisson(rates * seconds[..., None]), seconds
 
 
 def kinds(rng: np.random.Generator, detectors: int = 1, **course) -> set[str]:
     """Kinds of the faults of an acquisition's light."""
-    photons, seconds, middles = drawn(rng, **course)
+    photons, seconds = drawn(rng, **course)
     manifest = manifest_of(detectors)
-    arrivals = Arrivals(manifest.frames, photons, photons, seconds, middles)
+    arrivals = Arrivals(manifest.frames, photons, photons, seconds)
     light = check_light(arrivals, manifest, range(detectors), scenes=np.arange(PASSES))
     return {fault.kind for fault in light.faults}
 
@@ -143,16 +141,6 @@ def sags(time: np.ndarray) -> np.ndarray:
     return np.where((np.arange(PASSES)[:, None, None] == 7) & frame, 0.6, 1.0) + 0 * time
 
 
-def waves(time: np.ndarray) -> np.ndarray:
-    """Light of 300 Hz with an amplitude of 0.1."""
-    return 1 + 0.1 * np.sin(2 * np.pi * 300 * time)
-
-
-def stays(time: np.ndarray) -> np.ndarray:
-    """Background that is 0.05 of the light from the middle on."""
-    return DARK + 0.05 * FLUX * (np.arange(PASSES)[:, None, None] >= PASSES // 2) + 0 * time
-
-
 def gain(rng: np.random.Generator, faulty: bool) -> bool:
     """Alarm of the gains of 2 × 2 detectors; with the fault one has 0.8 of its usual."""
     gains = (0.8 if faulty else 1.0, 1.0, 1.0, 1.0)
@@ -170,13 +158,9 @@ def late(rng: np.random.Generator, faulty: bool) -> bool:
 
 def live(rng: np.random.Generator, faulty: bool) -> bool:
     """Alarm of the light of a live run; with the fault one scene's light sags to 0.6."""
-    photons, seconds, middles = drawn(rng, sags if faulty else None)
+    photons, seconds = drawn(rng, sags if faulty else None)
     manifest, found = manifest_of(), False
-    light, frames, period = (
-        LightMonitor(manifest, (0,), PASSES),
-        manifest.frames,
-        len(middles) * FRAME_S,
-    )
+    light, frames = LightMonitor(manifest, (0,), PASSES), manifest.frames
     for place in range(PASSES):
         parts = [
             Arrivals(
@@ -184,7 +168,6 @@ def live(rng: np.random.Generator, faulty: bool) -> bool:
                 photons[place, some].astype(float),
                 photons[place, some].astype(float),
                 seconds[place, some],
-                middles[some] + place * period,
             )
             for some in (slice(0, 2), slice(2, -2), slice(-2, None))
         ]
@@ -194,9 +177,9 @@ def live(rng: np.random.Generator, faulty: bool) -> bool:
 
 def stated(rng: np.random.Generator, faulty: bool) -> bool:
     """Alarm of a stated budget; with the fault it is 0.6 of the true one."""
-    light, (photons, seconds, middles) = LightMonitor(manifest_of(), (0,), PASSES), drawn(rng)
+    light, (photons, seconds) = LightMonitor(manifest_of(), (0,), PASSES), drawn(rng)
     held = photons[0, :2].astype(float)
-    light.begin(Arrivals(manifest_of().frames[:2], held, held, seconds[0, :2], middles[:2]))
+    light.begin(Arrivals(manifest_of().frames[:2], held, held, seconds[0, :2]))
     return light.contradicts((0.6 if faulty else 1.0) * FLUX)
 
 
@@ -272,8 +255,6 @@ def measured(law: Law, draws: int) -> tuple[int, int, int]:
 LAWS = (
     recorded("levels of the lamp", "0.7 of the light from a scene on", "level", lamp=steps),
     recorded("steadiness of a pass", "0.6 of the light in half a pass", "unsteady", lamp=sags),
-    recorded("flicker", "300 Hz, amplitude 0.1", "flicker", lamp=waves),
-    recorded("background", "0.05 of the light from a scene on", "background", stray=stays),
     Law("gains of 2 × 2 detectors", CERTAIN, "one at 0.8", gain),
     Law("late markers", CERTAIN, "by 1 µs", late),
     Law("light of a live run", FALSE_ALARMS, "0.6 of the light in half a scene", live),

@@ -28,7 +28,7 @@ CASES, REAL_CASES = Cases(), Cases()
 """The latter need `DEEPFSI_DATA`."""
 
 DESIGNS = {
-    **dict.fromkeys(("one-arm", "paralysable", "drifting", "edges", "flicker"), "single"),
+    **dict.fromkeys(("one-arm", "paralysable", "drifting", "edges"), "single"),
     **dict.fromkeys(("drift", "ambient", "fluctuating"), "single"),
     **dict.fromkeys(("both-rails", "jump", "brighter"), "dual"),
     **dict.fromkeys(("gains", "blind"), "quad"),

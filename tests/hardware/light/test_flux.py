@@ -18,7 +18,7 @@ def test_law_the_error_of_the_background_is_in_the_test_of_levels(unit):
     alarms = 0
     for _ in range(60):
         photons = rng.poisson((stray + light) * seconds)
-        places = np.zeros((4, 1)), np.arange(passes), (0, 2), (1, 3), ()
+        places = np.arange(passes), (0, 2), (1, 3), ()
         curve = curves.LightCurve(photons, seconds, *places, "")
         background = flux.Background.of(curve, 1e-4)
         assert len(background.segments) == 2

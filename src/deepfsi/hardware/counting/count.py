@@ -282,15 +282,13 @@ def _count_photons(
     for correction in corrections:
         correction.check(rates, manifest.frames, acquisition.inputs, source)
     factors = correct(rates, corrections)
-    middles = parted.windows.middles_s(starts.pictures_s)
-    shape = (len(parted.scenes), *middles.shape)
+    shape = (len(parted.scenes), len(manifest.frames), PARTS_OF_FRAME)
     parts = parted.photons.reshape(*shape, -1)
     arrivals = Arrivals(
         manifest.frames,
         photons=parts * factors.arrivals[:, :, None],
         variance=parts * factors.variance[:, :, None],
         seconds=parted.open_s.reshape(shape),
-        middles=middles,
     )
     light = check_light(arrivals, manifest, acquisition.inputs, scenes=gated.scenes)
     on, off = (

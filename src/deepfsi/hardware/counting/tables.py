@@ -366,7 +366,6 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
             photons=photons[:, :, None],
             variance=variance[:, :, None],
             seconds=spent[..., None],
-            middles=(np.cumsum(seconds) - seconds / 2)[:, None],
         )
         light = check_light(
             arrivals,

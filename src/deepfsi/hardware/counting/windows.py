@@ -110,12 +110,6 @@ class Windows:
             frames=len(count),
         )
 
-    def middles_s(self, pictures_s: np.ndarray) -> np.ndarray:
-        """Middles (F, K) after the start of the pass, of K windows in each frame."""
-        starts = np.cumsum(pictures_s) - pictures_s
-        middles = starts[self.frame] + self.offset_s + self.length_s / 2
-        return middles.reshape(self.frames, -1)
-
 
 @dataclass(frozen=True)
 class WindowCounts:

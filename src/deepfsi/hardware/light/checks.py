@@ -1,25 +1,21 @@
 """Checks of the light of an acquisition against what it should be.
 
-By the all-ON and all-OFF frames of each pass, and within its frames:
+By the all-ON and all-OFF frames of each pass, and the masks' between them:
 
 - ON is brighter than OFF, or there is no light.
-- Both ON frames of a pass are equally bright, and both OFF frames: the scene is the same.
-- Within a frame the light is steady: the mask is the same.
+- Both ON frames of a pass are equally bright, and both OFF frames: the lamp is steady.
 - No mask sends more light than all mirrors ON.
-- Light has no rhythm, and does not vary fast in another way.
-- From pass to pass the background stays, and the light as far as scenes are alike.
+- From pass to pass the light stays, as far as scenes are alike.
 
-`CHECKS` has a class for each. Each is tested with exact chances, `FALSE_ALARMS` for all passes and
-checks together. What is below `HARMLESS` is left alone, however certain it is. A recording is
-checked as a whole (`check_light`), a live run scene by scene (`monitor`).
+Each is tested with exact chances, `FALSE_ALARMS` for all passes and checks together. What is below
+`HARMLESS` is left alone, however certain it is. A recording is checked as a whole (`check_light`),
+a live run scene by scene (`monitor`).
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
-from typing import ClassVar, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 
@@ -28,9 +24,7 @@ from deepfsi.base.models.strict import StrictModel
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.light.curves import (
     CERTAIN_SIGMAS,
-    EXCESS,
     FALSE_ALARMS,
-    PARTS_OF_FRAME,
     Arrivals,
     Curves,
     LightCurve,
@@ -51,14 +45,14 @@ class Fault(StrictModel):
     """Fault of a recording's markers or of its light."""
 
     # Markers: `late`, all of them. Light: `dark`, there is none; `unsteady`, it changed within the
-    # pass; `brighter`, a mask sends more than all mirrors ON; `flicker`, it has a rhythm, in all
-    # passes; `level`, its brightness is another from this scene on; `background`, so is that of the
-    # dark frames. Detectors: `blind`, one of several saw almost no light in all scenes together;
-    # `gain`, they share the light as in no scenes of the training. `budget`: there is less light
-    # than the design was trained for, or, in a live run, not the stated light. Live runs:
-    # `unsure`, the counts of a scene do not look like those of the training; `unlike`, nor do those
-    # of several scenes before; `view`, the counts of all scenes so far are as if the picture on
-    # the device were mirrored, blurred or the like
+    # pass; `brighter`, a mask sends more than all mirrors ON; `flicker`, it is unsteady in many
+    # passes; `level`, its brightness is another from this scene on; `background`, the scene was
+    # dark and is subtracted. Detectors: `blind`, one of several saw almost no light in all scenes
+    # together; `gain`, they share the light as in no scenes of the training. `budget`: there is
+    # less light than the design was trained for, or, in a live run, not the stated light. Live
+    # runs: `unsure`, the counts of a scene do not look like those of the training; `unlike`, nor
+    # do those of several scenes before; `view`, the counts of all scenes so far are as if the
+    # picture on the device were mirrored, blurred or the like
     kind: FaultKind
     scene: int | None = None  # Which, from 0; None where no pass is meant
     frame: int | None = None  # Which, from 0; None where no one frame is meant
@@ -87,52 +81,96 @@ class PassLight:
     """Light of passes under test, and what the checks have found so far."""
 
     curve: LightCurve
-    ends: LightCurve  # all-ON and all-OFF frames of these passes, or of all passes so far
-    rhythms: "Periodogram"  # of the same passes as `ends`
     background: Background
     lit: np.ndarray  # (P,): bool; passes with light
     # (P,): bool; passes that are tested (lit ones, or all of a detector that sees a part) in which
     # no check found a fault that spoils them
     sound: np.ndarray
-    flux: Flux | None = None
 
     @classmethod
-    def of(
-        cls,
-        curve: LightCurve,
-        background: Background,
-        chance: float,
-        ends: LightCurve | None = None,
-        rhythms: "Periodogram | None" = None,
-    ) -> Self:
-        """Light of passes; `ends` and `rhythms` are theirs unless given."""
-        if rhythms is None:
-            rhythms = Periodogram()
-            rhythms.add(curve.photons, curve.seconds, curve.middles)
+    def of(cls, curve: LightCurve, background: Background, chance: float) -> Self:
+        """Light of passes that are not yet checked."""
         lit = _find_lit(curve, background, chance)
         sound = np.ones_like(lit) if curve.sees_part else lit.copy()
-        return cls(
-            curve=curve,
-            ends=curve if ends is None else ends,
-            rhythms=rhythms,
-            background=background,
-            lit=lit,
-            sound=sound,
-        )
+        return cls(curve, background, lit, sound)
 
-    @cached_property
-    def bright_rate(self) -> np.ndarray:
-        """Counts/s (P,) of the scene with all light, less the background."""
-        on, on_s = self.curve.together(self.curve.bright)
-        return np.maximum(on / np.where(on_s > 0, on_s, 1.0) - self.background.rate, 0.0)
+    def find_faults(self, chance: float) -> list[Fault]:
+        """Faults of passes, which are then no more sound; one without light has no other."""
+        dark = self._find_dark()
+        without = {fault.scene for fault in dark}
+        others = [*self._find_brighter(chance), *self._find_drift(chance)]
+        for fault in (*dark, *others):
+            self.sound[self.curve.scenes == fault.scene] = False
+        return dark + [fault for fault in others if fault.scene not in without]
 
-    def measure_flux(self, brightness: Brightness | None, chance: float) -> np.ndarray:
-        """Flux (P,), from passes whose light was steady if any was; it is kept with its changes."""
+    def _find_dark(self) -> list[Fault]:
+        """Faults of passes that are not lit. A detector that sees a part need not be lit."""
+        curve = self.curve
+        (on, on_s) = curve.together(curve.bright)
+        (off, off_s) = curve.together(curve.dark)
+        faults = []
+        for index in [] if curve.sees_part else np.flatnonzero(~self.lit).tolist():
+            rate = float(on[index]) / max(float(on_s[index]), 1e-300)
+            dark_rate = float(off[index]) / max(float(off_s[index]), 1e-300)
+            detail = (
+                f"no light{curve.name}: {rate:.4g} counts/s with all light, {dark_rate:.4g} with "
+                "none"
+            )
+            faults.append(Fault(kind="dark", scene=int(curve.scenes[index]), detail=detail))
+        return faults
+
+    def _find_brighter(self, chance: float) -> list[Fault]:
+        """Faults of passes with masks that send more than all mirrors ON, each with the brightest.
+
+        These are stray light, or a lamp that changed.
+        """
+        curve = self.curve
+        photons = curve.photons.sum(axis=2)
+        seconds = curve.seconds.sum(axis=2)
+        on, on_s = curve.together(curve.bright)
+        chances = excess_chance(photons, seconds, on[:, None], on_s[:, None], ratio=1 + HARMLESS)
+        brighter = chances * photons.size <= chance
+        brighter[:, [*curve.bright, *curve.dark]] = False
+        faults = []
+        for index in np.flatnonzero(brighter.any(axis=1)).tolist():
+            scale = on_s[index] / max(on[index], 1)
+            rates = photons[index] / np.where(seconds[index] > 0, seconds[index], np.inf) * scale
+            frame = int(np.argmax(np.where(brighter[index], rates, 0)))
+            detail = (
+                f"{curve.frames[frame]}{curve.name} is {rates[frame]:.3g} times as bright as all "
+                f"light{_list_frames(brighter[index])}: stray light, or a lamp that went down for "
+                "the all-ON frames, or a counter that is blind at this rate"
+            )
+            scene = int(curve.scenes[index])
+            faults.append(Fault(kind="brighter", scene=scene, frame=frame, detail=detail))
+        return faults
+
+    def _find_drift(self, chance: float) -> list[Fault]:
+        """Faults of passes whose two bright frames, or else two dark ones, differ."""
+        curve = self.curve
+        background = self.background
+        on, on_s = curve.together(curve.bright)
+        bright_rate = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
+        spent = np.where(background.seconds > 0, background.seconds, 1.0)
+        floor = (background.photons + 1) / spent
+        bright = _differ(curve, curve.bright, 1 + HARMLESS, chance)
+        ratio = 1 + HARMLESS_DARK * bright_rate / floor
+        differ = bright | _differ(curve, curve.dark, ratio, chance)
+        faults = []
+        for index in np.flatnonzero(differ).tolist():
+            frames = curve.bright if bright[index] else curve.dark
+            one, other = (float(curve.photons[index, frame].sum()) for frame in frames)
+            detail = (
+                f"light{curve.name} changed within the pass: {one:.0f} photons in "
+                f"{curve.frames[frames[0]]} at its start, {other:.0f} at its end"
+            )
+            faults.append(Fault(kind="unsteady", scene=int(curve.scenes[index]), detail=detail))
+        return faults
+
+    def measure_flux(self, brightness: Brightness | None, chance: float) -> Flux:
+        """Flux of passes, from those whose light was steady if any was."""
         used = self.sound if self.sound.any() else self.lit
-        self.flux = Flux.of(
-            self.curve, self.background, used=used, brightness=brightness, chance=chance
-        )
-        return self.flux.rate
+        return Flux.of(self.curve, self.background, used=used, brightness=brightness, chance=chance)
 
 
 def _find_lit(curve: LightCurve, background: Background, chance: float) -> np.ndarray:
@@ -146,305 +184,42 @@ def _find_lit(curve: LightCurve, background: Background, chance: float) -> np.nd
     return lit
 
 
-class _LightCheck(ABC):
-    """One law of the light."""
-
-    kind: ClassVar[FaultKind]  # kind of the faults that it finds
-    spoils: ClassVar[bool] = True  # True if the counts of a pass that breaks it have no meaning
-    of: ClassVar[Literal["all", "inputs", "arm"]] = "all"
-    explained_by: ClassVar[tuple[str, ...]] = ()
-
-    @abstractmethod
-    def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
-        """Faults that sound light shows with this chance at most, in all passes together."""
+def _differ(
+    curve: LightCurve, frames: tuple[int, int], ratio: np.ndarray | float, chance: float
+) -> np.ndarray:
+    """Passes (P,) in which one of two frames is brighter than the other, by more than that."""
+    photons, seconds = curve.of(frames)
+    (one, other) = photons.T
+    (one_s, other_s) = seconds.T
+    chances = change_chance(one, one_s, other, other_s, ratio=ratio)
+    return np.asarray(chances * len(photons) <= chance)
 
 
-class _Rhythm(_LightCheck):
-    """Light has no rhythm that a mask's frame does not average."""
-
-    kind = "flicker"
-
-    def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
-        """Fault of the whole recording, by the periodogram of all frames."""
-        strongest = light.rhythms.strongest(chance)
-        if strongest is None:
-            return
-        hertz, amplitude = strongest
-        pictures = [frame.picture_us for frame in light.curve.frames if frame.role == "mask"]
-        frame_s = float(np.mean(pictures)) * 1e-6
-        averaged = min(1.0, 1 / (np.pi * hertz * frame_s))
-        if amplitude * averaged >= HARMLESS:
-            detail = (
-                f"the light{light.curve.name} rises and falls by {amplitude:.0%} at {hertz:.4g} "
-                "Hz: use a lamp that does not"
-            )
-            yield Fault(kind=self.kind, detail=detail)
-
-
-class _FastChange(_LightCheck):
-    """The all-ON frames of a pass do not scatter more than photons do, over all passes."""
-
-    kind = "flicker"
-    explained_by = ("flicker",)
-
-    def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
-        """Fault of the whole recording, without the pass that scatters most."""
-        from scipy.special import chdtrc
-
-        curve = light.ends
-        photons, seconds = curve.of(curve.bright)
-        counted = (seconds > 0).all(axis=1) & (photons.sum(axis=1) > 0)
-        photons = photons[counted].astype(np.float64)
-        seconds = seconds[counted]
-        if len(photons) < 3:
-            return
-        both = photons.sum(axis=1)
-        share = seconds[:, 0] / seconds.sum(axis=1)
-        spread = both * share * (1 - share)
-        off = photons[:, 0] - both * share
-        steps = off**2 / (EXCESS * spread + (HARMLESS * spread) ** 2)
-        rest = float(steps.sum() - steps.max())
-        if chdtrc(len(steps) - 1, rest) > chance:
-            return
-        excess = max(float((off**2 - EXCESS * spread).mean()), 0.0)
-        size = np.sqrt(excess / float((spread**2).mean()))
+def find_level_changes(flux: Flux) -> list[Fault]:
+    """Faults of the scenes from which on the light is another, or of a steady rise or fall."""
+    if flux.trend is not None:
         detail = (
-            f"the all-{'ON' if curve.bright[0] == 0 else 'OFF'} frames of a pass{curve.name} "
-            f"differ by {size:.0%} (rms over passes), more than their photons' noise: use a steady "
-            "lamp"
+            f"all ON {'rises' if flux.trend > 1 else 'falls'} steadily, to {flux.trend:.3g} times "
+            "its first brightness: each scene has a budget of its own"
         )
-        yield Fault(kind=self.kind, detail=detail)
-
-
-class _NoLight(_LightCheck):
-    """ON is brighter than OFF. A detector that sees a part need not be lit."""
-
-    kind = "dark"
-
-    def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
-        """Faults of passes that are not lit."""
-        curve = light.curve
-        if curve.sees_part:
-            return
-        (on, on_s) = curve.together(curve.bright)
-        (off, off_s) = curve.together(curve.dark)
-        for index in np.flatnonzero(~light.lit).tolist():
-            rate = float(on[index]) / max(float(on_s[index]), 1e-300)
-            dark_rate = float(off[index]) / max(float(off_s[index]), 1e-300)
-            detail = (
-                f"no light{curve.name}: {rate:.4g} counts/s with all light, {dark_rate:.4g} with "
-                "none"
-            )
-            yield Fault(kind=self.kind, scene=int(curve.scenes[index]), detail=detail)
-
-
-class _BrighterMask(_LightCheck):
-    """No mask's frame is brighter than those of its pass with all light."""
-
-    kind = "brighter"
-    explained_by = ("dark",)
-
-    def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
-        """Faults of passes, each with its brightest frame."""
-        curve = light.curve
-        photons = curve.photons.sum(axis=2)
-        seconds = curve.seconds.sum(axis=2)
-        on, on_s = curve.together(curve.bright)
-        chances = excess_chance(photons, seconds, on[:, None], on_s[:, None], ratio=1 + HARMLESS)
-        brighter = chances * photons.size <= chance
-        brighter[:, [*curve.bright, *curve.dark]] = False
-        for index in np.flatnonzero(brighter.any(axis=1)).tolist():
-            scale = on_s[index] / max(on[index], 1)
-            rates = photons[index] / np.where(seconds[index] > 0, seconds[index], np.inf) * scale
-            frame = int(np.argmax(np.where(brighter[index], rates, 0)))
-            detail = (
-                f"{curve.frames[frame]}{curve.name} is {rates[frame]:.3g} times as bright as all "
-                f"light{_list_frames(brighter[index])}: stray light, or a lamp that went down for "
-                "the all-ON frames, or a counter that is blind at this rate"
-            )
-            scene = int(curve.scenes[index])
-            yield Fault(kind=self.kind, scene=scene, frame=frame, detail=detail)
-
-
-class _UnsteadyFrame(_LightCheck):
-    """Within a frame the light is steady: no part of it stands out from the others."""
-
-    kind = "unsteady"
-    explained_by = ("dark", "flicker")
-
-    LOOKED_AT_SIGMAS = 3.0  # below which a part of a frame is not worth an exact test
-
-    # Parts of a frame that are compared with its others, each way, (ways, PARTS_OF_FRAME)
-    SPLITS = np.array(
-        [
-            (np.arange(PARTS_OF_FRAME) >= first) & (np.arange(PARTS_OF_FRAME) < stop)
-            for first in range(PARTS_OF_FRAME)
-            for stop in range(first + 1, PARTS_OF_FRAME + 1)
-            if stop - first < PARTS_OF_FRAME and (first == 0 or stop < PARTS_OF_FRAME)
-        ],
-        float,
-    )
-
-    def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
-        """Faults of passes, each with its least steady frame."""
-        curve = light.curve
-        restless = self._find_restless(light, chance)
-        for index in np.flatnonzero(restless.any(axis=1)).tolist():
-            photons = curve.photons[index]
-            off = photons - photons.mean(axis=1, keepdims=True)
-            strength = (off**2).sum(axis=1) / np.maximum(photons.sum(axis=1), 1)
-            frame = int(np.argmax(np.where(restless[index], strength, -1)))
-            counts = ", ".join(f"{count:.0f}" for count in photons[frame].tolist())
-            detail = (
-                f"light{curve.name} changed within {curve.frames[frame]}: {counts} photons in its "
-                f"parts{_list_frames(restless[index])}"
-            )
-            scene = int(curve.scenes[index])
-            yield Fault(kind=self.kind, scene=scene, frame=frame, detail=detail)
-
-    def _find_restless(self, light: PassLight, chance: float) -> np.ndarray:
-        """Frames (P, F) in which the light is not steady."""
-        curve = light.curve
-        total = curve.photons.sum(axis=2)
-        total_s = curve.seconds.sum(axis=2)
-        restless = np.zeros(total.shape, bool)
-        if curve.photons.shape[2] < PARTS_OF_FRAME:
-            return restless  # frames were counted whole
-        rate = (total + 1) / np.where(total_s > 0, total_s, np.inf)
-        harmless = HARMLESS_DARK * light.bright_rate[:, None] / np.maximum(rate, 1e-300)
-        ratio = np.where(total_s > 0, 1 + np.maximum(HARMLESS, harmless), 1.0)
-        tests = len(self.SPLITS) * total.size
-        for split in self.SPLITS:
-            some = curve.photons @ split
-            some_s = curve.seconds @ split
-            share = some_s / np.where(total_s > 0, total_s, 1.0)
-            noise = np.sqrt(np.maximum(total * share * (1 - share), 1e-300))
-            far = np.abs(some - total * share) > self.LOOKED_AT_SIGMAS * noise
-            inside = some[far], some_s[far]
-            outside = (total - some)[far], (total_s - some_s)[far]
-            restless[far] |= change_chance(*inside, *outside, ratio=ratio[far]) * tests <= chance
-        return restless
-
-
-class _Drift(_LightCheck):
-    """Both ON frames of a pass are equally bright, and both OFF frames."""
-
-    kind = "unsteady"
-    explained_by = ("dark", "flicker", "unsteady")
-
-    def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
-        """Faults of passes whose two bright frames, or else two dark ones, differ."""
-        curve = light.curve
-        background = light.background
-        spent = np.where(background.seconds > 0, background.seconds, 1.0)
-        floor = (background.photons + 1) / spent
-        bright = self._differ(curve, curve.bright, 1 + HARMLESS, chance)
-        ratio = 1 + HARMLESS_DARK * light.bright_rate / floor
-        differ = bright | self._differ(curve, curve.dark, ratio, chance)
-        for index in np.flatnonzero(differ).tolist():
-            frames = curve.bright if bright[index] else curve.dark
-            one, other = (float(curve.photons[index, frame].sum()) for frame in frames)
-            detail = (
-                f"light{curve.name} changed within the pass: {one:.0f} photons in "
-                f"{curve.frames[frames[0]]} at its start, {other:.0f} at its end"
-            )
-            yield Fault(kind=self.kind, scene=int(curve.scenes[index]), detail=detail)
-
-    @staticmethod
-    def _differ(
-        curve: LightCurve, frames: tuple[int, int], ratio: np.ndarray | float, chance: float
-    ) -> np.ndarray:
-        """Passes (P,) in which one of two frames is brighter than the other, by more than that."""
-        photons, seconds = curve.of(frames)
-        (one, other) = photons.T
-        (one_s, other_s) = seconds.T
-        chances = change_chance(one, one_s, other, other_s, ratio=ratio)
-        return np.asarray(chances * len(photons) <= chance)
-
-
-class _BackgroundChange(_LightCheck):
-    """The background of an input stays. Counts are rid of each scene's own."""
-
-    kind = "background"
-    spoils = False
-    of = "inputs"
-
-    def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
-        """Faults of the scenes from which on it is another."""
-        background = light.background
-        curve = light.curve
-        for segment in background.segments[1:]:
-            before, after = background.rate[[segment.start - 1, segment.start]]
-            detail = (
-                f"dark frames{curve.name} have {after:.4g} counts/s, and {before:.4g} before: the "
-                "background is that of scenes from here on"
-            )
-            scene = int(curve.scenes[segment.start])
-            yield Fault(kind=self.kind, scene=scene, detail=detail)
-
-
-class _LevelChange(_LightCheck):
-    """The light is as bright for all scenes, as far as scenes are alike."""
-
-    kind = "level"
-    spoils = False
-    of = "arm"
-
-    def find(self, light: PassLight, chance: float) -> Iterator[Fault]:
-        """Faults of the scenes from which on it is another, or of a steady rise or fall."""
-        if light.flux is None:
-            return
-        trend = light.flux.trend
-        if trend is not None:
-            detail = (
-                f"all ON {'rises' if trend > 1 else 'falls'} steadily, to {trend:.3g} times its "
-                "first brightness: each scene has a budget of its own"
-            )
-            yield Fault(kind=self.kind, detail=detail)
-        for before, after in pairwise(light.flux.levels):
-            several = after.last > after.first
-            some = f"scenes {after.first} to {after.last}" if several else "this scene"
-            detail = (
-                f"all ON is {after.rate / max(before.rate, 1e-300):.3g} times as bright as before, "
-                f"and scenes do not differ so much: {some} have a budget of their own"
-            )
-            yield Fault(kind=self.kind, scene=int(after.first), detail=detail)
-
-
-CHECKS: tuple[_LightCheck, ...] = (
-    _Rhythm(),
-    _FastChange(),
-    _NoLight(),
-    _BrighterMask(),
-    _UnsteadyFrame(),
-    _Drift(),
-    _BackgroundChange(),
-    _LevelChange(),
-)
-"""All checks of the light, in the order in which they are tested; `FALSE_ALARMS` is theirs."""
-
-SPOILING = (
-    *dict.fromkeys(check.kind for check in CHECKS if check.spoils),
-    *("budget", "gain", "unsure", "unlike", "view"),
-)
-"""Kinds of faults that leave a scene's counts without a meaning."""
-
-
-def run_checks(light: PassLight, of: Literal["all", "inputs", "arm"], chance: float) -> list[Fault]:
-    """Faults of a curve by the checks on such curves; passes that they spoil are no more sound."""
-    faults: list[Fault] = []
-    named: set[tuple[str, int | None]] = set()
-    for check in CHECKS:
-        if check.of != of:
-            continue
-        for fault in check.find(light, chance):
-            if check.spoils and fault.scene is not None:
-                light.sound[light.curve.scenes == fault.scene] = False
-            causes = {(kind, scene) for kind in check.explained_by for scene in (None, fault.scene)}
-            if not causes & named:
-                faults.append(fault)
-                named.add((fault.kind, fault.scene))
+        return [Fault(kind="level", detail=detail)]
+    faults = []
+    for before, after in pairwise(flux.levels):
+        several = after.last > after.first
+        some = f"scenes {after.first} to {after.last}" if several else "this scene"
+        detail = (
+            f"all ON is {after.rate / max(before.rate, 1e-300):.3g} times as bright as before, "
+            f"and scenes do not differ so much: {some} have a budget of their own"
+        )
+        faults.append(Fault(kind="level", scene=int(after.first), detail=detail))
     return faults
+
+
+CHECKS = 4
+"""Checks of the light, of which each has a part of `FALSE_ALARMS`."""
+
+SPOILING = ("dark", "brighter", "unsteady", "flicker", "budget", "gain", "unsure", "unlike", "view")
+"""Kinds of faults that leave a scene's counts without a meaning."""
 
 
 RESTLESS_SHARE = 0.1
@@ -486,16 +261,14 @@ def check_light(
     count = manifest.detector_count
     wired = [tuple(inputs[first : first + count]) for first in range(0, len(inputs), count)]
     curves = Curves.of(arrivals, scenes, wired)
-    chance = FALSE_ALARMS / len(curves.every) / len(CHECKS)
+    chance = FALSE_ALARMS / len(curves.every) / CHECKS
     lights = []
     faults = list[Fault]()
     of_arms = set[tuple[str, int | None]]()
     for curve in curves.every:
         light = PassLight.of(curve, Background.of(curve, chance), chance)
         tested = light.sound.copy()
-        of_curve = run_checks(light, "all", chance)
-        if not any(fault.kind == "flicker" for fault in of_curve):
-            of_curve += find_restless_lamp(scenes, tested, light.sound)
+        of_curve = light.find_faults(chance) + find_restless_lamp(scenes, tested, light.sound)
         if curve.sees_part:  # what all detectors of an arm show together is said once
             of_curve = [fault for fault in of_curve if (fault.kind, fault.scene) not in of_arms]
         else:
@@ -504,11 +277,8 @@ def check_light(
         lights.append(light)
     arms = lights[: len(curves.arms)]
     of_inputs = lights[-len(curves.inputs) :]
-    for light in of_inputs:
-        faults += run_checks(light, "inputs", chance)
-    first = arms[0]
-    flux = first.measure_flux(manifest.brightness, chance)
-    faults += run_checks(first, "arm", chance)
+    flux = arms[0].measure_flux(manifest.brightness, chance)
+    faults += find_level_changes(flux)
     if curves.detectors:
         faults += _find_blind_detectors(of_inputs)
         for column in range(0, len(of_inputs), count):
@@ -516,7 +286,7 @@ def check_light(
     faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
     rates = np.stack([light.background.rate for light in of_inputs], axis=1)
     lit = np.logical_and.reduce([light.lit for light in arms])
-    return Light(flux, rates, lit, tuple(faults))
+    return Light(flux.rate, rates, lit, tuple(faults))
 
 
 def find_lateness(photons: np.ndarray, seconds: np.ndarray, room_s: float) -> tuple[Fault, ...]:
@@ -623,109 +393,3 @@ def _list_frames(which: np.ndarray) -> str:
         return ""
     more = f" and {len(frames) - NAMED_FRAMES} more" if len(frames) > NAMED_FRAMES else ""
     return f" (frames {', '.join(map(str, frames[:NAMED_FRAMES]))}{more})"
-
-
-@dataclass(frozen=True)
-class _Block:
-    """Frames of passes that follow each other, within which a rhythm keeps its phase."""
-
-    middles: np.ndarray  # (f, K): Times of the parts of each frame, seconds
-    lacks: np.ndarray  # (P, f, K): Photons of each part less its share of the frame's
-    photons: np.ndarray  # (P, f)
-
-
-class Periodogram:
-    """Evidence for rhythms, of all passes so far: a periodogram of photons within frames.
-
-    A mask's light is steady while its frame is shown, whatever the scene. So what the parts of a
-    frame lack or have beyond their share is noise, unless the light itself has a rhythm. Blocks of
-    some tenths of a second are compared with each frequency by themselves, as no lamp keeps its
-    phase for long, and their evidence is added.
-    """
-
-    BLOCK_S = 0.5  # over which a rhythm keeps its phase at least
-    MOST_HZ = 5e3  # fastest rhythm that is looked for
-    MOST_FREQUENCIES = 4096
-    LEAST_PHOTONS = 100  # that a block must hold to say something
-    AT_ONCE = 2**22  # sines that are held in memory
-
-    def __init__(self) -> None:
-        self._hertz = np.empty(0)  # those of the first passes
-        self._evidence = np.zeros((4, 0))  # as of `_gather`
-
-    def add(self, photons: np.ndarray, seconds: np.ndarray, middles: np.ndarray) -> None:
-        """Add passes whose frames have the same times."""
-        total_s = np.maximum(seconds.sum(axis=2, keepdims=True), 1e-300)
-        total = photons.sum(axis=2)
-        lacks = photons - total[..., None] * seconds / total_s
-        number = np.floor((middles[:, 0] - middles[0, 0]) / self.BLOCK_S).astype(int)
-        cuts = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
-        blocks = [_Block(middles[a:b], lacks[:, a:b], total[:, a:b]) for a, b in pairwise(cuts)]
-        if not len(self._hertz):
-            self._hertz = self._frequencies(blocks)
-            self._evidence = np.zeros((4, len(self._hertz)))
-        step = max(1, self.AT_ONCE // middles.size)
-        for a in range(0, len(self._hertz), step):
-            more = self._gather(blocks, self._hertz[a : a + step])
-            so_far = self._evidence[:, a : a + step]
-            so_far[1] = np.maximum(so_far[1], more[1])
-            so_far[[0, 2, 3]] += more[[0, 2, 3]]
-
-    def strongest(self, chance: float) -> tuple[float, float] | None:
-        """Strongest rhythm beyond chance, if any: Hz, and its amplitude as a share of the mean."""
-        # The pass that shows most of it is left out where there are three or more: what one pass
-        # alone shows is no rhythm
-        from scipy.special import chdtrc
-
-        if not len(self._hertz):
-            return None
-        total, strongest, count, size = self._evidence
-        many = count >= 3
-        rest = np.where(many, total - strongest, total)
-        chances = chdtrc(np.maximum(2 * (count - many), 1), rest) * len(self._hertz)
-        best = int(np.argmin(chances))
-        if not (count[best] and chances[best] <= chance):
-            return None
-        best = int(np.argmax(np.where(chances <= chance, rest, 0)))
-        amplitude = np.sqrt(EXCESS * max(total[best] - 2 * count[best], 0) / size[best])
-        return float(self._hertz[best]), float(amplitude)
-
-    def _frequencies(self, blocks: list[_Block]) -> np.ndarray:
-        """Frequencies in Hz of which the longest block has a whole period, and parts can see."""
-        if blocks[0].middles.shape[1] < 2:
-            return np.empty(0)
-        longest = max(float(np.ptp(block.middles)) for block in blocks)
-        part_s = float(np.median(np.diff(blocks[0].middles, axis=1)))
-        if longest <= 0 or part_s <= 0:
-            return np.empty(0)
-        top = min(0.5 / part_s, self.MOST_HZ)
-        first = 1 / longest
-        step = 0.5 / longest
-        number = int(min(max((top - first) / step + 1, 0), self.MOST_FREQUENCIES))
-        return first + step * np.arange(number)
-
-    def _gather(self, blocks: list[_Block], hertz: np.ndarray) -> np.ndarray:
-        """Evidence for each frequency: sum, largest, number of blocks, their sensitivity (4, M)."""
-        out = np.zeros((4, len(hertz)))
-        for block in blocks:
-            phase = 2 * np.pi * block.middles[..., None] * hertz
-            cosine = np.cos(phase)
-            sine = np.sin(phase)
-            centred = [wave - wave.mean(axis=1, keepdims=True) for wave in (cosine, sine)]
-            number = block.photons.astype(np.float64)
-            lacks = block.lacks.reshape(len(number), -1)
-            u, v = (lacks @ wave.reshape(-1, len(hertz)) for wave in (cosine, sine))
-            a = number @ (centred[0] ** 2).mean(axis=1)
-            b = number @ (centred[1] ** 2).mean(axis=1)
-            c = number @ (centred[0] * centred[1]).mean(axis=1)
-            determinant = a * b - c * c
-            sees = (number.sum(axis=1) >= self.LEAST_PHOTONS)[:, None] & (
-                determinant > 1e-3 * (a + b) ** 2 / 4
-            )
-            safe = np.where(sees, determinant, 1.0)
-            evidence = np.where(sees, (u * u * b - 2 * u * v * c + v * v * a) / safe / EXCESS, 0.0)
-            out[0] += evidence.sum(axis=0)
-            out[1] = np.maximum(out[1], evidence.max(axis=0))
-            out[2] += sees.sum(axis=0)
-            out[3] += np.where(sees, (a + b) / 2, 0.0).sum(axis=0)
-        return out

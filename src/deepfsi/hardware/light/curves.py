@@ -30,13 +30,12 @@ CERTAIN_SIGMAS = 6.0
 class Arrivals:
     """Photons that arrived in equal parts of frames, as estimated from those that were counted."""
 
-    ARRAYS: ClassVar = ("photons", "variance", "seconds", "middles")
+    ARRAYS: ClassVar = ("photons", "variance", "seconds")
 
     frames: tuple[Frame, ...]  # frames in the order in which they were shown
     photons: np.ndarray
     variance: np.ndarray  # variance of their noise
-    seconds: np.ndarray  # how long each part was open: 0 where the time of its frame is not known
-    middles: np.ndarray
+    seconds: np.ndarray  # how long each part was open: 0 of frames that are not counted yet
 
     @classmethod
     def join(cls, lists: Sequence[Self]) -> Self:
@@ -46,7 +45,7 @@ class Arrivals:
 
     @classmethod
     def stack(cls, passes: Sequence[Self]) -> Self:
-        """Passes over the same frames, at the times of the last of them."""
+        """Passes over the same frames."""
         return replace(
             passes[-1],
             photons=np.stack([one.photons for one in passes]),
@@ -67,7 +66,6 @@ class LightCurve:
 
     photons: np.ndarray
     seconds: np.ndarray
-    middles: np.ndarray  # middles of the parts after the start of their pass, seconds
     scenes: np.ndarray  # scene of each pass
     bright: tuple[int, int]
     dark: tuple[int, int]
@@ -107,7 +105,6 @@ class Curves:
             together = LightCurve(
                 photons,
                 seconds,
-                arrivals.middles,
                 scenes,
                 bright=on if arm == 0 else off,
                 dark=off if arm == 0 else on,

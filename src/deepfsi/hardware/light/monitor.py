@@ -14,16 +14,14 @@ from deepfsi.hardware.light.checks import (
     CHECKS,
     Fault,
     PassLight,
-    Periodogram,
+    find_level_changes,
     find_restless_lamp,
-    run_checks,
 )
 from deepfsi.hardware.light.curves import (
     EXCESS,
     FALSE_ALARMS,
     Arrivals,
     Curves,
-    LightCurve,
     excess_chance,
 )
 from deepfsi.hardware.light.flux import Background, allowed_ratio
@@ -41,11 +39,10 @@ class LightMonitor:
         self._manifest = manifest
         self._wired = [inputs[first : first + count] for first in range(0, len(inputs), count)]
         curves = len(self._wired) * (1 + count if count > 1 else 1)
-        self._chance = FALSE_ALARMS / curves / len(CHECKS) / scenes
+        self._chance = FALSE_ALARMS / curves / CHECKS / scenes
         self._ends: list[Arrivals] = []  # of each scene, its all-ON and all-OFF frames
         self._lit: list[bool] = []
         self._sound: list[bool] = []
-        self._rhythms = [Periodogram() for _ in range(curves)]
         self._backgrounds: list[Background] = []
         self._said: set[tuple[str, int | None]] = set()
         self.flux = 0.0
@@ -72,15 +69,13 @@ class LightMonitor:
         lit = bool(chance <= NO_LIGHT)
         self._lit.append(lit)
         self._sound.append(lit)
-        changes = []
-        for curve, background in zip(self._history.inputs, of_inputs, strict=True):
-            changes += run_checks(self._so_far(curve, background), "inputs", self._chance)
-        if lit:
-            light = self._so_far(arm, dark)
-            rates = light.measure_flux(self._manifest.brightness, self._chance)
-            self.flux = float(rates[-1])
-            self.since = int(np.flatnonzero(rates != rates[-1]).max(initial=-1)) + 1
-            changes += run_checks(light, "arm", self._chance)
+        if not lit:
+            return lit, ()
+        light = PassLight(arm, dark, np.array(self._lit), np.array(self._sound))
+        flux = light.measure_flux(self._manifest.brightness, self._chance)
+        self.flux = float(flux.rate[-1])
+        self.since = int(np.flatnonzero(flux.rate != flux.rate[-1]).max(initial=-1)) + 1
+        changes = find_level_changes(flux)
         new = tuple(fault for fault in changes if (fault.kind, fault.scene) not in self._said)
         self._said |= {(fault.kind, fault.scene) for fault in new}
         return lit, new
@@ -96,18 +91,9 @@ class LightMonitor:
         of_arms: set[str] = set()
         curves = Curves.of(Arrivals.stack([scene]), np.array([last]), self._wired)
         for index, curve in enumerate(curves.every):
-            rhythms = self._rhythms[index]
-            rhythms.add(curve.photons, curve.seconds, curve.middles - scene.middles[0, 0])
-            light = PassLight.of(
-                curve,
-                self._backgrounds[index].last,
-                self._chance,
-                ends=self._history.every[index],
-                rhythms=rhythms,
-            )
-            of_curve = run_checks(light, "all", self._chance)
-            flickers = any(fault.kind == "flicker" for fault in of_curve)
-            self._sound[-1] &= bool(light.sound[0]) and not flickers
+            light = PassLight.of(curve, self._backgrounds[index].last, self._chance)
+            of_curve = light.find_faults(self._chance)
+            self._sound[-1] &= bool(light.sound[0])
             faults += [fault for fault in of_curve if fault.kind not in of_arms]
             if index == len(curves.arms) - 1:
                 of_arms = {fault.kind for fault in faults}
@@ -135,17 +121,6 @@ class LightMonitor:
         more = gammainc(counts / EXCESS, most / EXCESS)
         less = gammaincc(counts / EXCESS + 1, least / EXCESS)
         return bool(2 * min(more, less) <= self._chance)
-
-    def _so_far(self, curve: LightCurve, background: Background) -> PassLight:
-        """Light of all scenes so far, by what was found of each as it ended."""
-        return PassLight(
-            curve=curve,
-            ends=curve,
-            rhythms=Periodogram(),
-            background=background,
-            lit=np.array(self._lit),
-            sound=np.array(self._sound),
-        )
 
     def _look_back(self) -> None:
         """Find the curves of the all-ON and all-OFF frames of all scenes, and their backgrounds."""

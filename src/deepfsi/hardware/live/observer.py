@@ -117,7 +117,6 @@ class SceneObserver:
         self._manifest = manifest
         self._settings = acquisition.live
         self._exposure_ns = round(acquisition.exposure_s * 1e9)
-        self._settle_s = acquisition.settle_s
         self._light = LightMonitor(manifest, acquisition.inputs, len(acquisition.scenes))
         self._checks = _SceneChecks(looks.photons, acquisition)
         model = looks.scene_model
@@ -202,13 +201,11 @@ class SceneObserver:
         factors = counts.correct(self._settings, self._manifest, gate_s, ends=ends)
         parts = counts.parts.shape[1]
         seconds = np.repeat((gate_s / parts)[:, None], parts, axis=1)
-        opens_s = counts.starts_s[:, None] + self._settle_s
         return Arrivals(
             frames=frames,
             photons=counts.parts * factors.arrivals[:, None],
             variance=counts.parts * factors.variance[:, None],
             seconds=seconds,
-            middles=opens_s + seconds * (np.arange(parts) + 0.5),
         )
 
     def _all_on(self, ends: list[Arrivals]) -> AllOnCounts:
