@@ -3,19 +3,18 @@
     python benchmarks/adaptive.py --data mnist --photons 1e4 --looks 32     # a quarter of an hour
     python benchmarks/adaptive.py --data mnist --photons 1e3 --looks 16 --camera dmd-2x2
     python benchmarks/adaptive.py --data mnist --photons 1e4 --looks 64 --cap 2 --draws 3
-    python benchmarks/adaptive.py --data mnist --photons 1e4 --looks 128 --cap 4 --least-cap 1
+    python benchmarks/adaptive.py --data mnist --photons 1e4 --looks 128 --cap 4
     python benchmarks/adaptive.py --data mnist --photons 1e4 --looks 96 --dictionary 2000
     python benchmarks/adaptive.py --data mnist --latency                    # time of one decision
 
 Noise draws of each test image; ± is half of the 95 % interval over images. With `--cap` the budget
 is the mean of exposures that end when a class is sure: `light` is what test images take of it. With
-`--least-cap` the training finds the cap, from that to `--cap`. With `--until` they end above that
-probability, whatever light they take. The prior is all training images. With `--validation`
-training images that are drawn by `--seed` are left out and read in place of the tests: settings are
-to be chosen there. `--scenes` keeps the first images of the prior alone, `--page` those that the
-page of the design knows; with `--clusters` the centres of as many clusters of each class stand for
-them. `--dictionary` chooses among so many masks that stay on the device. `--latency` is the median
-from the counts of a look to the next mask.
+`--until` they end above that probability, whatever light they take. The prior is all training
+images. With `--validation` training images that are drawn by `--seed` are left out and read in
+place of the tests: settings are to be chosen there. `--scenes` keeps the first images of the prior
+alone, `--page` those that the page of the design knows; with `--clusters` the centres of as many
+clusters of each class stand for them. `--dictionary` chooses among so many masks that stay on the
+device. `--latency` is the median from the counts of a look to the next mask.
 """
 
 import argparse
@@ -57,7 +56,6 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--photons", type=float, nargs="+", default=[1e4])
     parser.add_argument("--looks", type=int, nargs="+", default=[16])
     parser.add_argument("--cap", type=float, default=1, help="most light, over the mean of all")
-    parser.add_argument("--least-cap", type=float, help="of caps among which the training finds it")
     parser.add_argument("--until", type=float, help="threshold, in place of that of the mean light")
     parser.add_argument("--draws", type=int, default=1, help="noise draws of each image")
     parser.add_argument("--validation", type=int, default=0, help="images, in place of the tests")
@@ -77,8 +75,6 @@ def main(words: Sequence[str] | None = None) -> None:
     known = slice(given.scenes)
     data = replace(data, x_train=data.x_train[known], y_train=data.y_train[known])
     exposure = {"cap": 1 if given.until else given.cap}
-    if given.least_cap:
-        exposure["least_cap"] = given.least_cap
     print(
         "| photons | looks | accuracy | log loss | counts | calibration error | light | seconds |"
     )
@@ -94,10 +90,6 @@ def main(words: Sequence[str] | None = None) -> None:
                 exposure=exposure,
                 training={"clusters": given.clusters, "dictionary": given.dictionary},
             )
-            if given.least_cap:
-                for rule in design.info["caps"]:
-                    print(f"cap {rule['cap']:.4g}: {rule['wrong']:.4f} wrong")
-                print(f"found: {design.prior_exposure.settings.cap:.4g}", flush=True)
             if given.until:
                 changes = {"cap": given.cap, "until": given.until}
                 settings = design.prior_exposure.settings.model_copy(update=changes)

@@ -35,10 +35,9 @@ from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
 from deepfsi.networks.classifiers import Mlp
-from deepfsi.physics.detection import Detection
+from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import LearnedMasks, light_law
 from deepfsi.physics.noise import Poisson
-from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import project
 from deepfsi.physics.training_noise import ml_gauss_features
 

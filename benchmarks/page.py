@@ -26,9 +26,8 @@ from deepfsi.evaluation.page_data import playable
 from deepfsi.exposure.fixed import FixedExposure
 from deepfsi.exposure.kind import TrainedMasks
 from deepfsi.networks.classifiers import Mlp
-from deepfsi.physics.detection import Detection
+from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
-from deepfsi.physics.rails import Rails
 from deepfsi.report.playground.page import write_page
 
 MEASURE = """

@@ -25,8 +25,8 @@ from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.jobs.designs import DESIGNS, count_allowed
+from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import light_law
-from deepfsi.physics.rails import Rails
 from shared.jobs import learn
 from shared.pictures import save_images
 

@@ -33,7 +33,7 @@ from deepfsi.adaptive.exposure import (
     prior_of,
 )
 from deepfsi.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
-from deepfsi.base.errors import InputError, Message
+from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import summed_reflectance
@@ -84,10 +84,9 @@ NOT_AT_A_CAMERA = (
 )
 """Why live runs and pages do not take these designs."""
 
-ENDS_BY_PRICE = Message(
-    "exposures of this design end where no look is worth its clicks: give fewer {counts} to its "
-    "training",
-    setting="counts",
+ENDS_BY_PRICE = (
+    "exposures of this design end where no look is worth its clicks: give fewer `counts` to its "
+    "training"
 )
 """Why no rule is found by which they stop."""
 
@@ -127,7 +126,7 @@ class ClickPosterior(AdaptivePosterior):
 
     def next_look(self, dwells: Tensor, costs: Tensor, generator: torch.Generator) -> ClickLook:
         """The look that is worth most, of all masks, dwells (L,) and their costs (L,) in clicks."""
-        masks = click_candidates(self)  # (b, P, N)
+        masks = _click_candidates(self)  # (b, P, N)
         places, drawn = draw_places(self.weights, generator, 256)
         mean, parts = self.prior.light(masks)  # (b, P), (b, P, d)
         scenes = self.prior.coefficients[places].transpose(1, 2)  # (b, d, S)
@@ -187,7 +186,7 @@ def _binary_entropy(chance: Tensor) -> Tensor:
     return torch.special.entr(chance) + torch.special.entr(1 - chance)
 
 
-def click_candidates(state: AdaptivePosterior) -> Tensor:
+def _click_candidates(state: AdaptivePosterior) -> Tensor:
     """Masks (b, P, N) that separate the likeliest classes in two groups, brightly or strictly."""
     differ = group_differences(state)
     scene = state.scene.clamp(min=1e-2)[:, None].expand_as(differ)  # the mean scene may be black
@@ -199,7 +198,7 @@ def click_candidates(state: AdaptivePosterior) -> Tensor:
     return torch.cat([bright, *strict], dim=1)
 
 
-class ClickRun(NamedTuple):
+class _ClickRun(NamedTuple):
     """Exposures at their end."""
 
     chances: Tensor  # (b, C)
@@ -208,7 +207,7 @@ class ClickRun(NamedTuple):
     used: Tensor  # (b,)
 
 
-class ClickStep(NamedTuple):
+class _ClickStep(NamedTuple):
     """A look at those exposures that still go on."""
 
     rows: Tensor  # (r,), which of the exposures
@@ -234,7 +233,7 @@ class ClickLooks(NamedTuple):
     @torch.no_grad()
     def steps(
         self, state: ClickPosterior, x: Tensor, generator: torch.Generator
-    ) -> Iterator[ClickStep]:
+    ) -> Iterator[_ClickStep]:
         """Looks at scenes (b, N), from the state before all looks."""
         dwells = torch.tensor(DWELLS) / self.settings.looks
         costs = LOOK_COST + self.settings.light_price * self.photons * dwells
@@ -252,7 +251,7 @@ class ClickLooks(NamedTuple):
             chance = -torch.expm1(-light)
             clicked = torch.rand(len(light), generator=generator) < chance
             state.take(look, clicked)
-            yield ClickStep(
+            yield _ClickStep(
                 running,
                 look,
                 chances=state.chances,
@@ -262,7 +261,7 @@ class ClickLooks(NamedTuple):
                 arriving=light,
             )
 
-    def run(self, x: Tensor, generator: torch.Generator) -> ClickRun:
+    def run(self, x: Tensor, generator: torch.Generator) -> _ClickRun:
         """Exposures of scenes (b, N) at their end."""
         state = self.posterior(len(x))
         chances = state.chances
@@ -282,11 +281,11 @@ class ClickLooks(NamedTuple):
         seen = -torch.expm1(-light)
         silent = dark & (torch.rand(len(x), generator=generator) >= seen)
         chances[silent] = self.prior.class_shares
-        return ClickRun(chances, clicks + seen, arriving + light, used + dwells)
+        return _ClickRun(chances, clicks + seen, arriving + light, used + dwells)
 
 
 @dataclass(frozen=True, eq=False)
-class ClickingExposure(AdaptiveExposure):
+class _ClickingExposure(AdaptiveExposure):
     """Exposure with adaptive masks, whose looks are chosen for few clicks.
 
     Its fields are those of `AdaptiveExposure`; the prior is of blurred scenes.
@@ -308,10 +307,8 @@ class ClickingExposure(AdaptiveExposure):
         front = super().front_end(camera)
         if front.clicks is None:
             raise InputError(
-                "this design is for a detector that clicks, and {given} noise has none: give "
-                "{noise:click}, or learn a design for it",
-                setting="noise",
-                given=front.noise_name,
+                f"this design is for a detector that clicks, and {front.noise_name} noise has "
+                'none: give `noise="click"`, or learn a design for it'
             )
         AdaptiveMasks.check_camera(front)
         return front
@@ -346,8 +343,7 @@ class ClickingExposure(AdaptiveExposure):
         if not seen:
             raise InputError(
                 "no look is worth its clicks in this exposure, so that none is shown: give more "
-                "{counts} to the training",
-                setting="counts",
+                "`counts` to the training"
             )
         return LookedAt(*(torch.cat(parts).numpy() for parts in zip(*seen, strict=True)))
 
@@ -365,7 +361,7 @@ def blurred(data: Dataset) -> Dataset:
 class ClickTraining(AdaptiveTraining):
     """Adaptive masks of detectors that click: a prior of blurred scenes, and a click's price."""
 
-    kind = ClickingExposure
+    kind = _ClickingExposure
 
     def __init__(self, data: Dataset, settings: AdaptiveMasks) -> None:
         self.data = data
@@ -377,7 +373,7 @@ class ClickTraining(AdaptiveTraining):
 
     def make(
         self, job: Job, optics: Mapping[str, Any], report: Progress
-    ) -> tuple[ClickingExposure, LeftOutAnswers]:
+    ) -> tuple[_ClickingExposure, LeftOutAnswers]:
         """The exposure of a job with its price, found with training scenes; answers to these.
 
         Each of them is left out of the prior.
@@ -401,12 +397,10 @@ class ClickTraining(AdaptiveTraining):
             price = max(price, whole.price(asked))
         if not bool((whole.least_worth > price).any()):
             raise InputError(
-                "no exposure of these masks costs as few clicks as {given}: give more {counts}",
-                setting="counts",
-                given=asked,
+                f"no exposure of these masks costs as few clicks as {asked}: give more `counts`"
             )
         odds, arriving = whole.ends(price)
-        made = ClickingExposure(
+        made = _ClickingExposure(
             self.prior,
             settings.model_copy(update={"price": price}),
             shape=self.data.image_shape,
@@ -427,7 +421,7 @@ class PricedLooks(NamedTuple):
     dark: Tensor  # (n, 1 + K), True after looks none of which clicked
 
     @classmethod
-    def of(cls, steps: Iterable[ClickStep], size: tuple[int, int], classes: int) -> Self:
+    def of(cls, steps: Iterable[_ClickStep], size: tuple[int, int], classes: int) -> Self:
         """Looks of one run, of n exposures and K looks at most."""
         worth = torch.full(size, -torch.inf)
         clicks, arriving = torch.zeros(2, *size)

@@ -20,8 +20,8 @@ from deepfsi.exposure.training import (
     standardise,
 )
 from deepfsi.jobs.exposures import ExposureEntry
+from deepfsi.physics.detection import Rails
 from deepfsi.physics.noise import NoiseFunction
-from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner, project
 from deepfsi.physics.training_noise import Draws, SeedStream
 from deepfsi_flow.settings import STATIC, Passing, PassingEntry

@@ -19,9 +19,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from deepfsi.physics.detection import Readouts
+from deepfsi.physics.detection import Rails, Readouts
 from deepfsi.physics.laws import FixedMasks, LearnedMasks, check_levels, through
-from deepfsi.physics.rails import Rails
 
 SLOWEST = 0.01
 """Least speed of an exposure over the mean one, where a draw is less."""

@@ -50,9 +50,6 @@ REFUSED = {
         --camera unit.toml | unit.toml cannot be used at exposure
         --bins 3 --cap 2 | bins and cap are of different
         --cap 2 | --cap is of exposures that may end early
-        --cap 2 --least-cap 1 | --cap is of exposures that may end early
-        --least-cap 2 --design adaptive | cap: it is missing
-        --least-cap 3 --cap 2 --design adaptive | a cap from 3 to 2: give a lower --least-cap
         --design adaptive --masks 2 --cap 3 | the first of 2 looks takes 1.5 of the budget
         --light two-arm --rails single | use dual rails
         --dmd dlp7000 --light column | device
@@ -99,7 +96,6 @@ REFUSED = {
         --designs pca --photons 1e4 --masks 3 --detectors 9x9 | do not divide
         --colour red | colour
         --epochs 10000000000000000000000 | 10000000000000000000000
-        --designs adaptive --masks 3 --cap 2 --least-cap 1 | --least-cap
         --designs pca,deepfsi --masks 3 --cap 2 | --cap is of exposures that may end early
         --designs pca --masks 3 --start random | no masks of pca learn: leave --start out
         --designs pca --masks 3 --mask-lr 0.1 | no masks of pca learn: leave --mask-lr out

@@ -13,7 +13,7 @@ from shared.commands import COMMANDS
 
 OWN = {"design", "masks", "photons", "camera", "seed"}
 RANGED = {"span"}  # a range of budgets is given as --photons LOW:HIGH
-OF_STUDIES = {"design", "seed", "least_cap"}
+OF_STUDIES = {"design", "seed"}
 OF_COMMANDS = {"design": set(), "compare": OF_STUDIES}
 
 

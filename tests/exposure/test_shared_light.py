@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import deepfsi
-from deepfsi.adaptive.exposure import AdaptiveExposure, Stops
+from deepfsi.adaptive.exposure import AdaptiveExposure, sharing_threshold
 from deepfsi.base.errors import InputError
 from deepfsi.evaluation.accuracy import evaluate
 from deepfsi.jobs.exposures import AdaptiveMasks
@@ -34,73 +34,18 @@ def confidences(seed, exposures=500, stops=12):
 @pytest.mark.parametrize("seed", range(5))
 def test_the_threshold_takes_the_light_asked_for_and_rises_with_it(seed):
     seen = confidences(seed)
-    stops = Stops(np.cumsum(np.full(12, 1 / 6)))  # 2 together
-    found = [stops.threshold(seen, light) for light in np.linspace(0.2, 2, 10)]
+    used = np.cumsum(np.full(12, 1 / 6))  # 2 together
+    found = [sharing_threshold(used, seen, light) for light in np.linspace(0.2, 2, 10)]
     for threshold, light in zip(found, np.linspace(0.2, 2, 10), strict=True):
         ends = np.argmax(np.c_[seen[:, :-1] > threshold, np.ones(len(seen))], axis=1)
-        taken = stops.used[ends].mean()
-        assert light - stops.used[-1] / len(seen) < taken <= light + 1e-12  # one exposure apart
-        assert stops.going(seen, threshold).sum() == (ends + 1).sum()
+        taken = used[ends].mean()
+        assert light - used[-1] / len(seen) < taken <= light + 1e-12  # one exposure apart
     assert found == sorted(found)
 
 
 def test_less_light_than_the_first_stop_takes_is_refused():
     with pytest.raises(InputError, match="the first stop alone"):
-        Stops(np.array([0.5, 1.0])).threshold(confidences(0, stops=2), 0.4)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_best_rule_has_the_fewest_errors_of_all_last_stops(seed):
-    seen = confidences(seed)
-    wrong = np.random.default_rng(seed).random(seen.shape) > seen
-    used = np.cumsum(np.full(12, 1 / 4))
-    for least in (1, 1.5, 3):
-        errors = {}
-        for count in range(round(4 * least), 13):
-            threshold = Stops(used[:count]).threshold(seen[:, :count], 1.0)
-            ends = np.argmax(np.c_[seen[:, : count - 1] > threshold, np.ones(500)], axis=1)
-            errors[count, threshold] = sum(wrong[e, end] for e, end in enumerate(ends))
-        stops = Stops(used)
-        best = min(stops.rules(seen, wrong, light=1.0, least=least))
-        assert (best.stops, best.threshold) == min(errors, key=lambda rule: (errors[rule], rule[0]))
-
-
-@pytest.fixture
-def few_sharing(monkeypatch) -> int:
-    """Let a training find threshold and cap with few scenes, and give their number."""
-    monkeypatch.setattr("deepfsi.adaptive.exposure.SHARING_SCENES", 128)
-    return 128
-
-
-def test_a_cap_that_is_found_is_of_the_same_looks(digits, shared, tmp_path, few_sharing):
-    found = deepfsi.learn(
-        digits, design="adaptive", masks=16, photons=PHOTONS, exposure={"cap": 2, "least_cap": 1.5}
-    )
-    settings = found.exposure.settings
-    assert 1.5 <= settings.cap == settings.looks / 8 <= 2
-    assert settings.shares == shared.exposure.settings.shares[: settings.looks]
-    assert len(found.exposure.counted) == settings.looks
-    assert found.exposure.usual_misfit.logarithms.shape[2] == settings.looks
-    found.save(tmp_path / "found.safetensors")
-    again = deepfsi.load_design(tmp_path / "found.safetensors")
-    assert again.exposure.settings == settings
-    caps = {rule["cap"]: rule["wrong"] for rule in again.info["caps"]}
-    assert [*caps] == [1.5, 1.625, 1.75, 1.875, 2]
-    assert min(caps, key=caps.get) == settings.cap
-    [result] = evaluate(again, digits, PHOTONS, draws=1)
-    error = 0.94 * (1 / len(digits.x_test) + 1 / few_sharing) ** 0.5
-    assert result.score("mean_light") == pytest.approx(1, abs=4 * error)
-
-
-@pytest.mark.usefixtures("few_sharing")
-def test_a_cap_of_1_may_be_found_and_shares_nothing(digits):
-    """In so much light that the first look is sure, no scene can use the light of another."""
-    asked = {"design": "adaptive", "masks": 2, "photons": 1e9}
-    alike = deepfsi.learn(digits, **asked | {"masks": 1})
-    found = deepfsi.learn(digits, **asked, exposure={"cap": 2, "least_cap": 1})
-    assert (found.exposure.count, found.exposure.settings.cap) == (1, 1)
-    assert found.exposure.settings == alike.exposure.settings
-    assert "stopping" not in found.info
+        sharing_threshold(np.array([0.5, 1.0]), confidences(0, stops=2), 0.4)
 
 
 def test_looks_are_as_long_as_those_of_as_many_in_the_budget():
@@ -116,7 +61,7 @@ def test_test_scenes_take_the_budget_in_the_mean_and_at_most_the_cap(digits, sha
     """
     error = 0.94 * (1 / len(digits.x_test) + 1 / min(1024, len(digits.x_train))) ** 0.5
     assert tested.score("mean_light") == pytest.approx(1, abs=4 * error)
-    assert shared.exposure.stops.used[-1] == pytest.approx(2)
+    assert sum(shared.exposure.settings.shares) == pytest.approx(2)
 
 
 def test_shared_light_is_more_accurate_than_equal_light(digits, tested):
@@ -144,10 +89,6 @@ def test_a_file_and_a_camera_know_the_rule(shared, tmp_path):
     [
         ({"design": "deepfsi"}, "is of exposures that may end early"),
         ({"exposure": {"cap": 0.5}}, "cap"),
-        ({"exposure": {"cap": 2, "least_cap": 3}}, "a cap from 3 to 2: give a lower `least_cap`"),
-        ({"exposure": {"cap": 2, "least_cap": 0.5}}, "least_cap"),
-        ({"exposure": {"least_cap": 2}}, "cap"),
-        ({"design": "deepfsi", "exposure": {"cap": 2, "least_cap": 1}}, "exposures that may end"),
         ({"exposure": {"cap": 9}}, "the first of 8 looks takes 1.12 of the budget"),
         ({"design": "deepfsi", "exposure": {"patch": 4, "cap": 2}}, "different exposures"),
     ],

@@ -13,8 +13,8 @@ from deepfsi.exposure import training_set
 from deepfsi.jobs.designs import sensing_matrix
 from deepfsi.jobs.job import Job, find_job
 from deepfsi.jobs.training import Training
+from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import light_law
-from deepfsi.physics.rails import Rails
 from shared.jobs import job as job_of
 from shared.jobs import learn
 from shared.networks import Cnn

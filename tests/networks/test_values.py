@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from deepfsi import Scanner, evaluate, ideal_observer, learn, predict
+from deepfsi import evaluate, ideal_observer, learn, predict
 from deepfsi.base.errors import InputError
 from deepfsi.design.onnx import to_onnx
-from deepfsi.evaluation.bounds import cramer_rao
 from deepfsi.evaluation.page_data import check_playable
-from deepfsi.physics import noise
 from shared.values import SLOPES, SPREAD, linear_scenes, placed_digits
 
 SIGMA = 4.0
@@ -58,32 +56,6 @@ def test_a_linear_network_reaches_the_bound_and_none_is_below_it(linear):
     for rmse, bound in zip(result.rmse, result.bound, strict=True):
         assert bound * (1 - error) < rmse < bound * (1.02 + error)
     assert result.low < result.r2 < result.high < 1
-
-
-def test_brightness_is_estimated_as_well_as_its_photons_are_counted(placed):
-    """x = θ e: the information of all counts about θ is their number over θ²."""
-    made = learn(placed, camera=COLUMN, photons=1e4, masks=8, design="pca", training={"epochs": 1})
-    scene = placed.x_test[:3]
-    counted = (made.rates(made.scanner(), torch.from_numpy(scene)) * 1e4).sum(dim=(1, 2)).numpy()
-    found = cramer_rao(made, scene, scene[:, None], 1e4)[:, 0]
-    assert found == pytest.approx(1 / np.sqrt(counted), rel=1e-5)
-    twice = cramer_rao(made, scene, np.stack([scene, scene], axis=1), 1e4)
-    assert np.isinf(twice).all()  # two values that do the same cannot be told apart
-    with pytest.raises(InputError, match=r"\(n, 64\) and \(n, values, 64\)"):
-        cramer_rao(made, scene, scene, 1e4)
-
-
-@pytest.mark.parametrize("gates", [1, 3])
-def test_information_of_clicks_is_that_of_their_distribution(gates):
-    rates = torch.tensor([[0.2, 1.0, 4.0]], dtype=torch.float64, requires_grad=True)
-    scanner = Scanner.from_rails(torch.ones(1, 3, 1, dtype=torch.float64), noise.Click(gates))
-    clicks = torch.arange(gates + 1, dtype=torch.float64)[:, None, None]
-    chance = torch.distributions.Binomial(gates, -torch.expm1(-rates / gates))
-    weights = chance.log_prob(clicks).exp().detach()
-    slopes = torch.cat([torch.autograd.grad(row.sum(), rates, retain_graph=True)[0]
-                        for row in chance.log_prob(clicks)])  # fmt: skip
-    expected = (weights[:, 0] * slopes.square()).sum(dim=0)
-    assert scanner.information(rates.detach())[0].numpy() == pytest.approx(expected.numpy())
 
 
 def test_what_is_of_classes_is_refused_in_one_line(placed, design, digits, tmp_path):

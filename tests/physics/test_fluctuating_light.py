@@ -10,9 +10,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.jobs.exposures import Range
 from deepfsi.jobs.job import Job
 from deepfsi.physics import noise as noise_module
-from deepfsi.physics.detection import Detection
+from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.noise import Poisson
-from deepfsi.physics.rails import Rails
 from deepfsi.physics.training_noise import TrainingNoise
 
 DRAWS = 100_000

@@ -26,8 +26,8 @@ from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.designs import sensing_matrix
 from deepfsi.physics import detection
 from deepfsi.physics import noise as noise_module
+from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import LearnedMasks, frames, light_law
-from deepfsi.physics.rails import Rails
 from deepfsi.training.learning import train
 from shared.jobs import job as job_of
 

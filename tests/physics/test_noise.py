@@ -113,13 +113,6 @@ def test_features_have_the_mean_and_the_variance_that_a_noise_claims(noise, gain
         assert torch.allclose(noise.deviation(light).square(), variance)
 
 
-@pytest.mark.parametrize("noise", [*ALL, *FLUCTUATING], ids=repr)
-def test_the_slope_of_a_noise_is_that_of_its_mean(noise):
-    rates = torch.logspace(-3, 2, 20, dtype=torch.float64, requires_grad=True)
-    (slope,) = torch.autograd.grad(noise.mean(rates).sum(), rates)
-    assert torch.allclose(noise.slope(rates), slope)
-
-
 @pytest.mark.parametrize("noise", ALL, ids=repr)
 def test_trainings_side_by_side_have_the_numbers_of_each(noise):
     both = type(noise).side_by_side([noise, noise], torch.device("cpu"))

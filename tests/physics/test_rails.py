@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from conftest import generator
+from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import FixedMasks
-from deepfsi.physics.rails import Rails
 
 
 @pytest.fixture(params=[1, 2])

@@ -7,7 +7,7 @@ import torch
 
 from conftest import assert_moments
 from deepfsi.physics import detection, noise, training_noise
-from deepfsi.physics.rails import Rails
+from deepfsi.physics.detection import Rails
 from deepfsi.physics.training_noise import TrainingNoise
 from shared.noises import RAILS
 

@@ -14,9 +14,8 @@ from deepfsi import Design, Mlp
 from deepfsi.evaluation.page_data import playable
 from deepfsi.exposure.fixed import FixedExposure
 from deepfsi.exposure.kind import TrainedMasks
-from deepfsi.physics.detection import Detection
+from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
-from deepfsi.physics.rails import Rails
 from deepfsi.report.playground.page import write_page
 from shared.browser import look
 from shared.waiting import until

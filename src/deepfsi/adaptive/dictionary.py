@@ -202,8 +202,7 @@ class DictionaryPosterior(AdaptivePosterior):
         if optics.arms > 1 or optics.detectors is not None:
             raise InputError(
                 "masks of a dictionary are chosen for one detector and one arm: give a camera of "
-                "these, or leave {dictionary} out",
-                setting="dictionary",
+                "these, or leave `dictionary` out"
             )
         self.dictionary = dictionary
         self.ready = dictionary.masks
@@ -248,14 +247,9 @@ class DictionaryPosterior(AdaptivePosterior):
 
     def choose(self) -> list[int]:
         """Indices (b,) of the masks whose counts are expected to tell most of the class."""
-        part = self._part
+        part = self._looks % len(self.tables.scales)  # that is compared now
         first = self.tables.starts[part]
         return [first + int(self._odds(logs, part).argmax()) for logs in self.logs.numpy()]
-
-    @property
-    def _part(self) -> int:
-        """Part of the dictionary that is compared now."""
-        return self._looks % len(self.tables.scales)
 
     def _odds(self, logs: np.ndarray, part: int) -> np.ndarray:
         """Odds (p,) of the masks of a part, which tell the class, of log-probabilities (n,)."""

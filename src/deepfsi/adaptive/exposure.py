@@ -31,7 +31,7 @@ from deepfsi.adaptive.posterior import (
     ScenePrior,
     confidence_of,
 )
-from deepfsi.base.errors import InputError, Message, as_input_error
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.numeric.arrays import check_memory, free_memory
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.registry import installed
@@ -62,20 +62,6 @@ MASKS_ARE_MADE = (
     "before: `deepfsi evaluate`, `show`, `page`, `dmd export` and `camera live` take it"
 )
 """Why adaptive masks are not for what needs masks."""
-
-PAGES_MAKE_MASKS = Message(
-    "a page makes its masks, and this design chooses among those of a dictionary: give a design "
-    "without {dictionary}",
-    setting="dictionary",
-)
-"""Why designs with a dictionary are not for a page."""
-
-POSTERIOR_ANSWERS = Message(
-    "adaptive masks are answered by the posterior of the ideal observer, after all looks: leave "
-    "{ideal} out",
-    setting="ideal",
-)
-"""Why adaptive masks have no ideal observer beside them."""
 
 
 def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
@@ -156,22 +142,13 @@ class UsualMisfit:
         if "misfit_budgets" not in arrays:
             return None
         made = cls(arrays["misfit_budgets"], arrays["misfit_logarithms"])
-        for held, shape in (
-            (made.budgets, (len(MISFIT_BUDGETS),)),
-            (made.logarithms, (2, len(MISFIT_BUDGETS), looks)),
-        ):
-            if held.shape != shape or held.dtype != np.float64:
+        budgets = len(MISFIT_BUDGETS)
+        for held, shape in ((made.budgets, (budgets,)), (made.logarithms, (2, budgets, looks))):
+            if held.shape != shape or held.dtype != np.float64 or not np.isfinite(held).all():
                 raise ValueError("the misfit is of another design")
-            if not np.isfinite(held).all():
-                raise ValueError("the misfit is none")
-        positive = made.budgets[0] > 0 and made.logarithms[1].min() > 0
-        if not (positive and (np.diff(made.budgets) > 0).all()):
+        if np.diff(made.budgets, prepend=0).min() <= 0 or made.logarithms[1].min() <= 0:
             raise ValueError("the misfit is none")
         return made
-
-    def first(self, looks: int) -> "UsualMisfit":
-        """That of the first looks."""
-        return UsualMisfit(self.budgets, self.logarithms[:, :, :looks])
 
     def chance(self, total: float, look: int, photons: float) -> float:
         """Share of sound exposures with so large a misfit after a look, from 0, at a budget."""
@@ -225,70 +202,30 @@ def _looks(
         yield look
 
 
-class Stops(NamedTuple):
-    """Where an exposure may stop: after each look."""
+def sharing_threshold(used: np.ndarray, confidence: np.ndarray, light: float) -> float:
+    """Highest confidence above which exposures stop and take a share of the light at most.
 
-    used: np.ndarray  # (K,), share of the budget that is taken then
+    From the share of the budget that is taken after each look (K,), and the confidence (E, K) then.
+    """
 
-    def threshold(self, confidence: np.ndarray, light: float) -> float:
-        """Highest confidence above which exposures stop and take a share of the light at most.
+    def taken(threshold: float) -> float:
+        return float(used[_last_looks(confidence, threshold)].mean())
 
-        From the confidence (E, K) of exposures after each stop.
-        """
-
-        def taken(threshold: float) -> float:
-            return float(self.used[self.ends(confidence, threshold)].mean())
-
-        tried: list[float] = np.unique(np.append(confidence[:, :-1], [0.0, 1.0])).tolist()
-        if taken(tried[0]) > light:
-            raise InputError(
-                f"the first stop alone takes {self.used[0]:.3g} of the budget, and {light:.3g} is "
-                "asked for in the mean: give more looks or a lower cap"
-            )
-        first = bisect_right(range(len(tried)), light, key=lambda place: taken(tried[place]))
-        return tried[first - 1]
-
-    def rules(
-        self, confidence: np.ndarray, wrong: np.ndarray, *, light: float, least: float
-    ) -> "list[CappedRule]":
-        """Rules that take the light, one for each number of stops that takes `least` or more.
-
-        From the confidence (E, K) of exposures after each stop, and whether the answer is wrong (E,
-        K). Exposures that are never sure take light from others: it may be better to end them
-        sooner.
-        """
-        every = np.arange(len(confidence))
-        rules = []
-        for count in range(1, len(self.used) + 1):
-            if self.used[count - 1] < least - 1e-9:  # sums of shares are rounded
-                continue
-            stops = Stops(self.used[:count])  # none goes on
-            threshold = stops.threshold(confidence[:, :count], light)
-            ends = stops.ends(confidence[:, :count], threshold)
-            errors = float(wrong[every, ends].mean())
-            rules.append(CappedRule(errors, count, float(self.used[count - 1]), threshold))
-        return rules
-
-    @staticmethod
-    def ends(confidence: np.ndarray, threshold: float) -> np.ndarray:
-        """Stop (E,), from 0, at which exposures of confidence (E, K) end: once sure, or last."""
-        enough = confidence > threshold
-        enough[:, -1] = True
-        return enough.argmax(axis=1)
-
-    @classmethod
-    def going(cls, confidence: np.ndarray, threshold: float) -> np.ndarray:
-        """True where an exposure (E, K) takes a part."""
-        return np.arange(confidence.shape[1]) <= cls.ends(confidence, threshold)[:, None]
+    tried: list[float] = np.unique(np.append(confidence[:, :-1], [0.0, 1.0])).tolist()
+    if taken(tried[0]) > light:
+        raise InputError(
+            f"the first stop alone takes {used[0]:.3g} of the budget, and {light:.3g} is asked for "
+            "in the mean: give more looks or a lower cap"
+        )
+    first = bisect_right(range(len(tried)), light, key=lambda place: taken(tried[place]))
+    return tried[first - 1]
 
 
-class CappedRule(NamedTuple):
-    """Where exposures end; the least is that of fewest wrong answers, of equals the shortest."""
-
-    wrong: float  # share of the answers that are
-    stops: int  # number of stops that the longest exposure has
-    cap: float  # share of the budget that it takes
-    threshold: float  # confidence above which others end
+def _last_looks(confidence: np.ndarray, threshold: float) -> np.ndarray:
+    """Look (E,), from 0, at which exposures of confidence (E, K) end: once sure, or the last."""
+    enough = confidence > threshold
+    enough[:, -1] = True
+    return enough.argmax(axis=1)
 
 
 @dataclass(frozen=True)
@@ -333,7 +270,10 @@ class AdaptiveExposure(ExposureKind):
         "frames": MASKS_ARE_MADE,
         "graph": MASKS_ARE_MADE,
         "comparison": MASKS_ARE_MADE,
-        "ideal observer": POSTERIOR_ANSWERS,
+        "ideal observer": (
+            "adaptive masks are answered by the posterior of the ideal observer, after all looks: "
+            "leave `ideal` out"
+        ),
     }
 
     @classmethod
@@ -355,7 +295,10 @@ class AdaptiveExposure(ExposureKind):
         """Raise `InputError` where a design, of such a name, cannot be used for something."""
         super().check(use, name)
         if use == "page" and self.dictionary is not None:
-            raise InputError(PAGES_MAKE_MASKS)
+            raise InputError(
+                "a page makes its masks, and this design chooses among those of a dictionary: give "
+                "a design without `dictionary`"
+            )
 
     def entry(self) -> AdaptiveMasks:
         """Settings of the looks."""
@@ -504,22 +447,6 @@ class AdaptiveExposure(ExposureKind):
         chances = seen.chances
         return Answer(chances.clamp(min=LEAST_WEIGHT).log(), chances, chances.argmax(dim=-1))
 
-    @property
-    def stops(self) -> Stops:
-        """Where an exposure may stop: after each look."""
-        return Stops(np.cumsum(self.settings.shares))
-
-    def of_looks(self, looks: int) -> "AdaptiveExposure":
-        """The kind whose longest exposure ends after the first looks, all of one length."""
-        settings = self.settings
-        cap = settings.cap * looks / settings.looks
-        return replace(
-            self,
-            settings=settings.model_copy(update={"looks": looks, "cap": max(1.0, cap)}),
-            counted=self.counted[:looks],
-            usual_misfit=None if self.usual_misfit is None else self.usual_misfit.first(looks),
-        )
-
     def few(self, coefficients: int, seed: int) -> "AdaptiveExposure":
         """The kind that knows some of the scenes, with so many coefficients.
 
@@ -575,7 +502,7 @@ class LeftOutAnswers(NamedTuple):
     labels: Tensor  # (S,)
 
 
-class LongestExposures(NamedTuple):
+class _LongestExposures(NamedTuple):
     """Exposures of S scenes that end after all looks: log odds (S, K, C), light (S, K)."""
 
     odds: Tensor
@@ -591,25 +518,19 @@ class LongestExposures(NamedTuple):
 
     def answers(self, made: AdaptiveExposure) -> LeftOutAnswers:
         """Answers where the exposures end that are made."""
-        sure = self.confidence(made.prior)[:, : made.count]
-        ends = torch.from_numpy(made.stops.ends(sure, made.settings.until))
+        sure = self.confidence(made.prior)
+        ends = torch.from_numpy(_last_looks(sure, made.settings.until))
         odds = self.odds[torch.arange(len(ends)), ends]
         return LeftOutAnswers(np.array([self.photons]), odds[None, None], self.labels)
 
     def shared(self, made: AdaptiveExposure) -> AdaptiveExposure:
         """The kind whose exposures stop so that these scenes take the budget in the mean."""
-        sure = self.confidence(made.prior)[:, : made.count]
-        threshold = made.stops.threshold(sure, 1.0)
-        going = torch.from_numpy(made.stops.going(sure, threshold))
-        counted = (self.light[:, : made.count] * going).mean(dim=0) / self.photons
+        sure = self.confidence(made.prior)
+        threshold = sharing_threshold(np.cumsum(made.settings.shares), sure, 1.0)
+        going = torch.arange(made.count) <= torch.from_numpy(_last_looks(sure, threshold))[:, None]
+        counted = (self.light * going).mean(dim=0) / self.photons
         settings = made.settings.model_copy(update={"until": threshold})
         return replace(made, settings=settings, counted=counted)
-
-    def caps(self, made: AdaptiveExposure, least: float) -> list[CappedRule]:
-        """Share of wrong answers for each cap, from the least to that of all looks."""
-        wrong = (self.odds + made.prior.class_shares.log()).argmax(dim=2) != self.labels[:, None]
-        sure = self.confidence(made.prior)
-        return made.stops.rules(sure, wrong.numpy(), light=1.0, least=least)
 
 
 class AdaptiveTraining:
@@ -634,7 +555,7 @@ class AdaptiveTraining:
         )
 
     @torch.no_grad()
-    def longest(self, made: AdaptiveExposure, job: Job, report: Progress) -> LongestExposures:
+    def longest(self, made: AdaptiveExposure, job: Job, report: Progress) -> _LongestExposures:
         """Exposures that do not stop, by which a job's light is shared among scenes."""
         generator = torch.Generator().manual_seed(job.seed ^ 2**31)
         left_out = self.left_out(SHARING_SCENES, generator)
@@ -649,7 +570,7 @@ class AdaptiveTraining:
             for index, look in enumerate(looks):
                 odds[rows, index] = state.odds
                 light[rows, index] = look.light.sum(dim=1)
-        return LongestExposures(odds, light, left_out.labels, job.photons)
+        return _LongestExposures(odds, light, left_out.labels, job.photons)
 
     @torch.no_grad()
     def dictionary(self, job: Job) -> MaskDictionary | None:

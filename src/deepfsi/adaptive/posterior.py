@@ -38,9 +38,6 @@ CENTRE_SPREAD = 1.4
 Chosen on 1024 validation images of MNIST at 1e4 photons: with 1 the posterior is too sure.
 """
 
-TEMPERATURE = "temperature_"
-"""Beginning of the names of their arrays in a file."""
-
 
 LEAST_LIGHT = 1e-6
 """Least light of a scene through a mask, over that of the whole mean scene."""
@@ -121,10 +118,6 @@ class ScenePrior:
         own.temperatures = temperatures
         return own
 
-    def log_odds(self, chances: Tensor) -> Tensor:
-        """Logarithms (..., C) of probabilities of the classes over those before all looks."""
-        return chances.clamp(min=LEAST_WEIGHT).log() - self.class_shares.log()
-
     def calibrated(self, odds: Tensor, looks: int, photons: float) -> Tensor:
         """Probabilities (..., C) of the classes of log odds (..., C) after some looks at a budget.
 
@@ -140,11 +133,6 @@ class ScenePrior:
     def light(self, masks: Tensor) -> tuple[Tensor, Tensor]:
         """Light of the mean scene through masks (..., N), and of each component (..., d)."""
         return masks @ self.mean, masks @ self.components.T
-
-    def mean_classes(self, weights: Tensor) -> Tensor:
-        """Sums (b, C, d) of the coefficients of scenes by weights (b, n), over the classes."""
-        parts = zip(weights.split(self.sizes, 1), self.coefficients.split(self.sizes), strict=True)
-        return torch.stack([some @ own for some, own in parts], dim=1)
 
     @property
     def model(self) -> SceneModel | None:
@@ -180,7 +168,7 @@ class ScenePrior:
             "sizes": np.array(self.sizes),
             "members": self.members.numpy().astype(np.int32),
             "numbers": np.array(numbers),
-            **{f"{TEMPERATURE}{name}": each for name, each in temperatures.items()},
+            **{f"temperature_{name}": each for name, each in temperatures.items()},
         }
 
     @classmethod
@@ -196,9 +184,9 @@ class ScenePrior:
         levels = torch.from_numpy(arrays["levels"]).float()
         prior.coefficients = levels * torch.from_numpy(arrays["steps"])
         temperatures = {
-            name: arrays[f"{TEMPERATURE}{name}"]
+            name: arrays[f"temperature_{name}"]
             for name in ("logs", "budgets")
-            if f"{TEMPERATURE}{name}" in arrays
+            if f"temperature_{name}" in arrays
         }
         prior.temperatures = None
         if temperatures:
@@ -284,10 +272,8 @@ class LookOptics:
         AdaptiveMasks.check_camera(camera)
         if camera.clicks is not None:
             raise InputError(
-                "this design is for photon counts, and {given} noise is of clicks: give "
-                "{noise:poisson}, or learn a design for clicks",
-                setting="noise",
-                given=camera.noise_name,
+                f"this design is for photon counts, and {camera.noise_name} noise is of clicks: "
+                'give `noise="poisson"`, or learn a design for clicks'
             )
         labels = camera.detector_map(image_shape).labels
         arms = LIGHT_LAWS[camera.light].arms
@@ -314,11 +300,6 @@ class LookOptics:
         if self.detectors is None:
             return rails
         return (rails[..., None, :] * self.areas(masks)).flatten(-3, -2)
-
-    def count(self, masks: Tensor, x: Tensor, share: float, gain: float) -> Tensor:
-        """Expected counts (b, Q) of scenes (b, N) for a share of the exposure, Φ / s = gain."""
-        seen = self.readouts(masks)
-        return (seen @ x[..., None])[..., 0] * (gain * share) + self.dark * share
 
 
 def class_chances(weights: Tensor, sizes: Sequence[int]) -> Tensor:
@@ -382,7 +363,8 @@ class AdaptivePosterior:
 
     def expected(self, masks: Tensor, x: Tensor, share: float) -> Tensor:
         """Expected counts (b, Q) of scenes (b, N) behind masks (b, N) for a share of the whole."""
-        return self.optics.count(masks, x, share, self.gain)
+        light = (self.optics.readouts(masks) @ x[..., None])[..., 0]
+        return light * (self.gain * share) + self.optics.dark * share
 
     def update(self, masks: Tensor, counts: Tensor, share: float) -> None:
         """Take in counts (b, Q) behind masks (b, N) that were shown for a share of the exposure."""
@@ -401,14 +383,7 @@ class AdaptivePosterior:
         for each, at_mean, through, own in zip(
             counts.unbind(1), mean.unbind(1), parts.unbind(1), darks, strict=True
         ):
-            self._take(
-                here,
-                each,
-                at_mean,
-                through,
-                gain=self.gain * share,
-                dark=own,
-            )
+            self._take(here, each, at_mean, through, gain=self.gain * share, dark=own)
         self._known = self._known[..., :size]
         self._shift = self._shift[:, :size]
         self.end_look()
@@ -473,7 +448,10 @@ class AdaptivePosterior:
     def class_sums(self) -> Tensor:
         """Sums (b, C, d) of the coefficients of scenes by their probabilities, over classes."""
         if self._class_sums is None:
-            self._class_sums = self.prior.mean_classes(self.weights)
+            sizes = self.prior.sizes
+            own = self.prior.coefficients.split(sizes)
+            parts = zip(self.weights.split(sizes, 1), own, strict=True)
+            self._class_sums = torch.stack([some @ each for some, each in parts], dim=1)
         return self._class_sums
 
     @property
@@ -484,7 +462,7 @@ class AdaptivePosterior:
     @property
     def odds(self) -> Tensor:
         """Logarithms (b, C) of the probabilities of the classes over those before all looks."""
-        return self.prior.log_odds(self.class_weights)
+        return self.class_weights.clamp(min=LEAST_WEIGHT).log() - self.prior.class_shares.log()
 
     @property
     def chances(self) -> Tensor:

@@ -70,9 +70,6 @@ FILE_EXAMPLES = {
 NAMES_OF_ONE = ("1x1", "1")
 """Names of one detector that sees all, of images and of spectra."""
 
-ANY_NOISE = NoiseFacts("any noise", dark=True, gates=True)
-"""Facts of a noise that is not valid, and refused for that alone."""
-
 PRESETS: dict[str, dict[str, Any]] = {
     "dmd": {"light": "free-dwell"},
     "dmd-2x2": {"light": "free-dwell", "detectors": "2x2"},
@@ -114,89 +111,59 @@ def _law(fields: Fields) -> LightLawFacts:
 
 def _noise(fields: Fields) -> NoiseFacts:
     """Facts of the noise; where the noise is not valid, of one that has everything."""
-    return find_noise(fields["noise"]) if "noise" in fields else ANY_NOISE
+    if "noise" not in fields:
+        return NoiseFacts("any noise", dark=True, gates=True)
+    return find_noise(fields["noise"])
 
 
-_CONFLICTS: tuple[tuple[str, Callable[[Fields], bool], str], ...] = (
-    (
-        "rails",
-        lambda fields: _law(fields).arms == 2 and fields["rails"] == "single",
-        "two-arm with a single rail is not allowed: each arm is a rail; use dual rails",
-    ),
-    (
-        "detectors",
-        lambda fields: (
-            isinstance(fields["detectors"], str)
-            and not re.fullmatch(r"[1-9]\d*(x[1-9]\d*)?", fields["detectors"])
-        ),
-        "give ROWSxCOLUMNS such as 2x2, a number of bands, or a .npy map",
-    ),
-    (
-        "detectors",
-        lambda fields: not _law(fields).one_device and fields["detectors"] not in NAMES_OF_ONE,
-        "several detectors are parts of one device, and {light} is other optics: give light "
-        "equal-dwell, free-dwell or two-arm",
-    ),
-    (
-        "device",
-        lambda fields: not _law(fields).one_device and fields["device"] is not None,
-        "{light} is not of one device: give light free-dwell, equal-dwell or two-arm, or leave "
-        "device out",
-    ),
-    (
-        "exposure",
-        lambda fields: (
-            fields["exposure"] is not None
-            and fields.get("shortest_dwell", 0.0) >= fields["exposure"]
-        ),
-        "a frame is counted for {shortest_dwell:g} s at least: give a longer exposure, which has "
-        "room for more than one frame, or another device or shortest_dwell",
-    ),
-    (
-        "gates",
-        lambda fields: fields["gates"] > 1 and bool(fields.get("dark")),
-        "clicks have no dark counts here: leave dark or gates out",
-    ),
-    (
-        "gates",
-        lambda fields: fields["gates"] > 1 and bool(fields.get("dead_time")),
-        "clicks have no dead time here: leave dead_time or gates out",
-    ),
-    (
-        "noise",
-        lambda fields: bool(fields.get("dark")) and not _noise(fields).dark,
-        "{noise} noise has no dark counts: give noise camera, or leave dark or noise out",
-    ),
-    (
-        "noise",
-        lambda fields: bool(fields.get("dead_time")) and not _noise(fields).dead_time,
-        "clicks have no dead time here: leave dead_time or noise out",
-    ),
-    (
-        "noise",
-        lambda fields: fields.get("gates", 1) > 1 and not _noise(fields).gates,
-        "{noise} noise has no gates: give noise click, or leave gates or noise out",
-    ),
-    (
-        "fluctuation",
-        lambda fields: fields["fluctuation"] > 0 and not _law(fields).in_turn,
-        "light fluctuates from frame to frame of masks shown in turn, and column shows all masks at"
-        " once: give light equal-dwell, free-dwell or two-arm, or leave fluctuation out",
-    ),
-    (
-        "fluctuation",
-        lambda fields: fields["fluctuation"] > 0 and not _noise(fields).fluctuates,
-        "clicks have no light that fluctuates here: leave fluctuation or noise out",
-    ),
-    (
-        "contrast",
-        lambda fields: (
-            fields["contrast"] is not None and (_law(fields).one_device or not _law(fields).in_turn)
-        ),
-        "contrast is of a projector: give light dose, or leave contrast out",
-    ),
-)
-"""What does not go together: the field that is refused, whether it is, and why."""
+def _conflict(field: str, value: Any, fields: Fields) -> str:
+    """What a field does not go with among those before it, and what to do; "" if nothing."""
+    law = _law(fields)
+    light = fields.get("light")
+    noise = _noise(fields)
+    name = noise_name(fields.get("noise"))
+    match field:
+        case "rails" if law.arms == 2 and value == "single":
+            return "two-arm with a single rail is not allowed: each arm is a rail; use dual rails"
+        case "detectors" if isinstance(value, str) and not re.fullmatch(
+            r"[1-9]\d*(x[1-9]\d*)?", value
+        ):
+            return "give ROWSxCOLUMNS such as 2x2, a number of bands, or a .npy map"
+        case "detectors" if not law.one_device and value not in NAMES_OF_ONE:
+            return (
+                f"several detectors are parts of one device, and {light} is other optics: give "
+                "light equal-dwell, free-dwell or two-arm"
+            )
+        case "device" if not law.one_device and value is not None:
+            return (
+                f"{light} is not of one device: give light free-dwell, equal-dwell or two-arm, or "
+                "leave device out"
+            )
+        case "exposure" if value is not None and fields.get("shortest_dwell", 0.0) >= value:
+            return (
+                f"a frame is counted for {fields['shortest_dwell']:g} s at least: give a longer "
+                "exposure, or another device or shortest_dwell"
+            )
+        case "gates" if value > 1 and fields.get("dark"):
+            return "clicks have no dark counts here: leave dark or gates out"
+        case "gates" if value > 1 and fields.get("dead_time"):
+            return "clicks have no dead time here: leave dead_time or gates out"
+        case "noise" if fields.get("dark") and not noise.dark:
+            return f"{name} noise has no dark counts: give noise camera, or leave dark or noise out"
+        case "noise" if fields.get("dead_time") and not noise.dead_time:
+            return "clicks have no dead time here: leave dead_time or noise out"
+        case "noise" if fields.get("gates", 1) > 1 and not noise.gates:
+            return f"{name} noise has no gates: give noise click, or leave gates or noise out"
+        case "fluctuation" if value > 0 and not law.in_turn:
+            return (
+                "light fluctuates from frame to frame, and column shows all masks at once: give "
+                "light equal-dwell, free-dwell or two-arm, or leave fluctuation out"
+            )
+        case "fluctuation" if value > 0 and not noise.fluctuates:
+            return "clicks have no light that fluctuates here: leave fluctuation or noise out"
+        case "contrast" if value is not None and (law.one_device or not law.in_turn):
+            return "contrast is of a projector: give light dose, or leave contrast out"
+    return ""
 
 
 class CameraSettings(TypedDict, total=False):
@@ -357,15 +324,15 @@ class Camera(UserModel):
 
         def __init__(self, **fields: Unpack[CameraSettings]) -> None: ...
 
-    @field_validator(*(field for field, _, _ in _CONFLICTS))
+    @field_validator(
+        "rails", "detectors", "device", "exposure", "gates", "noise", "fluctuation", "contrast"
+    )
     @classmethod
     def _fits(cls, value: Any, info: ValidationInfo) -> Any:
         """The value of a field, or `ValueError` where it does not go with those before it."""
-        fields = {**info.data, str(info.field_name): value}
-        for field, is_conflict, message in _CONFLICTS:
-            if field == info.field_name and is_conflict(fields):
-                noise = noise_name(fields.get("noise"))
-                raise ValueError(message.format_map({**fields, "noise": noise}))
+        field = str(info.field_name)
+        if conflict := _conflict(field, value, {**info.data, field: value}):
+            raise ValueError(conflict)
         return value
 
     @classmethod
@@ -515,10 +482,7 @@ class Camera(UserModel):
         if self.dead_time:
             return CounterEffects(dead_time=self.counter_dead_time)
         if "dead_time_model" in settings:
-            raise InputError(
-                "{dead_time_model} is of a dead time: give {dead_time}, such as 20ns",
-                setting=("dead_time_model", "dead_time"),
-            )
+            raise InputError("`dead_time_model` is of a dead time: give `dead_time`, such as 20ns")
         return None
 
     @classmethod

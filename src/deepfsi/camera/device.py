@@ -120,20 +120,14 @@ class Device(UserModel):
             shortest = round(shortest_s * 1e6, 6)
             if not (1 <= shortest <= self.longest_us and shortest.is_integer()):
                 raise InputError(
-                    "{shortest} {given:g} µs is not allowed: give whole microseconds, 1 to "
-                    "{longest_us:g}",
-                    setting="shortest",
-                    given=shortest,
-                    longest_us=self.longest_us,
+                    f"`shortest` {shortest:g} µs is not allowed: give whole microseconds, 1 to "
+                    f"{self.longest_us:g}"
                 )
             changes["shortest_us"] = int(shortest)
         if settle_s is not None:
             if not 0 <= settle_s <= LONGEST_PICTURE_S:
                 raise InputError(
-                    "{settle} {settle_s:g} s is not allowed: give 0 to {longest_picture_s:g}",
-                    setting="settle",
-                    settle_s=settle_s,
-                    longest_picture_s=LONGEST_PICTURE_S,
+                    f"`settle` {settle_s:g} s is not allowed: give 0 to {LONGEST_PICTURE_S:g}"
                 )
             changes["settle_us"] = round(settle_s * 1e6, 6)
         return self.model_copy(update=changes)

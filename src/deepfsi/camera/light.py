@@ -60,9 +60,8 @@ def check_one_budget(photons: float | None, counts: float | None) -> float:
         return check_budget(photons)
     if counts is None or photons is not None:
         raise InputError(
-            "the light of a design is told once: give {photons}, the budget on the device, or "
-            "{counts}, the photons that its detectors are to count, or a camera with its flux",
-            setting=("photons", "counts"),
+            "the light of a design is told once: give `photons`, the budget on the device, or "
+            "`counts`, the photons that its detectors are to count, or a camera with its flux"
         )
     return _checked(counts, f"{counts!r} counts are", "30")
 

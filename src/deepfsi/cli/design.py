@@ -216,16 +216,9 @@ def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[s
             threshold = confidence_text(design.info["stopping"]["threshold"])
             yield (
                 f"exposures end above a probability of {threshold}, or after "
-                f"{design.prior_exposure.stops.used[-1]:.3g} of the budget: test scenes take "
+                f"{design.prior_exposure.settings.cap:.3g} of the budget: test scenes take "
                 f"{light:.3g} of it in the mean"
             )
-    if caps := design.info.get("caps"):
-        found = min(caps, key=lambda rule: rule["wrong"])
-        wrong = (f"{rule['wrong']:.3f} with {rule['cap']:.3g}" for rule in (caps[0], caps[-1]))
-        yield (
-            f"a cap of {found['cap']:.3g} is found: {found['wrong']:.3f} of the answers to scenes "
-            f"that were left out are wrong; {', '.join(wrong)}"
-        )
     yield from full_gates_lines(design, results)
     masks = len(results[0].photons_per_mask)
     if lit < masks and not design.exposure.makes_masks:  # which may end before

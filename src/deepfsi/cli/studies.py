@@ -39,8 +39,8 @@ PAPER_PACKAGE = "deepfsi_paper"
 QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": {"epochs": 30}}
 """Recipe of a comparison on digits, where no ratios, masks or trials are given."""
 
-OF_ONE_DESIGN = ("design", "seed", "least_cap")
-"""Settings of a job that a comparison does not have: its own, and a cap that a training finds."""
+OF_ONE_DESIGN = ("design", "seed")
+"""Settings of a job that a comparison does not have."""
 
 RECIPE_FIELDS = ("size", "skip_bad", "designs", "ratios", "trials", "folds")
 """Fields of a recipe, besides the data, that are options by themselves."""

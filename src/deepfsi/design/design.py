@@ -17,7 +17,7 @@ from deepfsi.base.files import DESIGN_ENDINGS, check_ending, write_atomically
 from deepfsi.base.keywords import plain_keywords
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget
-from deepfsi.camera.names import LightLawName, NoiseName
+from deepfsi.camera.names import LIGHT_LAWS, LightLawName, NoiseName
 from deepfsi.design.file import fields_of, file_of
 from deepfsi.designfile.design_file import DesignFile, Temperatures, find_design
 from deepfsi.designfile.distribution import ConsistencyResult, ReadoutDistribution
@@ -27,13 +27,12 @@ from deepfsi.designfile.provenance import (
     trained_budgets,
     trained_camera,
 )
-from deepfsi.designfile.view_test import SceneModel
+from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, ViewTest
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, Answer, ExposureKind, MaskExposure, Observation
 from deepfsi.networks.classifiers import Values, check_classes, temperatures_at
 from deepfsi.networks.custom import Given, OwnClassifier, rebuilt
-from deepfsi.physics.detection import Detection
+from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.noise import NoiseFunction, full_gates
-from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner
 from deepfsi.physics.surroundings import library_defaults, torch_device
 
@@ -109,8 +108,7 @@ class Design:
         if not isinstance(self.exposure, AdaptiveExposure):
             raise InputError(
                 "this design shows masks that are known before: learn adaptive ones with "
-                "{design:adaptive}",
-                setting="design",
+                '`design="adaptive"`'
             )
         return self.exposure
 
@@ -332,10 +330,8 @@ class Design:
         camera = self.camera
         if camera.noise_name not in get_args(NoiseName):
             raise InputError(
-                "this design is for {name} noise, code of its maker's that a file does not run: "
-                "use deepfsi.predict or evaluate with {noise}",
-                setting="noise",
-                name=camera.noise_name,
+                f"this design is for {camera.noise_name} noise, code of its maker's that a file "
+                "does not run: use deepfsi.predict or evaluate with `noise`"
             )
         return camera
 
@@ -432,7 +428,12 @@ class Design:
         """Exposures and their budgets, checked; parameters of `classify`."""
         exposure = self.mask_exposure
         read, budget = _check_readouts(counts, photons, self.counts_shape, exposure.part_axis)
-        _check_click_counts(read, self.gates)
+        gates = self.gates
+        if gates is not None and bool((read > gates).any() | (read < 0).any()):
+            raise InputError(
+                f"this design reads detectors that click at most {gates} times in a frame, and a "
+                f"readout has {float(read.max()):g} counts: give clicks from 0 to {gates}"
+            )
         device = exposure.device
         budget = budget.to(device)
         return Observation(self.features_of(read.to(device)) / exposure.scale(budget)), budget
@@ -499,9 +500,17 @@ class Design:
         so are the statistics that scale them. Parameters as of `check_patterns(...).realised`.
         """
         self.exposure.check("frames")
-        _check_dimmed(dimmed, self.gates)
-        own = tuple(self.rails.stacked.shape), self.image_shape
-        _check_realised((rails.shape, image_shape), own)
+        if self.gates is not None and dimmed != 1:
+            raise InputError(
+                f"the patterns pass {dimmed:.3g} of the design's light, and clicks are not in "
+                "proportion to it: learn a design under a light law of the device"
+            )
+        own = tuple(self.rails.stacked.shape)
+        if (rails.shape, image_shape) != (own, self.image_shape):
+            raise InputError(
+                f"patterns of shape {rails.shape} and cells {image_shape} are not of this design, "
+                f"of shape {own} and cells {self.image_shape}: export it with `deepfsi dmd export`"
+            )
         realised = Rails.of(torch.from_numpy(rails).to(self.rails.difference))
         return replace(
             self,
@@ -520,6 +529,7 @@ class Design:
         return file_of(self).to_bytes()
 
     @classmethod
+    @library_defaults()
     def load(
         cls,
         path: str | os.PathLike[str],
@@ -547,20 +557,7 @@ class Design:
             If the file is missing, damaged, truncated, not a design, or of a newer schema; if its
             classifier cannot be imported or is not the one given.
         """
-        return cls.of_file(DesignFile.read(path), device, trust=trust, classifier=classifier)
-
-    @classmethod
-    @library_defaults()
-    def of_file(
-        cls,
-        file: DesignFile,
-        device: str | torch.device = "cpu",
-        *,
-        trust: bool = False,
-        classifier: Given | None = None,
-    ) -> "Design":
-        """Design of a file that was read; other parameters as of `load`."""
-        design = cls(**fields_of(file))
+        design = cls(**fields_of(DesignFile.read(path)))
         if isinstance(design.classifier, OwnClassifier) and (trust or classifier is not None):
             design = design.with_classifier(classifier or design.classifier.factory)
         return design.to(device)
@@ -606,29 +603,18 @@ def load_design(
     ...     deepfsi.load_design(design.save(f"{folder}/d.safetensors")).masks
     6
     """
-    return Design.of_file(DesignFile.read(find_design(path)), device, trust=trust)
-
-
-PatternShapes = tuple[tuple[int, ...], tuple[int, ...]]
-"""Shapes of rails (rails, m, N), and of the cells of a pattern."""
+    return Design.load(find_design(path), device, trust=trust)
 
 
 def _check_readouts(
-    counts: Any,
-    photons: Any,
-    wanted: tuple[int, ...],
-    parts: tuple[int, ...] = (),
+    counts: Any, photons: Any, wanted: tuple[int, ...], parts: tuple[int, ...] = ()
 ) -> tuple[Tensor, Tensor]:
     """Counts (..., *parts, *wanted) and budgets (..., 1), checked."""
-
-    def tensor(values: Any) -> Tensor:
-        return torch.from_numpy(np.asarray(values, dtype=np.float32).copy())
-
     try:
-        read = tensor(counts)
-        budget = tensor(photons)
+        arrays = [np.array(values, dtype=np.float32) for values in (counts, photons)]
     except (TypeError, ValueError):
         raise InputError("counts and photons must be arrays of numbers") from None
+    read, budget = map(torch.from_numpy, arrays)
     shape = (*parts, *wanted)
     if tuple(read.shape[-len(shape) :]) != shape:
         raise InputError(
@@ -649,31 +635,60 @@ def _check_readouts(
     return read, budget
 
 
-def _check_click_counts(read: Tensor, gates: int | None) -> None:
-    """Raise `InputError` where a readout has more counts than its detector can click."""
-    if gates is not None and bool((read > gates).any() | (read < 0).any()):
-        raise InputError(
-            f"this design reads detectors that click at most {gates} times in a frame, and a "
-            f"readout has {float(read.max()):g} counts: give clicks from 0 to {gates}"
+@dataclass(frozen=True, eq=False)
+class RunCounts:
+    """Counts of S scenes, with R exposures of each."""
+
+    signal: np.ndarray  # (S, R, rails, m, D), counts less the background
+    budgets: np.ndarray  # (S,), budget Φ of an exposure of each scene
+    often: np.ndarray  # (S,), sound exposures of each scene
+    sums: np.ndarray  # (S, rails, m, D), signal of the sound exposures of each scene together
+    noise: np.ndarray  # (S, rails, m, D), their variance beyond that of Poisson counts
+
+
+@dataclass(frozen=True, eq=False)
+class _Judgement:
+    """Answers to counts, and what the tests of these say."""
+
+    chances: np.ndarray  # (S, R, C), probabilities of the classes of each exposure
+    consistency: ConsistencyResult | None  # of the scenes with sound exposures
+    view: ViewResult | None  # None of a design without a model of its scenes, and of clicks
+
+
+def judge(design: Design, counts: RunCounts) -> _Judgement:
+    """Answer the counts of a run by a design as its patterns realise it, and test them."""
+    consistency = None
+    if design.distribution is not None:
+        some = counts.often > 0
+        budget = (counts.budgets * counts.often)[some]
+        signal, noise = (design.readouts(each[some]) for each in (counts.sums, counts.noise))
+        consistency = design.consistency(signal, budget, noise)
+    view = None
+    if design.scene_model is not None and design.gates is None:
+        view = _view_of(design, counts)
+    chances = design.classify(design.readouts(counts.signal), counts.budgets[:, None])
+    return _Judgement(chances, consistency, view)
+
+
+def _view_of(design: Design, counts: RunCounts) -> ViewResult | None:
+    """Test of how the camera saw the scenes, of photon counts."""
+    assert design.scene_model is not None
+    rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
+    labels = design.detection.labels
+    if labels is not None:
+        rails = rails * (labels.cpu().numpy() == np.arange(design.detection.count)[:, None])
+    shape = rails.shape[:-1]  # (rails, m, D)
+    two_arms = LIGHT_LAWS[design.light].arms == 2
+    arms = np.arange(shape[0]) if two_arms else np.zeros(shape[0], int)
+    inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
+    test = ViewTest(design.scene_model, design.image_shape)
+    for scene in np.flatnonzero(counts.often).tolist():
+        gain = counts.budgets[scene] * counts.often[scene] / design.summed_reflectance
+        readouts = SceneReadouts(
+            masks=gain * rails.reshape(-1, rails.shape[-1]),
+            counts=counts.sums[scene].ravel(),
+            noise=counts.noise[scene].ravel(),
+            inputs=inputs.ravel(),
         )
-
-
-def _check_dimmed(dimmed: float, gates: int | None) -> None:
-    """Raise `InputError` where clicks are of patterns that pass less light than their design."""
-    if gates is not None and dimmed != 1:
-        raise InputError(
-            f"the patterns pass {dimmed:.3g} of the design's light, and clicks are not in "
-            "proportion to it: learn a design under a light law of the device"
-        )
-
-
-def _check_realised(given: PatternShapes, own: PatternShapes) -> None:
-    """Raise `InputError` where patterns of a device are not of a design's own shape."""
-    if given != own:
-        (rails, masks, _), cells = given
-        (own_rails, own_masks, _), own_cells = own
-        raise InputError(
-            f"patterns of {masks} masks of {cells} cells and {rails} rails are not of this design, "
-            f"with {own_masks} masks of {own_cells} and {own_rails} rails: export it with "
-            "`deepfsi dmd`"
-        )
+        test.add(readouts)
+    return test.result

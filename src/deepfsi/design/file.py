@@ -13,6 +13,7 @@ from deepfsi.adaptive.exposure import training_of
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.designfile.design_file import (
+    STATISTICS,
     AdaptiveHeader,
     CustomEntry,
     DesignFile,
@@ -24,18 +25,14 @@ from deepfsi.exposure.kind import Clicks, TrainedMasks
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.networks.classifiers import Classifier, Values, find_network, restore_network
 from deepfsi.networks.custom import OwnClassifier
-from deepfsi.physics.detection import Detection
+from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
-from deepfsi.physics.rails import Rails
 
 if TYPE_CHECKING:
     from deepfsi.design.design import Design
 
 WORDS = ("name", "classes", "info")
 """Fields of a design that its header holds as they are."""
-
-FEATURE_STATISTICS = ("mean", "std", "shares")
-"""Tensors of one number a feature."""
 
 
 def file_of(design: "Design") -> DesignFile:
@@ -142,7 +139,7 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
         detection=detection,
         summed_reflectance=header.summed_reflectance,
         clicks=Clicks.of(header.info),
-        **{name: torch.from_numpy(file.arrays[name]) for name in FEATURE_STATISTICS},
+        **{name: torch.from_numpy(file.arrays[name]) for name in STATISTICS},
     )
     weights = {name: torch.from_numpy(array) for name, array in file.arrays_of("exposure").items()}
     kind = resolve_name(header.exposure.restored_by)

@@ -182,11 +182,10 @@ class Temperatures:
         if logs.shape != (stops, len(budgets)) or len(budgets) < 2 or not budgets.min() > 0:
             raise ValueError("temperatures are not of this design")
         least, most = LOG_BOUNDS
-        if not (least - 1e-6 <= logs.min() and logs.max() <= most + 1e-6):
-            raise ValueError("temperatures are beyond all that are fitted")
         ratios = np.diff(np.log(budgets))
-        if not ratios.min() > 0 or not np.allclose(ratios, ratios[0], rtol=1e-3):
-            raise ValueError("budgets of temperatures do not rise in equal ratios")
+        rising = ratios.min() > 0 and np.allclose(ratios, ratios[0], rtol=1e-3)
+        if not (rising and least - 1e-6 <= logs.min() and logs.max() <= most + 1e-6):
+            raise ValueError("temperatures are none that are fitted")
         return cls(logs, budgets)
 
     @property
@@ -207,12 +206,6 @@ class Temperatures:
 STATISTICS = ("mean", "std", "shares")
 """Arrays of one number a feature."""
 
-REFLECTANCE_SLACK = 1e-3
-"""What rounding may change of a reflectance, or of a sum of them, relative."""
-
-
-HEADER_KEY = "deepfsi"
-"""Key of the header in the file's metadata."""
 
 DAMAGED = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
 """What arrays raise that do not fit their header."""
@@ -237,7 +230,7 @@ class DesignFile:
             raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
         text = ""
         try:
-            text, tensors = read_tensors(path, HEADER_KEY, "give a design file", arrays)
+            text, tensors = read_tensors(path, "deepfsi", "give a design file", arrays)
             facts = json.loads(text)
             if int(facts["schema"]) != DESIGN_SCHEMA:
                 raise ValueError(facts["schema"])
@@ -257,7 +250,7 @@ class DesignFile:
         if text is None:
             text = json.dumps(self.header.model_dump(mode="json", by_alias=True))
         whole = {name: np.asarray(array, order="C") for name, array in self.arrays.items()}
-        return save(whole, metadata={HEADER_KEY: text})
+        return save(whole, metadata={"deepfsi": text})
 
     def arrays_of(self, owner: str) -> dict[str, np.ndarray]:
         """Arrays of what a design has, such as its `classifier`, by their names there."""
@@ -273,10 +266,8 @@ class DesignFile:
             if custom and name.startswith("classifier."):
                 continue  # whatever its maker's module keeps
             computed = name in ("rails", *STATISTICS) or name.startswith(networks)
-            if computed and array.dtype != np.float32:
-                raise ValueError(f"{name} holds numbers of another type")
-            if not np.isfinite(array).all():
-                raise ValueError(f"{name} is not finite")
+            if (computed and array.dtype != np.float32) or not np.isfinite(array).all():
+                raise ValueError(f"{name} holds other numbers than a design")
         _ = self.training_scenes
         if isinstance(self.header, AdaptiveHeader):
             if whole:
@@ -289,11 +280,11 @@ class DesignFile:
             raise ValueError("rails are not of the masks of these scenes")
         if not whole:
             return
-        if {self.arrays[name].shape for name in STATISTICS} != {(self.feature_count,)}:
+        alike = {self.arrays[name].shape for name in STATISTICS} == {(self.feature_count,)}
+        cells = pixels * self.header.classifier.parts
+        if not (alike and (self.arrays["std"] > 0).all()):
             raise ValueError("statistics are not those of the masks")
-        if not (self.arrays["std"] > 0).all():
-            raise ValueError("standard deviations are not above 0")
-        if math.prod(self.header.image_shape) != pixels * self.header.classifier.parts:
+        if math.prod(self.header.image_shape) != cells:
             raise ValueError("images have other pixels than masks of all parts")
         _ = self.distribution, self.scene_model, self.temperatures
 
@@ -409,27 +400,26 @@ def _check_prior(header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]) -> No
     for name, (shape, kind) in shapes.items():
         if arrays[name].shape != shape or arrays[name].dtype != kind:
             raise ValueError(f"{name} is not of this design")
-    if (header.settings.dictionary is None) != ("dictionary" not in arrays):
-        raise ValueError("the header and the arrays do not agree on a dictionary")
-    if header.settings.dictionary is not None:
+    most = header.settings.dictionary
+    if most is None and "dictionary" in arrays:
+        raise ValueError("the header has no dictionary")
+    if most is not None:
         bits = arrays["dictionary"]
         fits = bits.ndim == 2 and bits.shape[1] == -(-pixels // 8) and bits.dtype == np.uint8
-        if not (fits and 1 <= len(bits) <= header.settings.dictionary):
+        if not (fits and 1 <= len(bits) <= most):
             raise ValueError("dictionary is not of this design")
-    if len(arrays.get("temperature_logs", arrays["shares"])) != looks:
-        raise ValueError("temperatures are of other looks")
-    if not isinstance(header.info.get("job", {}).get("camera"), dict):
-        raise ValueError("no camera is known")
+    timed = len(arrays.get("temperature_logs", arrays["shares"])) == looks
+    if not timed or not isinstance(header.info.get("job", {}).get("camera"), dict):
+        raise ValueError("temperatures are of other looks, or no camera is known")
     mean = arrays["mean"]
+    slack = 1e-3  # what rounding may change, relative
     farthest = 127 * arrays["steps"] @ np.abs(arrays["components"])
-    brightest = 1 + REFLECTANCE_SLACK
-    if mean.min() < 0 or mean.max() > brightest or farthest.max() > 1e3:
-        raise ValueError("the prior holds no reflectances")
+    reflects = mean.min() >= 0 and mean.max() <= 1 + slack and farthest.max() <= 1e3
     sizes = arrays["sizes"]
     light, spread = arrays["numbers"]
-    lit = math.isclose(light, mean.sum(dtype=float), rel_tol=REFLECTANCE_SLACK)
+    lit = math.isclose(light, mean.sum(dtype=float), rel_tol=slack)
     populated = arrays["members"].min() > 0 and sizes.min() >= 0 and sizes.sum() == scenes
-    if not (lit and populated and 0 <= spread <= 1e2):
+    if not (reflects and lit and populated and 0 <= spread <= 1e2):
         raise ValueError("the scenes of the prior are none")
 
 

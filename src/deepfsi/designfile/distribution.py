@@ -21,8 +21,6 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from deepfsi.base.errors import Message
-
 UNSURE = 0.01
 """Rate of false alarms of a single scene: below this p-value it is unsure."""
 
@@ -65,13 +63,11 @@ class ConsistencyResult:
     @property
     def refusal(self) -> str:
         """Words on what to look at where all together are refused."""
-        return Message(
-            "these counts do not look like what this design was trained for (p = {whole:.1g}; "
-            "{brightness:.2f} times the counts of its mean scene at this budget): check the "
-            "design, the order of frames, the scenes and their scale, and {photons}",
-            setting="photons",
-            whole=self.whole,
-            brightness=self.brightness,
+        return (
+            "these counts do not look like what this design was trained for (p = "
+            f"{self.whole:.1g}; {self.brightness:.2f} times the counts of its mean scene at this "
+            "budget): check the design, the order of frames, the scenes and their scale, and "
+            "`photons`"
         )
 
     @property

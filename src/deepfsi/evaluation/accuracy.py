@@ -21,10 +21,10 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile.provenance import new_scenes
-from deepfsi.evaluation.bounds import linear_bound
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, CountedLight
 from deepfsi.measures.results import Estimates, Result
 from deepfsi.measures.table import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
+from deepfsi.physics.scanner import Scanner
 from deepfsi.physics.surroundings import library_defaults
 
 AnyAnswers = TypeVar("AnyAnswers", bound=Answers)
@@ -114,7 +114,7 @@ def evaluate(
             replace(
                 estimates,
                 names=names,
-                bound=linear_bound(design, front, scenes, estimates.photons),
+                bound=_linear_bound(design, front, scenes, estimates.photons),
             )
         )
         for estimates in every
@@ -149,10 +149,8 @@ def camera_for(
     base = design.camera if camera is None else Camera.load(camera)
     if "noise" not in settings and camera is None and base.noise_name not in get_args(NoiseName):
         raise InputError(
-            "this design is for {noise_name} noise, code of its maker's that a file does not run: "
-            "give {noise}, it or another",
-            setting="noise",
-            noise_name=base.noise_name,
+            f"this design is for {base.noise_name} noise, code of its maker's that a file does not "
+            "run: give `noise`, it or another"
         )
     return Camera.load(base, **settings)
 
@@ -221,12 +219,8 @@ def check_data(design: Design, data: Dataset) -> None:
     pixels = prod(design.image_shape)
     if data.pixels != pixels:
         raise InputError(
-            "{name} has {pixels} pixels and the design {expected}: use the data (and {size}) that "
-            "it was made for",
-            setting="size",
-            name=data.name,
-            pixels=data.pixels,
-            expected=pixels,
+            f"{data.name} has {data.pixels} pixels and the design {pixels}: use the data (and "
+            "`size`) that it was made for"
         )
     values = design.values.names if design.values else ()
     if data.values != values:
@@ -250,3 +244,29 @@ def check_draws(draws: object, seed: object) -> None:
         raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")
     if not isinstance(draws, whole) or not 1 <= draws <= MOST_DRAWS:
         raise InputError(f"{draws} noise draws are not allowed: give 1 to {MOST_DRAWS}")
+
+
+def _linear_bound(
+    design: Design, scanner: Scanner, data: Dataset, photons: float
+) -> list[float] | None:
+    """Root mean squared error (q,) of the best linear estimator of the values of test scenes.
+
+    With f the expected features of a scene, θ its values, V the mean variance of the features'
+    noise, and covariances over scenes, E² = diag(C_θθ − C_θf (C_ff + V)⁻¹ C_fθ). It is the Bayesian
+    Cramér–Rao bound (H. L. van Trees) where θ and f are jointly normal and the noise is normal with
+    this V. Elsewhere a network may do better, and a linear estimator never. None of exposures whose
+    places are drawn, and of a noise of a user's own.
+    """
+    if not (design.exposure.comparable and scanner.noise.has_moments):
+        return None
+    with torch.no_grad():
+        rates = photons * design.rates(scanner, torch.from_numpy(np.asarray(data.x_test)))
+        means, noise = (each.double().cpu().numpy() for each in scanner.moments(rates))
+    joint = np.cov(np.concatenate([means, data.y_test], axis=1).T, ddof=0)
+    features = slice(means.shape[1])
+    values = slice(means.shape[1], None)
+    across = joint[features, values]
+    spread = joint[features, features] + np.diag(noise.mean(axis=0))
+    weights = np.linalg.pinv(spread, hermitian=True) @ across
+    left = np.diag(joint[values, values] - across.T @ weights)
+    return np.sqrt(np.clip(left, 0, None)).tolist()

@@ -121,8 +121,7 @@ def _classifier(design: Design) -> Mlp:
     if not isinstance(design.classifier, Mlp):
         raise InputError(
             "a page has no classifier of your own in it: give a design with the package's own, "
-            "which {classifier} mlp learns",
-            setting="classifier",
+            "which `classifier` mlp learns"
         )
     camera = design.camera
     noise = camera.noise_facts

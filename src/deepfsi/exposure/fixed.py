@@ -17,9 +17,9 @@ from deepfsi.exposure.training import (
 )
 from deepfsi.jobs.exposures import ConditionedEntry, FixedEntry
 from deepfsi.jobs.training import Scale
+from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import LearnedMasks
 from deepfsi.physics.noise import root
-from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import project_rails
 from deepfsi.physics.training_noise import Draws, SeedStream, ml_gauss_features, side_by_side
 

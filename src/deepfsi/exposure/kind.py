@@ -19,10 +19,9 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName
 from deepfsi.designfile.provenance import click_gates
 from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
-from deepfsi.physics.detection import Detection
+from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
 from deepfsi.physics.noise import NoiseFunction, noise_of, to_training_light
-from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner
 
 Use = Literal["masks", "frames", "graph", "page", "comparison", "ideal observer"]
@@ -361,16 +360,13 @@ class MaskExposure(ExposureKind):
 
         Features are as much smaller, and so are the statistics that scale them.
         """
-        light = self.optics.light
-        return self.dimmed(dimmed).with_optics(
-            rails=rails, light=light if LIGHT_LAWS[light].one_device else "free-dwell"
-        )
-
-    def dimmed(self, share: float) -> Self:
-        """The kind with features of a share of the light."""
         optics = self.optics
         return self.with_optics(
-            mean=optics.mean * share, std=optics.std * share, shares=optics.shares * share
+            rails=rails,
+            light=optics.light if LIGHT_LAWS[optics.light].one_device else "free-dwell",
+            mean=optics.mean * dimmed,
+            std=optics.std * dimmed,
+            shares=optics.shares * dimmed,
         )
 
     def mask_dwells(self) -> Tensor | None:

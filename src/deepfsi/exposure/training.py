@@ -23,7 +23,7 @@ from deepfsi.exposure.training_set import TrainingSet, product_dtype
 from deepfsi.jobs.designs import DESIGNS, count_allowed
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Scale
-from deepfsi.physics.detection import Detection
+from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import (
     FixedMasks,
     LearnedMasks,
@@ -33,7 +33,6 @@ from deepfsi.physics.laws import (
     signed_parts,
 )
 from deepfsi.physics.noise import noise_of
-from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import project, project_rails
 from deepfsi.physics.training_noise import Draws, TrainingNoise
 
@@ -118,8 +117,14 @@ class ExposureTraining(ABC):
 
     def fix(self) -> None:
         """Take masks that have learned as they are at the end of their training."""
-        if self.learns:
-            self.masks = FixedMasks(self.all_pixels())
+        if not self.learns:
+            return
+        pixels = self.scenes.pixels(self.camera.light)
+        with torch.no_grad():
+            learned = self.masks().stacked
+        rails = learned.new_zeros(*learned.shape[:-1], len(pixels))  # dark where none were learned
+        rails[..., pixels] = self.detection.of_pixels(pixels).restore(learned)
+        self.masks = FixedMasks(rails)
 
     def finish(self) -> list[MaskExposure]:
         """Masks, statistics and exposure of each job, of masks that are fixed."""
@@ -160,15 +165,6 @@ class ExposureTraining(ABC):
         matrices = self._matrices() if own is None else torch.from_numpy(own).unsqueeze(0)
         signed = self.detection.of_pixels(pixels).arrange(matrices[..., pixels])
         return signed.expand(len(self.jobs), -1, -1).clone()
-
-    def all_pixels(self) -> Tensor:
-        """Rails (R, 2 or 1, m, N) of learned masks, which are dark where they were not learned."""
-        pixels = self.scenes.pixels(self.camera.light)
-        with torch.no_grad():
-            learned = self.masks().stacked
-        rails = learned.new_zeros(*learned.shape[:-1], len(pixels))
-        rails[..., pixels] = self.detection.of_pixels(pixels).restore(learned)
-        return rails
 
     def centred(self) -> tuple[Tensor, FixedMasks | LearnedMasks]:
         """Centred scenes and their mean (n + 1, P), and masks, both arranged by detectors."""

@@ -172,11 +172,6 @@ and with 40 and 128 eight tenths as long (`benchmarks/networks.py`).
 """
 
 
-def dtypes(job: Job, device: torch.device) -> tuple[torch.dtype, torch.dtype]:
-    """Types of the products of a job's masks and of its networks."""
-    return product_dtype(job.mask_job(), device), network_dtype(job, device)
-
-
 def product_dtype(job: Job, device: torch.device) -> torch.dtype:
     """Type of the products of learned masks: bfloat16 where that stays under the readout noise."""
     if job.training.precision == "auto" and not job.exposure.allow_bf16:

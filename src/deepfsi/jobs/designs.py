@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -53,10 +53,7 @@ def _residues(shape: Shape, classes: int) -> int:
 
 @dataclass(frozen=True)
 class Code:
-    """All that the name of a design implies; nobody else compares names.
-
-    Its class says what its masks are: here a formula.
-    """
+    """All that the name of a design implies; nobody else compares names."""
 
     label: str
     title: str
@@ -66,13 +63,14 @@ class Code:
     rails: RailsKind | None = None
     every_pixel: bool = False  # it has a detector for each pixel: light law `column`, and no device
     scaled: bool = False  # its scale is what defines it, so that no light law changes it
-    specific: ClassVar[bool] = False
-    seeded: ClassVar[bool] = False  # its matrix is drawn from the seed
-    of_classes: ClassVar[bool] = False
-    learned: ClassVar[bool] = False  # masks are optimised together with the classifier
-    learned_under: ClassVar[str | None] = None
-    adaptive: ClassVar[bool] = False
-    is_custom: ClassVar[bool] = False  # its matrix is the user's
+    specific: bool = False  # its masks are made of the training scenes
+    first_of_many: bool = False  # few masks are the first of all
+    seeded: bool = False  # its matrix is drawn from the seed
+    of_classes: bool = False
+    learned: bool = False  # masks are optimised together with the classifier
+    learned_under: str | None = None  # noise under which they are, before a classifier of their own
+    adaptive: bool = False  # masks are each made from the counts so far
+    is_custom: bool = False  # its matrix is the user's
 
     @property
     def learns_masks(self) -> bool:
@@ -81,59 +79,12 @@ class Code:
 
     def is_made_whole(self, pixels: int) -> bool:
         """True if all masks are made at once, of which a training takes the first."""
-        return False
+        return self.first_of_many and pixels <= FULL_BASIS_PIXELS
 
     def counts(self, image_shape: Shape, classes: int) -> tuple[int, int]:
         """Smallest and largest number of masks for one detector."""
         most = self.most(image_shape, classes)
         return most if self.complete else 1, most
-
-
-class _DrawnCode(Code):
-    """Masks that are drawn from the seed."""
-
-    seeded = True
-
-
-class _SceneCode(Code):
-    """Masks that are made of the training scenes, few of which are the first of many."""
-
-    specific = True
-
-    def is_made_whole(self, pixels: int) -> bool:
-        """True where all do not take too long."""
-        return pixels <= FULL_BASIS_PIXELS
-
-
-class _ClassCode(Code):
-    """Masks that are made of the classes of the training scenes."""
-
-    specific = of_classes = True
-
-
-class _LearnedCode(Code):
-    """Masks that are learned together with the classifier."""
-
-    specific = learned = True
-
-
-class _ControlCode(Code):
-    """Masks of the control group: learned under read noise, before a classifier of theirs alone."""
-
-    specific = True
-    learned_under = "gaussian"
-
-
-class _AdaptiveCode(Code):
-    """Masks that are each made from the counts so far."""
-
-    specific = of_classes = adaptive = True
-
-
-class _CustomCode(Code):
-    """Masks of the user's own."""
-
-    is_custom = True
 
 
 def _random(data: Dataset, masks: int, seed: int) -> np.ndarray:
@@ -171,24 +122,30 @@ DESIGNS: dict[str, Code] = {
         lambda data, masks, seed: hadamard_masks(data.image_shape, masks),
         most=_padded_pixels,
     ),
-    "pca": _SceneCode(
+    "pca": Code(
         "FSI",
         "PCA",
         lambda data, masks, seed: principal_components(data.x_train, masks),
+        specific=True,
+        first_of_many=True,
     ),
-    "deepfsi": _LearnedCode("DFSI", "DeepFSI"),
-    "control": _ControlCode("CG", "control group"),
-    "random": _DrawnCode("RND", "random ±1", _random),
-    "lda": _ClassCode(
+    "deepfsi": Code("DFSI", "DeepFSI", specific=True, learned=True),
+    "control": Code("CG", "control group", specific=True, learned_under="gaussian"),
+    "random": Code("RND", "random ±1", _random, seeded=True),
+    "lda": Code(
         "LDA",
         "linear discriminants",
         lambda data, masks, seed: _discriminants(np.asarray(data.x_train), data.y_train, masks),
         most=lambda shape, classes: min(classes - 1, int(np.prod(shape))),
+        specific=True,
+        of_classes=True,
     ),
-    "class-pairs": _ClassCode(
+    "class-pairs": Code(
         "CP",
         "differences of class means",
         lambda data, masks, seed: _class_pairs(data.x_train, data.y_train, masks),
+        specific=True,
+        of_classes=True,
     ),
     "s-matrix": Code(
         "S",
@@ -198,8 +155,8 @@ DESIGNS: dict[str, Code] = {
         complete=True,
         rails="single",
     ),
-    "adaptive": _AdaptiveCode("AM", "adaptive masks"),
-    "custom": _CustomCode("USER", "own matrix"),
+    "adaptive": Code("AM", "adaptive masks", specific=True, of_classes=True, adaptive=True),
+    "custom": Code("USER", "own matrix", is_custom=True),
 }
 """The named designs."""
 

@@ -24,7 +24,7 @@ from pydantic import (
     model_validator,
 )
 
-from deepfsi.base.errors import InputError, Message, as_input_error, closest_choice
+from deepfsi.base.errors import InputError, as_input_error, closest_choice
 from deepfsi.base.models.strict import (
     Count,
     Positive,
@@ -217,8 +217,7 @@ class SharedLight(Exposure):
 
     An exposure ends as soon as the probability of a class is above a threshold, and takes at most
     `cap` times the budget where it is never. The training finds the threshold at which its own
-    scenes, each left out of the prior, take the budget in the mean. With `least_cap` it finds the
-    cap, too: the one of most right answers to these scenes, from `least_cap` to `cap`.
+    scenes, each left out of the prior, take the budget in the mean.
 
     Examples
     --------
@@ -234,34 +233,18 @@ class SharedLight(Exposure):
         description="most light of one exposure with adaptive masks, over the mean of all, which "
         "the budget then is: each ends as soon as a class is sure; all take the same unless given",
     )
-    least_cap: float | None = Field(
-        default=None,
-        ge=1,
-        le=100,
-        exclude_if=lambda cap: cap is None,
-        description="of adaptive masks: the training finds the cap, from this to --cap; --cap "
-        "itself unless given",
-    )
 
     @property
     def most_light(self) -> float:
-        """The cap, or the most that it may be."""
+        """The cap."""
         return self.cap
 
     def faults(self, job: "Job") -> Iterator[str]:
-        """Masks that are not adaptive, and caps of which the least is above the most."""
-        if self.least_cap is not None and self.least_cap > self.cap:
-            yield Message(
-                "the training finds a cap from {least:g} to {most:g}: give a lower {least_cap}, or "
-                "a higher {cap}",
-                setting=("least_cap", "cap"),
-                least=self.least_cap,
-                most=self.cap,
-            )
+        """Masks that are not adaptive."""
         if not job.code.adaptive:
-            yield Message(
-                "{cap} is of exposures that may end early: leave it out, or give {design:adaptive}",
-                setting=("cap", "design"),
+            yield (
+                "`cap` is of exposures that may end early: leave it out, or give "
+                '`design="adaptive"`'
             )
 
 
@@ -378,8 +361,7 @@ class AdaptiveMasks(UserModel):
         if noise.gates and several:
             raise InputError(
                 "adaptive masks for clicks have one detector, which clicks at most once a look: "
-                "leave {gates} and {detectors} out, and give {light:free-dwell}",
-                setting=("gates", "detectors", "light"),
+                'leave `gates` and `detectors` out, and give `light="free-dwell"`'
             )
 
 
@@ -387,22 +369,19 @@ def check_dictionary_camera(camera: Camera) -> None:
     """Raise `InputError` where a camera has no single readout that counts, for a dictionary."""
     if camera.clicks is not None:
         raise InputError(
-            "masks of a dictionary are for photon counts: leave {dictionary} out, or give "
-            "{noise:poisson}",
-            setting=("dictionary", "noise"),
+            "masks of a dictionary are for photon counts: leave `dictionary` out, or give "
+            '`noise="poisson"`'
         )
     if LIGHT_LAWS[camera.light].arms > 1 or not camera.one_detector:
         raise InputError(
-            "masks of a dictionary are chosen for one detector and one arm: leave {dictionary} or "
-            "{detectors} out, and give {light:free-dwell}",
-            setting=("dictionary", "detectors", "light"),
+            "masks of a dictionary are chosen for one detector and one arm: leave `dictionary` or "
+            '`detectors` out, and give `light="free-dwell"`'
         )
 
 
 EXPOSURE_KINDS: dict[str, type[Exposure]] = {
     "span": Range,
     "cap": SharedLight,
-    "least_cap": SharedLight,
 }
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 

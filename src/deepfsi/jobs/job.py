@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from deepfsi.base.errors import InputError, Message, closest_choice
+from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.models.strict import UserModel
 from deepfsi.base.plugins import UNNAMED_PLUGIN
 from deepfsi.camera.camera import Camera, CameraSource
@@ -49,9 +49,6 @@ from deepfsi.jobs.training import (
     classifier_name,
     loss_name,
 )
-
-FEWEST_SHARING_SCENES = 50
-"""Training scenes below which no threshold is found that spends a mean light."""
 
 FEW_SCENES = 1000
 """Training scenes below which a design is surer of them than it is right on others.
@@ -219,32 +216,26 @@ class Job(UserModel):
             faults += self._value_faults()
             if self.code.of_classes:  # it has no masks of such data, whose number could be told
                 return faults
+        return [*faults, *self._other_faults(data, matrix), *self._matrix_faults(data, matrix)]
+
+    def _other_faults(self, data: Dataset, matrix: np.ndarray | None) -> Iterator[str]:
+        """Faults of the loss, of rails and noise, and of designs that are adaptive or custom."""
         if self.training.balance and self.training.loss is not None:
-            faults.append(
-                Message(
-                    "{balance} weighs the usual loss: leave it out, or `loss`", setting="balance"
-                )
-            )
+            yield "`balance` weighs the usual loss: leave it out, or `loss`"
         if self.code.rails == "dual" and self.camera.rails == "single":
-            faults.append(f"{self.design} is signed: use dual rails, or the s-matrix")
+            yield f"{self.design} is signed: use dual rails, or the s-matrix"
         noises = [find_noise(noise) for noise in (self.noise, self.mask_job().noise)]
         if any(noise.read_noise_alone for noise in noises) and not self.camera.sigma:
-            faults.append(
-                Message("gaussian noise is read noise: give {sigma} above 0", setting="sigma")
-            )
+            yield "gaussian noise is read noise: give `sigma` above 0"
         if self.exposure.most_light > 1:
-            faults += self._sharing_faults(data)
+            yield from self._sharing_faults(data)
         if self.code.adaptive:
-            faults += self._adaptive_faults(data)
+            yield from self._adaptive_faults(data)
         if (matrix is not None) != self.code.is_custom:
-            faults.append(
-                Message(
-                    "a matrix goes with the custom design, and only with it: give {design:custom} "
-                    "and {matrix}, or neither",
-                    setting=("design", "matrix"),
-                )
+            yield (
+                'a matrix goes with the custom design alone: give `design="custom"` and `matrix`, '
+                "or neither"
             )
-        return [*faults, *self._matrix_faults(data, matrix)]
 
     def _matrix_faults(self, data: Dataset, matrix: np.ndarray | None) -> list[str]:
         camera = self.optics
@@ -270,10 +261,9 @@ class Job(UserModel):
         usual = Training()
         others = [name for name in MLP_FACTS.settings if name not in facts.settings]
         if any(getattr(mine, name) != getattr(usual, name) for name in others):
-            yield Message(
-                "{hidden} and `dropout` are of the usual classifier: give them to a "
-                "classifier of your own as its arguments",
-                setting="hidden",
+            yield (
+                "`hidden` and `dropout` are of the usual classifier: give them to a classifier of "
+                "your own as its arguments"
             )
         if facts.features != self.exposure.features:
             yield (
@@ -292,125 +282,86 @@ class Job(UserModel):
                 f"{', '.join(facts.sizes)}"
             )
         if mine.classifier_arguments and not facts.sizes:
-            yield Message(
-                "arguments of a classifier go with one of your own: give {classifier}",
-                setting="classifier",
-            )
+            yield "arguments go with your own `classifier`: give one"
 
-    def _few_counts_faults(self, image_shape: tuple[int, ...]) -> list[str]:
+    def _few_counts_faults(self, image_shape: tuple[int, ...]) -> Iterator[str]:
         """Everything in a job of few counts within its budget that cannot be had."""
         camera = self.optics
         counts = self.training.counts or 0.0
         if self.code.adaptive and self.camera.clicks is not None:
-            return []  # fewer than any number: exposures end where a click is not worth its price
+            return  # fewer than any number: exposures end where a click is not worth its price
         if not self.code.learned or not isinstance(self.exposure, Fixed):
-            return [
-                Message(
-                    "counts within a budget are of learned masks that are shown once each, or of "
-                    "adaptive masks for clicks: leave {counts} or {photons} out, or give "
-                    "{design:deepfsi} without span, or {noise:click}",
-                    setting=("counts", "photons", "design", "noise"),
-                )
-            ]
+            yield (
+                "counts within a budget are of learned masks that are shown once each, or of "
+                "adaptive masks for clicks: leave `counts` or `photons` out, or give "
+                '`design="deepfsi"` without span, or `noise="click"`'
+            )
+            return
         noise = find_noise(self.noise)
         if not noise.counting:
-            return [
+            counting = ", ".join(name for name, facts in NOISES.items() if facts.counting)
+            yield (
                 f"counts within a budget are trained on counts, not under {self.noise} noise: give "
-                f"one of {', '.join(name for name, facts in NOISES.items() if facts.counting)}"
-            ]
+                f"one of {counting}"
+            )
+            return
         most = self.photons
         limit = "the photons of its budget"
         if noise.gates:
-            detectors = camera.detector_map(image_shape).count
-            readouts = self.masks * camera.rail_count * detectors
+            readouts = self.masks * camera.rail_count * camera.detector_map(image_shape).count
             most = min(most, readouts * camera.gates)
             limit = "the clicks of all its gates"
-        if counts < most:
-            return []
-        return [f"{counts:g} counts are not fewer than {most:g}, {limit}: give fewer"]
+        if counts >= most:
+            yield f"{counts:g} counts are not fewer than {most:g}, {limit}: give fewer"
 
     def _value_faults(self) -> Iterator[str]:
         """Everything in a job on scenes with values that is of classes alone."""
+        start = self.training.start
         if self.code.of_classes:
-            yield (
-                f"{self.design} is made of classes, and these scenes have values: give another "
-                "design"
-            )
-        elif self.code.learns_masks and DESIGNS[self.training.start].of_classes:
-            yield Message(
-                "masks cannot start from {given}, which is made of classes, where scenes have "
-                "values: give {start:pca}",
-                setting="start",
-                given=self.training.start,
-            )
+            yield f"{self.design} is of classes, and these scenes have values: give another design"
+        elif self.code.learns_masks and DESIGNS[start].of_classes:
+            yield f'{start} is of classes, and these scenes have values: give `start="pca"`'
         if self.training.balance:
-            yield Message(
-                "{balance} is of classes, and these scenes have values: leave it out",
-                setting="balance",
-            )
+            yield "`balance` is of classes, and these scenes have values: leave it out"
 
     def _sharing_faults(self, data: Dataset) -> Iterator[str]:
         """Why no threshold can be found at which exposures take the budget in the mean."""
         if data.values:
-            yield Message(
-                "exposures end where a class is sure, and these scenes have values: leave {cap} "
-                "out",
-                setting="cap",
-            )
+            yield "`cap` needs classes, and these scenes have values: leave it out"
             return
-        scenes = len(data.x_train)
         cap = self.exposure.most_light
         if self.masks < cap:
-            yield Message(
-                "the first of {looks} looks takes {share:.3g} of the budget, which is the mean of "
-                "all: give more looks, or a lower {cap}",
-                setting="cap",
-                looks=self.masks,
-                share=cap / self.masks,
+            yield (
+                f"the first of {self.masks} looks takes {cap / self.masks:.3g} of the budget, "
+                "which is the mean of all: give more looks, or a lower `cap`"
             )
-        if scenes < FEWEST_SHARING_SCENES:
-            yield Message(
-                "{scenes} training scenes say too little of the mean light of exposures that stop: "
-                "give {fewest} or more, or leave {cap} out",
-                setting="cap",
-                scenes=scenes,
-                fewest=FEWEST_SHARING_SCENES,
+        if (scenes := len(data.x_train)) < 50:
+            yield (
+                f"{scenes} training scenes say too little of the mean light of exposures that "
+                "stop: give 50 or more, or leave `cap` out"
             )
 
     def _adaptive_faults(self, data: Dataset) -> Iterator[str]:
         """Everything in a job of adaptive masks that cannot be had."""
         fewest = int(np.bincount(data.y_train, minlength=len(data.classes)).min())
         if (self.training.clusters or 0) > fewest // 2:
-            yield Message(
-                "{count} clusters of each class are too many where one has {fewest} scenes: "
-                "give at most {most}, or leave {clusters} out",
-                setting="clusters",
-                count=self.training.clusters,
-                fewest=fewest,
-                most=fewest // 2,
+            yield (
+                f"{self.training.clusters} clusters of each class are too many where one has "
+                f"{fewest} scenes: give at most {fewest // 2}, or leave `clusters` out"
             )
         if not isinstance(self.exposure, Fixed | SharedLight):
             yield "adaptive masks have a look each: give no span"
         most = self.exposure.most_light
         if self.camera.clicks is not None:
             if len(data.x_train) < FEW_SCENES:
-                yield Message(
-                    "{scenes} training scenes say too little of what a click is worth: give "
-                    "{fewest} or more, or a detector that counts, {noise:poisson}",
-                    setting="noise",
-                    scenes=len(data.x_train),
-                    fewest=FEW_SCENES,
+                yield (
+                    f"{len(data.x_train)} training scenes say too little of what a click is worth: "
+                    f'give {FEW_SCENES} or more, or a detector that counts, `noise="poisson"`'
                 )
             if most > 1:
-                yield Message(
-                    "exposures of adaptive masks for clicks end by themselves: leave {cap} out",
-                    setting="cap",
-                )
+                yield "exposures of adaptive masks for clicks end by themselves: leave `cap` out"
         if self.training.classifier != MLP:
-            yield Message(
-                "adaptive masks are read by their posterior: leave {classifier} out",
-                setting="classifier",
-            )
+            yield "adaptive masks are read by their posterior: leave `classifier` out"
         shortest = self.camera.shortest_share
         if shortest * self.masks > most:
             yield (
@@ -463,11 +414,7 @@ def usual_mask_count(settings: Mapping[str, Any], data: Dataset) -> int:
     design = check_design(settings.get("design", "deepfsi"))
     code = DESIGNS[design]
     if not code.complete:
-        raise InputError(
-            "{design} needs a number of masks: add {masks}, for instance {masks:10}",
-            setting="masks",
-            design=design,
-        )
+        raise InputError(f"{design} needs a number of masks: add `masks`, for instance `masks=10`")
     scene = exposure.scene(data)
     camera = Camera.load(settings["camera"])
     detectors = ONE_DETECTOR if code.every_pixel else camera.detector_map(scene.image_shape)
@@ -485,23 +432,14 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
         settings = {**settings, "photons": check_one_budget(None, counts)}
     job = Job(**settings)
     if counts is not None and not within and job.camera.clicks is not None:
-        raise InputError(
-            "clicks are not in proportion to the light, so that they tell no budget: give "
-            "{photons}, too",
-            setting="photons",
-        )
+        raise InputError("clicks are not in proportion to the light: give `photons`, too")
     if counts is not None and job.exposure.highest(1.0) != 1.0:
         raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
-    if job.training.clusters and not job.code.adaptive:
-        raise InputError(
-            "{clusters} are of adaptive masks: leave it out, or give {design:adaptive}",
-            setting=("clusters", "design"),
-        )
-    if job.training.dictionary and not job.code.adaptive:
-        raise InputError(
-            "{dictionary} is of adaptive masks: leave it out, or give {design:adaptive}",
-            setting=("dictionary", "design"),
-        )
+    for name in () if job.code.adaptive else PRIOR_SETTINGS:
+        if getattr(job.training, name):
+            raise InputError(
+                f'`{name}` is of adaptive masks: leave it out, or give `design="adaptive"`'
+            )
     given = _training_of(settings)
     # counts are of clicks, or find the budget
     idle = [*(given.keys() - PRIOR_SETTINGS - {"counts"})] if job.code.adaptive else []
@@ -509,22 +447,18 @@ def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
         names = {table_field: name for name, table_field in SETTING_ALIASES.items()}
         option = min(names.get(("training", name), name) for name in idle)
         raise InputError(
-            "adaptive masks learn by no steps: leave {setting} out, or learn masks of another "
-            "design",
-            setting=option,
+            f"adaptive masks learn by no steps: leave `{option}` out, or learn masks of another "
+            "design"
         )
     if "start_counts" in given and job.training.counts is None:
         raise InputError(
-            "`start_counts` is of few counts within a budget: leave it out, or give {counts} and "
-            "{photons}",
-            setting=("counts", "photons"),
+            "`start_counts` is of few counts within a budget: leave it out, or give `counts` and "
+            "`photons`"
         )
     if "start" in given and not job.code.learns_masks:
         raise InputError(
-            "{start} is of learned masks, and {given} has its own: leave it out, or give "
-            "{design:deepfsi}",
-            setting=("start", "design"),
-            given=job.design,
+            f"`start` is of learned masks, and {job.design} has its own: leave it out, or give "
+            '`design="deepfsi"`'
         )
     return job
 

@@ -24,8 +24,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import NO_EFFECTS
 from deepfsi.camera.light import TOO_DIM, check_budget
 from deepfsi.designfile.distribution import ConsistencyResult
-from deepfsi.designfile.provenance import was_trained_on
-from deepfsi.designfile.score import Score
+from deepfsi.designfile.provenance import Score, was_trained_on
 from deepfsi.designfile.view_test import ViewResult
 from deepfsi.hardware.counting.acquisition import ReferenceVerdict, Scene, read_run
 from deepfsi.hardware.counting.counts import Counts, read_counts
@@ -38,8 +37,7 @@ from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.lab.looks import design_rails, open_looks
 
 if TYPE_CHECKING:  # they import torch, which the command line loads late
-    from deepfsi.design.design import Design
-    from deepfsi.design.judgement import RunCounts
+    from deepfsi.design.design import Design, RunCounts
 
 UNTESTED = (
     "these counts were not compared with those of the training, which takes 50 training scenes of "
@@ -374,7 +372,7 @@ class _CountedScenes:
 
     def classify(self) -> ClassifiedRun:
         """Classes of the scenes; `InputError` if their counts do not look like the training's."""
-        from deepfsi.design.judgement import judge
+        from deepfsi.design.design import judge
 
         design = self.design
         counts = self.counts
@@ -437,7 +435,7 @@ class _CountedScenes:
     @property
     def _run_counts(self) -> "RunCounts":
         """Counts of all exposures, and of each scene's sound ones together."""
-        from deepfsi.design.judgement import RunCounts
+        from deepfsi.design.design import RunCounts
 
         counts = self.counts
         exposures = counts.by_readout(self.usable)

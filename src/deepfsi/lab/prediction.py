@@ -16,8 +16,7 @@ from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.quantities import Table, budget_text
 from deepfsi.camera.camera import Camera, CameraSettings, CameraSource
 from deepfsi.camera.light import check_budget
-from deepfsi.designfile.provenance import scene_hashes, was_trained_on
-from deepfsi.designfile.score import Score
+from deepfsi.designfile.provenance import Score, scene_hashes, was_trained_on
 from deepfsi.lab.classify import dim_scenes
 from deepfsi.lab.design_data import design_scenes
 

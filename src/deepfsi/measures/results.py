@@ -11,7 +11,7 @@ from deepfsi.measures.table import MEASURES, Answers, ClassAnswers, Measure, Val
 
 
 @dataclass(frozen=True)
-class AnswerTest:
+class _AnswerTest:
     """A test of answers of either kind, with all measures of `MEASURES` that are of that kind."""
 
     photons: float  # budget Φ
@@ -77,7 +77,7 @@ class AnswerTest:
 
 
 @dataclass(frozen=True)
-class Result(AnswerTest):
+class Result(_AnswerTest):
     """Accuracy and counts of one design at one budget.
 
     Attributes
@@ -116,7 +116,7 @@ class Result(AnswerTest):
     photons_per_mask : list of float
         Expected photons of each mask's rails together, in the training mean; likewise.
     further, image_terms
-        As of `AnswerTest`.
+        As of `_AnswerTest`.
 
     Examples
     --------
@@ -168,7 +168,7 @@ class Result(AnswerTest):
 
 
 @dataclass(frozen=True)
-class Estimates(AnswerTest):
+class Estimates(_AnswerTest):
     """A design that estimates q values, at one budget."""
 
     kind = ValueAnswers

@@ -92,11 +92,10 @@ class OwnClassifier(Classifier):
     def forward(self, features: Tensor) -> Tensor:
         """Logits (..., C) of features (..., inputs)."""
         if self.module is None:
+            code = self.factory or "a module of its maker"
             raise InputError(
-                "the classifier of this design is {code}, whose code was not run: load it with "
-                "{trust} if you trust its file, or give the code to Design.load",
-                setting="trust",
-                code=self.factory or "a module of its maker",
+                f"the classifier of this design is {code}, whose code was not run: load it with "
+                "`trust` if you trust its file, or give the code to Design.load"
             )
         rows = features if features.ndim == 2 else features.reshape(-1, features.shape[-1])
         try:
@@ -191,8 +190,7 @@ def rebuilt(
         raise InputError("this design has a classifier of the package's own: give none")
     if not classifier:
         raise InputError(
-            "this design does not say where its classifier is imported from: give {classifier}",
-            setting="classifier",
+            "this design does not say where its classifier is imported from: give `classifier`"
         )
     arguments = {} if isinstance(classifier, nn.Module) else known.arguments
     return _load(make_custom(classifier, arguments, inputs, classes), known.weights)

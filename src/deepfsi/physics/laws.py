@@ -22,7 +22,7 @@ from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.names import LightLawName, RailsKind, check_light_law
-from deepfsi.physics.rails import Rails
+from deepfsi.physics.detection import Rails
 
 ROUNDING_SLACK = 1e-5
 """Relative excess that float32 rounding may cause and `LightLaw.check` forgives."""
@@ -137,8 +137,7 @@ class LightLaw(ABC):
             raise InputError("the matrix holds NaN or infinity: give finite numbers")
         if float(rails.min()) < 0:
             raise InputError(
-                "the matrix has negative entries: use {rails:dual}, or give frames of 0 or more",
-                setting="rails",
+                'the matrix has negative entries: use `rails="dual"`, or give frames of 0 or more'
             )
         if float(rails.max()) > BRIGHTEST:
             raise InputError(
@@ -149,12 +148,8 @@ class LightLaw(ABC):
             step = 10.0 ** (math.floor(math.log10(factor)) - 3)
             above = math.ceil(factor / step) * step  # at least the factor, in four digits
             raise InputError(
-                "the matrix is {factor:.4g} times as bright as {given} allows, and breaks the "
-                "{given} constraint: divide it by {above:.4g}, or choose another with {light}",
-                setting="light",
-                factor=factor,
-                given=self.name,
-                above=above,
+                f"the matrix is {factor:.4g} times as bright as {self.name} allows, and breaks the "
+                f"{self.name} constraint: divide it by {above:.4g}, or choose another with `light`"
             )
         return rails
 
@@ -164,7 +159,7 @@ class LightLaw(ABC):
         return self.check(self.rails(signed, kind))
 
 
-class Column(LightLaw):
+class _Column(LightLaw):
     """Optics that split each pixel's light among all readouts: max_j Σ_i |M_ij| ≤ 1.
 
     The only law is that no photon is counted twice. Source: the paper, arXiv 2508.01981.
@@ -208,7 +203,7 @@ class Column(LightLaw):
         weights["unit"].mul_(factor[:, None, None])
 
 
-class EqualDwell(LightLaw):
+class _EqualDwell(LightLaw):
     """One DMD and one detector, equal times for F frames: M⁺_ij, M⁻_ij ≤ 1/F.
 
     A frame is a rail of a mask that is not dark; learned masks have as many frames as rails. Each
@@ -239,7 +234,7 @@ class EqualDwell(LightLaw):
         return pattern * pattern.new_full((), 1 / count)
 
 
-class FreeDwell(LightLaw):
+class _FreeDwell(LightLaw):
     """One DMD and one detector, each frame its own time: Σ_frames max_j(frame) ≤ 1.
 
     A mirror that is always ON sends its light for the whole dwell of its frame, so that the peak of
@@ -275,7 +270,7 @@ class FreeDwell(LightLaw):
         return pattern * torch.where(pattern > 0, plus.unsqueeze(-1), minus.unsqueeze(-1))
 
 
-class TwoArm(LightLaw):
+class _TwoArm(LightLaw):
     """One DMD with a detector on each arm: M⁺_ij + M⁻_ij = t_i, Σ t_i ≤ 1.
 
     What one arm does not get, the other does: a mask that is shown for the time t has M± = (t ± M)
@@ -333,7 +328,7 @@ class TwoArm(LightLaw):
         return Rails(matrix, times.expand_as(matrix))
 
 
-class Dose(LightLaw):
+class _Dose(LightLaw):
     """A projector lights the scene with the masks, one after another: mean_j Σ_i |M_ij| ≤ 1.
 
     What is limited is the light that falls on the scene. A pixel may get more than its mean share,
@@ -381,7 +376,7 @@ class Dose(LightLaw):
 
 
 LAW_CLASSES: dict[str, type[LightLaw]] = {
-    law.name: law for law in (Column, EqualDwell, FreeDwell, TwoArm, Dose)
+    law.name: law for law in (_Column, _EqualDwell, _FreeDwell, _TwoArm, _Dose)
 }
 """Class of each light law, by its name."""
 

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import torch
 from torch import Tensor
 
-from deepfsi.base.errors import InputError, Message
+from deepfsi.base.errors import InputError
 from deepfsi.base.plugins import load_plugin
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import NoiseFacts, check_noise, find_noise, noise_name
@@ -109,10 +109,6 @@ class Noise(ABC):
         """Mean counts of rails (...) that so many photons reach."""
         return rates
 
-    def slope(self, rates: Tensor) -> Tensor:
-        """Change (...) of the mean counts with the rates."""
-        return torch.ones_like(rates)
-
     def variance(self, light: Expectation) -> Tensor:
         """Variance (..., k) of y⁺ − y⁻, in units of `gain` counts: that of photons is the total."""
         return light.total
@@ -156,7 +152,7 @@ class Noise(ABC):
 
 
 @dataclass(frozen=True)
-class NoNoise(Noise):
+class _NoNoise(Noise):
     """Counts as they are expected, y = r."""
 
     name = "none"
@@ -254,7 +250,7 @@ class Poisson(Noise):
 
 
 @dataclass(frozen=True)
-class CameraNoise(Noise):
+class _CameraNoise(Noise):
     """Photons, dark counts and read noise, y ~ Poisson(r + d) − d + σ ε.
 
     Dark counts are known from frames with the light off, and what is expected of them, d, is
@@ -316,19 +312,16 @@ class Click(Noise):
         """G p."""
         return -self.gates * torch.expm1(-rates / self.gates)
 
-    def slope(self, rates: Tensor) -> Tensor:
-        """exp(−r / G)."""
-        return torch.exp(-rates / self.gates)
-
     def variance(self, light: Expectation) -> Tensor:
         """G p (1 − p) of each rail."""
         rails = [light.total + light.mean, light.total - light.mean]
-        plus, minus = (self.mean(r) * self.slope(r) for r in (light.gain / 2 * r for r in rails))
+        rates = (light.gain / 2 * rail for rail in rails)
+        plus, minus = (self.mean(rate) * torch.exp(-rate / self.gates) for rate in rates)
         return (plus + minus) / light.gain
 
 
 @dataclass(frozen=True)
-class CustomNoise(Noise):
+class _CustomNoise(Noise):
     """A user's own noise: a function from expected counts and a generator to counts.
 
     Masks train through it where its draws have a gradient in the rates. Nothing is known of its
@@ -437,10 +430,6 @@ class Fluctuation(Noise):
         """Of the other noise."""
         return self.inner.mean(rates)
 
-    def slope(self, rates: Tensor) -> Tensor:
-        """Of the other noise."""
-        return self.inner.slope(rates)
-
     def variance(self, light: Expectation) -> Tensor:
         """σ² (r⁺² + r⁻²), or σ² (r⁺ − r⁻)² at once, beside that of the other noise."""
         apart = (light.total.square() + light.mean.square()) / 2
@@ -469,7 +458,7 @@ class Fluctuation(Noise):
 
 
 NOISE_CLASSES: dict[str, type[Noise]] = {
-    noise.name: noise for noise in (NoNoise, Gaussian, Poisson, MlGauss, CameraNoise, Click)
+    noise.name: noise for noise in (_NoNoise, Gaussian, Poisson, MlGauss, _CameraNoise, Click)
 }
 """Class of each noise of the package, by its name."""
 
@@ -479,9 +468,9 @@ def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
     if isinstance(setting, Noise):
         noise = setting
     elif not isinstance(setting, str):
-        noise = CustomNoise(setting)
+        noise = _CustomNoise(setting)
     elif ":" in check_noise(setting):
-        noise = CustomNoise(load_plugin(setting), setting)
+        noise = _CustomNoise(load_plugin(setting), setting)
     else:
         made = NOISE_CLASSES[setting]
         names = {field_.name for field_ in fields(made)}  # type: ignore[arg-type]
@@ -491,9 +480,7 @@ def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
         raise InputError(f"{dark!r} dark counts are not allowed: give 0 or more for an exposure")
     if dark and "dark" not in noise.settings:
         raise InputError(
-            "dark counts are not of {given} noise: give {noise:camera} with them",
-            setting="noise",
-            given=noise.name,
+            f'dark counts are not of {noise.name} noise: give `noise="camera"` with them'
         )
     fluctuation = numbers.get("fluctuation", 0.0)
     return Fluctuation(noise, fluctuation) if fluctuation else noise
@@ -553,12 +540,9 @@ def full_gates(share: float, photons: float) -> str | None:
     """Remark on clicks in nearly all gates."""
     if share <= MOST_CLICKS:
         return None
-    return Message(
-        "at {given:.3g} photons {share:.0%} of the gates click, which tells little of a "
-        "scene: give more {gates}, or a lower {photons}",
-        setting=("gates", "photons"),
-        given=photons,
-        share=share,
+    return (
+        f"at {photons:.3g} photons {share:.0%} of the gates click, which tells little of a scene: "
+        "give more `gates`, or a lower `photons`"
     )
 
 

@@ -7,10 +7,9 @@ from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.keywords import plain_keywords
-from deepfsi.physics.detection import Detection, Readouts
+from deepfsi.physics.detection import Detection, Rails, Readouts
 from deepfsi.physics.laws import FixedMasks
 from deepfsi.physics.noise import Expectation, NoiseFunction, make_noise
-from deepfsi.physics.rails import Rails
 
 
 class Scanner(nn.Module):
@@ -145,16 +144,6 @@ class Scanner(nn.Module):
         """
         mean = self.detection.features(self.noise.mean(rates))
         return mean, self.detection.totals(self._variance(rates))
-
-    def information(self, rates: Tensor) -> Tensor:
-        """Fisher information (..., rails, m · D) of counts about the photons that they expect.
-
-        Of counts y ~ Poisson(r) it is 1 / r, of clicks exp(−r / G) / (G p) with the chance of a
-        click p = 1 − exp(−r / G), and of other noise 1 / variance. Of a rail that is dark by
-        construction it is 0.
-        """
-        power = self._variance(rates) / self.noise.slope(rates).square()
-        return torch.where(power > 0, 1 / power.where(power > 0, 1.0), 0.0)
 
     def _variance(self, rates: Tensor) -> Tensor:
         """Variance of the counts of rails that so many photons reach."""

@@ -60,10 +60,5 @@ def torch_device(given: Any) -> torch.device:
         here = number == 0 and (device.type == "cpu" or torch.backends.mps.is_available())
     if not here:
         there = f", and torch sees {gpus} of CUDA" if gpus and device.type == "cuda" else ""
-        raise InputError(
-            "device {given} is not here{there}: use {device:cpu} or auto",
-            setting="device",
-            given=str(device),
-            there=there,
-        )
+        raise InputError(f'device {device!s} is not here{there}: use `device="cpu"` or auto')
     return device if device.type == "cuda" else torch.device(device.type)

@@ -151,14 +151,7 @@ def _read_camera(given: Any) -> _Axes:
     return axes
 
 
-def _read_exposure(given: Any) -> _Axes:
-    if isinstance(given, Mapping) and "least_cap" in given:
-        raise InputError(
-            "adaptive masks alone can find their cap, and a comparison gives all the same: leave "
-            "`least_cap` out, or give several values of `cap`"
-        )
-    return _read_axes(given, find_exposure)
-
+_read_exposure = partial(_read_axes, make=find_exposure)
 
 _read_training = partial(_read_axes, make=Training.model_validate)
 

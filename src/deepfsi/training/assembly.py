@@ -22,8 +22,8 @@ from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import Job
 from deepfsi.networks.classifiers import Values
 from deepfsi.networks.custom import OwnClassifier, make_custom
+from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import LearnedMasks, light_law
-from deepfsi.physics.rails import Rails
 from deepfsi.physics.scanner import Scanner
 from deepfsi.physics.surroundings import library_defaults
 from deepfsi.training.characterisation import characterise, provenance

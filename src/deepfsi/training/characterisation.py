@@ -147,7 +147,7 @@ def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> Readout
 
 
 @dataclass(frozen=True)
-class PosteriorScenes(CalibrationScenes):
+class _PosteriorScenes(CalibrationScenes):
     """Training scenes that the posterior answers, each left out of its prior."""
 
     answers: LeftOutAnswers = field(kw_only=True)
@@ -196,7 +196,7 @@ def calibrate_posterior(
     """
     shares = made.prior.class_shares.double().numpy()
     looks = answers.odds.shape[1]
-    scenes = PosteriorScenes((), looks, shares=shares, doubt=DOUBT, answers=answers)
+    scenes = _PosteriorScenes((), looks, shares=shares, doubt=DOUBT, answers=answers)
     fitted = fit_temperatures(scenes, answers.budgets, trained_on=False, seed=job.seed)
     # beyond the light that is measured as at its ends
     logs = np.pad(fitted.logs, ((0, made.count - looks), (1, 1)), mode="edge")

@@ -108,10 +108,10 @@ class LoopHooks:
     @contextmanager
     def of_loop(
         self, exposure: ExposureTraining, state: LoopState, loss: SceneLoss, networks: Sequence[Any]
-    ) -> Iterator["LoopWatch"]:
+    ) -> Iterator["_LoopWatch"]:
         """Watch a loop, which goes back to its best epoch at the end where there is patience."""
         most = self._most[len(self.lengths)] if self._most else None
-        watch = LoopWatch(self, exposure, state=state, loss=loss, networks=networks, most=most)
+        watch = _LoopWatch(self, exposure, state=state, loss=loss, networks=networks, most=most)
         yield watch
         if watch.best is not None:
             for name, tensor in state.learned().items():
@@ -127,7 +127,7 @@ def check_made(name: str, made: Any, kind: type[Made]) -> Made:
     return made
 
 
-class LoopWatch:
+class _LoopWatch:
     """Epochs of one loop, in which R designs are trained side by side."""
 
     def __init__(

@@ -23,7 +23,7 @@ from deepfsi.adaptive.exposure import (
     LeftOutAnswers,
     training_of,
 )
-from deepfsi.base.errors import InputError, Message
+from deepfsi.base.errors import InputError
 from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.numeric.arrays import check_memory, free_memory
 from deepfsi.base.progress import SILENT, Progress, progress_bar
@@ -34,8 +34,8 @@ from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.exposure.kind import Clicks
 from deepfsi.exposure.training import ExposureTraining, JobGroup, build_training, matrix_seeds
-from deepfsi.exposure.training_set import TrainingSet, dtypes
-from deepfsi.jobs.exposures import DICTIONARY_SPREAD, AdaptiveMasks, ExposureSource, SharedLight
+from deepfsi.exposure.training_set import TrainingSet, network_dtype, product_dtype
+from deepfsi.jobs.exposures import DICTIONARY_SPREAD, AdaptiveMasks, ExposureSource
 from deepfsi.jobs.job import Job, find_job, table_advice
 from deepfsi.jobs.training import TrainingSource
 from deepfsi.networks.classifiers import Classifier
@@ -58,10 +58,6 @@ NEAR = 0.02
 
 MOST_TRAININGS = 6
 """Trainings after which the last design is taken, whatever it counts."""
-
-
-HOOKS = ("callback", "patience", "optimiser", "schedule")
-"""What a user may add to the loop."""
 
 
 class Diverged(InputError):
@@ -267,7 +263,8 @@ def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
     # a module of a user's own may draw from torch's global generator: one after another
     alone = job.training.is_custom or not job.exposure.side_by_side
     apart: Any = set() if alone else {"photons": True, "seed": True, "camera": {"sigma"}}
-    return (job.model_dump_json(exclude=apart), dtypes(job, device))
+    types = product_dtype(job.mask_job(), device), network_dtype(job, device)
+    return (job.model_dump_json(exclude=apart), types)
 
 
 def _check(
@@ -301,11 +298,9 @@ def _start_matrix(start: Design | np.ndarray) -> np.ndarray:
 def _check_start(start: np.ndarray, job: Job, training_set: TrainingSet) -> None:
     """Raise `InputError` unless the masks of a job learn, and can start from such a matrix."""
     if not job.mask_job().code.learned:
-        raise InputError(
-            "masks of {design} do not learn: leave {start} out", setting="start", design=job.design
-        )
+        raise InputError(f"masks of {job.design} do not learn: leave `start` out")
     if not job.exposure.takes_start:
-        raise InputError("the exposure's masks start at random: leave {start} out", setting="start")
+        raise InputError("the exposure's masks start at random: leave `start` out")
     shape = job.masks, training_set.view(job.exposure).data.pixels
     if start.shape != shape:
         raise InputError(f"a start of shape {start.shape} does not fit: give {shape}")
@@ -315,7 +310,11 @@ def _check_start(start: np.ndarray, job: Job, training_set: TrainingSet) -> None
 
 def _check_hooks(hooks: LoopHooks, job: Job, data: Dataset, resumable: bool) -> None:
     """Raise `InputError` where a training cannot have what a user adds to its loop."""
-    extra = [name for name in HOOKS if getattr(hooks, name) is not None]
+    extra = [
+        name
+        for name in ("callback", "patience", "optimiser", "schedule")
+        if getattr(hooks, name) is not None
+    ]
     if extra and job.code.adaptive:
         raise InputError(f"adaptive masks learn by no steps: leave {' and '.join(extra)} out")
     apart = [name for name in extra if name != "callback"]
@@ -436,15 +435,11 @@ def _counting_exposure(
         made, info["left_out"] = calibrate_posterior(made, answers, data, job)
     if training.settings.cap > 1:
         longest = training.longest(made, job, report.between(0.5, 1.0))
-        if isinstance(job.exposure, SharedLight) and job.exposure.least_cap is not None:
-            rules = longest.caps(made, job.exposure.least_cap)
-            info["caps"] = [{"cap": rule.cap, "wrong": rule.wrong} for rule in rules]
-            made = made.of_looks(min(rules).stops)
         made = longest.shared(made)
         answers = longest.answers(made)
     if not folds:
         made, info["left_out"] = calibrate_posterior(made, answers, data, job)
-    if made.settings.until < 1:  # a cap that is found may be 1: all exposures are whole then
+    if made.settings.until < 1:
         made = longest.shared(made)  # the same light, by the probabilities that it states
         info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
     return made
@@ -458,10 +453,7 @@ def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 
         footprint(training_set, jobs) * processes - held,
         memory_for(training_set.device),
         f"{scenes} scenes of {pixels} pixels, {jobs[0].masks} masks and {processes} processes",
-        Message(
-            "give fewer or smaller scenes ({size}), fewer {masks} or fewer {workers}",
-            setting=("size", "masks", "workers"),
-        ),
+        "give fewer or smaller scenes (`size`), fewer `masks` or fewer `workers`",
     )
 
 

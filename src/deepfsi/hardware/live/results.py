@@ -7,8 +7,7 @@ from typing import Any, Self
 
 from deepfsi.base.errors import InputError, Message
 from deepfsi.base.quantities import Table, plural
-from deepfsi.designfile.provenance import was_trained_on
-from deepfsi.designfile.score import Score
+from deepfsi.designfile.provenance import Score, was_trained_on
 from deepfsi.designfile.view_test import ViewResult
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.light.checks import SPOILING, Fault
