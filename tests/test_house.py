@@ -46,7 +46,7 @@ LINES = {
 }
 """Lines of each room, which may only fall: lower the number with them."""
 
-COMMANDS, OPTIONS = 29, 48
+COMMANDS, OPTIONS = 29, 47
 """Commands, and options of `design`: they may only leave."""
 
 DOORS = ("cli",)
