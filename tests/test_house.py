@@ -18,7 +18,7 @@ LINES = {
     "adaptive": 1591,
     "base": 1502,
     "base.models": 88,
-    "base.numeric": 1279,
+    "base.numeric": 1283,
     "camera": 1490,
     "cli": 3093,
     "datasets": 3065,

@@ -44,6 +44,7 @@ WRITERS = {
     ),
     "csv ;": lambda path, values: np.savetxt(path, values, "%g", ";"),
     "csv": lambda path, values: np.savetxt(path, values, "%d", ",", header="as numpy writes it"),
+    "txt": lambda path, values: np.savetxt(path, values, "%9.1f"),
 }
 
 

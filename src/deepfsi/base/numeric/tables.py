@@ -25,7 +25,8 @@ from deepfsi.base.numeric.arrays import read_array, split_variable
 if TYPE_CHECKING:
     import polars as pl
 
-TABLE_ENDINGS = (".csv", ".parquet", ".npy", ".mat")
+TEXT_ENDINGS = (".csv", ".txt", ".tsv", ".dat")
+TABLE_ENDINGS = (*TEXT_ENDINGS, ".parquet", ".npy", ".mat")
 """Ends of the names of files that hold tables."""
 
 USUAL_VARIABLE = "counts"
@@ -157,9 +158,9 @@ def _read(source: str | Path) -> "tuple[Path, np.ndarray | Columns]":
         raise InputError(f"{path} is no table: give a file ending in {', '.join(TABLE_ENDINGS)}")
     if not path.exists():
         raise InputError(f"there is no file {path}: give one ending in {', '.join(TABLE_ENDINGS)}")
-    if suffix in (".csv", ".parquet"):
+    if suffix in (*TEXT_ENDINGS, ".parquet"):
         with _as_table(path):
-            columns = _read_csv(path) if suffix == ".csv" else _read_parquet(path)
+            columns = _read_parquet(path) if suffix == ".parquet" else _read_text(path)
         if not (columns.width and columns.frame.height):
             raise InputError(f"{path} holds no numbers: give a row for each exposure")
         return path, columns
@@ -282,7 +283,7 @@ def _check_size(rows: int, columns: int) -> None:
         )
 
 
-def _read_csv(path: Path) -> Columns:
+def _read_text(path: Path) -> Columns:
     """Cells of a text file, and the names of its columns if its first line has some."""
     import polars as pl
 
@@ -291,6 +292,9 @@ def _read_csv(path: Path) -> Columns:
     if first is None:
         return Columns((), pl.DataFrame())
     separator = next((one for one in LIST_SEPARATORS if one in first), ",")
+    if separator not in first:  # spaces, as NumPy writes them
+        text = re.sub(" +", ",", re.sub("^ +| +$", "", text, flags=re.M))
+        first = next(_first_lines(text))
     _check_size(1, first.count(separator) + 1)
     frame = pl.read_csv(
         text.encode(),
