@@ -6,7 +6,7 @@ import torch
 from scipy.stats import nbinom
 
 from conftest import generator
-from deepfsi.adaptive import posterior
+from deepfsi.adaptive import choice, posterior
 from deepfsi.base.errors import InputError
 
 PIXELS = 12
@@ -77,3 +77,24 @@ def test_a_prior_without_spread_is_refused():
     exact = posterior.ScenePrior(np.eye(10, PIXELS), np.arange(10) % 2, 2, components=PIXELS)
     with pytest.raises(InputError, match="light that fluctuates needs a prior with a spread"):
         posterior.AdaptivePosterior(exact, 1, optics())
+
+
+def test_looks_vary_as_their_light_does(prior):
+    """Counts of both arms have the variance r + (σ r)² and the covariance σ² r r'."""
+    exposures = 20_000
+    state = posterior.AdaptivePosterior(prior, exposures, optics(arms=2, dark=100.0))
+    x = torch.full((1, PIXELS), 0.4).expand(exposures, -1)
+    state.logs = state.logs[:1].expand(exposures, -1)
+    look = choice.look_at(state, x, 0.5, generator(3))
+    light = look.light[0].double()
+    of_mask = (look.masks == look.masks[0]).all(dim=1)
+    counts = look.counts[of_mask].double()
+    dark = 50.0
+    covariance = SIGMA**2 * torch.outer(light, light) + torch.diag(light + dark)
+    error = torch.sqrt(
+        (covariance**2 + torch.outer(covariance.diag(), covariance.diag())) / len(counts)
+    )
+    # a log-normal light has somewhat heavier tails than a normal one
+    assert ((torch.cov(counts.T) - covariance).abs() < 6 * error).all()
+    mean_error = (covariance.diag() / len(counts)).sqrt()
+    assert ((counts.mean(dim=0) - light - dark).abs() < 5 * mean_error).all()

@@ -240,3 +240,13 @@ def test_mnist_photon_noise_orders_designs_as_the_paper():
         accuracy.append(evaluate(one, data, PHOTONS, draws=1)[0].accuracy)
     assert accuracy == sorted(accuracy, reverse=True)
     assert accuracy[1] > 0.86
+
+
+@pytest.mark.usefixtures("uncharacterised", "trained_once")
+@pytest.mark.parametrize("design", ["hadamard", "truncated-hadamard", "s-matrix"])
+def test_padding_takes_no_light_from_the_laws(design):
+    data = synthetic((12, 10))
+    made_design = quick(data, design)
+    photons = light_on(made_design, data.x_test)
+    counted = made_design.scanner("none").rates(photons).sum(dim=(-2, -1))
+    assert (counted <= photons.sum(dim=-1) * (1 + FLOAT32)).all()

@@ -151,3 +151,27 @@ def test_what_is_no_noise_is_refused_in_one_line(digits, own, match):
     with pytest.raises(InputError, match=match) as error:
         quick(digits, noise=own)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("name", ["poisson", "ml_gauss"])
+def test_float32_keeps_mean_and_variance_up_to_1e10(name, rate, dtype):
+    """Photon counts are whole and never negative."""
+    rates = torch.full((DRAWS,), rate, dtype=dtype)
+    counts = noise_module.make_noise(name).draw(rates, generator(4))
+    assert counts.dtype == dtype
+    spacing = 2.0 ** max(math.floor(math.log2(max(rate, 1e-9))) - 23, -23)
+    assert_moments(counts, rate, rate, poisson=name == "poisson", rounding=max(spacing, 1.0) / 2)
+    if name == "poisson":
+        assert (counts == counts.round()).all()
+        assert (counts >= 0).all()
+
+
+@pytest.mark.parametrize("rate", [0.05, 1.0, 4.0])
+def test_faint_counts_follow_poissons_law(rate):
+    counts = Poisson().draw(torch.full((DRAWS,), rate, dtype=torch.float64), generator(4))
+    for k in range(4):
+        share = math.exp(-rate) * rate**k / math.factorial(k)
+        found = float((counts == k).double().mean())
+        assert abs(found - share) <= 5 * math.sqrt(share * (1 - share) / DRAWS)
