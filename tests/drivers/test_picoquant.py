@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driver_samples import check_counts, check_refused_before_a_recording, collect
+from driver_samples import check_counts, check_records_into_a_new_file_alone, collect
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates
@@ -124,7 +124,7 @@ def api(monkeypatch, tmp_path):
     module.snAPI, module.MeasMode = fake, MeasMode
     monkeypatch.setitem(sys.modules, "snAPI", types.ModuleType("snAPI"))
     monkeypatch.setitem(sys.modules, "snAPI.Main", module)
-    monkeypatch.setattr(picoquant, "SNAPI_POLL_S", 0)
+    monkeypatch.setattr(picoquant, "SNAPI_POLL_S", 1e-3)
     return fake
 
 
@@ -186,5 +186,5 @@ def test_records_are_counted_while_nobody_asks(api, tmp_path):
         assert len(counter.counts_since_marker(0.0).counts) == 0
 
 
-def test_nothing_is_counted_before_it_is_recorded(api, tmp_path):
-    check_refused_before_a_recording(picoquant.SnapiCounter(), tmp_path, "start the counter first")
+def test_no_recording_is_written_over(api, tmp_path):
+    check_records_into_a_new_file_alone(picoquant.SnapiCounter(), tmp_path)

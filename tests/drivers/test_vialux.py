@@ -93,11 +93,7 @@ def test_numbers_that_the_device_is_told_are_those_of_its_header():
     [
         ("__init__", OSError("no such library"), "no such library"),
         ("AlpDevAlloc", 1001, "Failure 1001"),
-        ("AlpDevInquire", 1011, "Failure 1011"),
         ("ProjControl", 1099, "code 1099"),
-        ("SeqAlloc", 1007, "Failure 1007"),
-        ("SeqPut", 1009, "Failure 1009"),
-        ("Run", 1008, "Failure 1008"),
         ("AlpProjInquire", 1012, "Failure 1012"),
         *((step, KeyboardInterrupt(), "^$")
           for step in ("AlpDevInquire", "ProjControl", "SeqPut", "Run")),
@@ -274,9 +270,7 @@ def test_lists_that_cannot_be_are_refused(library, patterns):
         projector.load(patterns(masks=2))
         for frames, dwells, words in [
             (np.array([6]), one, "of those loaded, 0 to 5"),
-            (np.array([-1]), one, "of those loaded, 0 to 5"),
             (np.array([0, 1]), one, "one for each time"),
-            (np.array([0]), np.array([0.0]), "times that are none"),
             (np.array([0]), np.array([np.nan]), "times that are none"),
         ]:
             with pytest.raises(InputError, match=words):

@@ -60,20 +60,7 @@ def test_a_detector_without_cells_is_named(tmp_path):
         find_detectors(counts, shown)
 
 
-@pytest.mark.parametrize(
-    ("camera", "match"),
-    [
-        (VirtualCamera(), "nothing says which part of the device each sees"),
-        (VirtualCamera(detectors=((0, 1, 2),)), "camera has 3 detectors, and the .* are for 4"),
-    ],
-)
-def test_nothing_is_simulated_of_other_detectors(tmp_path, camera, match):
-    with pytest.raises(InputError, match=match):
-        scanned(tmp_path, camera=camera)
+def test_nothing_is_simulated_of_other_detectors(tmp_path):
+    with pytest.raises(InputError, match=r"camera has 3 detectors, and the .* are for 4"):
+        scanned(tmp_path, camera=VirtualCamera(detectors=((0, 1, 2),)))
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize("parts", [((0, 1), (2,)), ((0, 2),), ((),)])
-def test_parts_that_are_none_are_refused(parts):
-    with pytest.raises(ValueError, match="detectors"):
-        VirtualCamera(detectors=parts)

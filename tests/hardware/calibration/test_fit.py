@@ -15,8 +15,7 @@ def off_corners(found):
     return np.abs(apply(found.homography, corners) - apply(VIEW, corners)).max()
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-@pytest.mark.parametrize("blur_cells", [0.4, 1.0])
+@pytest.mark.parametrize(("blur_cells", "noise"), [(0.4, 0.01), (1.0, 0.0)])
 def test_a_calibration_finds_what_was_done(blur_cells, noise):
     side = np.sqrt(GRID.mirrors)
     blur = blur_cells * side / 24 / 32, blur_cells * side / 32 / 32
@@ -63,22 +62,10 @@ def test_a_spot_that_is_not_where_the_others_say_is_left_out():
     assert 32 * off_corners(found) < 0.05
 
 
-NOWHERE = np.full((9, 2), np.nan)
-PLACES = np.random.default_rng(0).random((14, 2))
-LINE = np.c_[PLACES[:9, 0], np.full(9, 0.5)]
-
-
-@pytest.mark.parametrize(
-    ("display", "device"),
-    [
-        (PLACES[:9], np.r_[PLACES[:3], NOWHERE[:6]]),
-        (LINE, LINE),
-        (LINE @ [[1, 0.7], [0, 1]], LINE @ [[1, 0.7], [0, 1]]),
-        (PLACES[:5], np.r_[NOWHERE[:2], PLACES[11:]]),
-    ],
-    ids=["few", "line", "diagonal", "chaos"],
-)
-def test_too_little_for_a_homography_is_an_error(display, device):
-    with pytest.raises(InputError, match="spots are seen") as caught:
-        fit.find_homography(display, device, (32, 32))
-    assert "\n" not in str(caught.value)
+def test_too_little_for_a_homography_is_an_error():
+    places = np.random.default_rng(0).random((9, 2))
+    line = np.c_[places[:, 0], np.full(9, 0.5)] @ [[1, 0.7], [0, 1]]
+    few = np.where(np.arange(9)[:, None] < 3, places, np.nan)
+    for display, device in ((places, few), (line, line)):
+        with pytest.raises(InputError, match="spots are seen"):
+            fit.find_homography(display, device, (32, 32))

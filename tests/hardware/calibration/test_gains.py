@@ -82,7 +82,3 @@ def test_what_is_no_flat_field_is_refused(tmp_path):
     gains = find_gains(white, shown)
     with pytest.raises(InputError, match="or it was corrected itself"):
         find_gains(run(tmp_path, np.ones((12, 4, 4)), HALF, "again", gains=gains), shown)
-    with pytest.raises(InputError, match="the flat field is of 2 detectors"):
-        count_run(tmp_path / "white", CountSettings(gains=(1.0, 1.0)))
-    with pytest.raises(InputError, match="the camera has 2 gains, and the patterns are for 4"):
-        run(tmp_path, np.ones((1, 4, 4)), (1.0, 1.0), "two")

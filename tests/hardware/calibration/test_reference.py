@@ -56,7 +56,7 @@ def found(tmp_path, shown, camera, flux=3e8, exposure=0.01):
         (PLAIN, {"shift": (0.0, 0.125)}),
         (PLAIN, {"scale": 0.9, "turn": 4.0, "shift": (0.03, -0.05)}),
         (DmdLayout(rotate=90), {"scale": 0.5}),
-        *((each, {}) for each in PLAIN.orientations()[2::2]),
+        *((each, {}) for each in PLAIN.orientations()[2:5:2]),
     ],
     ids=str,
 )
@@ -103,7 +103,7 @@ def test_mirrors_of_the_other_polarity_are_named_and_corrected(tmp_path, inverte
             found(tmp_path, shown, camera)
 
 
-@pytest.mark.parametrize("cells", [0.0, 0.3, 1.0, 1.5])
+@pytest.mark.parametrize("cells", [0.3, 1.5])
 def test_law_the_blur_of_the_target_is_found_and_refused_beyond_half_a_cell(tmp_path, cells):
     """Within five of its standard errors: a blur was fitted before, and not said."""
     shown = export(tmp_path / "p")

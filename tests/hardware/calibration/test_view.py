@@ -28,17 +28,10 @@ def test_a_data_set_in_the_cameras_view():
     np.testing.assert_array_equal(view.y_train, data.y_train)
 
 
-@pytest.mark.parametrize(
-    ("pixels", "shape", "homography", "match"),
-    [
-        (7, (2, 4), VIEW, r"give \(n, h"),
-        (8, (8,), VIEW, "no images"),
-        (64, (8, 8), [[1, 0, 5], [0, 1, 0], [0, 0, 1]], "no cell looks"),
-    ],
-)
-def test_shapes_and_views_that_do_not_fit_are_refused(pixels, shape, homography, match):
-    with pytest.raises(InputError, match=match):
-        camera_view(np.ones((2, pixels)), shape, calibration_of(homography), (4, 4))
+def test_a_view_beside_the_display_is_refused():
+    beside = calibration_of([[1, 0, 5], [0, 1, 0], [0, 0, 1]])
+    with pytest.raises(InputError, match="no cell looks"):
+        camera_view(np.ones((2, 64)), (8, 8), beside, (4, 4))
 
 
 @pytest.mark.parametrize("blur", [0.0, 10.0])
@@ -69,13 +62,8 @@ def test_the_virtual_camera_and_the_operator_agree(device, shape, tolerance, blu
     ("change", "words"),
     [
         ({"homography": [[1, 0, 0], [2, 0, 0], [0, 0, 1]]}, "cannot be inverted"),
-        ({"homography": [[1, 0, 0], [0, 1, 0]]}, "homography.2"),
         ({"flat": [[1, 1], [1]]}, "differ in length"),
-        ({"flat": [[0, 0]]}, "dark everywhere"),
-        ({"flat": [[2]]}, "flat.0.0"),
-        ({"dark": -1}, "dark"),
         ({"schema_version": 2}, "schema 2, newer than this one: upgrade deepfsi"),
-        ({"new": 1}, "new"),
     ],
 )
 def test_a_damaged_file_is_named(tmp_path, change, words):

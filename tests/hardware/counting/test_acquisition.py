@@ -15,30 +15,17 @@ from deepfsi.hardware.counting.counts import read_counts
 run, whole = recording_samples.run, recording_samples.whole
 
 
-SCENES = [{"name": "a"}]
-
-
 @pytest.mark.parametrize(
     ("changes", "match"),
     [
-        ({"scenes": []}, "acquisition.json cannot be used at scenes"),
-        ({"scenes": SCENES * 4}, "photons.ptu .* 3 whole passes"),
-        ({"scenes": SCENES * 2}, "photons.ptu .* 3 whole passes"),
-        ({"scenes": SCENES * 65536}, "photons.ptu .* 65536 scenes"),
-        ({"exposure_s": -1}, "exposure_s"),
+        ({"scenes": [{"name": "a"}] * 4}, "photons.ptu .* 3 whole passes"),
         ({"exposure_s": 1.0}, "acquisition.json: an exposure of 1 s does not fit"),
-        ({"exposure_s": 1e-300}, "acquisition.json: an exposure of 1e-300 s leaves"),
         ({"exposure_s": 1e-12}, "photons.ptu has times in steps of 1 ps, too coarse"),
-        ({"settle_s": 0.9}, "acquisition.json: an exposure"),
         ({"repeats": 99}, "acquisition.json: 99 repeats do not fit"),
         ({"inputs": [0, 1]}, "acquisition.json has 2 inputs"),
-        ({"inputs": [1, 1]}, "each detector needs an input of its own"),
         ({"inputs": [3]}, "no light on input 4: .* 25764 photons on input 3"),
         ({"marker_bit": 1}, "0 frame markers on .* 0; there are some on 2: give --marker 2"),
-        ({"marker_bit": 3}, "marker_bit"),
         ({"manifest_sha256": "0" * 64}, "manifest.json is not the one"),
-        ({"manifest_sha256": None}, "acquisition.json has no manifest_sha256.* prepare"),
-        ({"unknown": 1}, "unknown"),
         ({"schema_version": 2}, "schema 2, newer than this one"),
     ],
 )

@@ -52,13 +52,6 @@ def test_a_recording_of_other_patterns_is_refused(run):
     run.refused("no light on input 3: .* patterns that were shown")
 
 
-def test_gates_that_do_not_fit_are_refused(run):
-    run.refused("does not fit", exposure_s=0.1)
-    run.refused("settle time", settle_s=float("nan"))
-    run.refused("repeats do not fit", exposure_s=1e-4, repeats=10**6)
-    run.refused("leaves nothing|does not fit", exposure_s=1e-4, settle_s=DWELL)
-
-
 def test_repeats_are_as_many_as_can_be_counted(run, monkeypatch):
     monkeypatch.setattr(acquisition, "MOST_READOUTS", 3 * 12 * 5)
     assert count_run(run.folder, CountSettings(exposure_s=1e-3)).counts.shape[1] == 5

