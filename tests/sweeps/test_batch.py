@@ -81,15 +81,6 @@ def test_memory_that_torch_keeps_on_a_gpu_is_free(monkeypatch):
     assert learning.memory_for(torch.device("cuda")) == 13e9
 
 
-def test_every_trial_is_in_one_batch_and_the_longest_comes_first(digits, trainer):
-    trials = planned(digits, trials=3, photons=(1e2, 1e7))
-    batches = trainer.batches_within(trials, 1e12)
-    keys = [trial.key for each in batches for trial in each]
-    assert sorted(keys) == sorted(trial.key for trial in trials)
-    costs = [trainer.effort(each) for each in batches]
-    assert costs == sorted(costs, reverse=True)
-
-
 def test_a_machine_that_batches_otherwise_still_works(digits, trainer, monkeypatch):
     """The one that planned had no bfloat16, this one has."""
     trials = planned(digits, designs="deepfsi", masks=3, photons=(1e3, 1e9))

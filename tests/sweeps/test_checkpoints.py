@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from deepfsi.base import locks
-from deepfsi.base.interrupts import saved_work_text
 from deepfsi.sweeps import batch
 from deepfsi.sweeps.plan import Trial
 from deepfsi.sweeps.records import FinishedTrial, Records
@@ -111,12 +110,6 @@ def test_a_checkpoint_left_by_a_kill_before_its_removal_is_removed(digits, trial
         (tmp_path / "checkpoints" / name).touch()
     Records(tmp_path)
     assert [path.stem for path in (tmp_path / "checkpoints").iterdir()] == ["0" * 24]
-
-
-def test_a_stopped_sweep_says_that_it_goes_on(monkeypatch, request):
-    monkeypatch.setattr("deepfsi.base.interrupts._saved_work", "")
-    request.getfixturevalue("left")
-    assert saved_work_text() == "; what was trained is kept, run again to go on"
 
 
 @pytest.mark.slow

@@ -15,11 +15,9 @@ from typing import Any
 
 import psutil
 import pytest
-from click.testing import CliRunner
-from safetensors.numpy import load_file
 
-from deepfsi.cli import app
-from shared.waiting import PATIENCE, until
+from shared.trials import left_over, tensors
+from shared.waiting import PATIENCE
 
 KILLS = int(os.environ.get("DEEPFSI_KILLS", "2"))
 RECIPE = """
@@ -30,8 +28,6 @@ trials = {trials}
 draws = 1
 training = {{ epochs = 2, batch = {batch} }}
 """
-
-
 MASKS = (1, 2, 3, 4)
 
 
@@ -39,19 +35,6 @@ def written(folder: Path) -> dict[Path, tuple[int, int]]:
     """Records with the moment and the inode of their writing."""
     states = {path: path.stat() for path in folder.glob("trials/*.json")}
     return {path: (state.st_mtime_ns, state.st_ino) for path, state in states.items()}
-
-
-def left_over(folder: Path) -> list[Path]:
-    """Drafts of files, locks, and what is not in its place yet."""
-    return [*folder.rglob(".*"), *folder.rglob("locks*"), *folder.rglob("finished*")]
-
-
-def tensors(folder: Path) -> dict[str, dict[str, bytes]]:
-    """Bits of all tensors of each design, by the name of its file."""
-    return {
-        path.name: {name: held.tobytes() for name, held in load_file(path).items()}
-        for path in folder.glob("designs/*")
-    }
 
 
 def records(folder: Path) -> dict[str, Any]:
@@ -70,7 +53,7 @@ def sweep(
     return ["sweep", str(recipe), "--json", "-o", str(tmp_path / "out"), "--workers", str(workers)]
 
 
-def start(tmp_path: Path, trials: int = 6, workers: int = 2) -> subprocess.Popen:
+def start(tmp_path: Path, trials: int, workers: int) -> subprocess.Popen:
     return subprocess.Popen(
         [sys.executable, "-m", "deepfsi", *sweep(tmp_path, trials, workers)],
         stdout=subprocess.PIPE,
@@ -96,7 +79,7 @@ def test_random_kills_lose_no_record_and_repeat_none(done, tmp_path):
         assert workers or not (kill % 2 and kill % 5)
         process.kill()
         process.communicate()
-        assert gone(workers)
+        assert not psutil.wait_procs(workers, timeout=PATIENCE)[1]
         now = written(tmp_path / "out")
         assert {path: now.get(path) for path in kept} == kept
         for path in now.keys() - kept.keys():
@@ -110,72 +93,30 @@ def test_random_kills_lose_no_record_and_repeat_none(done, tmp_path):
     assert not left_over(tmp_path / "out")
 
 
-@pytest.fixture(scope="module")
-def sound(tmp_path_factory) -> tuple[dict[str, dict[str, bytes]], dict[str, Any]]:
-    """Give the tensors and the records of a small sweep that nobody killed."""
-    folder = tmp_path_factory.mktemp("sound")
-    words = sweep(folder, trials=1, workers=1, masks=(1, 2), batch=500)
-    assert CliRunner().invoke(app, words).exit_code == 0
-    return tensors(folder / "out"), records(folder / "out")
-
-
 @pytest.mark.slow
-def test_a_kill_while_files_are_written_leaves_nothing_and_changes_no_bit(done, tmp_path, sound):
-    """Before the first file is moved into its place, and again before the seventh.
+def test_a_kill_while_files_are_written_leaves_nothing_and_changes_no_bit(done, tmp_path):
+    """Before the seventh file is moved into its place; the first ones are in theirs.
 
     Trials that were trained together are kept together: alone one of them rounds otherwise.
     """
-    recipe = sweep(tmp_path, trials=1, workers=1, masks=(1, 2), batch=500)
-    for moves in (1, 7):
-        kill = (
-            "import os, sys; from deepfsi.cli import run_command_line\n"
-            f"real, calls = os.replace, []; sys.argv = ['deepfsi', *{recipe!r}]\n"
-            "def replace(*paths):\n"
-            f"    calls.append(paths); os.kill(os.getpid(), 9) if len(calls) == {moves} else None\n"
-            "    real(*paths)\n"
-            "os.replace = replace; run_command_line()"
-        )
-        killed = subprocess.run([sys.executable, "-c", kill], capture_output=True)
-        assert killed.returncode == -signal.SIGKILL
-        assert left_over(tmp_path / "out")
+    settings = {"trials": 1, "workers": 1, "masks": (1, 2), "batch": 500}
+    recipe = sweep(tmp_path, **settings)
+    kill = (
+        "import os, sys; from deepfsi.cli import run_command_line\n"
+        f"real, calls = os.replace, []; sys.argv = ['deepfsi', *{recipe!r}]\n"
+        "def replace(*paths):\n"
+        "    calls.append(paths); os.kill(os.getpid(), 9) if len(calls) == 7 else None\n"
+        "    real(*paths)\n"
+        "os.replace = replace; run_command_line()"
+    )
+    killed = subprocess.run([sys.executable, "-c", kill], capture_output=True)
+    assert killed.returncode == -signal.SIGKILL
+    assert left_over(tmp_path / "out")
     done(*recipe)
     assert not left_over(tmp_path / "out")
     assert len(written(tmp_path / "out")) == 2 * 2 * 2
-    assert (tensors(tmp_path / "out"), records(tmp_path / "out")) == sound
-
-
-def working(process: subprocess.Popen, folder: Path) -> list[psutil.Process]:
-    """Worker processes, once a first record is there."""
-    until(lambda: written(folder) or process.poll() is not None)
-    assert process.poll() is None
-    return psutil.Process(process.pid).children(recursive=True)
-
-
-def gone(processes: list[psutil.Process]) -> bool:
-    return not psutil.wait_procs(processes, timeout=PATIENCE)[1]
-
-
-@pytest.mark.slow
-def test_ctrl_c_stops_at_once_and_keeps_finished_work(tmp_path):
-    """One process; `test_interrupts` stops workers."""
-    process = start(tmp_path, workers=1)
-    children = working(process, tmp_path / "out")
-    os.killpg(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130
-    (line,) = [x for x in errors.decode().splitlines() if x and x[:7] != "sweep: "]  # progress
-    assert "finished trials are kept" in line
-    assert gone(children)
-    assert written(tmp_path / "out")
-
-
-@pytest.mark.slow
-def test_a_worker_that_is_killed_is_told(tmp_path):
-    process = start(tmp_path)
-    children = working(process, tmp_path / "out")
-    busiest = max(children, key=lambda child: sum(child.cpu_times()[:2]))
-    busiest.kill()
-    _, errors = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 2
-    assert "killed" in errors.decode()
-    assert gone(children)
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    done(*sweep(whole, **settings))
+    for content in (tensors, records):
+        assert content(tmp_path / "out") == content(whole / "out")
