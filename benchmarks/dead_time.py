@@ -26,7 +26,7 @@ from deepfsi.design.design import Design
 from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
 from deepfsi.hardware.virtual.detector import Detector
-from deepfsi.lab.looks import design_rails
+from deepfsi.lab.setup import design_rails
 from deepfsi.training.learning import learn
 from deepfsi_paper.camera.gate_counts import draw
 

@@ -24,8 +24,7 @@ from deepfsi.camera.device import find_device
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.drivers.protocols import Setup
-from deepfsi.hardware.live.replay import replay_run
-from deepfsi.hardware.live.results import LiveScene
+from deepfsi.hardware.live.record import LiveScene, replay_run
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual.camera import MirrorLight, VirtualCamera, arrival_rates
@@ -36,7 +35,7 @@ from deepfsi.hardware.virtual.setup import (
     VirtualOptics,
     VirtualProjector,
 )
-from deepfsi.lab.looks import design_rails, open_looks
+from deepfsi.lab.setup import design_rails, open_looks
 
 FLUX, EXPOSURE_S, PHOTONS = 1e7, 10e-3, 1e5
 SURE = 0.9

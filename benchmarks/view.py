@@ -25,7 +25,7 @@ from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
 from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
-from deepfsi.lab.looks import design_rails, open_looks
+from deepfsi.lab.setup import design_rails, open_looks
 
 SCENES, PHOTONS, EXPOSURE_S = 40, 1e4, 10e-3
 

@@ -52,7 +52,7 @@ BACKGROUND_ROUNDS = 50
 
 
 @dataclass(frozen=True)
-class Threshold:
+class _Threshold:
     """Least photons in a window that make a transit, and how often background has them."""
 
     photons: int  # k
@@ -68,7 +68,7 @@ def false_alarms(level: int, background: float, window: float, duration: float) 
     return float(rises + poisson.sf(level - 1, mean))
 
 
-def find_threshold(background: float, window: float, duration: float, allowed: float) -> Threshold:
+def find_threshold(background: float, window: float, duration: float, allowed: float) -> _Threshold:
     """Least level whose false alarms in a record are so many at most, and not below the mean."""
     level = max(int(background * window) + 1, 2)  # below the mean rises are rare, too
     while false_alarms(level, background, window, duration) > allowed:
@@ -79,7 +79,7 @@ def find_threshold(background: float, window: float, duration: float, allowed: f
         and false_alarms(level - 1, background, window, duration) <= allowed
     ):
         level -= 1
-    return Threshold(level, false_alarms(level, background, window, duration))
+    return _Threshold(level, false_alarms(level, background, window, duration))
 
 
 def find_transits(times: np.ndarray, window: float, level: int) -> np.ndarray:
@@ -164,7 +164,7 @@ def count_bins(times: np.ndarray, starts: np.ndarray, bin_s: float, bins: int) -
 
 
 @dataclass(frozen=True)
-class Transit:
+class _Transit:
     """One transit of a record."""
 
     start_s: float  # of its first bin
@@ -177,9 +177,9 @@ class Transit:
 class ClassifiedTransits:
     """Transits of a photon file, and how they were found."""
 
-    transits: tuple[Transit, ...]
+    transits: tuple[_Transit, ...]
     background: float  # counts/s
-    threshold: Threshold  # photons in a window as long as the bins
+    threshold: _Threshold  # photons in a window as long as the bins
     seconds: float  # length of the record
     photons: float  # budget Φ of a transit
 
@@ -276,7 +276,7 @@ def classify_transits(
         counts = count_bins(times, starts, bin_s, path.bins)
         chances = design.classify((counts - rate * bin_s).astype(np.float32), budget)
         transits = tuple(
-            Transit(
+            _Transit(
                 start_s=start,
                 counts=tuple(counts[index].tolist()),
                 predicted=design.classes[int(np.argmax(chances[index]))],

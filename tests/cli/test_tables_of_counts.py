@@ -16,7 +16,7 @@ from deepfsi.camera.device import find_device
 from deepfsi.datasets.display import write_pictures
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.lab.looks import design_rails
+from deepfsi.lab.setup import design_rails
 
 FLUX, SCENES, DWELL = 1e6, 60, 1e-3
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi.hardware.drivers.protocols import Setup
-from deepfsi.hardware.live import frame_log
+from deepfsi.hardware.live import record as frame_log
 from deepfsi.hardware.live.run import run_live
 from deepfsi.hardware.photons.ptu import PtuWriter
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S

@@ -6,7 +6,7 @@ import torch
 
 from conftest import FLOAT32, assert_moments, generator
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
-from deepfsi_flow.transit import FixedPattern, LearnedPattern, ScenePath, in_levels
+from deepfsi_flow.exposure import FixedPattern, LearnedPattern, ScenePath, in_levels
 
 FINE = 4
 """Steps of a pixel at which scenes are shifted explicitly."""

@@ -32,8 +32,8 @@ from deepfsi.hardware.patterns import folder as patterns
 from deepfsi.hardware.photons import reader as photons
 from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.jobs.mask_files import read_matrix
-from deepfsi.lab.looks import camera_of, design_rails
-from deepfsi.lab.scenes import read_scenes
+from deepfsi.lab.design_data import read_scenes
+from deepfsi.lab.setup import camera_of, design_rails
 from deepfsi.report.comparison_page import write_report
 from deepfsi.sweeps.plan import check_settings
 from deepfsi.sweeps.recipe import only

@@ -3,7 +3,7 @@
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.lab.scenes import read_scenes
+from deepfsi.lab.design_data import read_scenes
 
 
 @pytest.mark.parametrize(

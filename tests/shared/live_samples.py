@@ -9,13 +9,13 @@ from deepfsi import learn
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene
 from deepfsi.hardware.live import run
-from deepfsi.hardware.live.looks import LookChooser
-from deepfsi.hardware.live.replay import replay_run
+from deepfsi.hardware.live.observer import LookChooser
+from deepfsi.hardware.live.record import replay_run
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
 from deepfsi.hardware.virtual.camera import CAMERAS
 from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
-from deepfsi.lab.looks import design_rails, open_looks
+from deepfsi.lab.setup import design_rails, open_looks
 
 LOOKS, FLUX, EXPOSURE_S = 3, 1e6, 10e-3
 OPTICS = {"one detector": "dmd", "two arms": "two-arm", "detectors": "dmd-2x2"}

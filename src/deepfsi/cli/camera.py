@@ -31,7 +31,7 @@ class DescribeCamera(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The camera, or a file to describe one in."""
-        from deepfsi.lab.looks import camera_of
+        from deepfsi.lab.setup import camera_of
 
         if self.template is not None:
             write_atomically(self.template, Camera.template().encode())
@@ -91,7 +91,7 @@ class CalibrateCamera(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """View of the camera, in its file."""
-        from deepfsi.lab.calibration import calibrate
+        from deepfsi.lab.setup import calibrate
 
         fields.check_free(self.out / "calibration.json", self.force)
         calibration, file, detectors = calibrate(self.folder, self.spots, self.out)
@@ -129,7 +129,7 @@ class CheckView(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Place of the scenes on the device."""
-        from deepfsi.lab.calibration import check_view
+        from deepfsi.lab.setup import check_view
 
         with terminal.progress("reference") as report:
             fit = check_view(self.folder, report)

@@ -73,7 +73,7 @@ class ExportPatterns(Command):
         from deepfsi.hardware.calibration.reference import write_reference
         from deepfsi.hardware.calibration.scans import SCAN_NAMES, scan_rails
         from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-        from deepfsi.lab.looks import camera_of, design_rails
+        from deepfsi.lab.setup import camera_of, design_rails
 
         if str(self.file) in SCAN_NAMES:
             source = self.file

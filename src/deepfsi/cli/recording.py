@@ -76,8 +76,8 @@ class PrepareRun(Command):
         from deepfsi.hardware.counting.acquisition import Acquisition, prepare_run
         from deepfsi.hardware.light.curves import name_inputs
         from deepfsi.hardware.patterns.folder import read_patterns
-        from deepfsi.lab.looks import camera_of
-        from deepfsi.lab.scenes import listed_scenes
+        from deepfsi.lab.design_data import listed_scenes
+        from deepfsi.lab.setup import camera_of
 
         manifest = read_patterns(self.patterns).manifest
         camera = camera_of(self.patterns, self.settings)
@@ -131,8 +131,8 @@ class SimulateRun(Command):
             expected_events,
             record_scenes,
         )
-        from deepfsi.lab.looks import camera_of, virtual_camera
-        from deepfsi.lab.scenes import displayed, picture_hashes
+        from deepfsi.lab.design_data import displayed, picture_hashes
+        from deepfsi.lab.setup import camera_of, virtual_camera
 
         camera = camera_of(self.patterns, self.settings)
         virtual = virtual_camera(self.virtual, self.patterns, self.settings)
@@ -299,8 +299,8 @@ class RecordRun(_DeviceRun):
         from deepfsi.hardware.patterns.folder import read_patterns
         from deepfsi.hardware.virtual.camera import expected_events
         from deepfsi.hardware.virtual.setup import virtual_setup
-        from deepfsi.lab.looks import camera_of, virtual_camera
-        from deepfsi.lab.scenes import displayed, listed_scenes, scenes_of
+        from deepfsi.lab.design_data import displayed, listed_scenes, scenes_of
+        from deepfsi.lab.setup import camera_of, virtual_camera
 
         self.check_devices()
         latencies = self.latencies
@@ -374,13 +374,13 @@ class RunLive(_DeviceRun):
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the scenes, each said as it is decided."""
         from deepfsi.hardware.drivers.protocols import Setup, StreamingProjector
-        from deepfsi.hardware.live.results import LiveAnswers
+        from deepfsi.hardware.live.record import LiveAnswers
         from deepfsi.hardware.live.run import plan_live, run_live
         from deepfsi.hardware.patterns.folder import read_patterns
         from deepfsi.hardware.virtual.camera import expected_events
         from deepfsi.hardware.virtual.setup import virtual_setup
-        from deepfsi.lab.looks import camera_of, open_looks, virtual_camera
-        from deepfsi.lab.scenes import displayed, scenes_of
+        from deepfsi.lab.design_data import displayed, scenes_of
+        from deepfsi.lab.setup import camera_of, open_looks, virtual_camera
 
         self.check_devices()
         latencies = self.latencies
@@ -456,7 +456,7 @@ class RunLive(_DeviceRun):
     def _patterns(self, terminal: Terminal) -> Iterator[Path]:
         """Folder of patterns, or those of a design file for the moment."""
         from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-        from deepfsi.lab.looks import design_rails
+        from deepfsi.lab.setup import design_rails
 
         if self.source.is_dir():
             yield self.source

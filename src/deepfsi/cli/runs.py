@@ -78,9 +78,8 @@ class CountRun(Command):
         """Counts of the run."""
         from deepfsi.hardware.counting.acquisition import read_run
         from deepfsi.hardware.counting.count import CountSettings, count_run
-        from deepfsi.hardware.live.replay import LiveCounts, is_live
-        from deepfsi.lab.calibration import gains_of
-        from deepfsi.lab.looks import camera_of
+        from deepfsi.hardware.live.record import LiveCounts, is_live
+        from deepfsi.lab.setup import camera_of, gains_of
 
         if self.folder.suffix.lower() == ".ptu":
             raise InputError(
@@ -198,7 +197,7 @@ class ReconstructScenes(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of each scene."""
-        from deepfsi.hardware.calibration.reconstruction import reconstruct
+        from deepfsi.hardware.calibration.scans import reconstruct
         from deepfsi.hardware.counting.acquisition import read_run
         from deepfsi.report.masks import pictures_figure
         from deepfsi.report.style import write_figure

@@ -22,7 +22,7 @@ from deepfsi.camera.dead_time import StopRule
 from deepfsi.design.design import Design
 from deepfsi.designfile.distribution import UNSURE
 from deepfsi.hardware.light.curves import Arrivals
-from deepfsi.hardware.live.looks import AllOnCounts, ExposureState, FrameList, SceneComparison
+from deepfsi.hardware.live.observer import AllOnCounts, ExposureState, FrameList, SceneComparison
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.manifest import Brightness, DesignRails, LookPlan, Manifest
 from deepfsi.physics.surroundings import library_defaults

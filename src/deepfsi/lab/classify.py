@@ -30,11 +30,10 @@ from deepfsi.hardware.counting.acquisition import ReferenceVerdict, Scene, read_
 from deepfsi.hardware.counting.counts import Counts, read_counts
 from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.hardware.light.checks import Fault
-from deepfsi.hardware.live.replay import is_live, replay_run
-from deepfsi.hardware.live.results import LiveAnswers
+from deepfsi.hardware.live.record import LiveAnswers, is_live, replay_run
 from deepfsi.hardware.patterns.folder import Patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import Manifest
-from deepfsi.lab.looks import design_rails, open_looks
+from deepfsi.lab.setup import design_rails, open_looks
 
 if TYPE_CHECKING:  # they import torch, which the command line loads late
     from deepfsi.design.design import Design, RunCounts

@@ -1,9 +1,10 @@
 """Data as a design knows them: those that it is tested on, and pictures as it sees them.
 
 A camera's calibration may view them. Where they are not what the design was trained on, that is
-noted.
+noted. Scenes that a camera is shown are pictures of a display, or a list of names.
 """
 
+import os
 from collections.abc import Mapping
 from math import prod
 from pathlib import Path
@@ -11,22 +12,22 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.datasets.dataset import Dataset, Origin
-from deepfsi.datasets.display import array_display
+from deepfsi.datasets.display import array_display, read_display, read_scene_list
 from deepfsi.datasets.load import absolute_source, load_dataset, options_of, prepare_display
-from deepfsi.designfile.design_file import DesignFile
-from deepfsi.designfile.provenance import TrainedOn, new_scenes, trained_on
+from deepfsi.designfile.design_file import DesignFile, DesignHeader
+from deepfsi.designfile.provenance import TrainedOn, new_scenes, scene_hashes, trained_on
 from deepfsi.hardware.calibration.view import camera_view, view_dataset
-from deepfsi.hardware.counting.acquisition import Calibration
-from deepfsi.hardware.patterns.folder import Patterns, check_patterns
+from deepfsi.hardware.counting.acquisition import Calibration, Scene
+from deepfsi.hardware.patterns.folder import Patterns, check_patterns, read_patterns
 
 if TYPE_CHECKING:
     from deepfsi.datasets.display import Display
     from deepfsi.design.design import Design
 
 
-class DesignData(NamedTuple):
+class _DesignData(NamedTuple):
     """Data that a design is tested on, and notes on where it is not what it was trained on."""
 
     data: Dataset
@@ -50,7 +51,7 @@ def data_of(
     data: str | None = None,
     size: tuple[int, int] | None = None,
     view: Path | None = None,
-) -> DesignData:
+) -> _DesignData:
     """Load the data to test a design on: what is given, else what it was trained on."""
     training = trained_on(design.info)
     known = training.origin if training else None
@@ -76,7 +77,7 @@ def data_of(
     _, left = new_scenes(design.training_scenes, loaded)
     if design.training_scenes is None and notes:
         left = "test scenes may be among those it was trained on, which its file does not hold"
-    return DesignData(loaded, tuple(notes if left is None else [*notes, left]))
+    return _DesignData(loaded, tuple(notes if left is None else [*notes, left]))
 
 
 def data_of_file(file: Path, size: tuple[int, int] | None = None) -> Dataset:
@@ -166,3 +167,72 @@ def design_scenes(
     calibration = Calibration.load(Path(origin.view))
     x = camera_view(shown.x.reshape(len(shown.x), -1), image_shape, calibration)
     return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")
+
+
+def _design_of(patterns: Path) -> DesignHeader | None:
+    """Header of the design in a folder of patterns; None where it has none."""
+    if read_patterns(patterns).manifest.design_sha256 is None:
+        return None
+    return DesignFile.read(patterns / Patterns.DESIGN, ()).header
+
+
+def displayed(source: Path, patterns: Path) -> "Display":
+    """Pictures of scenes, with the white of the patterns' design where their type has none."""
+    images = read_display(source)
+    if not images.levels.chosen or (design := _design_of(patterns)) is None:
+        return images
+    known = trained_on(design.info)
+    white = known.origin.white if known and known.origin else None
+    return images if white is None else read_display(source, white)
+
+
+def picture_hashes(
+    source: str | os.PathLike[str], patterns: str | os.PathLike[str]
+) -> tuple[str, ...] | None:
+    """Hashes of pictures as the patterns' design sees them; None where it cannot see them.
+
+    Parameters
+    ----------
+    source : str or path
+        The pictures.
+    patterns : str or path
+        Folder of the patterns.
+    """
+    design = _design_of(Path(patterns))
+    if design is None:
+        return None
+    try:
+        shown = design_scenes(design.info, design.image_shape, Path(source))
+    except InputError:  # it was made of arrays, or of pictures of another size
+        return None
+    return scene_hashes(shown.x, design.image_shape)
+
+
+def scenes_of(images: "Display", source: Path, patterns: Path) -> tuple[Scene, ...]:
+    """Scenes of pictures, with their names, the classes of their folders and their hashes."""
+    count = len(images.names)
+    labels = images.labels or [None] * count
+    hashes = picture_hashes(source, patterns) or [None] * count
+    return tuple(
+        Scene(name=name, label=label, hash=digest)
+        for name, label, digest in zip(images.names, labels, hashes, strict=True)
+    )
+
+
+def listed_scenes(source: Path, patterns: Path) -> tuple[Scene, ...]:
+    """Scenes that someone shows to a camera."""
+    suffix = source.suffix.lower()
+    if suffix in (".txt", ".csv") and not source.exists():
+        raise InputError(f"there is nothing at {source}: give a list of scenes, or their pictures")
+    if source.is_file() and suffix in ("", ".txt", ".csv"):
+        return read_scenes(source)
+    return scenes_of(read_display(source), source, patterns)
+
+
+def read_scenes(path: str | os.PathLike[str]) -> tuple[Scene, ...]:
+    """Scenes of a text or CSV file, in its order."""
+    scenes = []
+    for line, name, label in read_scene_list(Path(path)):
+        with as_input_error(f"{path}, line {line},"):
+            scenes.append(Scene(name=name, label=label))
+    return tuple(scenes)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from deepfsi.hardware.patterns.folder import GatePlan
 from deepfsi.hardware.patterns.manifest import Manifest
-from deepfsi.hardware.patterns.timing import GatePlan
 from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S, Detector, Stream, divide
 

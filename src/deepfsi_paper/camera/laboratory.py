@@ -30,9 +30,8 @@ from deepfsi.hardware.calibration.scans import scan_rails
 from deepfsi.hardware.calibration.view import view_dataset
 from deepfsi.hardware.counting.acquisition import Calibration, read_run
 from deepfsi.hardware.counting.count import count_run
-from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
+from deepfsi.hardware.patterns.folder import FrameSettings, GatePlan, Patterns, export_patterns
 from deepfsi.hardware.patterns.manifest import DesignRails
-from deepfsi.hardware.patterns.timing import GatePlan
 from deepfsi.hardware.virtual.camera import (
     CAMERAS,
     RecordingSettings,

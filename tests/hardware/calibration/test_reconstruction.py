@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.hardware.calibration.reconstruction import reconstruct
+from deepfsi.hardware.calibration.scans import reconstruct
 from deepfsi.hardware.counting.acquisition import prepare_run
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns

@@ -6,7 +6,7 @@ import recording_samples
 from recording_samples import named, patterns_of
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.calibration.reconstruction import reconstruct
+from deepfsi.hardware.calibration.scans import reconstruct
 from deepfsi.hardware.counting import acquisition
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
 from deepfsi.hardware.counting.count import count_run

@@ -7,7 +7,7 @@ import pytest
 import recording_samples
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.calibration.reconstruction import reconstruct
+from deepfsi.hardware.calibration.scans import reconstruct
 from deepfsi.hardware.counting.counts import read_counts
 
 run, whole = recording_samples.run, recording_samples.whole

@@ -16,7 +16,7 @@ from recording_samples import (
 )
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting import markers
+from deepfsi.hardware.counting import windows
 from deepfsi.hardware.counting.acquisition import read_run
 from deepfsi.hardware.counting.count import CountSettings, count_run
 from deepfsi.hardware.counting.counts import read_counts
@@ -41,7 +41,7 @@ FREE = schedule([400, 900, 1300, 2100, 700, 3000, 1500, 800, 600, 1100, 2500, 19
 )
 def test_markers_of_other_patterns_or_scenes_are_refused(times, scenes, match):
     with pytest.raises(InputError, match=match):
-        markers.align(times, EQUAL, scenes)
+        windows.align(times, EQUAL, scenes)
 
 
 @settings(parent=many, max_examples=2 * FUZZ)
@@ -66,7 +66,7 @@ def test_a_fault_within_passes_is_refused(manifest, scenes, clock, pauses, troub
     for each in trouble:
         times = each.strike(times, true)
     try:
-        found = markers.align(times, manifest, scenes)
+        found = windows.align(times, manifest, scenes)
     except InputError as error:
         assert trouble or (drift and extra), error  # noqa: PT017
         assert "\n" not in str(error)  # noqa: PT017

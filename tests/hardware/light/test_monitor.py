@@ -6,8 +6,8 @@ from scipy.optimize import brentq
 from scipy.stats import poisson
 
 from deepfsi.hardware.light import checks, curves, flux
+from deepfsi.hardware.light.checks import LightMonitor
 from deepfsi.hardware.light.curves import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
-from deepfsi.hardware.light.monitor import LightMonitor
 from deepfsi.hardware.patterns.manifest import Brightness
 from hardware.counting.recording_samples import schedule
 

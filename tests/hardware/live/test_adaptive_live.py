@@ -11,12 +11,12 @@ from conftest import exposing
 from deepfsi import learn
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.live.replay import LiveCounts
+from deepfsi.hardware.live.record import LiveCounts
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
 from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
-from deepfsi.lab.looks import design_rails, open_looks
+from deepfsi.lab.setup import design_rails, open_looks
 from shared.live_samples import scenes_of
 
 LOOKS, FLUX, EXPOSURE_S, LOAD_S = 5, 1e7, 10e-3, 2e-3

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.live import frame_log
+from deepfsi.hardware.live import record as frame_log
 from deepfsi.hardware.live import run as runs
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
-from deepfsi.lab.looks import open_looks
+from deepfsi.lab.setup import open_looks
 from shared.live_samples import (
     DEVICE,
     EXPOSURE_S,

@@ -7,7 +7,7 @@ from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.live.run import run_live
 from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
-from deepfsi.lab.calibration import check_view
+from deepfsi.lab.setup import check_view
 from shared.live_samples import make_patterns, planned
 
 

@@ -11,8 +11,8 @@ from conftest import exposing
 from deepfsi import evaluate, learn, load_design
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.live import frame_log
-from deepfsi.hardware.live.replay import LiveCounts
+from deepfsi.hardware.live import record as frame_log
+from deepfsi.hardware.live.record import LiveCounts
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import (
     FrameSettings,
@@ -24,7 +24,7 @@ from deepfsi.hardware.patterns.frames import unpack
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
 from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
 from deepfsi.lab import adaptive_looks
-from deepfsi.lab.looks import design_rails, open_looks
+from deepfsi.lab.setup import design_rails, open_looks
 from shared.live_samples import replay, scenes_of
 
 LOOKS, MASKS, FLUX, EXPOSURE_S, LOAD_S = 12, 300, 1e6, 10e-3, 2e-3

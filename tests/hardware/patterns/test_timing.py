@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pattern_samples import export
 
-from deepfsi.hardware.patterns.timing import GatePlan
+from deepfsi.hardware.patterns.folder import GatePlan
 
 
 @pytest.mark.parametrize("exposure", [1e-3, 4e-3, 0.017])

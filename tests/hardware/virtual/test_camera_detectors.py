@@ -16,7 +16,7 @@ from virtual_samples import (
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.hardware.calibration.reconstruction import reconstruct
+from deepfsi.hardware.calibration.scans import reconstruct
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.photons import ptu

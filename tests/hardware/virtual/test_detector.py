@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from deepfsi.hardware.patterns.timing import GatePlan
+from deepfsi.hardware.patterns.folder import GatePlan
 from deepfsi.hardware.virtual import detector as module
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S, Detector, Stream, divide
 

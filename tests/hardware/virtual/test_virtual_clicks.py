@@ -6,11 +6,11 @@ from virtual_samples import SUMMED_REFLECTANCE, every_optics, expected, patterns
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import CounterEffects, DeadTime
-from deepfsi.hardware.calibration.reconstruction import reconstruct
+from deepfsi.hardware.calibration.scans import reconstruct
 from deepfsi.hardware.counting.count import CountSettings, count_run
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.virtual.camera import VirtualCamera
-from deepfsi.lab.calibration import check_view, gains_of
+from deepfsi.lab.setup import check_view, gains_of
 
 GATES = 4
 EXPOSURE = 4e-3

@@ -1,7 +1,11 @@
-"""Scans: patterns that take pictures without a design, and what they tell of the detectors."""
+"""Scans: patterns that take pictures without a design, and what they tell of the detectors.
+
+Pictures are least-squares estimates of scenes from the counts of any masks.
+"""
 
 import io
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +13,8 @@ import numpy as np
 from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.files import write_atomically
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting.acquisition import read_run
+from deepfsi.hardware.counting.counts import Counts, read_counts
 from deepfsi.hardware.light.checks import SPOILING
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.manifest import DesignRails
@@ -135,3 +140,44 @@ def save_detectors(labels: np.ndarray, folder: Path) -> Path:
     file = io.BytesIO()
     np.save(file, labels)
     return write_atomically(folder / "detectors.npy", file.getvalue())
+
+
+LEAST_SINGULAR_VALUE = 1e-3
+"""Least singular value that a picture is made from, of the sensing matrix's largest."""
+
+
+def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
+    """Least-squares picture of each scene from its counts, less background."""
+    # The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
+    # Directions that the masks hardly see are left out (singular values below 1e-3 of the largest)
+    run = read_run(folder)
+    patterns = run.patterns
+    counts = read_counts(run).check_photons(folder)
+    stated = run.acquisition.flux
+    flux = np.nanmean(counts.flux) if stated is None else stated
+    budget = float(flux * counts.exposure_s)
+    if not budget > 0:
+        raise InputError(f"{folder} has no light: its all-ON frames are not brighter than the dark")
+    valid = np.asarray(counts.valid.any(axis=1))
+    weights = counts.valid / np.maximum(counts.valid.sum(axis=1, keepdims=True), 1)
+    mean = np.einsum("sr,sr...->s...", weights, counts.signal())[valid]
+    read = counts.lengths_s > 0
+    out = np.full((len(valid), patterns.on.shape[1]), np.nan)
+    found = _solve(patterns.rails[read], mean[:, read], patterns.manifest.detectors)
+    out[valid] = found * (patterns.manifest.summed_reflectance / budget)
+    return out.reshape(len(valid), *patterns.manifest.image_shape)
+
+
+def _solve(masks: np.ndarray, counts: np.ndarray, detectors: DetectorMap | None) -> np.ndarray:
+    """Pictures (S, N) of counts (S, k[, D]) behind masks (k, N): each detector's of its cells."""
+    from scipy.linalg import lstsq
+
+    if detectors is not None and detectors.cells is not None:
+        out = np.empty((len(counts), masks.shape[1]))
+        labels = np.array(detectors.cells)
+        for place in range(detectors.count):
+            own = labels == place
+            out[:, own] = _solve(masks[:, own], counts[..., place], None)
+        return out
+    every = counts if detectors is None else counts.sum(axis=-1)
+    return np.asarray(lstsq(masks, every.T, cond=LEAST_SINGULAR_VALUE)[0].T)

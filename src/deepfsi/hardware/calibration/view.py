@@ -29,7 +29,7 @@ VIEWED_AT_ONCE = 4096
 """Scenes that are viewed at once."""
 
 
-def view_matrix(
+def _view_matrix(
     image_shape: tuple[int, ...], calibration: Calibration, cells_shape: tuple[int, ...]
 ) -> "sparse.csr_array":
     """Matrix (down * across, h * w) from a scene to what each cell sees: rows sum to 1 or less."""
@@ -52,7 +52,7 @@ def camera_view(
 ) -> np.ndarray:
     """Scenes as the cells of a mask see them."""
     x = np.asarray(x, dtype=np.float32)
-    view = view_matrix(image_shape, calibration, cells_shape or image_shape).astype(np.float32)
+    view = _view_matrix(image_shape, calibration, cells_shape or image_shape).astype(np.float32)
     if x.ndim != 2 or x.shape[1] != view.shape[1]:
         raise InputError(f"scenes of shape {x.shape} with images of {image_shape}: give (n, h * w)")
     out = np.empty((len(x), view.shape[0]), dtype=np.float32)

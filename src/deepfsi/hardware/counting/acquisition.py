@@ -33,9 +33,8 @@ from deepfsi.base.models.strict import Amount, Positive, Share, StrictModel
 from deepfsi.base.quantities import plural, time_text
 from deepfsi.camera.dead_time import CounterEffects, DeadTime, LiveSettings
 from deepfsi.camera.detectors import MOST_INPUTS
-from deepfsi.hardware.patterns.folder import Patterns, read_patterns
+from deepfsi.hardware.patterns.folder import GatePlan, Patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import Manifest
-from deepfsi.hardware.patterns.timing import GatePlan
 from deepfsi.hardware.photons.reader import PtuFile
 
 MOST_READOUTS = 2**21

@@ -31,17 +31,18 @@ from deepfsi.hardware.counting.corrections import (
     variance_of_clicks,
 )
 from deepfsi.hardware.counting.counts import Counts, RunLight
-from deepfsi.hardware.counting.markers import MOST_DRIFT, find_frames
 from deepfsi.hardware.counting.windows import (
+    MOST_DRIFT,
     FrameStarts,
     WindowCounts,
     Windows,
     count_in_windows,
+    find_frames,
     sum_exposures,
 )
 from deepfsi.hardware.light.checks import Fault, check_light, find_lateness
 from deepfsi.hardware.light.curves import PARTS_OF_FRAME, Arrivals, name_inputs
-from deepfsi.hardware.patterns.timing import GatePlan
+from deepfsi.hardware.patterns.folder import GatePlan
 from deepfsi.hardware.photons.reader import PhotonSource, summarise
 
 LEAST_GATE_TICKS = 10

@@ -19,7 +19,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import time_text
 from deepfsi.camera.dead_time import CorrectionFactors, LiveSettings
 from deepfsi.hardware.counting.corrections import correct, corrections_of
-from deepfsi.hardware.counting.markers import MOST_EXTRA, MOST_RATE
+from deepfsi.hardware.counting.windows import MOST_EXTRA, MOST_RATE
 from deepfsi.hardware.light.curves import PARTS_OF_FRAME
 from deepfsi.hardware.patterns.manifest import Frame, Manifest
 from deepfsi.hardware.photons.reader import PtuStream, WindowCounter, cut_windows

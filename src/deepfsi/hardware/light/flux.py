@@ -177,7 +177,7 @@ def _usual_light(curve: LightCurve) -> float:
 
 
 @dataclass(frozen=True)
-class Level:
+class _Level:
     """Brightness of the scenes between two changes of the lamp."""
 
     first: int  # scene
@@ -190,7 +190,7 @@ class Flux:
     """Light of the scenes with all mirrors ON, without background."""
 
     rate: np.ndarray  # (P,): counts/s, of each pass and of those that agree with it
-    levels: tuple[Level, ...] = ()
+    levels: tuple[_Level, ...] = ()
     trend: float | None = None  # last brightness over first, of a lamp that rises or falls steadily
 
     @classmethod
@@ -227,7 +227,7 @@ class Flux:
         lengths = np.diff(starts)
         scenes = curve.scenes[passes]
         levels = [
-            Level(scenes[segment.start], scenes[segment.stop - 1], rates.mean(segment))
+            _Level(scenes[segment.start], scenes[segment.stop - 1], rates.mean(segment))
             for segment in segments
         ]
         return cls(np.repeat([level.rate for level in levels], lengths), tuple(levels))

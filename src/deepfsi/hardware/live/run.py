@@ -32,18 +32,18 @@ from deepfsi.hardware.drivers.protocols import (
     StreamingCounter,
     StreamingProjector,
 )
+from deepfsi.hardware.light.checks import NO_LIGHT
 from deepfsi.hardware.light.curves import excess_chance
-from deepfsi.hardware.light.monitor import NO_LIGHT
-from deepfsi.hardware.live.frame_log import FrameLog, LoggedList, LoggedScene
-from deepfsi.hardware.live.looks import FrameList, LookChooser
 from deepfsi.hardware.live.observer import (
     MARGIN_NS,
     OFF,
     Decision,
+    FrameList,
+    LookChooser,
     SceneObserver,
     margin_ns,
 )
-from deepfsi.hardware.live.results import LiveScene
+from deepfsi.hardware.live.record import FrameLog, LiveScene, LoggedList, LoggedScene
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.manifest import Manifest
 
@@ -326,7 +326,7 @@ class _CountedFrames:
 
 
 @dataclass(frozen=True)
-class RecordedScene:
+class _RecordedScene:
     """A scene as its pass was counted while it was recorded, counts/s."""
 
     scene: Scene
@@ -365,7 +365,7 @@ def record_run(
     acquisition: Acquisition,
     setup: Setup[PassProjector],
     report: Progress | None = None,
-) -> Generator[RecordedScene]:
+) -> Generator[_RecordedScene]:
     """Show and record scene after scene; gives each when its pass has ended."""
     acquisition.check_fixed(folder)
     manifest = read_patterns(patterns_folder).manifest
@@ -394,7 +394,7 @@ def record_run(
                 setup.projector.run()
                 setup.projector.wait()
                 counts = frames.take(len(gates) - 1, PATIENCE_S, " of their pass").counts
-                recorded = RecordedScene.of(scene, counts, gates.lengths_s[:-1], manifest)
+                recorded = _RecordedScene.of(scene, counts, gates.lengths_s[:-1], manifest)
                 done = index + 1
                 note_saved_work("finished scenes are kept")
                 yield recorded

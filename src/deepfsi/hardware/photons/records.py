@@ -28,7 +28,7 @@ MARKER_SLACK_S = 1e-6
 
 
 @dataclass(frozen=True)
-class Runs:
+class _Runs:
     """Photons between two specials; runs without any are left out."""
 
     begin: np.ndarray  # (r,): index of the first photon among the records
@@ -49,7 +49,7 @@ class Part:
     bits: np.ndarray
     sync: np.ndarray
     wraps: np.ndarray
-    runs: Runs  # photons between the specials
+    runs: _Runs  # photons between the specials
     reached: int  # tick before which no photon or sync event of later parts is
     fault: str = ""  # what is wrong with the record that follows
 
@@ -146,7 +146,7 @@ class Decoder:
         bases = kind.wrap * np.minimum(np.append(self._wraps, total), LATEST_TICK // kind.wrap)
         times = bases[1:] + values
 
-        runs = Runs(*np.zeros((5, 0), np.int64))
+        runs = _Runs(*np.zeros((5, 0), np.int64))
         latest = after = 0
         if self._ordered:
             runs = _find_runs(words, places, bases, kind.time_mask)
@@ -187,7 +187,7 @@ def marker_slack_s(tick_s: float) -> float:
     return max(MARKER_SLACK_S, tick_s)
 
 
-def _find_runs(words: np.ndarray, places: np.ndarray, bases: np.ndarray, mask: int) -> Runs:
+def _find_runs(words: np.ndarray, places: np.ndarray, bases: np.ndarray, mask: int) -> _Runs:
     """Photons between specials at some places, whose times count from `bases`."""
     begin = np.append(0, places + 1)
     end = np.append(places, len(words))
@@ -197,7 +197,7 @@ def _find_runs(words: np.ndarray, places: np.ndarray, bases: np.ndarray, mask: i
     base = bases[full]
     low = base + (words[begin] & mask)
     high = base + (words[end - 1] & mask)
-    return Runs(begin=begin, end=end, base=base, low=low, high=high)
+    return _Runs(begin=begin, end=end, base=base, low=low, high=high)
 
 
 def _scan(kind: Kind, words: np.ndarray, ordered: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -31,10 +31,9 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdGrid
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
-from deepfsi.hardware.patterns.folder import Patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import GatePlan, Patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.frames import unpack
 from deepfsi.hardware.patterns.manifest import Manifest
-from deepfsi.hardware.patterns.timing import GatePlan
 from deepfsi.hardware.photons.ptu import PtuWriter
 from deepfsi.hardware.virtual.detector import (
     DETECTOR_TICK_S,
