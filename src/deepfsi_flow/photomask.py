@@ -52,8 +52,7 @@ def as_svg(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
     if not np.isin(pattern, (0, 1)).all():
         raise InputError(
             "polygons are open or dark, and this pattern has grey levels: learn it with "
-            "{levels:2}, or write a .png",
-            setting="levels",
+            "`levels=2`, or write a .png"
         )
     height, width = (side * pixel_um for side in pattern.shape)
     lines = [
@@ -91,10 +90,8 @@ def read_static_pattern(file: str | os.PathLike[str]) -> np.ndarray:
     entry: object = design.mask_header.exposure
     if not isinstance(entry, PassingEntry):
         raise InputError(
-            "{file} has masks that a device shows one after the other, and a photomask is one "
-            "pattern that scenes pass: learn one with {bins}, or use `deepfsi dmd export`",
-            setting="bins",
-            file=file,
+            f"{file} has masks that a device shows one after the other, and a photomask is one "
+            "pattern that scenes pass: learn one with `bins`, or use `deepfsi dmd export`"
         )
     pattern = design.arrays.get("exposure.pattern", np.zeros(0))
     if pattern.ndim != 2 or not ((pattern >= 0) & (pattern <= 1)).all():

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from deepfsi.base.errors import InputError, Message
+from deepfsi.base.errors import InputError
 from deepfsi.base.models.strict import Amount, Count, Positive
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets.dataset import Dataset
@@ -114,16 +114,9 @@ class Passing(Exposure):
         width = self.pattern_width or scene + ceil(self.bins * self.speed)
         if self.bins * self.speed > width + scene:
             raise InputError(
-                "scenes of {scene} columns pass a pattern of {width} in {total} pixels, and "
-                "{given} bins at {each:g} are {length:g}: give fewer {bins}, a lower {speed} or a "
-                "larger {pattern_width}",
-                setting=("bins", "speed", "pattern_width"),
-                scene=scene,
-                width=width,
-                total=width + scene,
-                given=self.bins,
-                each=self.speed,
-                length=self.bins * self.speed,
+                f"scenes of {scene} columns pass a pattern of {width} in {width + scene} pixels, "
+                f"and {self.bins} bins at {self.speed:g} are {self.bins * self.speed:g}: give "
+                "fewer `bins`, a lower `speed` or a larger `pattern_width`"
             )
         return width
 
@@ -141,20 +134,12 @@ class Passing(Exposure):
                 "which learns it, or `random`"
             )
         elif job.code.learned and job.training.start != "random":
-            yield Message(
-                "a pattern that scenes pass starts at random: leave {start} out", setting="start"
-            )
+            yield "a pattern that scenes pass starts at random: leave `start` out"
         one = camera.rails == "single" and camera.one_detector
         if not one or camera.device is not None or camera.shortest_dwell:
-            yield Message(
+            yield (
                 "scenes pass a static pattern before one detector: give single rails, no "
-                "{detectors}, no {device} and no {shortest_dwell}",
-                setting=("detectors", "device", "shortest_dwell"),
+                "`detectors`, no `device` and no `shortest_dwell`"
             )
         if job.masks != self.bins:
-            yield Message(
-                "{count} masks and {bins} bins are one number: leave {masks} out",
-                setting="masks",
-                count=job.masks,
-                bins=self.bins,
-            )
+            yield f"{job.masks} masks and {self.bins} bins are one number: leave `masks` out"

@@ -111,10 +111,8 @@ def find_background(times: np.ndarray, window: float, duration: float, allowed: 
         left = duration - float(np.diff(spans, axis=1).sum())
         if left < LEAST_WINDOWS * window:
             raise InputError(
-                "less than {least_windows} transits of this record's time is without any, too "
-                "little to know the background from: give {background}",
-                setting="background",
-                least_windows=LEAST_WINDOWS,
+                f"less than {LEAST_WINDOWS} transits of this record's time is without any, too "
+                "little to know the background from: give `background`"
             )
         before = count
         count = len(times) - int(np.diff(np.searchsorted(times, spans), axis=1).sum())
@@ -249,14 +247,9 @@ def classify_transits(
     window = path.bins * bin_s
     if not len(times) or seconds <= window:
         raise InputError(
-            "{file} holds {count} photons on input {number} in {record}, and a transit lasts "
-            "{transit}: give another {input}, or shorter bins",
-            setting="input",
-            file=file,
-            count=len(times),
-            number=counter_input + 1,
-            record=time_text(seconds),
-            transit=time_text(window),
+            f"{file} holds {len(times)} photons on input {counter_input + 1} in "
+            f"{time_text(seconds)}, and a transit lasts {time_text(window)}: give another `input`, "
+            "or shorter bins"
         )
 
     @library_defaults()
@@ -296,8 +289,7 @@ def _passing_of(design: "Design") -> "PassingExposure":
     if not isinstance(design.exposure, PassingExposure):
         raise InputError(
             "this design has masks that a device shows one after the other: learn one of scenes "
-            "that pass a pattern, with {bins}",
-            setting="bins",
+            "that pass a pattern, with `bins`"
         )
     return design.exposure
 

@@ -196,9 +196,7 @@ def classify_run(
     path = Path(folder)
     verdict = None if force else ReferenceVerdict.of(path)
     if verdict is not None and not verdict.fits:
-        raise InputError(
-            "{words}; {force} classifies them all the same", setting="force", words=verdict.words
-        )
+        raise InputError(f"{verdict.words}; `force` classifies them all the same")
     if is_live(path, photons):
         _check_design(design, read_run(path).patterns.manifest)
         return replay_run(path, open_looks(path / "patterns")).answers
@@ -278,10 +276,8 @@ def classify_table(
         manifest = patterns.manifest
     elif settings.settle_s or settings.effects.dead_time.seconds:
         raise InputError(
-            "{settle} and {dead_time} need the times of the frames, and {file} has none: give the "
-            "folder of its patterns",
-            setting=("settle", "dead_time"),
-            file=design,
+            f"`settle` and `dead_time` need the times of the frames, and {design} has none: give "
+            "the folder of its patterns"
         )
     else:
         manifest = Manifest.from_design(design_rails(design))
@@ -360,12 +356,10 @@ class _CountedScenes:
         counts = replace(counts, faults=(*dim, *counts.faults))
         usable = counts.valid & ~counts.spoilt[:, None]
         if not usable.any():
+            forced = "; `force` classifies them all the same" if dim else ""
             raise InputError(
-                "{source} has no exposure that can be classified ({fault}): record again"
-                + "; {force} classifies them all the same" * bool(dim),
-                setting="force",
-                source=source,
-                fault=counts.faults[0],
+                f"{source} has no exposure that can be classified ({counts.faults[0]}): record "
+                f"again{forced}"
             )
         return cls(design, counts, scenes, usable=usable, budgets=budgets, force=force)
 
@@ -380,11 +374,7 @@ class _CountedScenes:
         view = judgement.view
         for test in (consistency, view):
             if test is not None and test.refused and not self.force:
-                raise InputError(
-                    "{refusal}; {force} classifies them all the same",
-                    setting="force",
-                    refusal=test.refusal,
-                )
+                raise InputError(f"{test.refusal}; `force` classifies them all the same")
         chances = judgement.chances
         trained = was_trained_on(design.training_scenes, [scene.hash for scene in self.scenes])
         tested = np.cumsum(self._often > 0) - 1  # scenes in the order of the consistency

@@ -58,8 +58,7 @@ def data_of(
     if data is None and known is None:
         raise InputError(
             "this design was trained on data that no file or name holds, such as arrays in "
-            "memory: give the data to test it on, {data}",
-            setting="data",
+            "memory: give the data to test it on, `data`"
         )
     asked = _asked(known, data, size, view)
     try:
@@ -67,10 +66,8 @@ def data_of(
     except InputError as error:
         if data is None:
             raise InputError(
-                "the data that this design was trained on cannot be loaded ({error}): give the "
-                "data to test it on, {data}",
-                setting="data",
-                error=error,
+                f"the data that this design was trained on cannot be loaded ({error}): give the "
+                "data to test it on, `data`"
             ) from error
         raise
     notes = _notes(training, asked, loaded)
@@ -155,12 +152,10 @@ def design_scenes(
             "arrays with labels"
         )
     if shown.x.shape[1:] != image_shape:
+        pixels, scene = ("x".join(map(str, shape)) for shape in (shown.x.shape[1:], image_shape))
         raise InputError(
-            "the pictures are of {pixels} pixels and the design's scenes of {scene}: bring them to "
-            "its size, or learn a design with {size}",
-            setting="size",
-            pixels="x".join(map(str, shown.x.shape[1:])),
-            scene="x".join(map(str, image_shape)),
+            f"the pictures are of {pixels} pixels and the design's scenes of {scene}: bring them "
+            "to its size, or learn a design with `size`"
         )
     if origin is None or origin.view is None:
         return shown

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.errors import InputError, Message
+from deepfsi.base.errors import InputError
 from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.quantities import Table, budget_text
 from deepfsi.camera.camera import Camera, CameraSettings, CameraSource
@@ -80,7 +80,7 @@ class Predictions:
         if foreign := labelled - self.score.answers:
             yield f"{foreign} pictures have labels that are none of the design's classes: left out"
         for remark in self.remarks:
-            yield Message("note: {remark}", remark=remark)
+            yield f"note: {remark}"
         yield from self.score.lines("picture")
 
     def as_csv(self) -> str:
@@ -223,9 +223,6 @@ def _budget(design: "Design", camera: Camera) -> float:
     """Budget of the camera's exposure if the training had it, else the lowest of the training."""
     trained = design.trained_budgets
     if trained is None:
-        raise InputError(
-            "this design does not say what light it was trained for: give {photons}",
-            setting="photons",
-        )
+        raise InputError("this design does not say what light it was trained for: give `photons`")
     low, high = trained
     return camera.budget if camera.budget and low <= camera.budget <= high else low

@@ -77,10 +77,8 @@ def open_looks(folder: Path) -> LookChooser:
     manifest = read_patterns(folder).manifest
     if manifest.looks is None:
         raise InputError(
-            "{folder} has the patterns of a design whose masks are known before: learn one of "
-            "{design:adaptive} masks, or record it with `deepfsi camera simulate` or `prepare`",
-            setting="design",
-            folder=folder,
+            f"{folder} has the patterns of a design whose masks are known before: learn one of "
+            '`design="adaptive"` masks, or record it with `deepfsi camera simulate` or `prepare`'
         )
     with require_extras():
         from deepfsi.lab.adaptive_looks import AdaptiveLooks

@@ -88,10 +88,8 @@ def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
     idle = set(range(light.shape[1])) - set(best.tolist())
     if idle:
         raise InputError(
-            "input {number} counts most in no cell: wire its detector, or export the scan for "
-            "fewer {detectors}",
-            setting="detectors",
-            number=counts.inputs[min(idle)] + 1,
+            f"input {counts.inputs[min(idle)] + 1} counts most in no cell: wire its detector, or "
+            "export the scan for fewer `detectors`"
         )
     return best.astype(np.int64).reshape(shape)
 

@@ -353,12 +353,8 @@ def _check_inputs(manifest: Manifest, most: int, name: str) -> None:
     """Raise `InputError` if a counter, or its files, have fewer inputs than there are detectors."""
     if manifest.inputs > most:
         raise InputError(
-            "{name} has up to {most} inputs, and these patterns need {inputs}, one for each "
-            "detector: use a counter with more, or a design with fewer {detectors}",
-            setting="detectors",
-            name=name,
-            most=most,
-            inputs=manifest.inputs,
+            f"{name} has up to {most} inputs, and these patterns need {manifest.inputs}, one for "
+            "each detector: use a counter with more, or a design with fewer `detectors`"
         )
 
 

@@ -257,8 +257,6 @@ def check_clicks(clicks: int, refused: Mapping[str, bool]) -> None:
     for name, asked in refused.items():
         if asked:
             raise InputError(
-                "{name} is of photon counts, and this design reads clicks, of up to {clicks} "
-                "gates a frame, as they are: leave it out",
-                name=name,
-                clicks=clicks,
+                f"{name} is of photon counts, and this design reads clicks, of up to {clicks} "
+                "gates a frame, as they are: leave it out"
             )

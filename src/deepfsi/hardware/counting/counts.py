@@ -137,12 +137,9 @@ class Counts:
         """Raise `InputError` where clicks do not tell the flux of any scene."""
         if not np.isfinite(self.flux).any():
             raise InputError(
-                "{source} does not tell its budget: all-ON frames leave less than {least_unfired} "
-                "gates without a click, or click no more often than all-OFF ones; give {photons}, "
-                "or look at the order of frames",
-                setting="photons",
-                source=source,
-                least_unfired=LEAST_UNFIRED,
+                f"{source} does not tell its budget: all-ON frames leave less than {LEAST_UNFIRED} "
+                "gates without a click, or click no more often than all-OFF ones; give `photons`, "
+                "or look at the order of frames"
             )
 
     def as_dict(self, run: Run) -> dict[str, Any]:

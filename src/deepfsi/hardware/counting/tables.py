@@ -14,7 +14,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, Message
+from deepfsi.base.errors import InputError
 from deepfsi.base.numeric.tables import NumberTable
 from deepfsi.base.quantities import time_text
 from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects
@@ -65,25 +65,17 @@ class TableSettings:
         ):
             value = getattr(self, name)
             if value is not None and not least <= value < np.inf:
-                raise InputError(
-                    "{setting} {value:g} is not allowed: give {allowed}",
-                    setting=name,
-                    value=value,
-                    allowed=allowed,
-                )
+                raise InputError(f"`{name}` {value:g} is not allowed: give {allowed}")
         if self.analogue and self.effects.dead_time.seconds:
             raise InputError(
-                "an analogue detector counts no photons: leave {dead_time} out, or {gain} and "
-                "{read_noise}",
-                setting=("dead_time", "gain", "read_noise"),
+                "an analogue detector counts no photons: leave `dead_time` out, or `gain` and "
+                "`read_noise`"
             )
         if self.clicks is not None:
-            of_photons: dict[str, bool] = {
-                Message("{background}", setting="background"): (
-                    self.background is not None or self.dark is not None
-                ),
-                Message("{dead_time}", setting="dead_time"): bool(self.effects.dead_time.seconds),
-                Message("{gain} or {read_noise}", setting=("gain", "read_noise")): self.analogue,
+            of_photons = {
+                "`background`": self.background is not None or self.dark is not None,
+                "`dead_time`": bool(self.effects.dead_time.seconds),
+                "`gain` or `read_noise`": self.analogue,
             }
             check_clicks(self.clicks, of_photons)
 
@@ -152,18 +144,14 @@ def count_table(
     )
     if settings.photons is None and not exposures.sentinels:
         raise InputError(
-            "{name} has no all-ON and all-OFF frames, which tell the budget: give {photons}",
-            setting="photons",
-            name=name,
+            f"{name} has no all-ON and all-OFF frames, which tell the budget: give `photons`"
         )
     if settings.photons is None and counts.gates is not None:
         counts.check_budget(name)
     if settings.photons is None and not (counts.flux > 0).any():
         raise InputError(
-            "{name} has no light: its all-ON frames are not brighter than the all-OFF ones; look "
-            "at the order of frames, or give {photons}",
-            setting="photons",
-            name=name,
+            f"{name} has no light: its all-ON frames are not brighter than the all-OFF ones; look "
+            "at the order of frames, or give `photons`"
         )
     return counts, scenes
 
@@ -192,11 +180,8 @@ class _Exposures:
         seconds = np.asarray(manifest.picture_s - settings.settle_s)
         if seconds.min() <= 0:
             raise InputError(
-                "{settle} {given} leaves nothing of the shortest frame: give less than "
-                "{shortest_s:g}",
-                setting="settle",
-                given=time_text(settings.settle_s),
-                shortest_s=manifest.picture_s.min(),
+                f"`settle` {time_text(settings.settle_s)} leaves nothing of the shortest frame: "
+                f"give less than {manifest.picture_s.min():g}"
             )
         return cls(values, sentinels, seconds, manifest=manifest, settings=settings, name=name)
 
@@ -289,9 +274,7 @@ def _find_scenes(
         names = tuple(str(k + 1) for k in scene_of.tolist())
     else:
         if repeats > 1:
-            raise InputError(
-                "{name} names its scenes: leave {repeats} out", setting="repeats", name=name
-            )
+            raise InputError(f"{name} names its scenes: leave `repeats` out")
         changes = [a != b for a, b in zip(names[1:], names, strict=False)]
         scene_of = np.cumsum([0, *changes])
         if len(set(names)) <= scene_of[-1]:

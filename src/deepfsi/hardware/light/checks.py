@@ -20,7 +20,6 @@ from typing import Literal, Self
 
 import numpy as np
 
-from deepfsi.base.errors import Message
 from deepfsi.base.models.strict import StrictModel
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.light.curves import (
@@ -71,7 +70,7 @@ class Fault(StrictModel):
         if self.frame is not None:
             where.append(f" frame {self.frame}")
         start = f"{self.kind}{','.join(where)}"
-        return Message("{start}: {detail}", start=start, detail=self.detail)
+        return f"{start}: {self.detail}"
 
     def line(self, names: Sequence[str] = ()) -> str:
         """The fault in one line that also says if it is of markers or light; as of `words`."""

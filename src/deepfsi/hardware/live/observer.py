@@ -23,7 +23,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, Message
+from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import StopRule
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.designfile.distribution import REFUSED, UNSURE
@@ -384,14 +384,9 @@ class _SceneChecks:
         if stated is not None and monitor.contradicts(stated / self._exposure_s):
             since = monitor.since
             some = f"scenes {since} to {scene}" if since < scene else "this scene"
-            detail: str = Message(
-                "{photons} says {stated:.4g} counts an exposure, and the all-ON frames of "
-                "{some} {measured:.4g}, further off than scenes differ: leave it out, or give "
-                "that number",
-                setting="photons",
-                stated=stated,
-                some=some,
-                measured=measured,
+            detail: str = (
+                f"`photons` says {stated:.4g} counts an exposure, and the all-ON frames of {some} "
+                f"{measured:.4g}, further off than scenes differ: leave it out, or give that number"
             )
         elif trained is not None and measured * TOO_DIM < trained:
             detail = (
@@ -417,14 +412,10 @@ class _SceneChecks:
             faults.append(Fault(kind="unsure", scene=scene, detail=detail))
         unsure = sum(self._unsure)
         if bdtrc(unsure - 1, looked_at, 2 * UNSURE) * self._scenes < REFUSED:
-            detail = Message(
-                "{unsure} of the last {looked_at} scenes do not look like those of the "
-                "training: look at the light, the design, the scenes and their scale, "
-                "{photons} and {dead_time}{hint}",
-                setting=("photons", "dead_time"),
-                unsure=unsure,
-                looked_at=looked_at,
-                hint=hint,
+            detail = (
+                f"{unsure} of the last {looked_at} scenes do not look like those of the training: "
+                "look at the light, the design, the scenes and their scale, `photons` and "
+                f"`dead_time`{hint}"
             )
             faults.append(Fault(kind="unlike", scene=scene, detail=detail))
         return faults
@@ -434,11 +425,7 @@ class _SceneChecks:
         rate = on.counts / on.seconds
         if self._live.dead_time.seconds or rate * USUAL_DEAD_S < SATURATED:
             return ""
-        return Message(
-            "; at {rate:.3g} counts/s a counter with a dead time of {dead_ns:.0f} ns is blind "
-            "{share:.0%} of the time: give {dead_time}, or dim the light",
-            setting="dead_time",
-            rate=rate,
-            dead_ns=USUAL_DEAD_S * 1e9,
-            share=rate * USUAL_DEAD_S,
+        return (
+            f"; at {rate:.3g} counts/s a counter with a dead time of {USUAL_DEAD_S * 1e9:.0f} ns "
+            f"is blind {rate * USUAL_DEAD_S:.0%} of the time: give `dead_time`, or dim the light"
         )

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from deepfsi.base.errors import InputError, Message
+from deepfsi.base.errors import InputError
 from deepfsi.base.files import read_regular
 from deepfsi.base.models.strict import StrictModel, WholeNumber
 from deepfsi.base.progress import SILENT, Progress
@@ -205,7 +205,7 @@ class LiveScene:
         """Say the answer and each fault, of a whole exposure of so many seconds."""
         if not self.looks:
             return [f"{self.name}: no light"]
-        faults = [Message("  {fault}", fault=fault.words()) for fault in self.faults]
+        faults = [f"  {fault.words()}" for fault in self.faults]
         if self.predicted is None:
             return [f"{self.name}: no class", *faults]
         return [
@@ -236,17 +236,13 @@ class LiveAnswers:
         """Raise `InputError` if no scene of a run has light, or none has a class."""
         if not any(scene.looks for scene in self.scenes):
             raise InputError(
-                "no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
-                "ones; check the lamp, the inputs and the counter's trigger levels, or export with "
-                "a longer {exposure}",
-                setting="exposure",
-                folder=folder,
+                f"no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
+                "ones; check the lamp, the inputs and the counter's trigger levels, or export "
+                "with a longer `exposure`"
             )
         if all(scene.predicted is None for scene in self.scenes):
             first = next(fault for scene in self.scenes for fault in scene.faults)
-            raise InputError(
-                "no scene of {folder} has a class: {fault}", folder=folder, fault=first.words()
-            )
+            raise InputError(f"no scene of {folder} has a class: {first.words()}")
 
     def _score_lines(self) -> Iterator[str]:
         """Say how many scenes have no class, how many are right, and how the camera saw them."""

@@ -97,11 +97,7 @@ def plan_live(
     rule = looks.rule
     if until is not None:
         if not 0 < until < 1:
-            raise InputError(
-                "confidence {given!r} is not allowed: give {until} between 0 and 1",
-                setting="until",
-                given=until,
-            )
+            raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
         rule = StopRule(threshold=until)
     looks_s = exposure_s * np.array(looks.shares)
     shortest_ns = _shortest_gate(manifest, looks_s, shortest_s)
@@ -134,12 +130,8 @@ def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | 
     longest_us = float(look_ns + margin_ns(look_ns)) * 1e-3 + device.settle_us
     if longest_us > device.longest_us:
         raise InputError(
-            "a look may show one mask for {longest_us:.4g} µs, and {name} holds a picture for "
-            "{most_us} at most: give a shorter {exposure}",
-            setting="exposure",
-            longest_us=longest_us,
-            name=device.name,
-            most_us=device.longest_us,
+            f"a look may show one mask for {longest_us:.4g} µs, and {device.name} holds a picture "
+            f"for {device.longest_us} at most: give a shorter `exposure`"
         )
     least_ns = device.shortest_us * 1000 - round(device.settle_us * 1000) - MARGIN_NS
     if shortest_s is not None and not shortest_s >= 0:
@@ -147,11 +139,8 @@ def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | 
     shortest_ns = max(least_ns, round((shortest_s or 0.0) * 1e9), 1)
     if look_s * 1e9 < shortest_ns:
         raise InputError(
-            "a look of {look_s:.3g} s is shorter than the shortest dwell, {shortest_us:g} µs: "
-            "give a longer {exposure}, or a shorter {shortest_dwell}",
-            setting=("exposure", "shortest_dwell"),
-            look_s=look_s,
-            shortest_us=shortest_ns / 1e3,
+            f"a look of {look_s:.3g} s is shorter than the shortest dwell, {shortest_ns / 1e3:g} "
+            "µs: give a longer `exposure`, or a shorter `shortest_dwell`"
         )
     return shortest_ns
 

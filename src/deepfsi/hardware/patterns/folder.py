@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self, get_args
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, Message, as_input_error, check_choice
+from deepfsi.base.errors import InputError, as_input_error, check_choice
 from deepfsi.base.files import check_disk_space, check_unpacked, hash_file, new_folder, read_text
 from deepfsi.base.numeric.arrays import npy_header
 from deepfsi.base.progress import SILENT, Progress
@@ -229,12 +229,10 @@ class Patterns:
         for departure in manifest.departures:
             yield f"beyond its documents: {departure}"
         if manifest.dimmed < LEAST_DIMMED:
-            yield Message(
-                "cost in light: one device shows a {law} design with {dimmed:.3g} of its light; "
-                "learn it with {light:free-dwell} or equal-dwell instead",
-                setting="light",
-                law=manifest.light,
-                dimmed=manifest.dimmed,
+            yield (
+                f"cost in light: one device shows a {manifest.light} design with "
+                f'{manifest.dimmed:.3g} of its light; learn it with `light="free-dwell"` or '
+                "equal-dwell instead"
             )
 
     @property

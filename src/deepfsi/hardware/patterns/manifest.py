@@ -613,21 +613,12 @@ def check_stored(device: Device, frames: int, looks: LookPlan | None = None) -> 
         if not other.video_us and (other.patterns is None or other.patterns >= frames)
     ]
     if looks is not None and looks.dictionary:
-        raise InputError(
-            "{frames} frames do not fit {name}, whose controller holds {most}: learn the design "
-            "with {dictionary} of {masks} at most, or use a device that holds them, such as "
-            "{larger}",
-            setting="dictionary",
-            frames=frames,
-            name=device.name,
-            most=device.patterns,
-            masks=device.patterns - SENTINELS,
-            larger=", ".join(larger[:3]),
-        )
+        advice = f"learn the design with `dictionary` of {device.patterns - SENTINELS} at most"
+    else:
+        advice = "use fewer masks (of a scan: a smaller --size)"
     raise InputError(
-        f"{frames} frames do not fit {device.name}, whose controller holds "
-        f"{device.patterns}: use fewer masks (of a scan: a smaller --size), or a device that holds "
-        f"them, such as {', '.join(larger[:3])}"
+        f"{frames} frames do not fit {device.name}, whose controller holds {device.patterns}: "
+        f"{advice}, or use a device that holds them, such as {', '.join(larger[:3])}"
     )
 
 

@@ -23,7 +23,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, FiniteFloat, field_validator
 
-from deepfsi.base.errors import InputError, Message, as_input_error, closest_choice
+from deepfsi.base.errors import InputError, as_input_error, closest_choice
 from deepfsi.base.files import check_disk_space, new_folder, read_toml
 from deepfsi.base.models.strict import WholeNumber
 from deepfsi.base.progress import SILENT, Progress
@@ -239,10 +239,8 @@ def _mirrors_of_arm(manifest: Manifest, rows: DetectorRows | None) -> list[np.nd
         labels = cells[manifest.grid.pixels]
     else:
         raise InputError(
-            "these patterns are for {count} detectors, and nothing says which part of the device "
-            "each sees: give a {camera} with them, such as detectors = [[0, 1], [2, 3]]",
-            setting="camera",
-            count=count,
+            f"these patterns are for {count} detectors, and nothing says which part of the device "
+            "each sees: give a `camera` with them, such as detectors = [[0, 1], [2, 3]]"
         )
     if labels.max() + 1 != count:
         raise InputError(
@@ -448,7 +446,7 @@ def record_scenes(
         )
         if not camera.gates:
             events = float(np.einsum("sfd,f->", camera.registered(flow), manifest.picture_s))
-            hint = Message("give less {flux} or a shorter {exposure}", setting=("flux", "exposure"))
+            hint = "give less `flux` or a shorter `exposure`"
             check_disk_space(target, 4 * events, hint)
         rng = np.random.default_rng(settings.seed)
         path = draft / "photons.ptu"
@@ -472,12 +470,8 @@ def check_file_inputs(inputs: Sequence[int]) -> None:
     """Raise `InputError` if the file of a virtual recording has no such inputs."""
     if max(inputs) >= PtuWriter.inputs:
         raise InputError(
-            "input {number} is none of a {record_type} file, which has {inputs}: use fewer "
-            "{detectors}",
-            setting="detectors",
-            number=max(inputs) + 1,
-            record_type=PtuWriter.record_type,
-            inputs=PtuWriter.inputs,
+            f"input {max(inputs) + 1} is none of a {PtuWriter.record_type} file, which has "
+            f"{PtuWriter.inputs}: use fewer `detectors`"
         )
 
 
