@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pytest
 
 from deepfsi import learn, load_design, predict
@@ -13,19 +12,6 @@ from deepfsi.datasets.display import write_display
 def file(tmp_path_factory, digits):
     made = learn(digits.hold_out(900), design="adaptive", masks=3, photons=1e4)
     return made.save(tmp_path_factory.mktemp("adaptive") / "a.safetensors")
-
-
-def test_clusters_stand_for_the_scenes(done, tmp_path):
-    """The same settings give the same clusters, and more of them take more room."""
-    out, sizes, priors = tmp_path / "a.safetensors", [], []
-    words = ("design", "--design", "adaptive", "--masks", 2, "--photons", "1e3")
-    for clusters in ("2", "2", "5 --force"):
-        said = done(*words, "-o", out, "--clusters", *clusters.split())
-        assert "adaptive with 2 looks" in said
-        sizes.append(out.stat().st_size)
-        priors.append(load_design(out).prior_exposure.prior.arrays)
-    assert all(np.array_equal(priors[0][name], priors[1][name]) for name in priors[0] | priors[1])
-    assert sizes[0] < sizes[2]
 
 
 @pytest.fixture(scope="module")

@@ -177,36 +177,6 @@ def lose_passes(run, found, spots):
         calibrate_run(displayed, names, pictures, counts, recorded.patterns)
 
 
-def test_a_faint_calibration_says_that_it_is_not_to_be_trusted(done, call, spots):
-    light = ("--flux", 3e5, "--exposure", "0.5s", "--virtual", "ideal")
-    picture = ["16x16", "--side", 1]
-    words = spots("16x16", picture, "1ms", *light, counted=("--dead-time", "1ns"))
-    found = json.loads(done(*words, "--json"))
-    assert any("times the light" in doubt for doubt in found["warnings"])
-    assert found["dead_time"] == {"seconds": 1e-9, "paralysable": False}
-    code, out, errors = call(*words, "--force")
-    assert code == 0
-    assert "of 25 spots" in out
-    assert errors.startswith("deepfsi: warning: ")
-    assert "times the light" in errors
-
-
-def test_a_run_of_other_pictures_does_not_calibrate(done, refuse, run, tmp_path):
-    done("camera", "spots", "-o", tmp_path / "spots")
-    words = ["--spots", tmp_path / "spots", "-o", tmp_path / "c"]
-    assert "0/one.png" in refuse("camera", "calibrate", run, *words)
-
-
-def test_patterns_of_devices_by_size_have_times_of_their_own(done, lab, tmp_path):
-    words = ["dmd", "export", lab / "design.safetensors", "--device", "64x48"]
-    words += ["--shortest", "100us", "--settle", "5us"]
-    out = done(*words, "--dwell", "50us", "-o", tmp_path / "p")
-    assert "the mean picture time was raised to 100 µs" in out
-    device = read_patterns(tmp_path / "p").manifest.device
-    assert (device.shortest_us, device.settle_us) == (100, 5.0)
-    assert "raised" not in done(*words, "--dwell", "100us", "-o", tmp_path / "q")
-
-
 def test_a_large_recording_is_asked_for(done, refuse, lab, tmp_path, monkeypatch):
     """All of a pass is written: its photons are forecast before the work."""
     words = ["camera", "simulate", lab / "p", "--scene", lab / "images", "--exposure", "5ms"]

@@ -1,7 +1,6 @@
 """The command line: what it prints, and one clear line with exit code 2 for bad input."""
 
 import json
-import os
 import subprocess
 import sys
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import deepfsi
 from deepfsi import Design
 from deepfsi.cli import app
 from shared.commands import COMMANDS, OPTIONS
@@ -61,53 +59,9 @@ def test_help_imports_nothing_heavy():
     subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
 
 
-def test_module_is_the_command():
-    done = subprocess.run([sys.executable, "-m", "deepfsi", "--version"], capture_output=True)
-    assert (done.returncode, done.stdout.decode()) == (0, f"deepfsi {deepfsi.__version__}\n")
-
-
 @pytest.mark.parametrize("words", [[], ["camera"], ["dmd"], ["data"]])
 def test_without_a_command_its_help_is_printed(done, words):
     assert f"Usage: deepfsi {' '.join(words)}".strip() in " ".join(done(*words).split())
-
-
-def test_clicks_stand_beside_the_photons_that_arrive(done, tmp_path):
-    """Photon counts are the photons that arrive, and need no second column."""
-    file = tmp_path / "clicks.safetensors"
-    camera = ["--light", "column", "--rails", "single"]
-    words = ["--photons", "100", "--masks", 4, "--epochs", 1, "--noise", "click", *camera]
-    assert " clicks of " in done("design", *words, "-o", file)
-    [test] = json.loads(done("evaluate", file, "--photons", "100", "--json"))["results"]
-    printed = done("evaluate", file, "--photons", "100")
-    assert f" {test['counts']:.3g} " in printed
-    assert f" {test['arriving']:.3g} " in printed
-    assert "arriving: photons that reach them" in printed
-    assert "reaches them" in printed
-    assert "arriving" not in done("evaluate", file, "--photons", "100", "--noise", "poisson")
-    words = ["--designs", "pca", *words, "--trials", 1, "--workers", 1, "-o", tmp_path / "out"]
-    [point] = json.loads(done("compare", *words, "--json"))["points"]
-    assert point["arriving"] > 2 * point["counts"]
-
-
-def test_the_ideal_observer_stands_beside_the_network(done, made, tmp_path):
-    file = made("pca", "column", "dual").save(tmp_path / "one.safetensors")
-    words = ["evaluate", file, "--photons", "1e4,1e2", "--draws", 1]
-    assert "ideal" not in done(*words)
-    assert json.loads(done(*words, "--json"))["ideal"] == []
-    found = json.loads(done(*words, "--ideal", "--json"))
-    by_network, by_rule = ([r["accuracy"] for r in found[name]] for name in ("results", "ideal"))
-    assert all(rule > network for rule, network in zip(by_rule, by_network, strict=True))
-    assert f" {by_rule[1]:.3f} ± " in done(*words, "--ideal")
-
-
-def test_a_flexible_design(done, tmp_path):
-    file = tmp_path / "range.safetensors"
-    words = ["--photons", "1e3:1e6", "--masks", 6, "--levels", 2, "--epochs", 2]
-    words += ["--light", "equal-dwell", "--rails", "single", "--start", "random"]
-    made = json.loads(done("design", *words, "-o", file, "--json"))
-    assert [test["photons"] for test in made["tests"]] == [1e3, 1e6]
-    assert made["info"]["job"]["exposure"] == {"span": 1e3}
-    assert [len(frame.unique()) for frame in Design.load(file).rails.plus] == [2] * 6
 
 
 def test_options_override_a_recipe(done, tmp_path):
@@ -146,33 +100,11 @@ def test_a_design_for_a_budget_of_counts(done, tmp_path):
     assert " counts (a share of 0." in done(*words, "--counts", 30, "--force")
 
 
-def test_full_disk_is_one_line(refuse, tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    words = ["design", "--photons", "1e3", "--masks", 2, "--epochs", 1]
-    file = tmp_path / "d.safetensors"
-    assert f"cannot write {file}: No space left" in refuse(*words, "-o", file)
-
-
 @pytest.fixture
 def recipe(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text('designs = "pca"\nphotons = [1e2, 1e4]\nmasks = 3\n[training]\nepochs = 1\n')
     return path
-
-
-def test_ctrl_c_says_that_work_is_kept(call, recipe, tmp_path, monkeypatch):
-    """Once a trial is finished."""
-
-    def stop(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("deepfsi.sweeps.run.summarise_records", stop)
-    code, _, err = call("compare", "--recipe", recipe, "-o", tmp_path / "out")
-    assert code == 130
-    assert "kept" in err.splitlines()[-1]
 
 
 def test_a_sweep_writes_its_table(done, recipe, tmp_path):

@@ -26,13 +26,6 @@ def test_a_design_of_several_detectors_goes_through_its_commands(done, tmp_path)
     done("show", files[0], "-o", tmp_path / "masks.png")
 
 
-def test_both_rails_are_read_where_asked(done, tmp_path):
-    words = ["design", "--camera", "paper", "--photons", "1e4", "--masks", 3, "--epochs", 1, "-o"]
-    file = tmp_path / "one.safetensors"
-    assert "3 masks, both rails read" in done(*words, file, "--readout", "both")
-    assert "3 masks at" in done(*words, file, "--force")
-
-
 def test_detectors_and_readout_are_axes_of_a_comparison(done, tmp_path):
     words = ["--designs", "pca,impulse", "--photons", "1e4", "--masks", 3, "--trials", 1]
     words += ["--epochs", 1, "--workers", 1, "--light", "two-arm", "-o", tmp_path]

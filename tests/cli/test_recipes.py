@@ -1,7 +1,5 @@
 """Recipes by name and by file, and what is wrong with them, told before any work."""
 
-import sys
-
 import pytest
 
 from deepfsi.base.errors import InputError
@@ -38,20 +36,3 @@ def test_what_is_no_recipe_is_refused(tmp_path, monkeypatch, source, content, wo
     (tmp_path / "x.toml").write_text(content)
     with pytest.raises(InputError, match=words):
         studies.read_recipe(source)
-
-
-def test_the_package_works_without_the_papers_experiments(monkeypatch, refuse, done, tmp_path):
-    monkeypatch.setitem(sys.modules, "deepfsi_paper", None)
-    assert set(studies.shipped_recipes()) == {"arms", "baseline", "limits"}
-    assert "install deepfsi again" in refuse("reproduce", "mnist", "-o", tmp_path / "paper")
-    words = ("--designs", "pca", "--photons", "1e3", "--masks", "3", "--epochs", "1")
-    done("compare", *words, "--workers", "1", "-o", tmp_path)
-    (tmp_path / "report.html").unlink()
-    done("report", tmp_path)
-    assert (tmp_path / "report.html").is_file()
-
-
-def test_every_recipe_says_how_it_is_run():
-    """A recipe's own words name it as `sweep` knows it, not as a file beside the source."""
-    every = studies.shipped_recipes().items()
-    assert not [name for name, each in every if "recipes/" in each.read_text()]

@@ -21,31 +21,22 @@ REFUSED = {
         --masks 3 | photons
         --masks 3 --photons abc | --photons: 'abc' is not a number
         --masks 3 --photons 0 | above 0, or LOW:HIGH
-        --masks 3 --photons 1e4:1e2 | above 0, or LOW:HIGH
         --masks 0 --photons 1e3 | masks = 0: give 1 or more
         --masks 2 --photons 1e3 --counts 1000 | 1000 counts are not fewer than 1000
         --masks 2 --photons 1e3 --design adaptive --clusters 400 | 400 clusters of each class are
     """,
     "design --photons 1e3 --masks 3 --design adaptive": """
         --epochs 3 | learn by no steps: leave --epochs out, or learn
-        --epochs 3 --hidden 20,10 --lr 0.1 | leave --epochs out
-        --batch 40 | leave --batch out
         --mask-lr 0.1 | leave --mask-lr out
-        --balance | leave --balance out
         --start random | leave --start out
-        --train-noise poisson | leave --train-noise out
-        --classifier mlp | leave --classifier out
         --levels 16 | of 2 levels: leave --levels out, or give --design deepfsi
     """,
     "design --photons 1e3 --masks 3 --design pca": """
-        --start lda | --start is of learned masks, and pca has its own
         --mask-lr 0.1 | --mask-lr is of learned masks, and pca has its own
     """,
     "design --photons 1e3 --masks 3": """
         --design nosuch | unknown design 'nosuch'
-        --data nosuch | unknown data set 'nosuch'
         --light colum | light = 'colum'
-        --camera papr | did you mean 'paper'
         --camera key.toml | key.toml has an unknown key 'lihgt'
         --camera unit.toml | unit.toml cannot be used at exposure
         --bins 3 --cap 2 | bins and cap are of different
@@ -54,41 +45,24 @@ REFUSED = {
         --light two-arm --rails single | use dual rails
         --dmd dlp7000 --light column | device
         --light column --detectors 2x2 | column is other optics
-        --readout sum | readout
-        --sigma 2 | --sigma is not of poisson noise: leave it out
         --noise none --sigma 5 | --sigma is not of none noise
-        --noise poisson --dark 5 | poisson noise has no dark counts
         --noise click --gates 0 | gates = '0': give 1 or more
         --train-noise camera --noise none --dark 5 | none noise has no dark counts
         --noise nowhere:noise --train-noise ml_gauss | nowhere
-        --epochs 10000000000000000000000 | 10000000000000000000000
-        --hidden 0 | hidden.0 = '0': give 1 or more
-        --lr -1 | lr = '-1': give more than 0
         --exposure soon | exposure = 'soon': 'soon' is not a time
-        --levels 1 | levels = '1'
         --size 4x | --size: '4x'
         --counts 0 | counts = 0.0
-        --counts nan | counts
-        --counts= | counts
     """,
     "compare": """
         --data mnits | mnist
         --designs pac | pca
-        --light colum | column
-        --noise poison | poisson
-        --noise poisson --sigma 5 | --sigma is not of
         --ratios 0 | ratio
-        --ratios 1.5 | ratio
         --masks x | --masks: 'x' is not a number
-        --masks 1.5 | masks
         --masks 100 | 64
         --masks 3 --ratios 0.1 | not both
         --photons 1e39 | photons
-        --photons= | empty place
         --photons 1e3,,1e4 | empty place
-        --photons 1e3, | empty place
         --trials 0 | --trials 0: give
-        --trials two | trials
         --size big | size
         --designs pca --masks 2 --matrix bright.npy | matrix
         --designs pca --masks 2 --matrix short.npy | matrix
@@ -98,13 +72,9 @@ REFUSED = {
         --epochs 10000000000000000000000 | 10000000000000000000000
         --designs pca,deepfsi --masks 3 --cap 2 | --cap is of exposures that may end early
         --designs pca --masks 3 --start random | no masks of pca learn: leave --start out
-        --designs pca --masks 3 --mask-lr 0.1 | no masks of pca learn: leave --mask-lr out
         --designs adaptive --masks 3 --epochs 3 | learn by no steps: leave --epochs out
-        --designs adaptive --masks 3 --train-noise poisson | leave --train-noise out
         --designs adaptive --masks 3 --levels 16 | of 2 levels: leave --levels out
         --designs impulse --light two-arm | shows no masks: leave --light out
-        --designs impulse --detectors 2x2 | shows no masks: leave --detectors out
-        --designs impulse --dmd dlp7000 | shows no masks: leave --dmd out
     """,
     "compare --designs adaptive --masks 4 --photons 1e3": """
         --cap 2 --data small.npz | training scenes say too little of the mean light
@@ -113,7 +83,6 @@ REFUSED = {
         capped.toml | --cap is of exposures that may end early
         nosuch | no recipe at nosuch
         vast-pca.toml | 1000000000 trials
-        vast-deepfsi.toml | 1000000000 trials
         split.toml | digits: a split was given; only a hyperspectral image takes one
         halves.toml | 'random' or 'blocks'
     """,
@@ -122,37 +91,27 @@ REFUSED = {
         2 | --target 2 is not allowed
         0.05 | give an accuracy below 1 and above 0.1
         0.5 --photons 1e3 | give two budgets of --photons or more
-        0.5 --designs pca --masks 3 --detectors gap.npy | from 0 without a gap
     """,
     "design --photons 1e4 --masks 3 --light free-dwell --rails single --detectors": """
         9x9 | do not divide scenes of 8x8: give ROWSxCOLUMNS from 1x1 to 8x8
         four | give ROWSxCOLUMNS such as 2x2, a number of bands, or a .npy map
-        2 | do not divide
         none.npy | none.npy
         bright.npy | give the detector of each pixel as a whole number
         gap.npy | from 0 without a gap
         tens.npy | give 64 whole numbers
-        key.toml | key.toml
     """,
     "evaluate": """
         a --photons 1e3 | did you mean a.safetensors?
-        a.safetensors --photons many | 'many' is not a number
         a.safetensors --photons 1e4 --draws 0 | --draws 0: give
-        a.safetensors --photons 1e4 --draws 10000000000000000000000 | 10000000000000000000000
         a.safetensors --photons 1e4 --sigma -1 --noise gaussian | --sigma -1: give
-        a.safetensors --photons 1e3 --noise poisson --sigma 1e9 | --sigma is not of poisson noise
         a.safetensors --photons 1e3 --ideal --noise gaussian | leave --ideal out
         a.safetensors --photons 1e3 --data small.npz | 64
     """,
-    "show a.safetensors --count 0": "| --count 0: give",
     "predict a.safetensors nosuch --photons 1e4": "| there is nothing at nosuch",
-    "nonsense": "| see `deepfsi --help`",
     "dmd nonsense": "| see `deepfsi dmd --help`",
     "dmd export": """
         a.safetensors --device nosuch | unknown device 'nosuch'
         a.safetensors --selection some | unknown selection 'some'
-        a.safetensors --selection random --seed -1 | seed
-        a.safetensors --device 64x48 --exposure soon | 'soon' is not a time
         a.safetensors --device 64x48 --rotate 45 | rotate = 45: give 0, 90, 180 or 270
         a.safetensors --device 64x48 --format jpg | unknown format 'jpg'
         a.safetensors --device 64x48 --region 9x | region = '9x'
@@ -163,30 +122,23 @@ REFUSED = {
         hadamard --size 16x16 --device dlp6500 | 515 frames do not fit dlp6500
         hadamard --size 8x8 --device none.toml | is missing: give a TOML file
         hadamard --size 8x8 --device broken.toml | is no TOML file
-        hadamard --size 8x8 --device key.toml | key.toml
     """,
     "data export": """
         digits --seed -1 | seed
         digits --per-class 5000 | give 1 to 36
-        nosuch | unknown data set 'nosuch'
     """,
     "camera spots": """
         --size 4 | do not fit a display of 4 x 4
-        --size 99999999999 | size
         --size 8x8x8 | size
     """,
     "camera count run": """
         --exposure 10s | give at most
         --tolerance never | --tolerance: 'never' is not a time
-        --input 0 | --input 0: give 1 or more
         --input 9 | no light on input 9
         --marker 4 | --marker 4: give 3 or less
-        --repeats 0 | --repeats 0: give 1 or more
-        --dead-time -1ns | dead_time = '-1ns'
         --dead-time 1us --dead-time-model nosuch | dead_time_model = 'nosuch'
         --background nosuch | no scene and no folder nosuch
     """,
-    "camera classify a.safetensors run": "| counts.npz is missing",
     "camera image run --out x.txt": "| end the name in .png",
     "camera inspect a.safetensors": "| is not a PTU file",
     "camera calibrate run --spots nosuch": "| no picture at nosuch",
@@ -196,14 +148,10 @@ REFUSED = {
         --projector vialux | do not go together
         --latency comand=1ms | did you mean 'command'
         --latency command=fast | is not a time
-        --latency block=0 | block
         --until 2 | --until between 0 and 1
-        --shortest-dwell 1s | shortest_dwell
-        --exposure 0 | exposure = '0': give more than 0
         --exposure 1e9s | hold
         --flux 1e14 | flux
         --flux 1e12 | --yes
-        --flux 0 | flux = '0': give more than 0
         --input 1 --input 1 | an input of its own
         --input 1 --input 2 | 2 inputs
         --input 40 --input 41 | inputs
@@ -214,28 +162,19 @@ REFUSED = {
         --projector vialux,trigger=8 | trigger = '8': unexpected keyword argument
         --flux 1e7 | --flux is for virtual devices
         --virtual pmt | --virtual is for virtual devices
-        --latency command=1ms | --latency is for virtual devices
-        --seed 0 | --seed is for virtual devices
-        --yes | --yes is for virtual devices
         --projector dlpc900 | deepfsi camera record
     """,
     "camera live looks --scene few --exposure 10ms": "| --flux",
     f"camera live run/patterns --scene few {FAST}": "| masks are known before",
-    f"camera live clicks --scene few {FAST}": "| masks are known before",
     "camera prepare looks --scenes few": "| use `deepfsi camera live`",
-    "camera simulate looks --scene few --flux 1e7 --exposure 1ms": "| use `deepfsi camera live`",
     f"camera simulate clicks --scene few {FAST}": """
-        --dark 20 | clicks have no dark counts
         --dead-time 20ns | clicks have no dead time
     """,
     f"camera simulate run/patterns {FAST}": """
         --scene nosuch | no picture at nosuch
-        --scene few --flux -1 | flux = '-1': give more than 0
         --scene few --virtual eye | unknown camera 'eye'
-        --scene few --seed -1 | --seed -1: give 0 or more
     """,
     f"camera record clicks --scene few {FAST} --virtual gated.toml": "| leave gates out",
-    "camera record run/patterns --scene few --counter nosuch": "| unknown counter 'nosuch'",
 }
 """Command line, what follows it, and what the refusal names."""
 
@@ -328,20 +267,10 @@ def test_what_cannot_be_is_one_line_that_names_it(refuse, monkeypatch, folder, l
     assert sorted(folder.rglob("*")) == before
 
 
-@pytest.mark.parametrize("number", ["inf", "-inf", "nan"])
-@pytest.mark.parametrize(
-    ("command", "option"),
-    [
-        ("compare", "photons"),
-        ("compare", "ratios"),
-        ("compare", "target"),
-        ("design --masks 2", "photons"),
-        ("evaluate a.safetensors", "photons"),
-    ],
-)
-def test_numbers_are_finite(refuse, monkeypatch, folder, command, option, number):
+@pytest.mark.parametrize("words", ["compare --ratios=nan", "design --masks 2 --photons=-inf"])
+def test_numbers_are_finite(refuse, monkeypatch, folder, words):
     monkeypatch.chdir(folder)
-    assert "give a finite number" in refuse(*written(f"{command} --{option}={number}"))
+    assert "give a finite number" in refuse(*written(words))
 
 
 TEN_MISTAKES = """

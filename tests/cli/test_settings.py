@@ -43,12 +43,3 @@ def test_every_field_has_one_option_with_its_text(command):
     for name, text in declared().items():
         if name not in OF_COMMANDS[command]:
             assert texts[f"--{name.replace('_', '-')}"].startswith(text)
-
-
-@pytest.mark.parametrize("command", OF_COMMANDS)
-def test_options_stand_under_headings_those_that_most_need_first(done, command):
-    out = done(command, "--help")
-    heads = [line for line in out.splitlines() if line.endswith(":") and line[0] != " "]
-    heads = [head for head in heads if head != "Arguments:"]
-    assert heads == ["Options:", "Camera:", "Exposure:", "Training:"]
-    assert out.index("--masks") < out.index("--size") < out.index("--light") < out.index("--epochs")

@@ -3,7 +3,6 @@
 import json
 import re
 
-import numpy as np
 import pytest
 
 from deepfsi.base.quantities import Table, budget_text
@@ -64,35 +63,6 @@ def test_optics_are_axes_of_a_comparison_and_each_noise_has_its_rows(done, tmp_p
     told = json.loads((tmp_path / "results.json").read_text())
     assert {(point["light"], point["rails"]) for point in told["points"]} == optics
     assert told["recipe"]["training"] == {"epochs": [1], "hidden": [[8, 4]]}
-
-
-def test_budgets_are_sorted_and_long_names_of_classes_shortened(done, tmp_path, monkeypatch):
-    monkeypatch.setenv("COLUMNS", str(WIDTH))
-    x, y = np.random.default_rng(0).random((60, 9)), np.arange(60) % 2
-    classes = ["a class of a very long name", "another class of a very long name"]
-    data, file = tmp_path / "scenes.npz", tmp_path / "one.safetensors"
-    np.savez(data, x=x, y=np.array(classes)[y])
-    done("design", "--data", data, "--photons", "1e4", "--masks", 3, "--epochs", 1, "-o", file)
-    rows = lines_of(done("evaluate", file, "--photons", "1e4,1e2,31623"))
-    assert [row.split()[0] for row in rows] == ["1e2", "1e4", "3.16e4"]
-    assert all(re.search(r"\((a class of a|another clas)…\)", row) for row in rows)
-    assert max(map(len, rows)) <= WIDTH
-
-
-def test_names_of_data_sets_are_whole(done, monkeypatch, tmp_path):
-    """Where they are is told from $DEEPFSI_DATA on: the longest name and folder fit."""
-    from deepfsi.datasets import catalog
-
-    root = tmp_path / "a-long-way-to-the-data-of-everybody"
-    (root / "indian_pines").mkdir(parents=True)
-    monkeypatch.setenv("DEEPFSI_DATA", str(root))
-    monkeypatch.setattr(catalog.IndianPines, "find", lambda _: root / "indian_pines")
-    printed = done("data", "list")
-    rows = lines_of(printed)
-    assert len(rows) == len(catalog.list_datasets())
-    assert max(map(len, rows)) <= WIDTH
-    assert "fashion-mnist" in printed
-    assert "$DEEPFSI_DATA/indian_pines" in printed
 
 
 def test_a_terminal_that_is_too_narrow_loses_nothing(capsys, monkeypatch):
