@@ -28,12 +28,6 @@ def needs(path):
     return pytest.mark.skipif(not (MINE / path).exists(), reason=f"needs $DEEPFSI_DATA/{path}")
 
 
-def test_digits_are_listed_as_they_are_and_need_no_download():
-    data, info = load_dataset("digits"), list_datasets()[0]
-    assert info.images == len(data.x_train) + len(data.x_test)
-    assert (info.pixels, info.classes) == (data.pixels, len(data.classes))
-
-
 MNIST_HASH = "49bd5a2700bc752110ee3797138b1924d711c3bd98a376b24e07fd7ad78585d1"
 
 
@@ -221,11 +215,6 @@ def test_the_scene_of_a_folder(pines):
     assert np.array_equal(blocks.x_test, scene.dataset("blocks", bands=256).x_test)
     (pines / "92AV3C.spc").unlink()
     assert load_dataset("indian-pines").wavelengths is None
-
-
-def test_the_corrected_bands_are_the_published_ones():
-    given = [*range(104, 109), *range(150, 164), 220]  # counted from 1
-    assert (PINES.WATER + 1).tolist() == given
 
 
 @pytest.mark.parametrize(

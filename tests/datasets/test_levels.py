@@ -1,8 +1,6 @@
 """Large scenes are kept in a file, and are read part by part."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +13,9 @@ from deepfsi.datasets import arrays, levels
 from deepfsi.datasets.load import load_dataset
 from deepfsi.exposure import training_set
 from deepfsi.jobs import designs
-from shared.benchmarks import benchmark
 from shared.pictures import save_images
 
-TESTS = Path(__file__).parents[1]
 SCENES = 600
-SIDE = 32
-"""Of a scene whose training is measured: its principal components cost the square of its pixels."""
 FORMS = ("float32", "uint8", "mapped", "npz", "folder")
 
 
@@ -82,9 +76,7 @@ def test_large_data_are_the_same_data_set(form, tmp_path, large, monkeypatch):
     ("design", "settings"),
     [
         ("deepfsi", {}),
-        ("pca", {}),
         ("deepfsi", {"exposure": deepfsi.Range(span=10)}),
-        ("deepfsi", {"camera": deepfsi.Camera.load("dmd", noise="gaussian", sigma=3.0)}),
         ("deepfsi", {"training": deepfsi.Training(epochs=1, counts=200.0)}),
     ],
 )
@@ -126,20 +118,3 @@ def test_a_file_of_large_scenes_has_no_name_and_needs_room(tmp_path, large, monk
     monkeypatch.setattr(levels.shutil, "disk_usage", lambda place: type("", (), {"free": 99}))
     with pytest.raises(InputError, match=r"600 scenes of 64 values, in .* TMPDIR"):
         load_dataset(scenes())
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_memory_of_a_training_is_that_of_its_data_and_little_more(tmp_path):
-    """At most 0.2 GB beyond that of few scenes, where training scenes as float32 take 0.27."""
-    memory, count = benchmark("memory"), 2 + 5 * arrays.LARGE // (16 * SIDE**2)
-    paths = [memory.write("mapped", tmp_path, scenes, SIDE) for scenes in (memory.FEW, count)]
-    words = (
-        "import sys; from shared.benchmarks import benchmark; memory = benchmark('memory')\n"
-        "for path in sys.argv[1:]:\n"
-        "    print(memory.train_once('mapped', memory.Path(path), 'deepfsi', 1)['peak'])"
-    )
-    command = [sys.executable, "-c", words, *map(str, paths)]
-    child = subprocess.run(command, cwd=TESTS, check=True, capture_output=True, text=True)
-    few, many = map(float, child.stdout.split())
-    assert many - few < 0.2, (few, many)

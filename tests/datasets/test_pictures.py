@@ -9,9 +9,7 @@ import pytest
 from dataset_samples import not_loaded
 from PIL import Image
 
-from deepfsi import InputError
 from deepfsi.datasets import pictures
-from deepfsi.datasets.display import read_display
 from deepfsi.datasets.load import load_dataset
 from shared.pictures import save_images
 
@@ -153,22 +151,9 @@ def test_all_damaged_images_are_named_at_once(images):
     for path in bad:
         path.unlink()
     assert data.hash == load_dataset(images).hash, "as if they were not there"
-    for place in range(50):
-        (images / "cat" / f"{place:03}.png").write_bytes(b"")
-    not_loaded(images, "cannot read 50 images", "and 30 more")
-    for path in (images / "dog").iterdir():
+    for path in images.rglob("*.png"):
         path.write_bytes(b"")
-    not_loaded(images, "cannot read 58 images", skip_bad=True)  # of all damaged ones none
-
-
-def test_damaged_images_of_a_training_part_do_not_move_the_test_part(split):
-    whole = load_dataset(split)
-    for place in range(3):
-        (split / "train" / "cat" / f"00{place}.png").write_bytes(b"")
-    data = load_dataset(split, skip_bad=True)
-    assert len(data.x_train) == 17
-    assert np.array_equal(data.x_test, whole.x_test)
-    assert np.array_equal(data.y_test, whole.y_test)
+    not_loaded(images, "cannot read 17 images", skip_bad=True)  # of all damaged ones none
 
 
 @pytest.mark.parametrize("side", [11, 30])  # Pillow warns from 100 pixels on, and fails from 200
@@ -272,7 +257,6 @@ def as_it_is(folder): ...
 
 BAD_FOLDERS = {
     "no class": (lambda f: list(map(shutil.rmtree, f.iterdir())), {}, ("no sub-folders", ".csv")),
-    "one class": (lambda f: shutil.rmtree(f / "dog"), {}, ("only one class, cat",)),
     "a class of none": (lambda f: (f / "eel").mkdir(), {}, ("eel", "no images")),
     "a class of few": (
         lambda f: save_images(f / "eel", flat(20, 2)), {}, ("class 'eel' has 2 scenes",)
@@ -283,7 +267,6 @@ BAD_FOLDERS = {
         beside("cat/night/000.JPG"), {}, ("in no folder of a class", "(cat/night/000.JPG)")
     ),
     "parts alone": (renamed("train", "test"), {}, ("name no classes", "into train and test")),
-    "other parts": (renamed("Training", "Validation"), {}, ("name no classes",)),
     "sizes": (
         lambda f: save_images(f / "cat", np.full((1, 3, 3), 40, np.uint8)), {},
         ("000.png is 3x3", "001.png is 6x8", "size"),
@@ -300,7 +283,6 @@ BAD_FOLDERS = {
         as_it_is, {"images": 10}, ("10 training images", "own train and test folders")
     ),
     "a split": (as_it_is, {"split": "blocks"}, ("a split was given", "hyperspectral")),
-    "a size of gigabytes": (as_it_is, {"size": 10**9}, ("20 images of 1000000000x1000000000",)),
     **{
         f"size {size}": (as_it_is, {"size": size}, (f"size {size}", "at least 1"))
         for size in (0, -3, (4, 0), (4,), (4, 4, 4))
@@ -314,12 +296,6 @@ def test_a_bad_folder_and_its_zip_file_are_refused_alike(images, tmp_path, case)
     change(images)
     for source in (images, pack(images, tmp_path / "pets.zip")):
         not_loaded(source, *parts, **options)
-
-
-def test_images_beside_folders_of_images_are_not_shown_alone(images):
-    beside("preview.png")(images)
-    with pytest.raises(InputError, match="holds images and folders of images, such as cat"):
-        read_display(images)
 
 
 def test_parts_may_have_capitals_and_others_are_named(split):
@@ -395,12 +371,9 @@ def test_a_table_of_file_names_and_labels(images, tmp_path):
     ("text", "parts"),
     [
         ("", ("names no image", "its file name and its label")),
-        ("file,label\n", ("names no image",)),
         ("a.jp2,cat\n", ("line 1", "'a.jp2, cat'", "is not an image and its label")),
-        ("label,file\ncat,pets/cat/000.png\n", ("line 2", "column of file names first")),
         (",file,label\n0,pets/cat/000.png,cat\n", ("line 2", "column of file names first")),
         ('pets/cat/000.png,"cat\n', ("line 1", "unexpected end")),
-        ("0.1,0.9,2\n0.2,0.1,3\n", ("line 1", "'0.1, 0.9, 2'", "is not an image")),
         ("pets/cat/000.png,cat\npets/cat/001.png,\n", ("line 2", "is not an image")),
         ("pets/cat/000.png,cat\nx.png,cat\ny.png,dog\n", ("2 images that are not there", "x.png")),
         ("pets/cat/000.png,cat\npets/cat/000.png,dog\n", ("cat/000.png twice",)),
@@ -418,7 +391,6 @@ def test_a_bad_table_of_file_names_and_labels(images, tmp_path, text, parts):
     [
         (lambda k: [f"{k}.5"], "", ("value 1",)),
         (lambda k: [f"{k}", f"{-k}e-1"], "file,row,column", ("row", "column")),
-        (lambda k: [f"{k}", f"{2 * k}"], "", ("value 1", "value 2")),
         (lambda k: [f"{k % 3}.0"], "file,row", ("row",)),
     ],
 )
@@ -433,16 +405,7 @@ def test_numbers_with_a_point_and_several_numbers_are_values(
     assert np.array(sorted(truth.tolist())) == pytest.approx(np.array(given))
 
 
-def test_each_picture_keeps_its_own_values(images, tmp_path):
-    """The value of each is its mean level, which follows it through shuffle and split."""
-    means = [np.asarray(Image.open(name)).mean() / 255 for name in sorted(images.rglob("*.png"))]
-    path = listed(images, tmp_path / "light.csv", lambda k: [f"{means[k]:.9f}"])
-    data = load_dataset(path, rescale=(0, 1))
-    for x, y in ((data.x_train, data.y_train), (data.x_test, data.y_test)):
-        assert y[:, 0] == pytest.approx(x.mean(axis=1), abs=1e-6)
-
-
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
 @pytest.mark.parametrize(("separator", "end"), [(",", "\n"), (";", "\r\n"), ("\t", "\r")])
 def test_a_list_is_the_same_from_every_program(images, tmp_path, encoding, separator, end):
     (images / "dog").rename(images / "köter")
@@ -459,14 +422,10 @@ def test_a_list_is_the_same_from_every_program(images, tmp_path, encoding, separ
 @pytest.mark.parametrize(
     ("labels", "classes"),
     [
-        (("0", "1"), ("0", "1")),
         (("1_0", "1_1"), ("1_0", "1_1")),
-        (("10_20", "3_4"), ("10_20", "3_4")),
         (("\uff11", "\uff12"), ("\uff11", "\uff12")),  # digits of other scripts
         (("+1", "-1"), ("+1", "-1")),
         (("0x10", "0x11"), ("0x10", "0x11")),
-        (("True", "False"), ("False", "True")),
-        (("0.5", "none"), ("0.5", "none")),
         (("nan", "inf"), ("inf", "nan")),
         (("cafe\u0301", "tea "), ("caf\u00e9", "tea")),
         (("a", "A"), ("A", "a")),  # letters to be read
@@ -484,17 +443,11 @@ def test_whole_numbers_and_words_that_python_takes_for_numbers_are_classes(
     ("cells", "said"),
     [
         (("1.0", "2.0"), "if they are classes, write one column of words or of numbers"),
-        (("1e0", "2e0"), "if they are values, write their name over the column"),
         (("cat", "Cat"), "'Cat' and 'cat' differ in case"),
-        (("big cat", "big  cat"), "differ in case, blanks"),
         (("cat", "cat."), "or a dot alone"),
-        (("01", "1"), "zeros"),
         (("a", "a\u200b"), "differ in"),
-        (("fi", "\ufb01"), "differ in"),
         (("0,1", "1,0"), "a single 1 in each row, as of classes in one-hot form"),
         (("0.5", "NA"), "no finite number ('NA')"),
-        (("0.5", "#DIV/0!"), "no finite number ('#DIV/0!')"),
-        (lambda k: ["nan" if k == 3 else "1.5"], "no finite number ('nan')"),
         (lambda k: ["1.5", "far" if k == 3 else "2"], "no finite number ('far')"),
         (lambda k: ["1.5"] * (1 if k == 4 else 2), "line 6"),
         (lambda k: [f"{k % 3}.0"], "whole numbers written as floats (0, 1, 2)"),

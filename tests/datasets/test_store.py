@@ -11,7 +11,6 @@ import pytest
 from dataset_samples import not_loaded
 
 from deepfsi.datasets import catalog
-from deepfsi.datasets.catalog import list_datasets
 from deepfsi.datasets.load import load_dataset
 
 IMAGES = np.random.default_rng(4).integers(0, 256, (24, 28, 28), dtype=np.uint8)
@@ -105,12 +104,6 @@ def test_no_mirror_gives_a_file(server, tmp_path):
     assert kept == sorted(FILES[:2]), "nothing half-written"
 
 
-def test_without_a_network_the_folder_is_named(server):
-    server.shutdown()
-    server.server_close()
-    not_loaded("mnist", "127.0.0.1", "(ConnectionError)", "set DEEPFSI_DATA")
-
-
 def test_a_damaged_file_in_the_cache_is_downloaded_again(server, tmp_path):
     fill(tmp_path / "first")
     fill(tmp_path / "cache" / "mnist", **{FILES[3]: b"damaged"})
@@ -135,21 +128,6 @@ def test_a_damaged_file_in_deepfsi_data(server, tmp_path, monkeypatch):
     not_loaded("mnist", str(tmp_path / "mnist" / FILES[1]), "sha256", "original")
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path / "mistyped"))
     not_loaded("mnist", "DEEPFSI_DATA", "mistyped", "no folder")
-
-
-def test_what_is_here_is_listed(server, tmp_path, monkeypatch):
-    monkeypatch.setattr(catalog.DATASETS["indian-pines"], "PACKAGE", ("no_such_package", "data"))
-    where = {info.name: info.where for info in list_datasets()}
-    assert where.pop("digits") == "embedded"
-    assert len(where) == 5
-    assert set(where.values()) == {"not here"}
-
-    fill(tmp_path / "cache" / "mnist")
-    assert list_datasets()[1].where == str(tmp_path / "cache" / "mnist")
-    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
-    fill(tmp_path / "mnist")
-    assert list_datasets()[1].where == str(tmp_path / "mnist")
-    assert not server.requests
 
 
 def test_fewer_training_images_keep_the_classes_shares_and_the_test_part(server, tmp_path):
