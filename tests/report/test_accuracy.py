@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepfsi.report.accuracy import accuracy_figure, count_figure
+from deepfsi.report.accuracy import accuracy_figure
 from shared.figures import assert_legible
 from shared.results import DESIGNS, make_results, with_all
 
@@ -46,21 +46,6 @@ def test_one_budget_is_a_ranking_without_an_empty_half(tmp_path):
         np.testing.assert_allclose(ends, [[p.low, p.high] for p in ordered])
         across = [line.get_xdata()[0] for line in ax.lines if line.get_marker() in ("o", "s")]
         np.testing.assert_allclose(across, [p.accuracy for p in ordered])
-
-
-def test_markers_and_bars_are_named_in_the_figure(tmp_path):
-    for designs, said in (
-        (("deepfsi", "raster"), {"masks made from training data", "other masks"}),
-        (("deepfsi",), {"masks made from training data"}),
-    ):
-        results = make_results(tmp_path, designs=designs)
-        for figure in (accuracy_figure(results), count_figure(results)):
-            (key,) = figure.legends
-            words = {text.get_text() for text in key.get_texts()}
-            assert {*said, "95 % interval"} <= words
-    assert "filled: number of masks chosen on validation data" in words
-    twice = make_results(tmp_path, lights=("column", "two-arm"))
-    assert any("hollow" in t.get_text() for t in accuracy_figure(twice).legends[0].get_texts())
 
 
 def test_names_are_short_only_where_they_would_be_too_long(tmp_path):

@@ -1,6 +1,5 @@
 """The page of adaptive masks, in Chromium: what it computes is what the package computes."""
 
-import time
 from copy import copy
 from dataclasses import replace
 
@@ -265,23 +264,3 @@ def test_who_asks_for_less_motion_sees_the_end_at_once(opened):
     browser.find_element(By.ID, "expose").click()
     assert "finished" in browser.find_element(By.ID, "state").text
     assert not ask(browser, "return page.playing")
-
-
-def test_a_seed_repeats_an_exposure(opened):
-    body = (
-        "return given.seeds.map(s => { const e = new LookExposure(model, page.scene, 1e3, s);"
-        "e.rule = null;"
-        "e.reach(3); return e.frames.slice(0, 3).map(f => [f.counts, [...f.pattern]]); })"
-    )
-    first, again, other = ask(opened("one"), body, seeds=[3, 3, 4])
-    assert first == again
-    assert first != other
-
-
-def test_a_scene_unlike_all_of_the_training_gets_no_answer(opened):
-    browser = opened("one", still=True)
-    browser.find_element(By.ID, "clear").click()
-    time.sleep(0.2)
-    browser.find_element(By.ID, "expose").click()
-    assert browser.find_element(By.ID, "verdict").text.startswith("No answer: this scene is darker")
-    assert "%" not in browser.find_element(By.ID, "answer").text

@@ -26,7 +26,6 @@ from shared.playground import (
     page_writer,
     press_button,
     said,
-    set_light,
     verdict_at,
 )
 
@@ -89,13 +88,6 @@ def test_the_page_answers_the_vectors(browser, kind, tmp_path):
     np.testing.assert_allclose(masks, matrix, atol=1e-6)
     for vector, chances in zip(expected, answers, strict=True):
         np.testing.assert_allclose(chances, vector.chances, atol=vectors.AGREES)
-
-
-def test_too_little_light_is_said(opened):
-    """The design was learned for 1e4 photons."""
-    for exponent in (1, 2.9, 3.4):
-        words = verdict_at(opened("equal"), exponent)
-        assert words.startswith("Too little light for this design") == (exponent < 3)
 
 
 def test_a_scene_unlike_all_of_the_training_is_said_and_gets_no_answer(opened):
@@ -188,18 +180,6 @@ def test_least_squares_pictures(opened, designs, digits, kind):
         solved = np.linalg.solve(gram + 1e-6 * np.trace(gram) * np.eye(len(gram)), unit)
         wanted[own] = rows.T @ solved
     np.testing.assert_allclose(found, wanted, atol=1e-3 * np.abs(wanted).max())
-
-
-def test_the_picture_within_a_frame_is_of_the_frames_before(opened):
-    seen, before = ask(
-        opened("column"),
-        "const { exposure, view } = page, { squares } = view;"
-        "let seen; squares.picture = counts => (seen = counts);"
-        "page.drawn = {}; page.time = 0.9 * exposure.frames[1].end; page.draw();"
-        "delete squares.picture; return [[...seen], [...exposure.after(1).counts]]",
-    )
-    assert sum(seen) > 0
-    assert seen == before
 
 
 def test_other_cameras_count_what_their_light_law_gives(opened):
@@ -353,22 +333,6 @@ def test_an_exposure_is_watched_frame_by_frame(opened, kind):
     before = min(drawn) - 1  # no probability is shown where the network did not learn to answer
     assert ["%" in words for words in answers] == [False] * before + [True] * (len(looks) - before)
     assert said(browser, "verdict").startswith("Answer: ")
-
-
-def test_the_point_moves_along_the_measured_curve(opened):
-    browser = opened("column")
-    shown = []
-    for exponent in (1, 4, 7):
-        set_light(browser, exponent)
-        point = browser.find_element(By.CSS_SELECTOR, "#curve .here")
-        shown.append(tuple(float(point.get_attribute(name)) for name in ("cx", "cy")))
-    measured = browser.find_elements(By.CSS_SELECTOR, "#curve .measured")
-    places = [tuple(float(m.get_attribute(name)) for name in ("cx", "cy")) for m in measured]
-    assert len(measured) == len(browser.find_elements(By.CSS_SELECTOR, "#curve .interval")) == 13
-    np.testing.assert_allclose(shown, [places[0], places[6], places[12]], atol=0.5)
-    assert browser.find_elements(By.CSS_SELECTOR, "#curve .trained-line")
-    opened("range")
-    assert browser.find_elements(By.CSS_SELECTOR, "#curve .trained")
 
 
 def test_names_that_users_give_stay_text(browser, designs, digits, tmp_path):

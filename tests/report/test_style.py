@@ -15,12 +15,14 @@ def test_figures_leave_matplotlib_as_it_was(tmp_path):
 
 
 CALLERS = [
-    {"text.usetex": True},  # there may be no LaTeX
-    {"font.family": "no such font", "font.size": 40.0, "axes.unicode_minus": False},
-    {"savefig.bbox": "tight", "savefig.facecolor": "pink", "savefig.transparent": True},
-    {"figure.dpi": 30.0, "figure.autolayout": True, "path.simplify": False},
-    {"svg.fonttype": "path", "svg.hashsalt": "another", "pdf.fonttype": 42, "image.cmap": "jet"},
-    {"axes.prop_cycle": cycler(color=["red"]), "axes.grid": True},
+    {
+        "text.usetex": True,  # there may be no LaTeX
+        **{"font.family": "no such font", "font.size": 40.0, "axes.unicode_minus": False},
+        **{"savefig.bbox": "tight", "savefig.facecolor": "pink", "savefig.transparent": True},
+        **{"figure.dpi": 30.0, "figure.autolayout": True, "path.simplify": False},
+        **{"svg.fonttype": "path", "svg.hashsalt": "another", "pdf.fonttype": 42},
+        **{"axes.prop_cycle": cycler(color=["red"]), "axes.grid": True, "image.cmap": "jet"},
+    },
     dict(matplotlib.style.library["dark_background"]),
 ]
 """What a program may have set before a figure is drawn."""
