@@ -9,13 +9,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from conftest import synthetic
 from deepfsi.base.errors import InputError
-from deepfsi.sweeps.plan import plan_trials
 from deepfsi_paper import experiment, mlgauss, studies
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.mnist import accuracy as mnist
-from shared.experiments import ALL, DRAWS, EVERY, OVIT, run_all
+from shared.experiments import DRAWS, EVERY, run_all
 from shared.results import a_point, of_three, some_results
 
 
@@ -59,15 +57,6 @@ def test_rates_of_the_laboratory_are_of_all_its_draws_and_digits(folder):
 
 
 @pytest.mark.slow
-def test_the_time_of_an_experiment_is_that_of_all_its_parts(folder):
-    for each in EVERY:
-        rows = table(folder / f"{each.name}-trials.csv")
-        trained = sum({row["key"]: float(row["seconds"]) for row in rows}.values())
-        spent = json.loads((folder / f"{each.name}.json").read_text())["provenance"]
-        assert spent["training_seconds"] == pytest.approx(trained, abs=0.1)
-
-
-@pytest.mark.slow
 def test_experiments_share_what_they_train(folder):
     """MLGauss and quantisation test the designs of the comparison: two trainings each at most."""
     made = {path.stem for path in (folder / "designs").glob("*.safetensors")}
@@ -81,21 +70,6 @@ def test_a_folder_without_experiments_is_refused(tmp_path):
     with pytest.raises(InputError, match="deepfsi reproduce"):
         studies.page(tmp_path)
     assert not studies.is_study(tmp_path)
-
-
-SHAPES = {"indian-pines": (200,), **{each.name: (64, 64) for each in OVIT}}
-
-
-@pytest.mark.parametrize("each", ALL, ids=lambda each: each.name)
-@pytest.mark.parametrize("quick", [False, True])
-def test_every_recipe_can_be_planned_and_takes_a_number_of_trials(each, quick):
-    """On scenes of the data's shape."""
-    assert all(recipe.trials >= 3 for recipe in each.recipes(quick).values())
-    data = synthetic(SHAPES.get(each.name, (32, 32)), 2500 if each.name == "images" else 120)
-    for recipe in each.recipes(quick, trials=1).values():
-        assert recipe.trials == 1
-        trials = plan_trials(recipe.model_copy(update={"validation": 20}), data)
-        assert {trial.job.design for trial in trials} == set(recipe.designs)
 
 
 LEVEL = {
@@ -152,22 +126,15 @@ def test_mlgauss_is_good_in_bright_light_only_where_intervals_say_so(change, hal
     [
         ("poisson", "deepfsi", 1e2, 0.7, 0, False),
         ("poisson", "deepfsi", 1e2, 0.8, 0, None),
-        ("poisson", "deepfsi", 1e8, 0.7, 0, True),
         ("poisson", "pca", 1e4, 0.4, 1, False),
         ("poisson", "hadamard", 1e8, 0.6, 2, False),
-        ("poisson", "hadamard", 1e8, 0.505, 2, True),
         ("poisson", "truncated-hadamard", 1e4, 0.6, 3, False),
         ("poisson", "control", 1e4, 0.95, 4, False),
-        ("poisson", "control", 1e8, 0.95, 4, True),
         ("poisson", "deepfsi", 1e8, 0.97, 5, False),
-        ("poisson", "deepfsi", 1e8, 0.955, 5, True),
-        ("poisson", "hadamard", 1e4, 0.85, 6, False),
         ("poisson", "pca", 1e4, 0.5, 6, None),
         ("gaussian", "hadamard", 1e4, 0.4, 7, False),
         ("gaussian", "pca", 1e4, 0.95, 8, False),
-        ("gaussian", "impulse", 1e4, 0.99, 8, True),
         ("gaussian", "truncated-hadamard", 1e4, 0.78, 9, False),
-        ("gaussian", "truncated-hadamard", 1e8, 0.78, 9, True),
         ("gaussian", "pca", 1e2, 0.97, 10, False),
     ],
 )

@@ -89,7 +89,7 @@ def non_paralysable_chances(load: float, length: float) -> np.ndarray:
     return -np.diff(reach)
 
 
-@pytest.mark.parametrize("length", [0.5, 1.5, 4.0, 20.0])
+@pytest.mark.parametrize("length", [0.5, 4.0])
 @pytest.mark.parametrize(
     ("load", "paralysable"),
     [*((x, True) for x in (0.05, 0.5, 2)), *((x, False) for x in (0.05, 0.5, 5))],
@@ -102,7 +102,7 @@ def test_counts_have_their_exact_distribution(load, length, paralysable):
 
 
 @pytest.mark.parametrize("kind", DETECTORS)
-@pytest.mark.parametrize(("rate", "length_s"), [(1e7, 4e-8), (1e7, 2e-6), (4e6, 3e-5)])
+@pytest.mark.parametrize(("rate", "length_s"), [(1e7, 4e-8), (1e7, 2e-6)])
 def test_counts_in_sum_are_as_event_by_event(kind, rate, length_s):
     detector = Detector(**DETECTORS[kind])
     one_by_one = steady(detector, rate, 20_000, length_s)

@@ -24,13 +24,12 @@ def accuracies(seed):
 
 MAPS = {name: accuracies(k) for k, name in enumerate(("truncated Hadamard", "PCA", "DeepFSI"), 1)}
 FIRST, SECOND, _ = MAPS.values()
-NOISES, LEVELS = ("MLGauss", "Poisson"), ("full precision", "1/768 of the peak")
+NOISES = ("MLGauss", "Poisson")
 FIGURES = {
     "heat": lambda: maps.heat_figure(MAPS, *GRID, trained_at=1e5),
     "contour": lambda: maps.contour_figure(
         FIRST, SECOND, *GRID, NOISES, pixels=1024, apart=np.abs(SECOND - FIRST) > 0.01
     ),
-    "quantised": lambda: maps.contour_figure(FIRST, SECOND, *GRID, LEVELS),
 }
 
 

@@ -82,7 +82,6 @@ FIGURES = {
     "error": lambda: figures.error_figure(results()),
     "masks": masks_table,
     "measures": measures_of_masks,
-    "starts": lambda: starts(("poisson",)),
     "both starts": lambda: starts(NOISES),
 }
 

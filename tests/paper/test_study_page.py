@@ -10,7 +10,6 @@ from shared.pages import (
     assert_headed,
     assert_whole,
     example,
-    run_without_torch,
 )
 
 
@@ -44,13 +43,3 @@ def test_headings_are_in_order_and_abbreviations_explained(tmp_path):
     assert '<abbr title="' + rendering.ABBREVIATIONS["PN"] in page
     assert "CGs and USERS" in page
     assert page.index("This page tests how well") < page.index("<h2") < page.index('class="sketch"')
-
-
-def test_study_needs_no_torch(tmp_path):
-    code = (
-        "from deepfsi_paper.report.section import Section; "
-        "from deepfsi_paper.report.study_page import write_study; "
-        "write_study(sys.argv[1], 't', [Section('a', *'bcd', (), (), (), (), 'e', {})])"
-    )
-    run_without_torch(code, tmp_path)
-    assert (tmp_path / "report.html").is_file()
