@@ -62,14 +62,9 @@ def test_records_depend_on_the_file_of_the_classifier(digits, tmp_path, monkeypa
     assert not keys[0] & keys[1]
 
 
-@pytest.mark.parametrize(
-    ("name", "match"),
-    [("no_such_nets:Cnn", "cannot be imported"), ("own", "cannot be imported"),
-     ("shared.networks:Rnn", "has no Rnn")],
-)  # fmt: skip
-def test_an_unknown_classifier_is_refused_before_any_work(digits, name, match):
-    with pytest.raises(InputError, match=match):
-        plan_trials(recipe(training={"classifier": ["mlp", name]}), digits)
+def test_an_unknown_classifier_is_refused_before_any_work(digits):
+    with pytest.raises(InputError, match="has no Rnn"):
+        plan_trials(recipe(training={"classifier": ["mlp", "shared.networks:Rnn"]}), digits)
 
 
 def test_a_matrix_of_ones_own_is_compared(digits, tmp_path):

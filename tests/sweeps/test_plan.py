@@ -5,7 +5,6 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.datasets.load import load_dataset
-from deepfsi.sweeps.plan import check_settings
 from shared.trials import planned, small
 
 
@@ -45,10 +44,8 @@ def test_other_data_changes_the_key(digits):
     [
         ({"training": {"epochs": [1, 0], "lr": -1, "start": "nope"}}, ("epochs", "lr", "start")),
         ({"training": {"lr": []}}, ("lr is empty",)),
-        ({"training": {"classifier": "Cnn"}}, ("classifier",)),
         ({"photons": [[1e3, 1e4]]}, ("photons",)),
         ({"test_levels": (0, 1)}, ("dark alone",)),
-        ({"light": "two-arm", "rails": "single"}, ("two-arm with a single rail",)),
     ],
 )
 def test_mistakes_in_a_recipe_are_all_told(settings, parts):
@@ -126,19 +123,3 @@ def test_a_map_of_detectors_is_known_by_its_content(digits, tmp_path):
         keys.append([each.key for each in trials])
     assert keys[0] == keys[1]
     assert not set(keys[0]) & set(keys[2])
-
-
-@pytest.mark.parametrize(
-    ("settings", "told"),
-    [
-        ({"light": "column", "detectors": "2x2"}, ["column is other optics"]),
-        (
-            {"light": "free-dwell", "detectors": ["9x9", "none.npy"]},
-            ["do not divide scenes of 8x8", "none.npy"],
-        ),
-    ],
-)
-def test_detectors_that_cannot_be_had_are_all_told(digits, settings, told):
-    with pytest.raises(InputError) as error:
-        check_settings({"camera": settings}, lambda recipe: digits)
-    assert all(part in str(error.value) for part in told)

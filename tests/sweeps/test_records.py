@@ -39,9 +39,7 @@ def alone(digits, tmp_path):
     "damage",
     [
         {"test": [{}]},
-        {"test": 1},
         {"info": {}},
-        {"validation": [None]},
         {"design": None},
         {"key": "0" * 24},
         {"schema": RESULTS_SCHEMA - 1, "test": []},

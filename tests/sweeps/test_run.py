@@ -3,7 +3,6 @@
 import fcntl
 import multiprocessing
 import time
-import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -13,20 +12,11 @@ import pytest
 from deepfsi import Design, evaluate
 from deepfsi.base.errors import InputError
 from deepfsi.base.numeric.intervals import unpack_values
-from deepfsi.cli import studies
 from deepfsi.sweeps import batch
 from deepfsi.sweeps.plan import Trial
-from deepfsi.sweeps.recipe import Recipe, parts
 from deepfsi.sweeps.records import record_rows
 from deepfsi.sweeps.run import compare
 from shared.trials import planned, small, train_trials
-
-RECIPES = {
-    f"{name} {part}".strip(): settings
-    for name in ("arms", "baseline", "limits")
-    for part, settings in parts(tomllib.loads(studies.shipped_recipes()[name].read_text())).items()
-}
-"""Of the package; `tests/paper` runs those of the paper."""
 
 
 @pytest.fixture
@@ -52,16 +42,6 @@ def test_levels_are_an_axis_and_a_column(digits, tmp_path):
     table = record_rows(train_trials(trials, digits, tmp_path))
     assert [row["training_levels"] for row in table] == levels
     assert {row["levels"] for row in table} == {0}
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize("name", RECIPES)
-def test_every_recipe_runs_small(name, digits, tmp_path):
-    training = {**RECIPES[name]["training"], "epochs": 1, "batch": 500}
-    moment = {"data": "digits", "masks": 4, "photons": 1e3, "trials": 1, "validation": 200}
-    recipe = Recipe(**{**RECIPES[name], **moment, "training": training})
-    results, _ = compare(recipe, digits, tmp_path, command="deepfsi")
-    assert {point.design for point in results.points} == set(recipe.designs)
 
 
 def test_a_test_scene_that_was_trained_on_is_in_no_interval(digits, tmp_path):
@@ -115,13 +95,6 @@ def test_other_tests_of_the_same_training_need_no_training(digits, tmp_path, tra
     fresh = train_trials(more, digits, tmp_path / "fresh")
     for one, other in zip(records, fresh, strict=True):
         assert [t["accuracy"] for t in one["test"]] == [t["accuracy"] for t in other["test"]]
-
-
-def test_a_changed_recipe_trains_only_what_is_new(digits, tmp_path, trained):
-    train_trials(planned(digits), digits, tmp_path)
-    trained.clear()
-    train_trials(planned(digits, masks=(3, 6, 9), trials=2), digits, tmp_path)
-    assert len(trained) == 2 * 2 * 3 * 2 - 2 * 2 * 2
 
 
 def shared_training(digits):

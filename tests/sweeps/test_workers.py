@@ -44,7 +44,7 @@ def test_shares_of_running_tasks_are_seen_and_a_worker_that_is_killed_is_told(tm
 SCRIPT = """
 from operator import add
 from deepfsi.sweeps.workers import processes
-print("once", sorted(processes(add, 10, [1, 2, 3], 2)), flush=True)
+print("once", sorted(processes(add, 10, [1, 2, 3], 1)), flush=True)
 """
 
 
