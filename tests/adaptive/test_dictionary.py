@@ -117,12 +117,6 @@ def scored(state, masks):
     return choice.information(counts.expand(len(state), -1, -1, -1), members, unknown).T
 
 
-def test_several_readouts_are_refused():
-    for optics in ({"arms": 2}, {"detectors": torch.arange(PIXELS) // 6}):
-        with pytest.raises(InputError, match="one detector and one arm"):
-            state_of(prior_with(), **optics)
-
-
 @pytest.fixture(scope="module")
 def ready(digits):
     settings = {"design": "adaptive", "masks": 12, "photons": 1e3}

@@ -19,11 +19,7 @@ LEARN = partial(deepfsi.learn, "digits", masks=2, training={"epochs": 1})
     ("make", "fields", "said"),
     [
         (deepfsi.Training, {"classifier": None}, "classifier = None: give mlp, or"),
-        (deepfsi.Training, {"epochs": 0}, "epochs = 0"),
         (deepfsi.Camera, {"light": "sun"}, "light = 'sun'"),
-        (deepfsi.Range, {"span": "many"}, "span = 'many'"),
-        (deepfsi.Job, {"photons": True, "masks": 2}, "budget True is not allowed.* such as 1e4"),
-        (LEARN, {"photons": 1, "training": {"classifier": None}}, "training.classifier = None"),
         (LEARN, {"photons": True}, "budget True is not allowed.* such as 1e4"),
         (LEARN, {"counts": True}, "True counts are not allowed"),
         (LEARN, {"photons": (1e3, 1e4)}, "is no number.*exposure=Range"),

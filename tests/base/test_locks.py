@@ -81,15 +81,6 @@ def test_a_lock_ends_with_its_process(tmp_path, other):
     assert len(list(tmp_path.glob("locks/a/*"))) == 1
 
 
-def test_locks_of_killed_processes_are_not_left_over(tmp_path, other):
-    Locks(tmp_path)
-    assert list(tmp_path.glob("locks/a/*"))
-    other.kill()
-    other.wait()
-    Locks(tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_new_process_of_an_old_number_is_another_one(tmp_path):
     """Numbers of processes come again; their moments of start do not."""
     own = locks.this_process()

@@ -49,21 +49,6 @@ def test_it_is_the_mutual_information_of_a_short_look(seed):
 
 
 @laws
-@given(seed=SEEDS, weight=st.floats(0, 1))
-def test_it_is_convex_in_the_mask_and_in_proportion_to_it(seed, weight):
-    scenes, chances = scenes_of(seed)
-    first, second = np.random.default_rng(seed).random((2, 9))
-    between = rate_of(weight * first + (1 - weight) * second, scenes, chances)
-    ends = weight * rate_of(first, scenes, chances) + (1 - weight) * rate_of(
-        second, scenes, chances
-    )
-    assert between <= ends + 1e-12
-    assert rate_of(weight * first, scenes, chances) == pytest.approx(
-        weight * rate_of(first, scenes, chances)
-    )
-
-
-@laws
 @given(seed=SEEDS)
 def test_no_grey_mask_is_above_the_best_binary_one(seed):
     """All 512 binary masks of nine pixels; the binary masks of a grey one's levels do as well."""
@@ -94,15 +79,3 @@ def test_one_detector_tells_at_most_what_its_pixels_tell_and_these_at_most_impul
     arms = np.stack([mask, 1 - mask]) @ scenes.T
     assert information_rate(arms, chances) <= impulse(scenes, chances) + 1e-12
     assert information_rate(arms, chances) >= rate_of(mask, scenes, chances) - 1e-12
-
-
-def test_the_benchmark_prints_ratios_of_rates_that_are_shares(capsys):
-    benchmark("one_bucket").main(
-        ["--data", "digits", "--photons", "1e3", "--looks", "3", "--exposures", "6"]
-    )
-    rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines()[-3:]]
-    assert [int(row[0]) for row in rows] == [0, 1, 2]
-    for _, best, shown, light in rows:
-        assert 0 < float(best.split("±")[0]) < 1
-        assert 0 < float(shown.split("±")[0]) < 1.01  # of the best that was found
-        assert 0 < float(light) < 1

@@ -21,7 +21,6 @@ ARRAYS = {
     "signed": (SIGNED, SIGNED),
     "stack": (SIGNED.reshape(3, 2, 4), SIGNED),
     "float32": (SIGNED.astype(np.float32), SIGNED.astype(np.float32)),
-    "float16": (SIGNED.astype(np.float16), SIGNED.astype(np.float16)),
     "integers": (np.arange(8).reshape(2, 4), np.arange(8).reshape(2, 4)),
     "uint32": (WIDE.astype(np.uint32), WIDE.reshape(3, 8)),
     "grey": (GREY, AS_GREY),
@@ -72,12 +71,8 @@ TWO = {"a": np.eye(2), "b": np.eye(2)}
 NEW = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(99)
 BAD = {
     "nowhere.npy": (None, "no matrix at"),
-    "nowhere.mat:a": (None, "no matrix at"),
     "words.npy": (lambda path: save(path, np.array(["a"])), "real numbers"),
-    "complex.npy": (lambda path: save(path, np.eye(2) * 1j), "real numbers"),
     "flat.npy": (lambda path: save(path, np.ones(4)), r"shape \(4,\)"),
-    "none.npy": (lambda path: save(path, np.ones((0, 4))), r"shape \(0, 4\)"),
-    "several.npz": (lambda path: save(path, np.eye(2)), "real numbers"),
     "cut.npy": (lambda path: save_cut(path, np.ones(4), 100), "real numbers"),
     "two.mat": (lambda path: save(path, TWO), "a, b: name one"),
     "two.mat:c": (lambda path: save(path, TWO), "no variable 'c'.* a, b: name one"),

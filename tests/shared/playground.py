@@ -5,17 +5,10 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import torch
 from scipy import stats
 from selenium.webdriver.common.by import By
 
-from conftest import generator
-from deepfsi import Design, Mlp
 from deepfsi.evaluation.page_data import playable
-from deepfsi.exposure.fixed import FixedExposure
-from deepfsi.exposure.kind import TrainedMasks
-from deepfsi.physics.detection import Detection, Rails
-from deepfsi.physics.laws import light_law
 from deepfsi.report.playground.page import write_page
 from shared.browser import look
 from shared.waiting import until
@@ -126,24 +119,3 @@ def fits(counts: np.ndarray, rate: float) -> float:
     groups = [*zip(seen[kept], chances[kept], strict=True), *rest]
     observed, expected = np.array([each for each in groups if each[1] > 1e-12]).T
     return stats.chisquare(observed, expected * len(counts)).pvalue
-
-
-def large_design() -> Design:
-    """A design of 96 signed masks of 32 × 32, both rails read by a 512-256 network."""
-    signs = torch.randn(96, 1024, generator=generator())
-    optics = TrainedMasks(
-        rails=Rails.of(light_law("free-dwell").fit(signs)),
-        light="free-dwell",
-        image_shape=(32, 32),
-        detection=Detection("both"),
-        summed_reflectance=600.0,
-        mean=torch.zeros(192),
-        std=torch.ones(192),
-        shares=torch.ones(192) / 192,
-    )
-    return Design(
-        name="deepfsi",
-        classes=tuple("0123456789"),
-        exposure=FixedExposure(optics=optics),
-        classifier=Mlp(192, 10, (512, 256), generator=generator()),
-    )
