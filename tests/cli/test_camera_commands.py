@@ -215,15 +215,3 @@ def test_scenes_have_the_white_of_the_design(done, digits, tmp_path):
     said = done("camera", "simulate", p, "--scene", tmp_path / "dim", *words)
     assert "4 images of 8x8 pixels" in said
     assert "divided by 4095 (12 bits)" in said
-
-
-def test_a_file_that_is_cut_and_its_scene_are_named(done, lab, run):
-    assert "clocks: frames last as planned" in done("camera", "count", run)
-    path = run / "photons.ptu"
-    path.write_bytes(path.read_bytes()[:-4000])
-    said, told = done("camera", "count", run), json.loads(done("camera", "count", run, "--json"))
-    assert re.search(r"photons\.ptu: 1000 of \d+ records are missing: the file is cut", said)
-    assert "1000 of" in told["problems"][0]
-    assert {fault["name"] for fault in told["faults"]} == {"7/one.png"}
-    for text in (said, done("camera", "classify", lab / "design.safetensors", run)):
-        assert "marker lost scene 2, 7/one.png: " in text

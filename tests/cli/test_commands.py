@@ -4,41 +4,12 @@ import json
 import subprocess
 import sys
 
-import click
 import numpy as np
 import pytest
 from PIL import Image
 
 from deepfsi import Design
-from deepfsi.cli import app
 from shared.commands import COMMANDS, OPTIONS
-
-HEADINGS = {
-    "": ["Design:", "Study:", "Camera:", "Data:", "Beside the core:"],
-    "camera": [
-        *("Describe the camera:", "Record a run:", "Read a run:", "Calibrate the camera:"),
-        "Beside the core:",
-    ],
-    "dmd": ["Commands:"],
-    "data": ["Commands:"],
-}
-
-
-@pytest.mark.parametrize("group", HEADINGS)
-def test_help_of_a_group_has_headings_and_whole_sentences(done, group):
-    out = done(*group.split(), "--help")
-    lines = out.splitlines()
-    assert all(len(line) <= 80 for line in lines)
-    headings = [line for line in lines if line.endswith(":") and not line.startswith(" ")]
-    assert headings == ["Options:", *HEADINGS[group]]
-    context = click.Context(app)
-    of_group = app.get_command(context, group) if group else app
-    for name in of_group.list_commands(context):
-        command = of_group.get_command(context, name)
-        sentence = command.help.split("\n\n")[0]
-        assert sentence.endswith(".")
-        assert f"{name} {sentence}" in " ".join(out.split())
-    assert "..." not in out.replace("[ARGS]...", "")
 
 
 @pytest.mark.parametrize("path", COMMANDS)

@@ -52,19 +52,6 @@ def test_a_comparison_is_one_matrix_one_sentence_and_one_path(done, tmp_path, mo
     assert told["verdict"] == said
 
 
-def test_optics_are_axes_of_a_comparison_and_each_noise_has_its_rows(done, tmp_path):
-    """Layers of a network are no axis, and numbers are numbers in what is written."""
-    words = "--designs pca --photons 1e2,1e4 --noise poisson,gaussian --light column,equal-dwell "
-    words += "--rails dual,single --masks 3 --trials 1 --epochs 1 --hidden 8,4 --workers 1 -o"
-    rows = [row.split() for row in lines_of(done("compare", *words.split(), tmp_path), width=100)]
-    assert [row[-3] for row in rows] == ["poisson"] * 4 + ["gaussian"] * 4
-    optics = {(light, rails) for light in ("column", "equal-dwell") for rails in ("dual", "single")}
-    assert {tuple(row[:-3]) for row in rows} == {("PCA", *each) for each in optics}
-    told = json.loads((tmp_path / "results.json").read_text())
-    assert {(point["light"], point["rails"]) for point in told["points"]} == optics
-    assert told["recipe"]["training"] == {"epochs": [1], "hidden": [[8, 4]]}
-
-
 def test_a_terminal_that_is_too_narrow_loses_nothing(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "30")
     monkeypatch.setenv("FORCE_COLOR", "1")
