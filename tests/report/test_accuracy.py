@@ -48,13 +48,6 @@ def test_one_budget_is_a_ranking_without_an_empty_half(tmp_path):
         np.testing.assert_allclose(across, [p.accuracy for p in ordered])
 
 
-def test_names_are_short_only_where_they_would_be_too_long(tmp_path):
-    results = make_results(tmp_path, designs=("deepfsi",), lights=("column", "free-dwell"))
-    for given, name in ((results, "DeepFSI"), (with_all(results, title=40 * "x"), "DFSI")):
-        named = {text.get_text() for text in accuracy_figure(given).axes[0].texts}
-        assert named == {"", "chance", f"{name} column", f"{name} free-dwell"}
-
-
 def test_names_at_the_edge_do_not_touch(tmp_path):
     results = make_results(tmp_path, designs=("pca", "deepfsi", "truncated-hadamard"))
     figure = accuracy_figure(with_all(results, accuracy=0.99, low=0.99, high=0.99))

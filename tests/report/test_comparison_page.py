@@ -66,46 +66,6 @@ def test_all_designs_and_numbers_are_in_the_tables(tmp_path):
 
 
 @words_alone
-def test_detectors_and_what_is_read_stand_in_tables_and_names(tmp_path):
-    """Where a design has several; the grid of the others stands where it tells two apart."""
-    results = make_results(tmp_path, designs=("impulse", "pca"))
-    tiles = [
-        p.model_copy(update={"detectors": detectors, "readout": readout, "light": "two-arm"})
-        for p in results.points
-        if p.design == "pca"
-        for detectors in ("1x1", "2x2")
-        for readout in ("difference", "both")
-    ]
-    whole = [p for p in results.points if p.design == "impulse"]
-    text = words_of(page_of(tmp_path, results.with_points([*whole, *tiles])))
-    names = ("two-arm, dual, 2x2 detectors, both read", "two-arm, dual, both read")
-    rows = (" ) 2x2 detectors difference", " ) 1x1 detectors both")
-    assert all(told in text for told in (*names, *rows))
-    assert "with one detector" not in text
-
-
-@words_alone
-def test_a_page_opens_with_what_is_compared(tmp_path):
-    results = make_results(tmp_path)
-    text, said = comparison_page.compared_text(results), comparison_page.covers_text(results)
-    assert text.startswith("5 ways to choose a camera’s masks, at equal light (light law column): ")
-    assert "360 test scenes of digits" in text
-    assert "Impulse imaging, with a detector for each of the 24 pixels, reaches 0.796" in said
-    assert "The intervals are of 95 % and cover seeds of training (t over 3 trials)." in said
-    page = page_of(tmp_path)
-    assert page.count("<li>") == 4
-    assert page.index("<h1>") < page.index('class="plot"') < page.index("<h2") < page.index("<li>")
-    single = without_impulse(results)
-    assert "mpulse" not in comparison_page.compared_text(single) + comparison_page.covers_text(
-        single
-    )
-    adaptive = [*results.points, *with_all(single, design="adaptive").points]
-    for points, beside in ((results.points, False), (adaptive, True)):
-        covers = comparison_page.covers_text(results.with_points(points))
-        assert ("adaptive masks can be above impulse imaging" in covers) == beside
-
-
-@words_alone
 def test_what_to_do_next_is_a_command(tmp_path):
     few = {"designs": ("pca", "deepfsi"), "budgets": (1e4,)}
     make_results(tmp_path, **few)
