@@ -269,40 +269,6 @@ def test_the_scene_in_tensorly(real, tmp_path, monkeypatch):
     assert (counts[1:].sum(), counts[1], counts[9], counts[11]) == (10_249, 46, 20, 2455)
 
 
-def test_bytes_that_became_line_feeds_are_restored():
-    """Values 768 apart are told by the other bands, whose noise of 25 is a fifteenth of half that.
-
-    Spectra are combinations of four; low bytes 13 stay 10, so that a value may be wrong by 3.
-    """
-    rng = np.random.default_rng(3)
-    shares = rng.dirichlet(np.ones(4), 60 * 60)
-    ends = np.cumsum(rng.normal(0, 120, (4, 40)), axis=1) + 3300
-    spectra = shares @ ends + rng.normal(0, 25, (60 * 60, 40))
-    cube = np.clip(spectra, 1000, 9000).astype("<u2").reshape(60, 60, 40)
-    lost = np.frombuffer(cube.tobytes().replace(b"\r", b"\n"), "<u2").reshape(cube.shape)
-    changed = (cube >> 8) == 13
-    assert changed.mean() > 0.05
-    assert (((lost >> 8) == 10) & ~changed).mean() > 0.001, "both kinds are there"
-    assert catalog.values_hash(lost) == catalog.values_hash(cube)
-    wrong = np.abs(catalog.restore_high_bytes(lost).astype(int) - cube) > 3
-    assert wrong.mean() < 1e-3
-
-
-def test_a_restored_cube_is_kept(real, tmp_path, monkeypatch):
-    monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
-    monkeypatch.setattr(pooch, "os_cache", lambda _: tmp_path / "cache")
-    restorations = []
-
-    def restore(cube):
-        restorations.append(cube.shape)
-        return real.cube
-
-    monkeypatch.setattr(catalog, "restore_high_bytes", restore)
-    for _ in range(2):
-        assert np.array_equal(load_indian_pines().cube, real.cube)
-    assert len(restorations) == 1
-
-
 def test_the_real_copy_lost_its_carriage_returns(real):
     """Few values stick out once restored; another pair of bytes shows how many are wrong."""
     import tensorly
