@@ -27,7 +27,7 @@ from deepfsi.hardware.counting import tables
 from deepfsi.hardware.counting.acquisition import Calibration, read_run
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.live import replay
+from deepfsi.hardware.live import record
 from deepfsi.hardware.patterns import folder as patterns
 from deepfsi.hardware.photons import reader as photons
 from deepfsi.hardware.virtual.camera import VirtualCamera
@@ -102,7 +102,7 @@ def use_run(path: Path) -> None:
 
 
 def use_live(path: Path) -> None:
-    replay.LiveCounts.count(path.parent)
+    record.LiveCounts.count(path.parent)
 
 
 def use_photons(path: Path) -> None:
