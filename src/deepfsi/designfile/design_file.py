@@ -377,8 +377,8 @@ def damaged_design(path: str | os.PathLike[str], header: str = "") -> InputError
     if words := other_version(header, DESIGN_SCHEMA, "make it again with `deepfsi design`"):
         return InputError(f"{path} {words}")
     return InputError(
-        f"{path} is not a whole deepfsi design file: give a .safetensors file that "
-        "`deepfsi design` or Design.save wrote"
+        f"{path} is not a whole deepfsi design file, or is of looks or nested masks, which ended "
+        "with 0.3: give a .safetensors file that `deepfsi design` or Design.save wrote"
     )
 
 
