@@ -19,7 +19,6 @@ from torch import nn
 from conftest import PHOTONS, every_optics, light_on
 from deepfsi import Design, evaluate, load_design
 from deepfsi.base.errors import InputError
-from shared import vectors
 from shared.design_files import header_of, refused, rewrite
 from shared.jobs import learn
 
@@ -188,17 +187,6 @@ def test_dimmer_patterns_are_classified_as_the_design_classifies(digits, made, l
     photons = light_on(design, digits.x_test[:50]).float()
     wanted, logits = (each.logits(each.scanner("none")(photons), PHOTONS) for each in (design, dim))
     torch.testing.assert_close(logits, wanted, rtol=1e-3, atol=1e-3)
-
-
-@pytest.mark.parametrize("kind", vectors.KINDS)
-def test_it_answers_the_vectors(kind, tmp_path):
-    """Which the page in JavaScript answers alike."""
-    path, matrix, expected = vectors.write_file(kind, tmp_path)
-    design = Design.load(path)
-    np.testing.assert_allclose(design.matrix, matrix, atol=1e-7)
-    for vector in expected:
-        chances = vectors.answer(design, vector)
-        np.testing.assert_allclose(chances, vector.chances, atol=vectors.AGREES)
 
 
 @pytest.mark.parametrize("exposure", [{}, {"bins": 8}, {"design": "adaptive"}])

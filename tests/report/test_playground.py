@@ -12,10 +12,8 @@ from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 
 from conftest import quick, synthetic
-from deepfsi import Design
 from deepfsi.evaluation.page_data import playable
 from deepfsi.report.playground.page import write_page
-from shared import vectors
 from shared.playground import (
     DARK,
     DARK_KINDS,
@@ -67,27 +65,23 @@ def test_rates_are_those_of_the_design(opened, designs, digits, kind):
     np.testing.assert_allclose(found, rates.reshape(len(scenes), -1), atol=CLOSE, rtol=1e-5)
 
 
-@pytest.mark.parametrize("kind", vectors.KINDS)
-def test_the_page_answers_the_vectors(browser, kind, tmp_path):
-    """As the design does."""
-    content, matrix, expected = vectors.read_vectors(kind)
-    (tmp_path / "design.safetensors").write_bytes(content)
-    design = Design.load(tmp_path / "design.safetensors")
-    page = write_page(tmp_path / "page.html", playable(design, vectors.scenes()))
-    given = [{"photons": one.photons, "counts": one.counts.ravel().tolist()} for one in expected]
-    masks, answers = ask(
-        open_playground(browser, page.as_uri()),
-        "const minus = (m, i) => model.rails > 1 ? model.entry(1, m, i) : 0;"
-        "const of = (count, f) => Array.from({ length: count }, (_, i) => f(i));"
-        "const masks = of(model.masks, m => of(model.pixels, i =>"
-        "  model.entry(0, m, i) - minus(m, i)));"
-        "return [masks, given.vectors.map(v => "
-        "[...model.classify(v.counts, v.photons)])]",
-        vectors=given,
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_page_answers_as_the_design_does(opened, designs, kind):
+    """Counts at budgets from far below those of its calibration to far above."""
+    design, rng = designs(kind), np.random.default_rng(0)
+    shape = (design.rails.count, design.masks, design.detection.count)
+    share = float(design.shares.mean()) / design.detection.width(design.rails.count)
+    budgets = np.geomspace(3, 3e6, 6)
+    counts = [rng.poisson(each * share * rng.uniform(0.5, 1.5, shape)) for each in budgets]
+    found = ask(
+        opened(kind),
+        "return given.counts.map((each, k) => [...model.classify(each, given.budgets[k])])",
+        counts=[each.ravel().tolist() for each in counts],
+        budgets=budgets.tolist(),
     )
-    np.testing.assert_allclose(masks, matrix, atol=1e-6)
-    for vector, chances in zip(expected, answers, strict=True):
-        np.testing.assert_allclose(chances, vector.chances, atol=vectors.AGREES)
+    for answer, each, photons in zip(found, counts, budgets, strict=True):
+        wanted = design.classify(each.reshape(design.counts_shape), photons)
+        np.testing.assert_allclose(answer, wanted, atol=AGREES, rtol=0)
 
 
 def test_a_scene_unlike_all_of_the_training_is_said_and_gets_no_answer(opened):
@@ -221,33 +215,6 @@ def test_drawing_with_the_mouse_changes_scene_and_answer(opened):
     assert not np.allclose(moved, drawn.ravel())
     press_button(browser, "invert")
     np.testing.assert_allclose(scene(browser), low + high - moved, atol=0.005)
-
-
-def test_drawing_with_a_finger_does_not_scroll(opened):
-    browser = opened("spectra", 400)
-    pad = browser.find_element(By.ID, "scene")
-    browser.execute_script("arguments[0].scrollIntoView({ block: 'center' })", pad)
-    box = browser.execute_script("return arguments[0].getBoundingClientRect().toJSON()", pad)
-    before = scene(browser)
-
-    def touch(kind, *points):
-        at = [{"x": box["left"] + x * box["width"], "y": box["top"] + y * box["height"]}
-              for x, y in points]  # fmt: skip
-        words = {"type": kind, "touchPoints": at}
-        browser.execute_cdp_cmd("Input.dispatchTouchEvent", words)
-
-    top = browser.execute_script("return scrollY")
-    touch("touchStart", (0.1, 0.5))
-    touch("touchMove", (0.5, 0.2))
-    touch("touchMove", (0.9, 0.5))
-    touch("touchEnd")
-    time.sleep(0.1)
-    assert browser.execute_script("return scrollY") == top
-    drawn = scene(browser)
-    assert drawn[12] > drawn[3]
-    assert drawn[12] > drawn[20]
-    assert drawn[0] == before[0]
-    assert said(browser, "scene-words") == "Your own scene."
 
 
 def test_a_picture_is_taken_as_the_camera_sees_it(opened, tmp_path):
