@@ -113,6 +113,7 @@ def test_a_checkpoint_left_by_a_kill_before_its_removal_is_removed(digits, trial
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("trained_once")
 def test_a_kill_within_a_training_costs_no_bit(done, refuse, tmp_path):
     """A process that is killed at its fifth checkpoint, and the same command again."""
     words = {}

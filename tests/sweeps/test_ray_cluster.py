@@ -167,50 +167,6 @@ def test_few_tasks_are_in_flight(connected):
     results.close()
 
 
-@pytest.mark.slow
-def test_a_dead_node_costs_no_result(nodes, connected, tmp_path):
-    """One task runs and one result waits on a node when it dies; both are made again elsewhere."""
-    doomed = nodes.add_node(num_cpus=2)
-    name = doomed.node_id
-
-    def work(shared: tuple[Path, str], task: int) -> np.ndarray:
-        import ray
-
-        folder, doomed = shared
-        here = ray.get_runtime_context().get_node_id()
-        (folder / f"started {task} {here}").touch()
-        end = time.monotonic() + 120
-        if here == doomed:
-            try:
-                (folder / "hangs").touch(exist_ok=False)
-                time.sleep(600)
-            except FileExistsError:
-                while not (folder / "go").exists():
-                    time.sleep(0.02)
-                (folder / f"finished {task}").touch()
-        while len(list(folder.glob(f"started * {doomed}"))) < 2 and time.monotonic() < end:
-            time.sleep(0.02)
-        return np.full(200_000, task)  # too big to travel with the news that it is finished
-
-    results = run_on_ray(work, (tmp_path, name), range(12), address=connected)
-    arrived = [next(results)]
-    lost = {int(path.name.split()[1]) for path in tmp_path.glob(f"started * {name}")}
-    assert len(lost) == 2
-    (tmp_path / "go").touch()
-    until(lambda: list(tmp_path.glob("finished *")))
-    time.sleep(0.5)
-    nodes.remove_node(doomed, allow_graceful=False)
-    arrived += results
-    assert sorted(index for index, _ in arrived) == list(range(12))
-    assert all((result == index).all() for index, result in arrived)
-    elsewhere = {
-        int(path.name.split()[1])
-        for path in tmp_path.glob("started *")
-        if not path.name.endswith(name)
-    }
-    assert lost <= elsewhere == set(range(12))
-
-
 def test_a_task_that_always_kills_its_worker_is_named(connected, tmp_path):
     def work(folder: Path, task: int) -> int:
         if task == 1:
@@ -236,8 +192,7 @@ def test_what_work_raises_arrives_once_as_it_is(connected, tmp_path):
     assert (tmp_path / "tries").read_text() == "x"
 
 
-@pytest.mark.parametrize("end", ["close", "error"])
-def test_stopping_early_cancels_the_rest(connected, tmp_path, end):
+def test_stopping_early_cancels_the_rest(connected, tmp_path):
     def work(folder: Path, task: int) -> int:
         if task == 1:
             (folder / "part").write_text(str(os.getpid()))
@@ -245,19 +200,13 @@ def test_stopping_early_cancels_the_rest(connected, tmp_path, end):
             time.sleep(600)
         while not (folder / "pid").exists():
             time.sleep(0.02)
-        if task == 2:
-            raise InputError("enough")
         return task
 
-    results = run_on_ray(work, tmp_path, [0, 1, 2] if end == "error" else [0, 1], address=connected)
+    results = run_on_ray(work, tmp_path, [0, 1], address=connected)
     assert next(results) == (0, 0)
     pid = int((tmp_path / "pid").read_text())
     assert psutil.pid_exists(pid)
-    if end == "close":
-        results.close()
-    else:
-        with pytest.raises(InputError, match="enough"):
-            next(results)
+    results.close()
     until(lambda: not psutil.pid_exists(pid))
 
 
