@@ -1,7 +1,6 @@
 """An acquisition of one's own laboratory: prepared, wired, recorded, counted."""
 
 import json
-import shutil
 
 import pytest
 
@@ -47,34 +46,16 @@ def test_two_arms_have_two_inputs(prepare, refuse, lab):
     assert "an input of its own" in refuse(*words, "--input", 1, "--input", 1)
 
 
-def test_pictures_are_a_list_of_scenes_too(done, prepare, lab):
-    done("data", "export", "digits", "--per-class", 1, "-o", lab / "images")
-    (lab / "scenes.csv").unlink()
-    shutil.move(lab / "images", lab / "scenes.csv")  # a folder of that name
-    patterns_of(lab / "masks", file=None)  # no design that could see the pictures
-    _, content = prepare(patterns="masks")
-    assert [scene["label"] for scene in content["scenes"]] == [str(k) for k in range(10)]
-
-
-def record(folder, rate=0.0, **jitter):
+def record(folder):
     """Record photons on input 3 and markers with bit 4, marker input 2."""
     patterns = read_patterns(folder / "patterns")
-    starts = train(patterns.manifest, 3, rate, **jitter)
+    starts = train(patterns.manifest, 3)
     recorded = Run(folder, patterns, starts, shining(patterns, 3))
     recorded.record(starts, starts.ravel(), recorded.photons)
     return recorded
 
 
 WIRED = ("--input", 3, "--marker", 2)
-
-
-@pytest.mark.parametrize(("rate", "said"), [(0.005, "0.50% longer"), (-2e-4, "200.0 ppm shorter")])
-def test_the_drift_of_the_clocks_is_said(done, prepare, rate, said):
-    run, _ = prepare(*WIRED)
-    record(run, rate, jitter=1e-13)
-    assert f"clocks: frames last {said} than planned" in done("camera", "count", run)
-    counted = json.loads(done("camera", "count", run, "--json"))
-    assert counted["drift"] == pytest.approx(rate, abs=1e-8)
 
 
 @pytest.mark.parametrize("wired", [True, False])

@@ -9,6 +9,7 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.cli import fields, terminal
+from golden.facts import file_of
 from shared.disks import nearly_full
 
 
@@ -17,14 +18,13 @@ def run(words, folder, **streams):
     return subprocess.run(command, cwd=folder, check=False, text=True, **streams)
 
 
-def test_figures_are_drawn_whatever_matplotlib_is_told(made, tmp_path):
+def test_figures_are_drawn_whatever_matplotlib_is_told(tmp_path):
     """A backend and a LaTeX that are not there, a console of letters alone."""
-    file = made("pca", "free-dwell", "single").save(tmp_path / "d.safetensors")
     (tmp_path / "rc").mkdir()
     (tmp_path / "rc" / "matplotlibrc").write_text("text.usetex: True\nbackend: Qt4Agg\n")
     around = {"MPLBACKEND": "module://no_such_backend", "MATPLOTLIBRC": str(tmp_path / "rc")}
     around |= {"PYTHONIOENCODING": "ascii", "COLUMNS": "nonsense"}
-    words = ("show", file, "-o", "s.png")
+    words = ("show", file_of("single"), "-o", "s.png")
     done = run(words, tmp_path, env=os.environ | around, capture_output=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "s.png").read_bytes().startswith(b"\x89PNG")

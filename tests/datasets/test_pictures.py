@@ -156,13 +156,6 @@ def test_all_damaged_images_are_named_at_once(images):
     not_loaded(images, "cannot read 17 images", skip_bad=True)  # of all damaged ones none
 
 
-@pytest.mark.parametrize("side", [11, 30])  # Pillow warns from 100 pixels on, and fails from 200
-def test_a_bomb_among_images(images, monkeypatch, side):
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
-    save_images(images / "dog", np.full((1, side, side), 9, np.uint8))
-    not_loaded(images, "dog/000.png", "cannot read", "decompression bomb", size=2)
-
-
 def test_images_that_need_too_much_memory(images, monkeypatch):
     monkeypatch.setattr(pictures, "MAX_PIXELS", 20 * 48 - 1)
     not_loaded(images, "20 images of 6x8 pixels need", "smaller size")

@@ -130,18 +130,6 @@ def test_a_damaged_file_in_deepfsi_data(server, tmp_path, monkeypatch):
     not_loaded("mnist", "DEEPFSI_DATA", "mistyped", "no folder")
 
 
-def test_fewer_training_images_keep_the_classes_shares_and_the_test_part(server, tmp_path):
-    fill(tmp_path / "first")
-    whole, few = load_dataset("mnist"), load_dataset("mnist", images=10)
-    assert np.bincount(few.y_train).tolist() == [1] * 10
-    assert np.array_equal(few.x_test, whole.x_test)
-    kept = [(few.x_train == scene).all(axis=1).any() for scene in whole.x_train]
-    assert np.array_equal(few.x_train, whole.x_train[kept]), "in the order of the file"
-    assert "10 training images drawn by class" in few.preprocessing
-    assert few.origin.images == 10
-    assert load_dataset("mnist", images=10, seed=1).hash != few.hash
-
-
 def test_an_array_is_kept_and_made_again_where_it_cannot_be_or_is_another(tmp_path):
     """A cache that cannot be written, or holds another array, or none."""
     made, array = [], np.arange(6.0)

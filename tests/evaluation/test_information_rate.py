@@ -50,23 +50,6 @@ def test_it_is_the_mutual_information_of_a_short_look(seed):
 
 @laws
 @given(seed=SEEDS)
-def test_no_grey_mask_is_above_the_best_binary_one(seed):
-    """All 512 binary masks of nine pixels; the binary masks of a grey one's levels do as well."""
-    scenes, chances = scenes_of(seed)
-    binary = (np.arange(512)[:, None] >> np.arange(9)) & 1
-    best = rate_of(binary, scenes, chances).max()
-    grey = np.random.default_rng(seed).random((200, 9))
-    assert rate_of(grey, scenes, chances).max() <= best * (1 + 1e-12)
-    levels = np.sort(grey[0])
-    steps = np.diff(levels, prepend=0)
-    shown = grey[0] >= levels[:, None]  # each for the step between two levels
-    assert steps @ shown == pytest.approx(grey[0])
-    in_turn = steps @ rate_of(shown, scenes, chances)
-    assert rate_of(grey[0], scenes, chances) <= in_turn + 1e-12
-
-
-@laws
-@given(seed=SEEDS)
 def test_one_detector_tells_at_most_what_its_pixels_tell_and_these_at_most_impulse_imaging(seed):
     scenes, chances = scenes_of(seed)
     mask = np.random.default_rng(seed).random(9)

@@ -170,40 +170,6 @@ def test_posterior_and_masks_are_those_of_the_package(opened, designs, exposures
         assert theirs["mask"] in ways
 
 
-@pytest.mark.parametrize(("readouts", "spread"), [(1, 0.0), (1, 0.5), (2, 0.5), (8, 0.2)])
-def test_information_is_that_of_the_package(opened, readouts, spread):
-    rng = np.random.default_rng(readouts)
-    counts = rng.gamma(2.0, 20.0, (VECTORS, readouts, 40))
-    labels, weights = rng.integers(0, 4, 40), rng.dirichlet(np.ones(40))
-    root = rng.normal(size=(readouts, readouts)) * spread
-    unknown = root @ root.T
-    members = torch.from_numpy(np.eye(4)[labels] * weights[:, None])[None]
-    noise = torch.from_numpy(unknown)[None, None] if spread else None
-    wanted = choice.information(torch.from_numpy(counts)[None], members, noise)[0]
-    found = ask(
-        opened("one"),
-        "const { labels, weights, unknown } = given;"
-        "return given.counts.map(c => information(c, labels, weights, 4, unknown))",
-        counts=counts.tolist(), labels=labels.tolist(), weights=weights.tolist(),
-        unknown=unknown.tolist(),
-    )  # fmt: skip
-    np.testing.assert_allclose(found, wanted, rtol=1e-6)
-
-
-def test_scenes_are_drawn_as_the_package_draws_them(opened):
-    weights = np.random.default_rng(0).dirichlet(np.full(700, 0.05), 10).astype(np.float32)
-    start = float(torch.rand(1, 1, generator=generator(3)))
-    found = ask(
-        opened("one"),
-        "return given.weights.map(w => sample(Float64Array.from(w), given.start).places)",
-        weights=weights.tolist(), start=start,
-    )  # fmt: skip
-    for each, own in zip(found, weights, strict=True):
-        wanted, _ = choice.draw_places(torch.from_numpy(own)[None], generator(3))
-        differ = np.array(each) != wanted[0].numpy()
-        assert differ.mean() < 0.05  # points that lie between two scenes within rounding
-
-
 @pytest.mark.parametrize("kind", ["one", "tiles"])
 def test_exposures_of_the_page_are_as_often_right_as_those_of_the_package(
     opened, designs, digits, kind

@@ -111,7 +111,7 @@ def test_masks_without_light_are_none_of_the_brightest():
     assert titles == {f"mask {number}" for number in (1, 2, 4, 5, 6, 7)}
 
 
-@pytest.mark.parametrize("shape", [(9, 12, 16), (1, 8, 8), (4, 30), (60, 4, 4)])
+@pytest.mark.parametrize("shape", [(9, 12, 16), (4, 30), (60, 4, 4)])
 def test_pictures_share_a_scale(shape):
     pictures = np.random.default_rng(0).normal(1, 1, shape)
     pictures[0].flat[0] = np.nan

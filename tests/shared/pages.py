@@ -101,16 +101,8 @@ def accuracy_table() -> section.Table:
         numbers = (10.0 ** (2 + i % 5), masks, *shown, chance, 12 + i)
         rows.append((designs[i % 6], noise, *numbers, "chosen" if i % 7 == 0 else None))
     heads = (
-        "design",
-        "noise",
-        "photons",
-        "masks",
-        "accuracy",
-        "low",
-        "high",
-        "p",
-        "seed",
-        "choice",
+        *("design", "noise", "photons", "masks", "accuracy"),
+        *("low", "high", "p", "seed", "choice"),
     )
     return section.Table("Test accuracy of every design, budget and seed.", heads, tuple(rows))
 

@@ -36,7 +36,7 @@ DARK_KINDS = {
 
 PARTS = (
     "page", "model", "Exposure", "LookExposure", "LeastSquares", "Random", "poisson",
-    "LookOptics", "Posterior", "candidates", "information", "nextMask", "sample",
+    "LookOptics", "Posterior", "candidates", "nextMask",
 )  # fmt: skip
 """Parts of a page that a test may ask."""
 
