@@ -1,4 +1,4 @@
-"""Commands at the camera on a computer that has Windows and no torch."""
+"""Commands at the camera on a computer that has no torch, and a console of Windows."""
 
 import os
 import shutil
