@@ -34,38 +34,6 @@ def results():
     return some_results(points, recipe=recipe, data={"mean_reflectance": 0.37})
 
 
-def masks_table():
-    rng = np.random.default_rng(0)
-    rows = []
-    for photons in (1e3, 1e5, 1e8):
-        gaussian, poisson = rng.normal(size=(9, 24)) / 7, rng.normal(size=(7, 24)) ** 3 / 50
-        rows.append(figures.LearnedMasks(photons, (6, 4), gaussian=gaussian, poisson=poisson))
-    return figures.masks_table_figure(rows)
-
-
-PANELS = {
-    "light throughput": ("light throughput", "share of the budget"),
-    "effective number of directions": ("effective number of directions", "effective rank"),
-    "subspace similarity": ("subspace similarity", "overlap, 0 to 1"),
-}
-MEASURED = {
-    ("light throughput", "gaussian"): 0.9,
-    ("effective number of directions", "gaussian"): 27.0,
-    ("light throughput", "poisson"): 0.4,
-    ("effective number of directions", "poisson"): 12.0,
-    ("subspace similarity", "AGN with PN"): 0.6,
-    ("subspace similarity", "random masks"): 0.04,
-}
-
-
-def measures_of_masks():
-    rows = [
-        figures.Measure(measure, series, photons, value, 0.9 * value, 1.1 * value)
-        for photons, ((measure, series), value) in itertools.product(BUDGETS, MEASURED.items())
-    ]
-    return figures.measures_figure(rows, PANELS, {"AGN with PN": "both noises"})
-
-
 def starts(noises):
     losses = {"pca": 0.0, "truncated-hadamard": -0.01, "random": -0.06}
     accuracies, differences = [], []
@@ -80,8 +48,6 @@ def starts(noises):
 
 FIGURES = {
     "error": lambda: figures.error_figure(results()),
-    "masks": masks_table,
-    "measures": measures_of_masks,
     "both starts": lambda: starts(NOISES),
 }
 

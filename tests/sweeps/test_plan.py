@@ -16,13 +16,10 @@ def test_a_count_that_a_design_cannot_have_is_replaced_by_its_most(digits):
     "change",
     [
         {"photons": (2e2, 1e3)},
-        {"training": {"epochs": 3}},
         {"levels": 2},
         {"draws": 2},
-        {"validation": 100},
         {"light": "free-dwell"},
         {"readout": "both"},
-        {"noise": "gaussian"},
         {"test_noise": "ml_gauss"},
         {"tuned": {"deepfsi": {"lr": 1e-3}, "pca": {"lr": 1e-3}}},
     ],
