@@ -120,30 +120,21 @@ def test_a_design_without_a_distribution_is_not_tested(done, lab, acquire, tmp_p
     assert json.loads(done(*words, "--json"))["consistency"] is None
 
 
-@pytest.fixture
-def spots(done, tmp_path):
-    """Scan spots with Hadamard patterns; gives how the camera is calibrated on them."""
-
-    def scan(cells, picture, dwell, *light, counted=()):
-        p, shown, run = (tmp_path / name for name in ("p", "spots", "run"))
-        device = ["--device", "64x64", "--dwell", dwell]
-        done("dmd", "export", "hadamard", "--size", cells, *device, "-o", p)
-        done("camera", "spots", "--size", *picture, "-o", shown)
-        done("camera", "simulate", p, "--scene", shown, *light, "-o", run)
-        done("camera", "count", run, *counted)
-        return ["camera", "calibrate", run, "--spots", shown, "-o", tmp_path / "calibration"]
-
-    return scan
-
-
 TILTED = [[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]]
 
 
-def test_a_camera_is_calibrated_by_files_alone(done, spots, tmp_path):
+def test_a_camera_is_calibrated_by_files_alone(done, tmp_path):
     """A tilted view is found to a twentieth of a cell with 8 x 8 of them, and trained on."""
+    p, spots, run, out = (tmp_path / name for name in ("p", "spots", "run", "calibration"))
     (tmp_path / "tilted.toml").write_text(f"view = {TILTED}\ndark = 1e3\n")
-    camera = ("--virtual", tmp_path / "tilted.toml", "--repeats", 1)
-    words = spots("8x8", ["32x32"], "20ms", "--flux", 1e7, "--exposure", "2s", *camera)
+    device = ["--size", "8x8", "--device", "64x64", "--dwell", "20ms"]
+    done("dmd", "export", "hadamard", *device, "-o", p)
+    done("camera", "spots", "--size", "32x32", "-o", spots)
+    light = ["--flux", 1e7, "--exposure", "2s", "--repeats", 1]
+    camera = ["--virtual", tmp_path / "tilted.toml"]
+    done("camera", "simulate", p, "--scene", spots, *light, *camera, "-o", run)
+    done("camera", "count", run)
+    words = ["camera", "calibrate", run, "--spots", spots, "-o", out]
     found = json.loads(done(*words, "--json"))
     assert (found["spots"], found["warnings"], found["dead_time"]) == (25, [], None)
     assert found["error"] < 0.05
@@ -154,11 +145,11 @@ def test_a_camera_is_calibrated_by_files_alone(done, spots, tmp_path):
     assert found["dark"] == pytest.approx(1e3, abs=5 * np.sqrt(1e3 / dark_s))
     gates_s = 2.0  # of the black scene, mirrors half ON
     assert found["ambient"] < 5 * np.sqrt(1e3 * (1 / gates_s + 1 / dark_s)) * 2
-    file, view = tmp_path / "seen.safetensors", ("--view", tmp_path / "calibration")
+    file, view = tmp_path / "seen.safetensors", ("--view", out)
     done("design", "--photons", "1e4", "--masks", 4, "--epochs", 1, *view, "-o", file)
     assert "calibration" in Design.load(file).info["preprocessing"]
     done("evaluate", file, "--photons", "1e4", *view)
-    lose_passes(tmp_path / "run", found, tmp_path / "spots")
+    lose_passes(run, found, spots)
 
 
 def lose_passes(run, found, spots):

@@ -1,7 +1,5 @@
 """A data set names its content by a hash, and holds out its last training scenes."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -9,18 +7,6 @@ import pytest
 from dataset_samples import X, Y, refused, scenes
 
 from deepfsi.datasets.arrays import from_arrays
-
-
-def test_importing_is_light():
-    heavy = "{'sklearn', 'scipy', 'spectral', 'PIL', 'pooch', 'requests', 'torch'}"
-    code = (
-        "import importlib, pkgutil, sys, deepfsi.datasets as room\n"
-        "for each in pkgutil.iter_modules(room.__path__, 'deepfsi.datasets.'):\n"
-        "    importlib.import_module(each.name)\n"
-        f"print({heavy} & set(sys.modules))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"
 
 
 def test_hash_follows_the_content():

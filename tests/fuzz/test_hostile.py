@@ -121,11 +121,6 @@ def zipped(path: Path, method: int = zipfile.ZIP_STORED, **entries: bytes | np.n
     return path
 
 
-@pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
-def test_arrays_compressed_in_unusual_ways(method, tmp_path):
-    refused("npz", zipped(tmp_path / "x.npz", method, x=X, y=Y), "unusual way")
-
-
 @pytest.mark.parametrize(
     ("offset", "mark", "match"),
     [(8, b"\1\0", "encrypted"), (10, b"\x63\0", "unusual"), (24, b"\xff\xff\xff\x7f", "unpack"),

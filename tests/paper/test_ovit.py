@@ -2,14 +2,13 @@
 
 import csv
 
-import numpy as np
 import pytest
 
 from conftest import synthetic
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi_paper import experiment, studies
 from deepfsi_paper.ovit import claims as ovit
-from shared.results import a_point, of_three, some_results
+from shared.results import of_three
 
 TINY = Recipe(
     data="synthetic",
@@ -80,27 +79,6 @@ def test_the_claim_follows_from_the_differences(gap, holds):
     assert claim.holds is holds
     assert "100" in claim.measured
     assert ("not clearly above" in claim.why) is not holds
-
-
-def test_claims_of_all_images_are_of_five_budgets_and_each_rival():
-    [recipe] = ovit.IMAGES.recipes(quick=False).values()
-    points = [
-        a_point(0.3, photons=photons, design=design, accuracies=(0.29, 0.3, 0.31))
-        for photons in recipe.photons
-        for design in recipe.designs
-    ]
-    masks = [
-        {"photons": photons, "side": 2, "throughput": [1.0, 1.0], "directions": [3.0, 3.1],
-         "matrix": np.eye(4).tolist()}
-        for photons in recipe.photons
-    ]  # fmt: skip
-    told = {"recipe": recipe.model_dump(mode="json"), "data": {"image_shape": (64, 64)}}
-    claims = ovit.IMAGES.show(some_results(points, **told, extra={"masks": masks})).claims
-    assert [claim.text.split()[3] for claim in claims[:3]] == ["raster", "hadamard", "pca"]
-    assert all(claim.measured.count(" at ") == 5 for claim in claims[:3])
-    assert all(claim.holds is None for claim in claims[:3])
-    assert "at 100 and" in claims[3].measured
-    assert "at 10" in claims[4].measured
 
 
 @pytest.mark.parametrize(

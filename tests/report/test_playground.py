@@ -357,17 +357,3 @@ def test_the_answer_is_that_of_the_counts_without_the_dark_ones(opened, designs,
     np.testing.assert_allclose(seen, read, atol=1e-3)
     wanted = design.classify(read.reshape(design.counts_shape), 1e4)
     np.testing.assert_allclose(chances, wanted, atol=AGREES, rtol=0)
-
-
-def test_pictures_of_other_cameras_have_dark_counts_of_the_same_detectors(opened):
-    """Mean 0 where there is no light, with the variance of 300 dark counts of each detector."""
-    raster, impulse, unit = ask(
-        opened("dark"),
-        "const { constructor: Rivals } = page.rivals, black = page.scene.map(() => 0);"
-        "const rivals = new Rivals(model, black, 1e4, 1);"
-        "return [rivals.rasterAt(1), rivals.impulseAt(1), rivals.scale]",
-    )
-    for picture, variance in ((raster, DARK * len(raster)), (impulse, DARK)):
-        drawn = np.array(picture) / unit
-        assert abs(drawn.mean()) < 5 * np.sqrt(variance / len(drawn))
-        assert 0.4 < drawn.var() / variance < 1.9  # of 64 values: 5 standard errors

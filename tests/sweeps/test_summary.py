@@ -60,13 +60,6 @@ def test_a_balanced_training_is_chosen_by_balanced_accuracy(digits, balance):
     assert best == [6 if balance else 3]
 
 
-def test_counts_are_the_mean_over_trials(digits):
-    bright = record(seed=1, counts=700.0, arriving=900.0, log_loss=0.5)
-    (point,) = summary(digits, [record(), bright])
-    assert (point.counts, point.arriving) == (600, 700)
-    assert point.log_loss == pytest.approx(0.6)
-
-
 @pytest.mark.parametrize("name", ["accuracy", "balanced"])
 def test_interval_over_trials_is_students_and_of_one_trial_that_of_its_images(digits, name):
     records = [record(seed=k, **{name: value}) for k, value in enumerate(VALUES)]
