@@ -15,7 +15,12 @@ GATES = 4
 EXPOSURES = 2
 """Of 25 ms in the frames of a pass."""
 
-DESIGN = "design --data digits --camera dmd --rails single --noise click --gates 4"
+CAMERA = """
+light = "free-dwell"
+rails = "single"
+noise = "click"
+gates = 4
+"""
 
 
 def say(*words) -> str:
@@ -34,7 +39,9 @@ def lab(tmp_path_factory):
     """A design of detectors that click, its patterns and pictures; runs of gated and free ones."""
     folder = tmp_path_factory.mktemp("lab")
     words = ("--photons", PHOTONS, "--masks", 60, "--epochs", 10, "--mask-lr", 0.05)
-    say(*DESIGN.split(), *words, "-o", folder / "d.safetensors")
+    (folder / "clicks.toml").write_text(CAMERA)
+    words = ("--data", "digits", "--camera", folder / "clicks.toml", *words)
+    say("design", *words, "-o", folder / "d.safetensors")
     device = ("--device", "64x48", "--dwell", "1ms")
     say("dmd", "export", folder / "d.safetensors", *device, "-o", folder / "p")
     say("data", "export", "digits", "--per-class", SCENES // 10, "-o", folder / "images")
@@ -99,6 +106,7 @@ def test_a_table_of_clicks_is_classified(done, refuse, lab, tmp_path):
 @pytest.mark.parametrize(("photons", "full"), [(3000, True), (200, False)])
 def test_full_gates_are_told_when_a_design_is_learned(done, tmp_path, photons, full):
     """Forty gates of a design for 3000 photons nearly all click, and those for 200 do not."""
-    words = ("--photons", photons, "--masks", 10, "--epochs", 1)
-    said = done(*DESIGN.split(), *words, "-o", tmp_path / "clicks.safetensors")
+    (tmp_path / "clicks.toml").write_text(CAMERA)
+    words = ("--camera", tmp_path / "clicks.toml", "--masks", 10, "--epochs", 1)
+    said = done("design", *words, "--photons", photons, "-o", tmp_path / "clicks.safetensors")
     assert ("of the gates click, which tells little of a scene" in said) == full

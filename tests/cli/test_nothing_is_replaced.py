@@ -32,7 +32,7 @@ def test_results_are_never_lost_to_those_of_other_settings(done, refuse, tmp_pat
     done(*COMPARE, "--masks", 3, "-o", out)
     before = (out / "results.json").read_bytes()
     done(*COMPARE, "--masks", 3, "-o", out)
-    for other in ("--masks 4", "--masks 3 --camera two-arm", "--masks 3 --lr 0.1"):
+    for other in ("--masks 4", "--masks 3 --camera two-arm", "--masks 3 --hidden 9"):
         told = refuse(*COMPARE, *other.split(), "-o", out)
         assert f"{out} holds results of other settings (" in told
         assert "--force to replace its results" in told

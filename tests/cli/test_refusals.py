@@ -45,7 +45,6 @@ REFUSED = {
         --dmd dlp7000 --light column | device
         --light column --detectors 2x2 | column is other optics
         --noise none --sigma 5 | --sigma is not of none noise
-        --noise click --gates 0 | gates = '0': give 1 or more
         --train-noise camera --noise none --dark 5 | none noise has no dark counts
         --noise nowhere:noise --train-noise ml_gauss | nowhere
         --counts 0 | counts = 0.0

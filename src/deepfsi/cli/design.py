@@ -39,7 +39,7 @@ class LearnDesign(Command):
     """
 
     settings: Annotated[dict[str, Any], fields.job_options()]
-    out: fields.DesignOut
+    out: Path = fields.required("design file, .safetensors")
     data: fields.TrainingData = "digits"
     size: fields.Size = None
     skip_bad: fields.SkipBad = False

@@ -4,14 +4,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from pydantic import Field
+
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
+from deepfsi.base.models.strict import Amount
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.measures.lines import results_lines
 from deepfsi.measures.results import Estimates, Result
+from deepfsi.measures.table import MOST_DRAWS
 
 if TYPE_CHECKING:
     from deepfsi.design.design import Design
@@ -33,8 +37,12 @@ class EvaluateDesign(Command):
     noise: fields.NoiseOption = None
     sigma: fields.Sigma = None
     dark: fields.Dark = None
-    fluctuation: fields.LightFluctuation = None
-    draws: fields.DrawCount = 3
+    fluctuation: Amount | None = fields.option(
+        "relative standard deviation of the light from frame to frame"
+    )
+    draws: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = fields.option(
+        "noise draws of each scene", 3
+    )
     ideal: bool = fields.flag("also give the accuracy of the ideal observer of the counts")
     seed: fields.NoiseSeed = 0
     view: fields.View = None

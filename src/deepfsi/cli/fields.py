@@ -28,7 +28,6 @@ from deepfsi.designfile.design_file import find_design
 from deepfsi.jobs.exposures import exposure_kinds
 from deepfsi.jobs.job import SETTING_ALIASES, Job
 from deepfsi.jobs.training import Training
-from deepfsi.measures.table import MOST_DRAWS
 
 T = TypeVar("T")
 
@@ -39,8 +38,9 @@ JOB_FIELDS = ("design", "masks", "photons", "camera", "seed")
 """Fields of a job that are settings themselves."""
 
 NO_OPTIONS = (
-    *("region", "stretch", "dead_time", "dead_time_model", "fluctuation", "contrast"),
-    *("classifier_arguments", "dropout", "scale", "decay", "precision", "loss", "start_counts"),
+    *("region", "stretch", "dead_time", "dead_time_model", "fluctuation", "contrast", "gates"),
+    *("classifier_arguments", "dropout", "scale", "lr", "decay", "loss"),
+    *("precision", "start_counts"),
 )
 """Rarer fields, which a camera's file gives, and a recipe or Python."""
 
@@ -54,8 +54,7 @@ PROBE = 2**20
 """Bytes that must fit a disk before any work whose result goes there."""
 
 PICTURES = (".png", ".svg", ".pdf")
-TABLE_FILES = (".csv", ".parquet")
-"""Ends of the names of files."""
+"""Ends of the names of pictures."""
 
 
 def option(words: str, default: Any = None, **more: Any) -> Any:
@@ -113,7 +112,7 @@ class Output:
         elif self.new:
             check_new_folder(path)
         else:
-            check_folder(path)
+            check_writable(path, path)
 
 
 def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
@@ -142,17 +141,12 @@ def run_options(*names: str) -> OptionsOf:
     return OptionsOf({name: ("Camera", field) for name, field in fields.items()})
 
 
-def check_there(path: Path, what: str) -> None:
-    """Raise `InputError` unless there is something at the path, which should be `what`."""
-    if not path.exists():
-        raise InputError(f"there is nothing at {path}: give {what}")
-
-
 def existing(what: str) -> AfterValidator:
     """Validator of a path at which there must be something, said in words."""
 
     def there(path: Path) -> Path:
-        check_there(path, what)
+        if not path.exists():
+            raise InputError(f"there is nothing at {path}: give {what}")
         return path
 
     return AfterValidator(there)
@@ -173,7 +167,7 @@ def check_file(path: Path, endings: tuple[str, ...], force: bool, made: Path | N
     check_free(path, force)
     if (made is None or path.parent not in (made, *made.parents)) and not path.parent.is_dir():
         raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it first")
-    _check_writable(path, path.parent)
+    check_writable(path, path.parent)
 
 
 def check_free(path: Path, force: bool) -> None:
@@ -182,19 +176,14 @@ def check_free(path: Path, force: bool) -> None:
         raise InputError(f"{path} exists already: give another name, or --force to replace it")
 
 
-def check_folder(path: Path) -> None:
-    """Raise `InputError` unless a command can write into a folder, which it makes if need be."""
-    _check_writable(path, path)
-
-
 def check_new_folder(path: Path) -> None:
     """Raise `InputError` unless a command can make a folder, or fill an empty one."""
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(f"{path} exists already: give a new folder")
-    _check_writable(path, path.parent)
+    check_writable(path, path.parent)
 
 
-def _check_writable(path: Path, folder: Path) -> None:
+def check_writable(path: Path, folder: Path) -> None:
     """Write a file in the folder, or in the lowest one above that is there, and leave nothing."""
     there = next(each for each in (folder, *folder.parents) if each.exists())
     if not there.is_dir():
@@ -327,7 +316,6 @@ DesignPath = Annotated[Path, AfterValidator(check_design_file)]
 DesignOrPatterns = Annotated[
     DesignPath, argument("design file, or a folder of patterns that `dmd export` wrote")
 ]
-DesignOut = Annotated[Path, Field(description="design file, .safetensors")]
 NoiseOption = Annotated[
     str | None,
     Field(description="noise of the tests; that of the design's camera unless given"),
@@ -340,11 +328,6 @@ Dark = Annotated[
     Amount | None,
     Field(description="dark counts/s of a detector; in an exposure, where no time is given"),
 ]
-LightFluctuation = Annotated[
-    Amount | None,
-    Field(description="relative standard deviation of the light from frame to frame"),
-]
-DrawCount = Annotated[int, Field(ge=1, le=MOST_DRAWS, description="noise draws of each scene")]
 NoiseSeed = Annotated[WholeNumber, Field(description="seed of the noise")]
 Matrix = Annotated[
     str | None,
@@ -418,8 +401,6 @@ Ratios = Annotated[
     NumberList | None,
     Field(description="readouts divided by pixels, m/N for one detector, such as 0.01,0.04,0.09"),
 ]
-Designs = Annotated[Names | None, Field(description="names, separated by commas")]
-Trials = Annotated[Count | None, Field(description="training seeds for each point")]
 Folds = Annotated[
     Annotated[int, Field(ge=1, le=100)] | None,
     Field(
@@ -428,4 +409,3 @@ Folds = Annotated[
         "drawn from the scenes and has fewer than 300"
     ),
 ]
-StudyFolder = Annotated[Path, Output(), Field(description="output folder")]

@@ -62,13 +62,13 @@ class CompareDesigns(Command):
     """
 
     settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=OF_ONE_DESIGN)]
-    out: fields.StudyFolder = Path("runs/compare")
+    out: Annotated[Path, fields.Output()] = fields.option("output folder", Path("runs/compare"))
     data: fields.TrainingData = "digits"
     size: fields.Size = None
     skip_bad: fields.SkipBad = False
-    designs: fields.Designs = None
+    designs: fields.Names | None = fields.option("names, separated by commas")
     ratios: fields.Ratios = None
-    trials: fields.Trials = None
+    trials: Count | None = fields.option("training seeds for each point")
     folds: fields.Folds = None
     matrix: fields.Matrix = None
     recipe: str | None = fields.option(
@@ -151,9 +151,9 @@ class SweepRecipe(Command):
     def run(self, terminal: Terminal) -> Outcome:
         """Results and a page of them."""
         check_report()
-        fields.check_folder(self.out)
+        fields.check_writable(self.out, self.out)
         if self.table is not None:
-            fields.check_file(self.table, fields.TABLE_FILES, self.force, made=self.out)
+            fields.check_file(self.table, (".csv", ".parquet"), self.force, made=self.out)
         file = read_recipe(self.recipe)
         from deepfsi.sweeps.recipe import only
         from deepfsi.sweeps.records import write_table
@@ -217,7 +217,7 @@ class ReproducePaper(Command):
         ]
         for experiment in experiments:
             experiment.recipes(self.quick, self.trials)
-        fields.check_folder(self.out)
+        fields.check_writable(self.out, self.out)
         for experiment in experiments:
             with terminal.progress(experiment.name) as report:
                 experiment.run(
