@@ -30,7 +30,7 @@ from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, rea
 from deepfsi.hardware.virtual.camera import MirrorLight, VirtualCamera, arrival_rates
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
 from deepfsi.hardware.virtual.setup import (
-    Latencies,
+    LATENCIES,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
@@ -130,7 +130,7 @@ def run(
     rng = np.random.default_rng(seed)
     took = len(x) * 50e-3  # a little more than such a run takes
     outs = rng.uniform(0, took, case.blackouts)
-    setup = Dimmed(rates, camera, Latencies(), seed, made, outs_s=outs)
+    setup = Dimmed(rates, camera, LATENCIES, seed, made, outs_s=outs)
     counter = VirtualCounter(setup, (0,))
     bench = Setup(VirtualProjector(setup), counter, setup.display, lambda: setup.now_s)
     stated = None if case.stated is None else case.stated * FLUX * EXPOSURE_S

@@ -24,7 +24,7 @@ from deepfsi.hardware.counting.tables import TableSettings
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.hardware.virtual.setup import virtual_setup
 from deepfsi.lab.setup import design_rails, open_looks
 
 SCENES, PHOTONS, EXPOSURE_S = 40, 1e4, 10e-3
@@ -120,7 +120,7 @@ def live(patterns: Path, camera: VirtualCamera, flux: float, seed: int) -> Run:
     looks = open_looks(patterns)
     acquisition = plan_live(patterns, scenes, EXPOSURE_S, looks=looks, **known)
     shown = data.x_test[chosen].reshape(-1, *data.image_shape)
-    devices = virtual_setup(patterns, shown, acquisition, Latencies())
+    devices = virtual_setup(patterns, shown, acquisition)
     views, right = [], 0
     with tempfile.TemporaryDirectory() as folder:
         for each in run_live(Path(folder) / "run", patterns, acquisition, devices, looks):

@@ -133,7 +133,7 @@ REFUSED = {
     f"camera live looks --scene few --virtual ideal {FAST}": """
         --projector dlp | unknown projector
         --projector vialux | do not go together
-        --latency comand=1ms | did you mean 'command'
+        --latency fast | is not a time
         --until 2 | --until between 0 and 1
         --exposure 1e9s | hold
         --flux 1e14 | flux

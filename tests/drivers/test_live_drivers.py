@@ -10,7 +10,7 @@ from deepfsi.hardware.live import record as frame_log
 from deepfsi.hardware.live.run import run_live
 from deepfsi.hardware.photons.ptu import PtuWriter
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
-from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.hardware.virtual.setup import virtual_setup
 from deepfsi_drivers import file_tail, swabian, vialux
 from drivers import swabian_fake
 from drivers.vialux_fake import install
@@ -27,7 +27,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     patterns, folder = make_patterns(tmp_path, digits), tmp_path / "run"
     x, scenes = scenes_of(digits, SCENES)
     acquisition, looks = planned(patterns, scenes, 20e-3, FLUX)
-    usual = virtual_setup(patterns, x, acquisition, Latencies())
+    usual = virtual_setup(patterns, x, acquisition)
     library = install(monkeypatch)
     optics = usual.projector._optics
 
@@ -65,7 +65,7 @@ def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_pa
     x, scenes = scenes_of(digits, SCENES)
     device = swabian_fake.install(monkeypatch, trigger=-4)
     folder, (acquisition, looks) = tmp_path / "run", planned(patterns, scenes, 20e-3, FLUX)
-    devices = virtual_setup(patterns, x, acquisition, Latencies())
+    devices = virtual_setup(patterns, x, acquisition)
     devices.projector._optics.written = device
     counter = swabian.TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=-4)
     devices = replace(devices, counter=counter)

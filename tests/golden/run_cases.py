@@ -217,11 +217,10 @@ def _made(command: str, design: str, words: str) -> dict[str, Any]:
 
 RECORDED = {
     "one arm": ("single", "--virtual ideal --flux 4e5"),
-    "rails": ("dual", "--virtual pmt --flux 1e6 --latency display=3ms --latency command=2ms"),
+    "rails": ("dual", "--virtual pmt --flux 1e6"),
     "two arms": ("arms", "--virtual spad --flux 2e5 --exposure 5ms"),
     "detectors": ("quad", "--virtual gains.toml --flux 6e5 --marker 2"),
     "fluctuating": ("single", "--virtual fluctuating.toml --flux 4e5 --dark 500"),
-    "unknown latency": ("single", "--flux 4e5 --latency comand=1ms"),
 }
 """Runs of virtual devices: design, and options of `camera record`."""
 

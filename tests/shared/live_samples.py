@@ -14,7 +14,7 @@ from deepfsi.hardware.live.record import replay_run
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
 from deepfsi.hardware.virtual.camera import CAMERAS
-from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.hardware.virtual.setup import virtual_setup
 from deepfsi.lab.setup import design_rails, open_looks
 
 LOOKS, FLUX, EXPOSURE_S = 3, 1e6, 10e-3
@@ -63,11 +63,9 @@ def check_replay(folder: Path, decided: list[run.LiveStep]) -> None:
         assert (one.final, one.faults) == (each.decision.final, each.decision.faults)
 
 
-def live(
-    folder: Path, patterns: Path, digits, count: int = 5, latencies=None, **settings
-) -> list[run.LiveStep]:
+def live(folder: Path, patterns: Path, digits, count: int = 5, **settings) -> list[run.LiveStep]:
     """Run a few scenes."""
     x, scenes = scenes_of(digits, count)
     acquisition, looks = planned(patterns, scenes, **settings)
-    devices = virtual_setup(patterns, x, acquisition, latencies or Latencies())
+    devices = virtual_setup(patterns, x, acquisition)
     return list(run_live(folder, patterns, acquisition, devices, looks))

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import Field
 
-from deepfsi.base.errors import InputError, as_input_error, check_choice
+from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.models.strict import WholeNumber
 from deepfsi.base.progress import SILENT
-from deepfsi.base.quantities import seconds, time_text
+from deepfsi.base.quantities import time_text
 from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.device import find_device
@@ -22,7 +22,6 @@ from deepfsi.cli.terminal import Outcome, Terminal
 if TYPE_CHECKING:
     from deepfsi.hardware.counting.acquisition import Acquisition
     from deepfsi.hardware.drivers.protocols import Setup
-    from deepfsi.hardware.virtual.setup import Latencies
 
 
 MOST_EVENTS = 1e8
@@ -204,7 +203,7 @@ def flux_of(camera: Camera) -> float:
 class _DeviceRun(Command):
     """A run with devices, virtual or real."""
 
-    OF_VIRTUAL: ClassVar = ("flux", "dark", "virtual", "latency", "seed", "yes")
+    OF_VIRTUAL: ClassVar = ("flux", "dark", "virtual", "latency_s", "seed", "yes")
     """Settings that only virtual devices take."""
 
     settings: dict[str, Any]
@@ -217,10 +216,9 @@ class _DeviceRun(Command):
         "virtual, or NAME[,SETTING=VALUE...] of a driver, such as swabian,trigger=8", "virtual"
     )
     virtual: VirtualName = None
-    latency: tuple[str, ...] = fields.option(
-        "NAME=TIME of a virtual device: load, display, command, trigger, block, transfer or "
-        "decision, such as command=1ms",
-        (),
+    latency_s: fields.Time | None = fields.option(
+        "time from a decision until virtual devices show its frames; 1ms unless given",
+        alias="latency",
     )
 
     @property
@@ -238,19 +236,6 @@ class _DeviceRun(Command):
             if setting in self.settings.keys() | self.model_fields_set:
                 option = self.option(setting)
                 raise InputError(f"{option} is for virtual devices: leave it out")
-
-    @property
-    def latencies(self) -> "Latencies":
-        """Latencies of virtual devices."""
-        from deepfsi.hardware.virtual.setup import Latencies
-
-        times = {}
-        for text in self.latency:
-            name, _, time = text.partition("=")
-            check_choice("latency", name, Latencies.model_fields)
-            times[name] = fields.parse_option(f"latency {name}", seconds, time)
-        with as_input_error():
-            return Latencies(**times)
 
     def wire(self, projector: Any, acquisition: "Acquisition", terminal: Terminal) -> "Setup[Any]":
         """Real devices of a run: someone shows the scenes, whose names are asked for."""
@@ -303,7 +288,6 @@ class RecordRun(_DeviceRun):
         from deepfsi.lab.setup import camera_of, virtual_camera
 
         self.check_devices()
-        latencies = self.latencies
         patterns = read_patterns(self.patterns)
         camera = camera_of(self.patterns, self.settings)
         wiring = self.explicit(("settle_s", "repeats", "inputs", "marker_bit"))
@@ -324,7 +308,7 @@ class RecordRun(_DeviceRun):
         if self.is_virtual:
             with terminal.progress("light of the scenes") as report:
                 setup = virtual_setup(
-                    self.patterns, images.x, acquisition, latencies, report=report
+                    self.patterns, images.x, acquisition, report, latency_s=self.latency_s
                 )
         else:
             projector = installed().open_device("projector", self.projector)
@@ -383,7 +367,6 @@ class RunLive(_DeviceRun):
         from deepfsi.lab.setup import camera_of, open_looks, virtual_camera
 
         self.check_devices()
-        latencies = self.latencies
         projector = None
         if not self.is_virtual:
             projector = installed().open_device("list projector", self.projector)
@@ -422,8 +405,8 @@ class RunLive(_DeviceRun):
                         patterns,
                         images.x,
                         acquisition,
-                        latencies,
-                        report=report,
+                        report,
+                        latency_s=self.latency_s,
                         decision_s=looks.decision_s,
                     )
             else:

@@ -15,7 +15,7 @@ from deepfsi.hardware.live.record import LiveCounts
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
-from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.hardware.virtual.setup import virtual_setup
 from deepfsi.lab.setup import design_rails, open_looks
 from shared.live_samples import scenes_of
 
@@ -53,7 +53,7 @@ def run(folder, patterns, data, count, camera=CAMERAS["ideal"]):
     told = {"flux": FLUX, "camera": camera.model_dump(mode="json"), "seed": 0}
     acquisition = plan_live(patterns, scenes, EXPOSURE_S, looks=looks, **told)
     decision_s = looks.decision_s
-    devices = virtual_setup(patterns, x, acquisition, Latencies(), decision_s=decision_s)
+    devices = virtual_setup(patterns, x, acquisition, decision_s=decision_s)
     return list(run_live(folder, patterns, acquisition, devices, looks))
 
 

@@ -12,7 +12,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.hardware.live import record as frame_log
 from deepfsi.hardware.live import run as runs
 from deepfsi.hardware.patterns.folder import read_patterns
-from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.hardware.virtual.setup import virtual_setup
 from deepfsi.lab.setup import open_looks
 from shared.live_samples import (
     DEVICE,
@@ -47,14 +47,18 @@ def copied(run, tmp_path):
 
 def test_the_clock_adds_up(digits, patterns, tmp_path):
     """A scene takes its pictures and, for each list, command, block, transfer and decision."""
-    slow = Latencies(display=0.5, command=0.01, block=0.1, transfer=0.003, decision=0.002)
-    decided = live(tmp_path / "run", patterns, digits, count=3, latencies=slow)
+    slow = {"display": 0.5, "block": 0.1, "transfer": 0.003}
+    x, scenes = scenes_of(digits, 3)
+    acquisition, looks = planned(patterns, scenes)
+    devices = virtual_setup(patterns, x, acquisition, latency_s=0.01, decision_s=0.002)
+    devices.projector._optics.latencies |= slow
+    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices, looks))
     times = {}
     for each in decided:
         times.setdefault(each.scene, []).append(each.clock_s)
     for scene in frame_log.FrameLog.read(tmp_path / "run").scenes:
         assert scene.clock_s == times[scene.scene][-1]
-        assert np.diff(times[scene.scene]).min() >= slow.command
+        assert np.diff(times[scene.scene]).min() >= 0.01
         lists = 2 + LOOKS
         # Each list ends with a block of the counter: 0.1 s, as lists take less.
         assert 0.1 * (lists - 1) < scene.clock_s <= 0.1 * lists + 0.0051
@@ -78,7 +82,7 @@ def test_exposures_that_share_light_end_when_sure_and_take_the_cap_at_most(digit
 def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_path, stop):
     x, scenes = scenes_of(digits, 6)
     acquisition, looks = planned(patterns, scenes)
-    devices = virtual_setup(patterns, x, acquisition, Latencies())
+    devices = virtual_setup(patterns, x, acquisition)
     folder, done = tmp_path / "run", []
     whole = devices.projector.show
 
@@ -175,13 +179,13 @@ def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, caps
     Path("adaptive").symlink_to(patterns)
     x, scenes = scenes_of(digits, 2)
     acquisition, _ = planned(patterns, scenes)
-    devices = virtual_setup(patterns, x, acquisition, Latencies())
+    devices = virtual_setup(patterns, x, acquisition)
     names = {f"my_{name}": getattr(devices, name) for name in ("projector", "counter", "display")}
     exec(loop, names)
     decided = capsys.readouterr().out.splitlines()
     assert len(decided) == 2
 
-    devices = virtual_setup(patterns, x, acquisition, Latencies())
+    devices = virtual_setup(patterns, x, acquisition)
     devices.projector.load(patterns)
     shown = []
 
@@ -211,7 +215,7 @@ def test_long_gates_end_within_their_pictures_where_clocks_differ(digits, patter
     """A device whose clock is fast by 10⁻⁴ shortens a picture of 1 s by more than it settles."""
     x, scenes = scenes_of(digits, 2)
     acquisition, looks = planned(patterns, scenes, 3.0 * LOOKS, flux=1e4)
-    devices = virtual_setup(patterns, x, acquisition, Latencies())
+    devices = virtual_setup(patterns, x, acquisition)
     whole = devices.projector.show
     devices.projector.show = lambda frames, dwells_s: whole(frames, dwells_s * (1 - 1e-4))
     decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices, looks))
@@ -224,7 +228,7 @@ def test_a_device_that_repeats_frames_is_followed(digits, patterns, tmp_path):
     """As a frame list of Vialux does: a dwell is a number of shortest pictures, each a marker."""
     x, scenes = scenes_of(digits, 3)
     acquisition, looks = planned(patterns, scenes)
-    devices = virtual_setup(patterns, x, acquisition, Latencies())
+    devices = virtual_setup(patterns, x, acquisition)
     whole = devices.projector.show
 
     def repeats(dwells_s):

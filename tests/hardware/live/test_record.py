@@ -15,7 +15,7 @@ from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.live import run as record
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.virtual.camera import CAMERAS
-from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.hardware.virtual.setup import virtual_setup
 from deepfsi_drivers import swabian as swabian_module
 from drivers import swabian_fake
 from shared.pictures import save_images
@@ -36,7 +36,7 @@ def planned(patterns, digits, count):
     manifest = read_patterns(patterns).manifest
     acquisition = Acquisition.plan(manifest, shown, exposure_s=10e-3, repeats=1, **told)
     scenes = digits.x_test[:count].reshape(count, 8, 8)
-    return acquisition, virtual_setup(patterns, scenes, acquisition, Latencies())
+    return acquisition, virtual_setup(patterns, scenes, acquisition)
 
 
 def tagged(patterns, digits, count, monkeypatch):

@@ -6,7 +6,7 @@ from deepfsi.hardware.calibration import reference
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.live.run import run_live
 from deepfsi.hardware.virtual.camera import VirtualCamera
-from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.hardware.virtual.setup import virtual_setup
 from deepfsi.lab.setup import check_view
 from shared.live_samples import make_patterns, planned
 
@@ -20,7 +20,7 @@ def test_the_reference_of_a_live_run_tells_how_scenes_lie(digits, tmp_path):
         camera = VirtualCamera.model_validate({} if view is None else {"view": view})
         scenes = tuple(Scene(name=str(k)) for k in range(2))
         acquisition, looks = planned(patterns, scenes, 0.1, flux=5e6, camera=camera)
-        devices = virtual_setup(patterns, target, acquisition, Latencies())
+        devices = virtual_setup(patterns, target, acquisition)
         list(run_live(tmp_path / name, patterns, acquisition, devices, looks))
         places[name] = check_view(tmp_path / name)
     assert places["as exported"].layout == places["as exported"].exported

@@ -9,7 +9,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.hardware.live.run import run_live
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
-from deepfsi.hardware.virtual.setup import Latencies, VirtualOptics, virtual_setup
+from deepfsi.hardware.virtual.setup import VirtualOptics, virtual_setup
 from shared.live_samples import EXPOSURE_S, make_patterns, planned, replay, scenes_of
 
 FLUX, SCENES = 1e7, 16
@@ -59,7 +59,7 @@ def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **s
     acquisition, looks = planned(
         patterns, named, flux=FLUX, camera=lab.camera, **{"seed": 3, **settings}
     )
-    devices = virtual_setup(patterns, x, acquisition, Latencies())
+    devices = virtual_setup(patterns, x, acquisition)
     setup = devices.projector._optics
     setup.__class__, setup.lab = Wavering, lab
     lamp, made = np.array(lab.lamp)[:scenes], setup._made

@@ -22,7 +22,7 @@ from deepfsi.hardware.patterns.folder import (
 )
 from deepfsi.hardware.patterns.frames import unpack
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
-from deepfsi.hardware.virtual.setup import Latencies, virtual_setup
+from deepfsi.hardware.virtual.setup import virtual_setup
 from deepfsi.lab import adaptive_looks
 from deepfsi.lab.setup import design_rails, open_looks
 from shared.live_samples import replay, scenes_of
@@ -48,14 +48,12 @@ def patterns(design, tmp_path_factory):
     return folder / "patterns"
 
 
-def devices_of(patterns, data, count, camera=CAMERAS["ideal"], latencies=None, **settings):
+def devices_of(patterns, data, count, camera=CAMERAS["ideal"], **settings):
     """Acquisition, virtual devices and looks of scenes."""
     (x, scenes), looks = scenes_of(data, count), open_looks(patterns)
     told = {"flux": FLUX, "camera": camera.model_dump(mode="json"), "seed": 0, **settings}
     acquisition = plan_live(patterns, scenes, EXPOSURE_S, looks=looks, **told)
-    latencies = latencies or Latencies()
-    decision_s = looks.decision_s
-    devices = virtual_setup(patterns, x, acquisition, latencies, decision_s=decision_s)
+    devices = virtual_setup(patterns, x, acquisition, decision_s=looks.decision_s)
     return acquisition, devices, looks
 
 
@@ -165,8 +163,9 @@ def test_decisions_are_those_of_the_design_and_its_replay(digits, design, patter
 @pytest.mark.parametrize("load_s", [0.0, 1.0])
 def test_the_clock_of_a_scene_has_no_loading(digits, patterns, tmp_path, load_s):
     """All frames are loaded before the first scene, however long that takes."""
-    latencies = Latencies(load=load_s, block=1e-6, transfer=0, command=0, decision=0)
-    acquisition, devices, looks = devices_of(patterns, digits, 1, latencies=latencies)
+    acquisition, devices, looks = devices_of(patterns, digits, 1)
+    devices.projector._optics.latencies |= dict.fromkeys(("transfer", "command", "decision"), 0)
+    devices.projector._optics.latencies |= {"load": load_s, "block": 1e-6}
     began = devices.clock()
     [answer] = [
         step.answer

@@ -9,7 +9,7 @@ from deepfsi.hardware.virtual import camera as camera_module
 from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
 from deepfsi.hardware.virtual.setup import (
-    Latencies,
+    LATENCIES,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
@@ -17,7 +17,7 @@ from deepfsi.hardware.virtual.setup import (
 
 
 def test_virtual_devices_say_what_comes_first():
-    setup = VirtualOptics(np.ones((1, 2, 1)), VirtualCamera(), Latencies())
+    setup = VirtualOptics(np.ones((1, 2, 1)), VirtualCamera(), LATENCIES)
     with pytest.raises(InputError, match="load a pattern folder first"):
         VirtualProjector(setup).show(np.array([0]), np.array([1e-3]))
     with pytest.raises(InputError, match="nothing is recorded"):
@@ -31,7 +31,9 @@ def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path)
     """
     rates = np.array([[[0.0], [1e6], [3e6]]])
     camera, dwells = VirtualCamera(jitter_s=1e-7), np.array([2e-3, 1e-3, 4e-3])
-    setup = VirtualOptics(rates, camera, Latencies(trigger=1e-6, command=5e-3, display=50e-3))
+    setup = VirtualOptics(
+        rates, camera, LATENCIES | {"trigger": 1e-6, "command": 5e-3, "display": 50e-3}
+    )
     counter, path = VirtualCounter(setup, (0,)), tmp_path / "run.ptu"
     counter.start(path)
     starts = []

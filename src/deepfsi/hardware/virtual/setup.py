@@ -6,17 +6,15 @@ come, and the counts are read from that file while it grows.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from functools import lru_cache
 from io import FileIO
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import StrictModel
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
@@ -37,24 +35,16 @@ START_S = 1e-3
 """Time on the counter's clock before the first list, seconds."""
 
 
-class Latencies(StrictModel):
-    """Times of the steps of a loop, seconds; docs/notebook/live-timing.md says their sources."""
-
-    # Of each pattern into the device: known masks once before the first scene, adaptive ones each
-    # before its look
-    load: float = Field(3.3e-3, ge=0, le=1e3)
-    # Until the display shows another scene, and it has settled
-    display: float = Field(20e-3, ge=0, le=1e3)
-    # From a decision until the first frame of its list is shown: USB, and the device's start
-    command: float = Field(1e-3, ge=0, le=1e3)
-    # From the start of a frame until its marker is recorded
-    trigger: float = Field(0.0, ge=0, le=1e-6)
-    # The counter hands over its records in blocks, each so long after the last
-    block: float = Field(1e-3, gt=0, le=1e3)
-    # From the end of a block until the computer has it
-    transfer: float = Field(0.25e-3, ge=0, le=1e3)
-    # From the counts until the next list is known, or the class
-    decision: float = Field(0.4e-3, ge=0, le=1e3)
+LATENCIES = {
+    "load": 3.3e-3,  # of each pattern: known masks once, adaptive ones each before its look
+    "display": 20e-3,  # until the display shows another scene, and it has settled
+    "command": 1e-3,  # from a decision until the first frame of its list: USB, the device's start
+    "trigger": 0.0,  # from the start of a frame until its marker is recorded
+    "block": 1e-3,  # the counter hands over its records in blocks, each so long after the last
+    "transfer": 0.25e-3,  # from the end of a block until the computer has it
+    "decision": 0.4e-3,  # from the counts until the next list is known, or the class
+}
+"""Times of the steps of a loop, seconds; docs/notebook/live-timing.md says their sources."""
 
 
 class VirtualOptics:
@@ -64,7 +54,7 @@ class VirtualOptics:
         self,
         rates: np.ndarray,
         camera: VirtualCamera,
-        latencies: Latencies,
+        latencies: Mapping[str, float],
         seed: int = 0,
         made: Callable[[int, np.ndarray], np.ndarray] | None = None,
     ) -> None:
@@ -92,7 +82,7 @@ class VirtualOptics:
 
     def display(self, scene: int) -> None:
         """Show a scene on the display."""
-        self.now_s += self.latencies.display
+        self.now_s += self.latencies["display"]
         self._see(np.array([self._frame]), np.array([max(self._ticks(self.now_s), self._end)]))
         self._scene = scene
 
@@ -100,16 +90,16 @@ class VirtualOptics:
         """Load another frame in place of one, which is not shown at the moment."""
         if self._made is None:
             raise InputError("this virtual setup takes no frames while it runs")
-        self.now_s += self.latencies.load
+        self.now_s += self.latencies["load"]
         self._rates[self._scene, frame] = self._made(self._scene, packed)
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
         """Let the detectors see frames; the last one stays."""
-        self.now_s += self.latencies.command
+        self.now_s += self.latencies["command"]
         start = max(self._ticks(self.now_s), self._end)
         self._see(np.array([self._frame]), np.array([start]))
         ends = start + np.cumsum(np.rint(dwells_s / DETECTOR_TICK_S).astype(np.int64))
-        marks = np.append(start, ends[:-1]) + self._ticks(self.latencies.trigger)
+        marks = np.append(start, ends[:-1]) + self._ticks(self.latencies["trigger"])
         self._add(marks, -self.wiring[1])
         self._see(frames, ends)
         self._frame = int(frames[-1])
@@ -124,9 +114,9 @@ class VirtualOptics:
 
     def _handed_over(self, time_s: float) -> float:
         """Time at which the computer has decided upon what was recorded until a time."""
-        block = self.latencies.block
+        block = self.latencies["block"]
         whole = math.ceil(time_s / block) * block
-        return whole + self.latencies.transfer + self.latencies.decision
+        return whole + self.latencies["transfer"] + self.latencies["decision"]
 
     @staticmethod
     def _ticks(seconds: float) -> int:
@@ -174,7 +164,7 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
     def load(self, folder: Path, report: Progress = SILENT) -> None:
         """Check every frame of a pattern folder, as a real device must read them."""
         self._times_s = check_patterns(folder, report).manifest.picture_s
-        self._optics.now_s += len(self._times_s) * self._optics.latencies.load
+        self._optics.now_s += len(self._times_s) * self._optics.latencies["load"]
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
         """Load another frame in place of a loaded one."""
@@ -251,9 +241,9 @@ def virtual_setup(
     patterns: Path,
     scenes: np.ndarray,
     acquisition: Acquisition,
-    latencies: Latencies,
     report: Progress = SILENT,
     *,
+    latency_s: float | None = None,
     decision_s: float | None = None,
 ) -> Setup[VirtualProjector]:
     """Virtual devices of a run, with the camera, flux, seed and wiring of its acquisition."""
@@ -262,12 +252,13 @@ def virtual_setup(
     flux = acquisition.flux or 0.0
     images = check_scenes(scenes, manifest, flux)
     rates = arrival_rates(patterns, scenes, camera, flux, report=report)
-    usual = {}
-    if manifest.device.load_us:
-        usual["load"] = manifest.device.load_us * 1e-6
-    if decision_s is not None:
-        usual["decision"] = decision_s
-    latencies = Latencies(**usual | latencies.model_dump(include=latencies.model_fields_set))
+    load_us = manifest.device.load_us
+    times = {
+        "load": load_us * 1e-6 if load_us else None,
+        "command": latency_s,
+        "decision": decision_s,
+    }
+    latencies = LATENCIES | {name: time for name, time in times.items() if time is not None}
 
     @lru_cache(maxsize=1)
     def light(scene: int) -> MirrorLight:
@@ -285,5 +276,5 @@ def virtual_setup(
         VirtualCounter(optics, acquisition.inputs, acquisition.marker_bit),
         optics.display,
         clock=lambda: optics.now_s,
-        latencies=latencies.model_dump(),
+        latencies=latencies,
     )
