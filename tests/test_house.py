@@ -16,7 +16,7 @@ SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
     "adaptive": 1591,
-    "base": 1502,
+    "base": 1464,
     "base.models": 88,
     "base.numeric": 1283,
     "camera": 1490,

@@ -2,7 +2,6 @@
 
 import ast
 import inspect
-import string
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -14,14 +13,11 @@ import torch
 import deepfsi
 from conftest import RECIPE, quick, same
 from deepfsi.base.progress import Progress, progress_bar
-from deepfsi.camera.camera import Camera
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import TUNED, Training
-from shared import commands
 from shared.jobs import learn
 
 BRIEF = {**RECIPE, "photons": 1e4, "masks": 5, "device": "cpu"}
-OPTIONS = set().union(*commands.OPTIONS.values())
 SOURCE = Path(deepfsi.__file__).parent
 
 
@@ -85,44 +81,10 @@ def trees(folder):
     return {path: ast.parse(path.read_text()) for path in folder.rglob("*.py")}
 
 
-def calls(*names):
-    """Calls of functions of these names, each with its module."""
-    return [
-        (path, node)
-        for path, tree in trees(SOURCE).items()
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Call) and ast.unparse(node.func) in names
-    ]
-
-
 def words_of(node):
     """Texts in a piece of code."""
     texts = (part.value for part in ast.walk(node) if isinstance(part, ast.Constant))
     return [text for text in texts if isinstance(text, str)]
-
-
-def fields_of(template):
-    """Names of the fields of a template, and of fields in how those are written."""
-    parsed = list(string.Formatter().parse(template))
-    inner = set().union(*(fields_of(spec) for *_, spec, _ in parsed if spec), set())
-    return inner | {field for _, field, _, _ in parsed if field}
-
-
-def test_each_field_of_a_template_is_a_setting_or_a_value():
-    """And a template is no f-string, in which braces of a path would be fields."""
-    for path, call in calls("InputError", "Message"):
-        if path.name == "errors.py" or not call.keywords:
-            continue
-        line, given = f"{path}:{call.lineno}", {word.arg: word.value for word in call.keywords}
-        template, setting = call.args[0], given.pop("setting", ast.Constant(()))
-        assert not any(isinstance(part, ast.JoinedStr) for part in ast.walk(template)), line
-        settings = {"setting"}
-        if not isinstance(setting, ast.Name):  # a variable
-            value = ast.literal_eval(setting)
-            settings = {value} if isinstance(value, str) else set(value)
-            own = settings - Camera.model_fields.keys()
-            assert {f"--{name.replace('_', '-')}" for name in own} <= OPTIONS, line
-        assert set().union(*map(fields_of, words_of(template))) == settings | set(given), line
 
 
 def test_rooms_that_programs_use_name_no_options():

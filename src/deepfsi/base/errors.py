@@ -24,44 +24,12 @@ LONGEST_MESSAGE = 4000
 """Characters of a message at most; one that repeats more is cut in its middle."""
 
 
-class _Setting:
-    """A setting in a template: `bins`, or with a value, of {design:pca}, `design="pca"`."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __format__(self, value: str) -> str:
-        if not value:
-            return f"`{self.name}`"
-        return f"`{self.name}={value}`" if value.isdecimal() else f'`{self.name}="{value}"`'
-
-
-class Message(str):
-    """Text of a template that names settings as Python does: `bins`."""
-
-    def __new__(
-        cls, template: str, /, *, setting: str | tuple[str, ...] = (), **values: Any
-    ) -> "Message":
-        """Fill the fields of settings, and of other values."""
-        settings = (setting,) if isinstance(setting, str) else setting
-        fields: dict[str, Any] = {name: _Setting(name) for name in settings}
-        if len(settings) == 1:
-            fields["setting"] = fields[settings[0]]
-        return super().__new__(cls, template.format_map({**fields, **values}))
-
-
 class InputError(ValueError):
     """Input that cannot be used.
 
     The message is one line that says what was given, what is allowed and what to do.
-    The command line prints it and ends with exit code 2.
-
-    Parameters
-    ----------
-    template : str
-        The message, or its template, as of `Message`.
-    setting, values
-        Of the template.
+    Settings are named as in Python, `bins`, which the command line writes as --bins; it prints the
+    message and ends with exit code 2.
 
     Examples
     --------
@@ -73,16 +41,10 @@ class InputError(ValueError):
     unknown data set 'mnits': did you mean 'mnist'?
     """
 
-    def __init__(
-        self, template: str = "", /, *, setting: str | tuple[str, ...] = (), **values: Any
-    ) -> None:
-        filled = Message(template, setting=setting, **values) if setting or values else template
-        super().__init__(filled)
-
     @property
     def message(self) -> str:
         """The message."""
-        return self.args[0]
+        return str(self.args[0])
 
     def __str__(self) -> str:
         """The message, without what a terminal would take for a command."""
