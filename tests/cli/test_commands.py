@@ -83,13 +83,3 @@ def test_a_sweep_writes_its_table(done, recipe, tmp_path):
     text = done(*words, "--workers", 1, "--table", table)
     assert table.is_file()
     assert str(table) in text.replace("\n", "")
-
-
-def test_experiments_are_listed(done):
-    listed = json.loads(done("reproduce", "list", "--json"))["experiments"]
-    assert {row["name"] for row in listed} == {
-        *("mnist", "compression", "mlgauss", "quantization", "indian-pines", "hardware"),
-        *("ovit", "ovit-images", "ovit-full"),
-        *("control", "training", "images"),
-    }
-    assert "compression" in done("reproduce", "list")

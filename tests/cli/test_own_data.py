@@ -50,19 +50,6 @@ def patterns(done, pictures, file, tmp_path):
     return tmp_path / "patterns"
 
 
-def test_what_was_done_to_pictures_is_said_in_one_line(done, pictures, file, tmp_path):
-    out = done("design", "--data", pictures, *TRAINED, "-o", file)
-    [line] = [line for line in out.splitlines() if line.startswith("data:")]
-    assert line.startswith("data: leaves. 90 images of 8x8 pixels; 16-bit values from 10")
-    assert line.endswith("divided by 4095 (12 bits).")
-    assert line in done("evaluate", file, "--data", pictures, "--photons", "1e4")
-    words = ["--designs", "pca", "--photons", "1e4", "--masks", 3, "--epochs", 1, "--workers", 1]
-    words += ["--data", pictures, "-o", tmp_path / "out"]
-    assert line in done("compare", *words).splitlines()
-    facts = json.loads(done("compare", *words, "--json"))["data"]
-    assert line == f"data: {facts['name']}. {facts['preprocessing']}"
-
-
 def test_pictures_that_were_trained_on_are_told_apart_in_a_recorded_run(
     done, pictures, file, patterns, tmp_path
 ):

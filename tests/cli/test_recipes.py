@@ -1,8 +1,5 @@
-"""Recipes by name and by file, and what is wrong with them, told before any work."""
+"""Recipes by name and by file."""
 
-import pytest
-
-from deepfsi.base.errors import InputError
 from deepfsi.cli import studies
 
 
@@ -20,19 +17,3 @@ def test_a_sweep_by_name(done, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done("sweep", "baseline", "--workers", 1)
     assert len(list((tmp_path / "runs" / "sweep" / "trials").iterdir())) == 1
-
-
-@pytest.mark.parametrize(
-    ("source", "content", "words"),
-    [
-        ("mnst", "", "did you mean 'mnist'"),
-        ("recipes/mnist.toml", "", "no recipe at recipes/mnist.toml"),
-        ("x.toml", "# nothing yet\n", "x.toml is empty"),
-        ("x.toml", "designs: pca\n", "x.toml is no TOML file"),
-    ],
-)
-def test_what_is_no_recipe_is_refused(tmp_path, monkeypatch, source, content, words):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "x.toml").write_text(content)
-    with pytest.raises(InputError, match=words):
-        studies.read_recipe(source)
