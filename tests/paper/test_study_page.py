@@ -1,20 +1,14 @@
 """The page of a study: what it says, and how it writes numbers."""
 
-import pytest
+import numpy as np
 
 from deepfsi.report import rendering
+from deepfsi.report.accuracy import accuracy_figure
+from deepfsi.report.masks import masks_figure
 from deepfsi_paper.report import section as section_module
 from deepfsi_paper.report.study_page import write_study
-from shared.pages import (
-    assert_explained,
-    assert_headed,
-    assert_whole,
-    example,
-)
-
-
-def page_of(folder, sections) -> str:
-    return write_study(folder, "Deep feature-specific imaging", sections).read_text("utf-8")
+from shared.pages import assert_explained, assert_headed, assert_whole
+from shared.results import make_results
 
 
 def section(**changes) -> section_module.Section:
@@ -24,20 +18,20 @@ def section(**changes) -> section_module.Section:
 
 
 def test_page_is_one_self_contained_document(tmp_path):
-    page = page_of(tmp_path / "out", example(tmp_path))
-    files = {"photon-noise/accuracy.csv", "photon-noise/masks%2010.csv"}
-    assert_whole(page, tmp_path / "out", files)
+    figures = (accuracy_figure(make_results(tmp_path)), masks_figure(np.eye(4, 16), (4, 4)))
+    pictures = tuple(section_module.Picture(each, "words", "words") for each in figures)
+    sections = [section(pictures=pictures, files=("masks 10.csv",))]
+    page = write_study(tmp_path / "out", "A study", sections).read_text("utf-8")
+    assert_whole(page, tmp_path / "out", {"masks%2010.csv"})
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"figures", "report.html"}
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_headings_are_in_order_and_abbreviations_explained(tmp_path):
     words = "PN: DFSI is above FSI and HB (AGN, RMSE 0.1); CGs and USERS are no such words"
     claim = section_module.Claim(words, True, "II − RS", "TH")
     table = section_module.Table("of CG", ("design",), (("DFSI",),))
-    page = page_of(
-        tmp_path, [*example(tmp_path), section(found=words, claims=(claim,), tables=(table,))]
-    )
+    sections = [section(), section(found=words, claims=(claim,), tables=(table,))]
+    page = write_study(tmp_path, "Deep feature-specific imaging", sections).read_text("utf-8")
     assert_headed(page)
     assert_explained(page)
     assert '<abbr title="' + rendering.ABBREVIATIONS["PN"] in page

@@ -1,4 +1,4 @@
-"""Both pages in a real browser: nothing cut, nothing blocked, readable, and tables that sort.
+"""The page of a comparison in a browser: nothing cut or blocked, readable, tables that sort.
 
 Needs Chromium and its driver. `.ci/run` sets `DEEPFSI_BROWSER=required`: there, a missing browser
 is a failure and no reason to skip.
@@ -17,30 +17,28 @@ from deepfsi.sweeps.results import read_results, write_results
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
 from deepfsi_paper.report.study_page import write_study
 from shared.browser import CONTRASTS, CUT, OVERFLOW, SIZES, look
-from shared.pages import example
 from shared.results import a_point, make_results, some_results, with_all
 
-WIDTHS, SCHEMES, KINDS = (1280, 400), ("light", "dark"), ("comparison", "study")
+WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
 A4_WIDTH = 680  # CSS pixels between the margins
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory, all_drawn_once):
-    """Give the address of a page of each kind."""
-    home = tmp_path_factory.mktemp("pages")
-    results = make_results(home / "comparison", noises=("poisson", "gaussian"))
+def page(tmp_path_factory, all_drawn_once):
+    """Give the address of the page of a wide comparison."""
+    home = tmp_path_factory.mktemp("comparison")
+    results = make_results(home, noises=("poisson", "gaussian"))
     widest = with_all(results, light="free-dwell", detectors="16x16", readout="both")
-    write_results(home / "comparison" / "results.json", widest)
-    study = write_study(home, "Deep feature-specific imaging, repeated", example(home))
-    return {"comparison": write_report(home / "comparison").as_uri(), "study": study.as_uri()}
+    write_results(home / "results.json", widest)
+    return write_report(home).as_uri()
 
 
-@pytest.fixture(params=KINDS)
-def opened(request, browser, pages):
-    """Give the browser with a page of each kind, wide and light."""
+@pytest.fixture
+def opened(browser, page):
+    """Give the browser with the page, wide and light."""
     look(browser)
     browser.get_log("browser")
-    browser.get(pages[request.param])
+    browser.get(page)
     return browser
 
 

@@ -1,4 +1,4 @@
-"""Pages of reports: a study to write, and what a reader and a parser see of a page."""
+"""Pages of reports: what a reader and a parser see of them."""
 
 import itertools
 import re
@@ -6,15 +6,7 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 
-import numpy as np
-
-from deepfsi.report import masks, rendering
-from deepfsi.report.accuracy import accuracy_figure, count_figure
-from deepfsi_paper.report import section
-from shared.results import make_results
-
-SCRIPT = "<script>window.harmed = true</script>"
-LONG = "Donaudampfschifffahrtsgesellschaftskapitänsmützenabzeichenverleihungsurkunde"
+from deepfsi.report import rendering
 
 
 def words_of(page):
@@ -86,85 +78,3 @@ def run_without_torch(code, folder):
     """Run a line of Python with a folder, which may import neither torch nor pyplot."""
     code += "; assert not {'torch', 'matplotlib.pyplot'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", f"import sys; {code}", str(folder)], check=True)
-
-
-def accuracy_table() -> section.Table:
-    """Sixty rows of words, numbers of every size, and values that are missing."""
-    rng = np.random.default_rng(1)
-    designs = ["DeepFSI", "PCA (FSI)", "truncated Hadamard", "raster scan", SCRIPT, LONG]
-    rows = []
-    for i in range(60):
-        accuracy, masks = float(rng.uniform(0.1, 0.97)), int(rng.integers(1, 1025))
-        noise = ("Gaussian read noise", "photon noise")[i % 2]
-        shown = (None if i % 10 == 3 else accuracy, accuracy - 0.004, accuracy + 0.004)
-        chance = 10.0 ** -float(rng.integers(2, 9))
-        numbers = (10.0 ** (2 + i % 5), masks, *shown, chance, 12 + i)
-        rows.append((designs[i % 6], noise, *numbers, "chosen" if i % 7 == 0 else None))
-    heads = (
-        *("design", "noise", "photons", "masks", "accuracy"),
-        *("low", "high", "p", "seed", "choice"),
-    )
-    return section.Table("Test accuracy of every design, budget and seed.", heads, tuple(rows))
-
-
-def example(folder) -> list[section.Section]:
-    """Two experiments with what a real study has, and with words that break careless pages."""
-    one = make_results(folder / "one")
-    two = make_results(folder / "two", noises=("poisson", "gaussian"), budgets=(1e2, 1e3, 1e5))
-    matrix = np.random.default_rng(0).normal(size=(12, 256)) / 12
-    best = one.with_points(point for point in one.points if point.photons == 1e4)
-    raster = section.Claim(
-        "Raster scan is better than impulse imaging.",
-        False,
-        "−0.762 (−0.770 to −0.754)",
-        "The interval lies below 0: with the same light, each pixel is seen for 1/N of the time.",
-    )
-    claims = (
-        section.Claim("Learned masks are better.", True, "+0.084 (0.071 to 0.097) at 10⁴ photons"),
-        raster,
-        section.Claim(f"The {LONG} of {SCRIPT} needs fewer masks.", None, "−1 mask (−6 to 4)"),
-    )
-    needed = section.Table("Photons needed for an accuracy of 0.8.", ("design", "photons"), ())
-    drawings = {
-        "Test accuracy against the photon budget. Bars are 95 % intervals.": accuracy_figure(one),
-        "Accuracy against the number of masks; filled markers were chosen.": count_figure(best),
-        f"The masks learned on {SCRIPT}.": masks.masks_figure(matrix, (16, 16), title="Learned"),
-        "How their values are distributed.": masks.values_figure(matrix),
-    }
-    photon = section.Section(
-        name="photon-noise",
-        title="Accuracy under photon noise",
-        found="DeepFSI leads at every budget. At 10⁴ photons it reaches 0.924 (0.919 to 0.929) "
-        "with ten masks, PCA 0.843 (0.836 to 0.850). Impulse imaging is the bound.",
-        paper="DeepFSI needs about a tenth of the photons that PCA needs for the same accuracy. "
-        "Raster scan and Hadamard fall to chance below 10⁴ photons.",
-        pictures=tuple(section.Picture(drawn, words, words) for words, drawn in drawings.items()),
-        claims=claims * 3,
-        tables=(accuracy_table(), needed),
-        files=("photon-noise/accuracy.csv", "photon-noise/masks 10.csv"),
-        command=f"deepfsi experiment photon-noise --data mnist -o runs/paper/photon-noise # {LONG}",
-        facts={
-            "versions": {"deepfsi": "0.1.0", "torch": "2.13.0", "python": "3.11.2"},
-            "device": {"name": "cpu", "threads": 2, "instructions": ["avx512f", "amx_bf16"]},
-            "data": {"name": SCRIPT, "hash": "5f70bf18a086007016e948b04aed3b82103a36bea417"},
-            "seeds": [0, 1, 2],
-            "seconds": 5321.7,
-        },
-    )
-    spectra = masks.masks_figure(np.random.default_rng(2).normal(size=(4, 30)), (30,))
-    read = section.Section(
-        name="read-noise",
-        title=f"Read noise on {SCRIPT}: Hadamard gains, and {LONG}",
-        found="Hadamard gains over raster scan as theory says.",
-        paper="Multiplexing helps when the noise does not grow with the light.",
-        pictures=(
-            section.Picture(accuracy_figure(two), "Accuracy under both noises.", "Two panels."),
-            section.Picture(spectra, "Masks for spectra.", "Four curves."),
-        ),
-        claims=claims[1:],
-        tables=(accuracy_table(),),
-        files=(),
-        command="deepfsi experiment read-noise",
-        facts={},
-    )
-    return [photon, read]
