@@ -74,7 +74,7 @@ def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained, mon
     """Also where file locks do nothing, as on network folders that are mounted without them."""
     monkeypatch.setattr(fcntl, "flock", lambda *_: None)
     monkeypatch.setattr(fcntl, "lockf", lambda *_: None)
-    trials = planned(digits, trials=2, designs=("pca", "random", "lda"))
+    trials = planned(digits, trials=2, masks=3, designs=("pca", "random", "lda"))
     with ThreadPoolExecutor() as pool:
         runs = [pool.submit(train_trials, trials, digits, tmp_path) for _ in range(3)]
         found = [run.result() for run in runs]
@@ -85,10 +85,10 @@ def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained, mon
 
 
 def test_other_tests_of_the_same_training_need_no_training(digits, tmp_path, trained):
-    train_trials(planned(digits), digits, tmp_path)
+    train_trials(planned(digits, designs="deepfsi"), digits, tmp_path)
     count = len(trained)
     tests = {"test_photons": (1e3, 1e5), "test_noise": ("poisson", "ml_gauss")}
-    more = planned(digits, **tests, test_levels=(0, 9))
+    more = planned(digits, designs="deepfsi", **tests, test_levels=(0, 9))
     records = train_trials(more, digits, tmp_path)
     assert len(trained) == count
     assert {len(record["test"]) for record in records} == {2 * 2 * 2}
@@ -113,7 +113,7 @@ def test_trials_of_one_training_train_it_once(digits, tmp_path):
 
 @pytest.mark.slow
 def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digits, tmp_path):
-    trials = planned(digits, designs=("deepfsi", "control"), masks=3, photons=1e3, trials=1)
+    trials = planned(digits, designs="deepfsi", masks=3, photons=1e3, trials=1)
     patches = {"designs": "pca", "masks": 3, "photons": 1e3, "trials": 1, "exposure": {"patch": 4}}
     trials += planned(digits, **patches) + shared_training(digits)
     wild = planned(digits, designs="pca", masks=6, training={"epochs": 2, "lr": 1e30})
