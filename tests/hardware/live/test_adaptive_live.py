@@ -12,34 +12,17 @@ from deepfsi import learn
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.live.record import LiveCounts
-from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.live.run import plan_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
-from deepfsi.hardware.virtual.setup import virtual_setup
+from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.lab.setup import design_rails, open_looks
-from shared.live_samples import scenes_of
+from shared.live_samples import DEVICE, OPTICS, live, make_patterns, scenes_of
 
-LOOKS, FLUX, EXPOSURE_S, LOAD_S = 5, 1e7, 10e-3, 2e-3
-DEVICE = find_device("64x48").model_copy(update={"load_us": round(LOAD_S * 1e6)})
-OPTICS = {
-    "one detector": {"camera": "dmd"},
-    "two arms": {"camera": "two-arm"},
-    "detectors": {"camera": "dmd-2x2"},
-}
+LOOKS, FLUX, EXPOSURE_S = 5, 1e7, 10e-3
 
 
-def exported(folder, data, optics="one detector", **settings):
-    """Folder of patterns of a design of adaptive masks."""
-    words = {"design": "adaptive", "masks": LOOKS, "photons": FLUX * EXPOSURE_S, **settings}
-    design = learn(data, **{**OPTICS[optics], **words})
-    design.save(folder / "a.safetensors")
-    return shown_from(folder / "a.safetensors")
-
-
-def shown_from(file):
-    frames = FrameSettings(DEVICE, 1e-3)
-    export_patterns(design_rails(file), frames, file.parent / "patterns")
-    return file.parent / "patterns"
+def exported(folder, data, optics="one detector"):
+    return make_patterns(folder, data, optics, masks=LOOKS, photons=FLUX * EXPOSURE_S)
 
 
 @pytest.fixture(scope="module")
@@ -47,14 +30,8 @@ def patterns(digits, tmp_path_factory):
     return exported(tmp_path_factory.mktemp("adaptive"), digits)
 
 
-def run(folder, patterns, data, count, camera=CAMERAS["ideal"]):
-    """Run scenes on the virtual bench; their decisions."""
-    (x, scenes), looks = scenes_of(data, count), open_looks(patterns)
-    told = {"flux": FLUX, "camera": camera.model_dump(mode="json"), "seed": 0}
-    acquisition = plan_live(patterns, scenes, EXPOSURE_S, looks=looks, **told)
-    decision_s = looks.decision_s
-    devices = virtual_setup(patterns, x, acquisition, decision_s=decision_s)
-    return list(run_live(folder, patterns, acquisition, devices, looks))
+def run(folder, patterns, data, **settings):
+    return live(folder, patterns, data, exposure_s=EXPOSURE_S, flux=FLUX, **settings)
 
 
 def masks_of(shown) -> np.ndarray:
@@ -94,7 +71,7 @@ def test_decisions_are_those_of_the_design(digits, patterns, tmp_path):
     last = [each.answer for each in decided if each.answer]
     right = np.mean([each.predicted == each.label for each in last if each.predicted])
     few = replace(digits, x_test=digits.x_test[:100], y_test=digits.y_test[:100])
-    design = load_design(patterns.parent / "a.safetensors")
+    design = load_design(patterns.parent / "adaptive.safetensors")
     [wanted] = evaluate(design, few, FLUX * EXPOSURE_S, draws=2)
     # of the same scenes, with counts of their own: at most each wrong answer is another one
     spread = np.sqrt(2 * wanted.accuracy * (1 - wanted.accuracy) / 100)
@@ -105,7 +82,7 @@ def test_decisions_are_those_of_the_design(digits, patterns, tmp_path):
 
 
 def test_a_device_that_loads_no_frame_while_it_runs_is_refused(patterns, tmp_path):
-    rails = design_rails(patterns.parent / "a.safetensors")
+    rails = design_rails(patterns.parent / "adaptive.safetensors")
     frames = FrameSettings(find_device("dlp6500"), 1e-3, format="planes")
     with pytest.raises(InputError, match="dlp6500 takes no frame then: use dlp7000"):
         export_patterns(rails, frames, tmp_path / "other")
@@ -125,8 +102,9 @@ def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tm
     """Of looks of different lengths, wherever it comes."""
     design = learn(digits.hold_out(1200), design="adaptive", masks=LOOKS, photons=1e4)
     uneven = design.prior_exposure.settings.model_copy(update={"growth": growth})
-    exposing(design, settings=uneven).save(tmp_path / "a.safetensors")
-    patterns, scenes = shown_from(tmp_path / "a.safetensors"), scenes_of(digits, 1)[1]
+    file = exposing(design, settings=uneven).save(tmp_path / "adaptive.safetensors")
+    patterns, scenes = tmp_path / "patterns", scenes_of(digits, 1)[1]
+    export_patterns(design_rails(file), FrameSettings(DEVICE, 1e-3), patterns)
     shortest_s = EXPOSURE_S * min(uneven.shares)
     plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 0.99, looks=open_looks(patterns))
     with pytest.raises(InputError, match="shorter than the shortest dwell"):
@@ -136,6 +114,6 @@ def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tm
 def test_dark_counts_are_known_and_change_little(digits, patterns, tmp_path):
     """As many of them as photons through half the mirrors: the masks are made with them."""
     camera = VirtualCamera(dark=FLUX / 2)
-    noisy = run(tmp_path / "noisy", patterns, digits, 40, camera=camera)
+    noisy = run(tmp_path / "noisy", patterns, digits, count=40, camera=camera)
     right = [each.answer.predicted == each.answer.label for each in noisy if each.answer]
     assert np.mean(right) > 0.75

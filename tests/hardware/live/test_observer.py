@@ -168,10 +168,3 @@ def test_a_mask_beyond_the_rate_that_is_sure_is_corrected_as_there(digits, patte
     (clean,), _ = observe(patterns, scenes, arrived)
     assert len(found) == len(clean) == LOOKS
     check_alike(found, clean)
-
-
-def test_the_light_of_a_decision_is_that_of_all_looks_so_far(digits, patterns):
-    decided, asked = observe(patterns, digits.x_test[:2])
-    gates = np.array([each.gate_ns.sum() for each in asked if each.look >= 0])
-    for scene, own in zip(decided, gates.reshape(2, LOOKS), strict=True):
-        assert [each.light_s for each in scene] == pytest.approx(np.cumsum(own) * 1e-9)

@@ -14,15 +14,12 @@ from shared.live_samples import make_patterns, planned
 def test_the_reference_of_a_live_run_tells_how_scenes_lie(digits, tmp_path):
     """Frames differ from scene to scene."""
     patterns = make_patterns(tmp_path, digits, masks=16)
-    target, places = np.repeat(reference.TARGET[None], 2, axis=0), {}
-    turned = ((-1, 0, 1), (0, -1, 1), (0, 0, 1))
-    for name, view in (("as exported", None), ("turned", turned)):
-        camera = VirtualCamera.model_validate({} if view is None else {"view": view})
-        scenes = tuple(Scene(name=str(k)) for k in range(2))
-        acquisition, looks = planned(patterns, scenes, 0.1, flux=5e6, camera=camera)
-        devices = virtual_setup(patterns, target, acquisition)
-        list(run_live(tmp_path / name, patterns, acquisition, devices, looks))
-        places[name] = check_view(tmp_path / name)
-    assert places["as exported"].layout == places["as exported"].exported
-    assert places["turned"].layout.rotate == 180
-    assert not places["turned"].fits
+    target = np.repeat(reference.TARGET[None], 2, axis=0)
+    camera = VirtualCamera(view=((-1, 0, 1), (0, -1, 1), (0, 0, 1)))
+    scenes = tuple(Scene(name=str(k)) for k in range(2))
+    acquisition, looks = planned(patterns, scenes, 0.1, flux=5e6, camera=camera)
+    devices = virtual_setup(patterns, target, acquisition)
+    list(run_live(tmp_path / "run", patterns, acquisition, devices, looks))
+    place = check_view(tmp_path / "run")
+    assert place.layout.rotate == 180
+    assert not place.fits

@@ -90,7 +90,7 @@ def test_a_sound_run_has_no_fault_but_the_stated_rate_of_unsure_scenes(digits, p
     ("lab", "settings", "said", "most"),
     [
         # a stated budget that the all-ON frames contradict
-        *((Lab(), {"photons": share * PHOTONS}, "`photons` says", 4) for share in (0.1, 0.5, 2)),
+        *((Lab(), {"photons": share * PHOTONS}, "`photons` says", 4) for share in (0.5, 2)),
         # a dead time that is not told
         (Lab(VirtualCamera(dead_time_s=50e-9)), {}, "dead time of 30 ns", 2),
         (Lab(flicker=(0.4, 100.0)), {}, "flicker", 8),
@@ -105,7 +105,7 @@ def test_what_is_wrong_in_all_scenes_is_named_and_few_get_a_class(
     assert said in " ".join(map(str, found[-1].faults))
 
 
-@pytest.mark.parametrize("light", [0.2, 0.5, 2.0])
+@pytest.mark.parametrize("light", [0.2, 2.0])
 def test_a_lamp_that_steps_starts_a_new_budget_and_is_said(digits, patterns, tmp_path, light):
     half = SCENES // 2
     lab = Lab(lamp=(1.0,) * half + (light,) * half)
@@ -121,8 +121,7 @@ def test_a_lamp_that_steps_starts_a_new_budget_and_is_said(digits, patterns, tmp
     assert found[-1].predicted is not None
 
 
-@pytest.mark.parametrize("length", [4e-3, 8e-3])
-def test_a_scene_in_which_the_light_goes_out_gets_no_class(digits, patterns, tmp_path, length):
+def test_a_scene_in_which_the_light_goes_out_gets_no_class(digits, patterns, tmp_path):
     """At five moments of the run, each within the looks of a scene."""
     starts = []
     whole = VirtualOptics.display
@@ -132,7 +131,7 @@ def test_a_scene_in_which_the_light_goes_out_gets_no_class(digits, patterns, tmp
 
     answers(tmp_path / "sound", patterns, digits, change=watch)
     struck = range(2, 12, 2)
-    outs = tuple((starts[k] + 4e-3, starts[k] + 4e-3 + length) for k in struck)
+    outs = tuple((starts[k] + 4e-3, starts[k] + 8e-3) for k in struck)
     found = answers(tmp_path / "run", patterns, digits, Lab(outs_s=outs))
     for place in struck:
         assert found[place].predicted is None, found[place]

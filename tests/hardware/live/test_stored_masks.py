@@ -5,15 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
-from conftest import exposing
-from deepfsi import evaluate, learn, load_design
+from deepfsi import evaluate, load_design
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.live import record as frame_log
 from deepfsi.hardware.live.record import LiveCounts
-from deepfsi.hardware.live.run import plan_live, run_live
+from deepfsi.hardware.live.run import run_live
 from deepfsi.hardware.patterns.folder import (
     FrameSettings,
     export_patterns,
@@ -21,54 +19,34 @@ from deepfsi.hardware.patterns.folder import (
     read_patterns,
 )
 from deepfsi.hardware.patterns.frames import unpack
-from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
 from deepfsi.hardware.virtual.setup import virtual_setup
 from deepfsi.lab import adaptive_looks
-from deepfsi.lab.setup import design_rails, open_looks
-from shared.live_samples import replay, scenes_of
+from deepfsi.lab.setup import design_rails
+from shared.live_samples import (
+    DEVICE,
+    EXPOSURE_S,
+    FLUX,
+    live,
+    make_patterns,
+    planned,
+    replay,
+    scenes_of,
+)
 
-LOOKS, MASKS, FLUX, EXPOSURE_S, LOAD_S = 12, 300, 1e6, 10e-3, 2e-3
+LOOKS, MASKS = 12, 300
 OFF = 1
-DEVICE = find_device("64x48").model_copy(update={"load_us": round(LOAD_S * 1e6)})
 
 
 @pytest.fixture(scope="module")
-def design(digits):
-    """Digits at 10⁴ photons."""
-    settings = {"design": "adaptive", "masks": LOOKS, "photons": FLUX * EXPOSURE_S}
-    return learn(digits, **settings, training={"dictionary": MASKS})
+def patterns(digits, tmp_path_factory):
+    """Patterns of digits at 10⁴ photons."""
+    settings = {"masks": LOOKS, "training": {"dictionary": MASKS}}
+    return make_patterns(tmp_path_factory.mktemp("stored"), digits, **settings)
 
 
 @pytest.fixture(scope="module")
-def patterns(design, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("stored")
-    design.save(folder / "a.safetensors")
-    rails = design_rails(folder / "a.safetensors")
-    export_patterns(rails, FrameSettings(DEVICE, 1e-3), folder / "patterns")
-    return folder / "patterns"
-
-
-def devices_of(patterns, data, count, camera=CAMERAS["ideal"], **settings):
-    """Acquisition, virtual devices and looks of scenes."""
-    (x, scenes), looks = scenes_of(data, count), open_looks(patterns)
-    told = {"flux": FLUX, "camera": camera.model_dump(mode="json"), "seed": 0, **settings}
-    acquisition = plan_live(patterns, scenes, EXPOSURE_S, looks=looks, **told)
-    devices = virtual_setup(patterns, x, acquisition, decision_s=looks.decision_s)
-    return acquisition, devices, looks
-
-
-def run(folder, patterns, data, count, **settings):
-    """Run scenes on the virtual bench; their decisions."""
-    acquisition, devices, looks = devices_of(patterns, data, count, **settings)
-    return list(run_live(folder, patterns, acquisition, devices, looks))
-
-
-@pytest.fixture(scope="module")
-def whole(digits, patterns, tmp_path_factory):
-    """Folder of a run of 100 scenes, and its decisions."""
-    folder = tmp_path_factory.mktemp("whole") / "run"
-    decided = run(folder, patterns, digits, 100)
-    return folder, decided
+def design(patterns):
+    return load_design(patterns.parent / "adaptive.safetensors")
 
 
 def test_the_folder_holds_the_dictionary_once_mask_by_mask(design, patterns):
@@ -88,7 +66,9 @@ def test_frames_that_are_shown_are_the_exported_ones_bit_for_bit(
     digits, patterns, tmp_path, monkeypatch
 ):
     """Index p shows picture p of the folder, of the mask that the posterior asks for; no load."""
-    acquisition, devices, looks = devices_of(patterns, digits, 2)
+    x, scenes = scenes_of(digits, 2)
+    acquisition, looks = planned(patterns, scenes)
+    devices = virtual_setup(patterns, x, acquisition)
     shown, chosen, projector = [], [], devices.projector
     choose = adaptive_looks.DictionaryPosterior.choose
     monkeypatch.setattr(
@@ -120,31 +100,14 @@ def test_frames_that_are_shown_are_the_exported_ones_bit_for_bit(
     assert not asked
 
 
-def test_counts_are_those_of_the_exported_pictures(digits, patterns, whole):
-    """Poisson, with the mean that the light through picture p has in its gate."""
-    folder, _ = whole
-    x, _ = scenes_of(digits, 100)
-    read, z = read_patterns(patterns), []
-    for shown, lists in LiveCounts.count(folder).by_scene:
-        for each, counted in zip(shown.lists[1:-1], lists[1:-1], strict=True):
-            lit = read.fractions[each.frames[0] - 2]
-            light = lit @ x[shown.scene].ravel() * FLUX / read.manifest.summed_reflectance
-            expected = light * each.gate_ns[0] * 1e-9
-            if expected > 20:
-                z.append((counted.counts[0, 0] - expected) / np.sqrt(expected))
-    assert len(z) > 500
-    assert abs(np.mean(z)) < 5 / np.sqrt(len(z))
-    assert abs(np.mean(np.square(z)) - 1) < 5 * np.sqrt(2.1 / len(z))
-
-
-def test_decisions_are_those_of_the_design_and_its_replay(digits, design, patterns, whole):
+def test_decisions_are_those_of_the_design_and_its_replay(digits, design, patterns, tmp_path):
     """Accuracy within the noise of both; the replay answers the same."""
-    folder, decided = whole
+    folder = tmp_path / "run"
+    decided = live(folder, patterns, digits, 100)
     last = [each.answer for each in decided if each.answer]
     right = np.mean([each.predicted == each.label for each in last if each.predicted])
     few = replace(digits, x_test=digits.x_test[:100], y_test=digits.y_test[:100])
-    own = load_design(patterns.parent / "a.safetensors")
-    [wanted] = evaluate(own, few, FLUX * EXPOSURE_S, draws=2)
+    [wanted] = evaluate(design, few, FLUX * EXPOSURE_S, draws=2)
     assert abs(right - wanted.accuracy) < 5 * np.sqrt(
         2 * wanted.accuracy * (1 - wanted.accuracy) / 100
     )
@@ -160,26 +123,8 @@ def test_decisions_are_those_of_the_design_and_its_replay(digits, design, patter
     assert len(faults) <= 11  # 0.04 of 100 at most, at a chance of 1 in 1000
 
 
-@pytest.mark.parametrize("load_s", [0.0, 1.0])
-def test_the_clock_of_a_scene_has_no_loading(digits, patterns, tmp_path, load_s):
-    """All frames are loaded before the first scene, however long that takes."""
-    acquisition, devices, looks = devices_of(patterns, digits, 1)
-    devices.projector._optics.latencies |= dict.fromkeys(("transfer", "command", "decision"), 0)
-    devices.projector._optics.latencies |= {"load": load_s, "block": 1e-6}
-    began = devices.clock()
-    [answer] = [
-        step.answer
-        for step in run_live(tmp_path / "run", patterns, acquisition, devices, looks)
-        if step.answer
-    ]
-    ends_s = 2 * 3 * 1e-3  # all ON and all OFF, before and after, in lists that end all OFF
-    assert EXPOSURE_S < answer.clock_s < EXPOSURE_S + ends_s + LOOKS * 0.1e-3
-    loaded = (MASKS + 4) * load_s
-    assert loaded <= devices.clock() - began < loaded + 0.1
-
-
 def test_devices_that_load_nothing_while_they_run_show_a_dictionary(patterns, tmp_path):
-    rails = design_rails(patterns.parent / "a.safetensors")
+    rails = design_rails(patterns.parent / "adaptive.safetensors")
     frames = FrameSettings(find_device("dlp6500"), 1e-3, format="planes")
     written = export_patterns(rails, frames, tmp_path / "other")
     lines = " ".join(map(str, written.lines()))
@@ -189,83 +134,20 @@ def test_devices_that_load_nothing_while_they_run_show_a_dictionary(patterns, tm
     assert "virtual devices alone" not in " ".join(map(str, read_patterns(patterns).lines()))
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (
-            {"patterns": 303},
-            "304 frames do not fit 64x48, whose controller holds 303: learn the design with "
-            "`dictionary` of 299 at most, or use a device that holds them, such as dlp7000",
-        ),
-        ({"video_us": 10000}, "shown by their index, and 64x48 shows the frames of a video"),
-    ],
-)
-def test_devices_that_cannot_hold_or_reach_a_mask_are_refused(patterns, tmp_path, change, words):
-    """In one line, with nothing written."""
-    device = DEVICE.model_copy(update=change)
-    rails = design_rails(patterns.parent / "a.safetensors")
-    with pytest.raises(InputError, match=words) as refused:
+def test_a_device_that_cannot_hold_the_masks_is_refused(patterns, tmp_path):
+    rails = design_rails(patterns.parent / "adaptive.safetensors")
+    device = DEVICE.model_copy(update={"patterns": MASKS + 3})
+    with pytest.raises(InputError, match="`dictionary` of 299 at most"):
         export_patterns(rails, FrameSettings(device, 1e-3), tmp_path / "other")
-    assert "\n" not in str(refused.value)
     assert not list(tmp_path.iterdir())
-    if "patterns" in change:  # one more is enough
-        held = DEVICE.model_copy(update={"patterns": 304})
-        export_patterns(rails, FrameSettings(held, 1e-3), tmp_path / "held")
 
 
-def test_a_mask_without_light_is_not_of_a_dictionary(design, tmp_path):
-    """It has no frame, and its counts tell nothing."""
-    exposure = design.prior_exposure
-    masks = exposure.dictionary.masks.clone()
-    masks[3] = 0
-    dark = replace(exposure.dictionary, masks=masks)
-    exposing(design, dictionary=dark).save(tmp_path / "a.safetensors")
-    with pytest.raises(InputError, match="mask without light in its dictionary"):
-        design_rails(tmp_path / "a.safetensors")
-    kept = type(dark).drawn(torch.cat([masks, 0 * masks]), 1000, torch.Generator())
-    assert len(kept) == MASKS - 1
-
-
-@pytest.mark.parametrize("other", [2 + MASKS, OFF])
-def test_a_frame_that_is_no_mask_of_the_dictionary_is_found(digits, patterns, tmp_path, other):
+def test_a_frame_that_is_no_mask_of_the_dictionary_is_found(digits, patterns, tmp_path):
     folder = tmp_path / "run"
-    run(folder, patterns, digits, 1)
+    live(folder, patterns, digits, 1)
     path = folder / frame_log.FrameLog.NAME
     content = json.loads(path.read_text())
-    content["lists"][1]["frames"] = [other]
+    content["lists"][1]["frames"] = [OFF]
     path.write_text(json.dumps(content) + "\n")
     with pytest.raises(InputError, match="does not fit the patterns"):
         replay(folder)
-
-
-def test_tables_are_kept_while_the_light_stays(digits, patterns, tmp_path, monkeypatch):
-    """Computed anew where budget or dark counts are others; each run begins with its own."""
-    from deepfsi.adaptive import dictionary
-
-    computed = []
-    made = dictionary.MaskTables.of.__func__
-    monkeypatch.setattr(
-        dictionary.MaskTables,
-        "of",
-        classmethod(lambda cls, *given: (computed.append(given[2]), made(cls, *given))[1]),
-    )
-    acquisition, devices, looks = devices_of(patterns, digits, 20, photons=FLUX * EXPOSURE_S)
-    list(run_live(tmp_path / "one", patterns, acquisition, devices, looks))
-    assert len(computed) == 1
-    state = looks.exposure.optics_at(1e4)
-    assert looks.tabled(1, replace(state, photons=1.019e4)) is not state
-    first = looks.tabled(0, state)
-    assert first is state
-    assert looks.tabled(1, replace(state, photons=1.019e4)) is state
-    assert looks.tabled(2, replace(state, dark=3.0)) is state
-    for other in (replace(state, photons=1.021e4), replace(state, dark=10.0)):
-        looks.tabled(0, state)
-        assert looks.tabled(3, other) is other
-        assert looks.tabled(4, replace(other)) is other
-
-
-def test_dark_counts_are_known(digits, patterns, tmp_path):
-    camera = VirtualCamera(dark=FLUX / 4)
-    noisy = run(tmp_path / "noisy", patterns, digits, 40, camera=camera)
-    right = [each.answer.predicted == each.answer.label for each in noisy if each.answer]
-    assert np.mean(right) > 0.7
