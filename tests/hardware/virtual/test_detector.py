@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from deepfsi.hardware.patterns.folder import GatePlan
 from deepfsi.hardware.virtual import detector as module
@@ -77,18 +76,6 @@ def test_arrivals_are_poisson_and_even_in_each_piece():
     assert all((np.diff(run) >= 0).all() for run in runs)
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_thinning_keeps_what_a_loop_keeps(seed):
-    dice = rng(seed)
-    times = np.cumsum(dice.exponential(10 ** dice.uniform(0, 3), 3000)).astype(np.int64)
-    kept, last = [], -(10**9)
-    for time in times.tolist():
-        if time >= last + 100:
-            kept.append(time)
-            last = time
-    assert module.thin(times, 100).tolist() == kept
-
-
 @pytest.mark.parametrize("detector", [PARALYSABLE, NON_PARALYSABLE], ids=["pmt", "spad"])
 def test_dead_time_is_carried_from_chunk_to_chunk(monkeypatch, detector):
     monkeypatch.setattr(module, "EVENTS_AT_ONCE", 3)
@@ -98,21 +85,6 @@ def test_dead_time_is_carried_from_chunk_to_chunk(monkeypatch, detector):
     expected = detector.registered(rate) * pieces * 4 * TAU
     assert np.diff(events).min() >= DEAD
     assert abs(len(events) - expected) <= 5 * np.sqrt(expected)
-
-
-def test_chunks_are_the_course_in_pieces(monkeypatch):
-    monkeypatch.setattr(module, "EVENTS_AT_ONCE", 1000)
-    durations = np.array([10**9, 3 * 10**12, 1, 7 * 10**10])
-    flow = np.array([[1e4, 5.0], [2e4, 0.0], [1e3, 1e3], [0.0, 3e5]])
-    chunks = list(divide(durations, flow))
-    assert sum(int(pieces.sum()) for pieces, _ in chunks) == durations.sum()
-    light = sum((rates * pieces[:, None]).sum(axis=0) for pieces, rates in chunks)
-    assert light == pytest.approx((flow * durations[:, None]).sum(axis=0))
-    loads = [
-        float((rates.sum(axis=1) * pieces).sum() * DETECTOR_TICK_S) for pieces, rates in chunks
-    ]
-    assert max(loads) <= 2 * 1000
-    assert len(chunks) > 50
 
 
 # A gated detector
@@ -146,8 +118,3 @@ def test_a_gated_detector_registers_the_first_arrival_of_each_gate_alone(monkeyp
     assert 200 < len(wanted) < len(free) / 2
     fired = record(Detector(gates=4), durations, rates, shutter=module.Shutter(starts, GATES))
     assert fired.tolist() == wanted
-
-
-def test_a_gated_detector_has_no_other_blindness():
-    with pytest.raises(ValidationError, match="blind until its gate ends, and has no dead time"):
-        Detector(gates=2, dead_time_s=1e-8)

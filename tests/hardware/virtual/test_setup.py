@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
 from deepfsi.hardware.photons.reader import count_windows, read_markers, summarise
 from deepfsi.hardware.virtual import camera as camera_module
 from deepfsi.hardware.virtual.camera import VirtualCamera
@@ -12,16 +11,7 @@ from deepfsi.hardware.virtual.setup import (
     LATENCIES,
     VirtualCounter,
     VirtualOptics,
-    VirtualProjector,
 )
-
-
-def test_virtual_devices_say_what_comes_first():
-    setup = VirtualOptics(np.ones((1, 2, 1)), VirtualCamera(), LATENCIES)
-    with pytest.raises(InputError, match="load a pattern folder first"):
-        VirtualProjector(setup).show(np.array([0]), np.array([1e-3]))
-    with pytest.raises(InputError, match="nothing is recorded"):
-        VirtualCounter(setup, (0,)).counts_since_marker(0.0)
 
 
 def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path):

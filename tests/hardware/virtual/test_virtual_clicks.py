@@ -79,17 +79,10 @@ def test_what_is_of_photons_refuses_clicks(tmp_path):
     patterns(tmp_path / "p")
     gated = record(tmp_path, scenes(), camera=VirtualCamera(gates=GATES), **LIGHT, repeats=1)
     dead = CounterEffects(dead_time=DeadTime(seconds=2e-8))
-    for settings, match in [
-        ({"effects": dead}, "dead time is of photon counts"),
-        ({"background": "0"}, "a background is of photon counts"),
-        ({"gains": (1.0,)}, "a flat field is of photon counts"),
-        ({"exposure_s": EXPOSURE / 2}, "first photons alone of 4 gates"),
-    ]:
-        with pytest.raises(InputError, match=match):
-            count_run(gated, CountSettings(clicks=GATES, **settings))
-    for clicks in (None, 2):
-        with pytest.raises(InputError, match="first photons alone of 4 gates"):
-            count_run(gated, CountSettings(clicks=clicks))
+    with pytest.raises(InputError, match="dead time is of photon counts"):
+        count_run(gated, CountSettings(clicks=GATES, effects=dead))
+    with pytest.raises(InputError, match="first photons alone of 4 gates"):
+        count_run(gated, CountSettings(clicks=2))
     assert not (gated / "counts.npz").exists()
     count_run(gated, CountSettings(clicks=GATES))
     for use in (reconstruct, check_view, gains_of):
