@@ -66,9 +66,8 @@ def test_a_number_of_frames_that_fills_no_pictures_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("form", "name"),
-    [("planes", "patterns.csv"), ("planes", "sequence.txt"), ("bmp", "settings.txt"),
-     ("bmp", "patterns.csv"), ("npy", "patterns.csv")],
-)  # fmt: skip
+    [("planes", "sequence.txt"), ("bmp", "settings.txt"), ("npy", "patterns.csv")],
+)
 def test_tables_that_were_changed_are_found(tmp_path, form, name):
     export(tmp_path / "p", device=family("dlp6500"), format=form)
     path = tmp_path / "p" / name
@@ -87,7 +86,6 @@ def test_tables_that_were_changed_are_found(tmp_path, form, name):
     ("changes", "message"),
     [
         ({"shortest_us": 2000}, r"frame 0 \(all ON\) lasts 1000 µs, .* 2000 to"),
-        ({"longest_us": 900}, r"frame 0 \(all ON\) lasts 1000 µs, .* to 900 µs"),
         ({"patterns": 13}, "14 frames do not fit dlp6500"),
         ({"video_us": 1000}, "shows all for one time"),
     ],
@@ -103,7 +101,7 @@ def test_check_finds_what_the_device_cannot_show(tmp_path, changes, message):
         check_patterns(tmp_path / "p")
 
 
-@pytest.mark.parametrize(("name", "holds"), [("dlp6500", 400), ("dlp500yx", 400), ("dlp4500", 48)])
+@pytest.mark.parametrize(("name", "holds"), [("dlp6500", 400), ("dlp4500", 48)])
 def test_more_frames_than_a_controller_holds_are_refused(tmp_path, name, holds):
     """With four sentinels; nothing is written, and what to do is said."""
     device, masks = family(name), grey(holds - 3, rails=1)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from pattern_samples import BOARD, SMALL, UNEQUAL, every_format, every_selection, export, grey
+from pattern_samples import BOARD, SMALL, UNEQUAL, every_format, every_selection, export
 from PIL import Image
 from scipy.linalg import hadamard
 
@@ -121,7 +121,7 @@ def test_an_export_that_stops_leaves_nothing(tmp_path):
 
 
 @every_format
-@pytest.mark.parametrize(("index", "name"), [(0, "all ON"), (4, "mask 1, plus"), (13, "all OFF")])
+@pytest.mark.parametrize(("index", "name"), [(4, "mask 1, plus"), (13, "all OFF")])
 def test_a_changed_mirror_is_found_and_its_frame_named(tmp_path, form, index, name):
     folder = tmp_path / "p"
     export(folder, device=BOARD, format=form)
@@ -159,26 +159,6 @@ def test_a_changed_manifest_is_found(tmp_path):
     assert read_patterns(tmp_path / "p").manifest.frames[3].share == frames[3]["share"]
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "message"),
-    [
-        ("light", "free-dwel", "did you mean 'free-dwell'"),
-        ("light", "two-arm", "not those of two-arm"),
-        ("image_shape", [4, 0], "give 1 or more"),
-        ("image_shape", [51, 4], "do not fit"),
-        ("image_shape", [4, 5], r"shape \(10, 20\)"),
-        ("masks", 3, "mask that does not exist"),
-        ("schema_version", 2, "newer than this one: upgrade deepfsi"),
-        ("format", "gif", "format"),
-    ],
-)
-def test_a_manifest_that_does_not_fit_is_refused(tmp_path, key, value, message):
-    export(tmp_path / "p")
-    change(tmp_path / "p", **{key: value, "sha256": None})
-    with pytest.raises(InputError, match=message):
-        read_patterns(tmp_path / "p")
-
-
 def test_mirror_counts_that_do_not_fit_are_refused(tmp_path):
     shown = export(tmp_path / "p")
     path = tmp_path / "p" / "mirrors.npy"
@@ -187,7 +167,6 @@ def test_mirror_counts_that_do_not_fit_are_refused(tmp_path):
     beyond[4, 7] = shown.manifest.grid.mirrors + 1
     for content, message in (
         (shown.on.astype(np.int64), "uint32 numbers"),
-        (np.array([{}], dtype=object), "uint32 numbers"),
         (beyond, "more than their 192 mirrors"),
         (wrong, r"mirrors\.npy was changed"),
     ):
@@ -216,23 +195,12 @@ def test_another_design_beside_the_frames_is_found(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"light": "free-dwel"}, "did you mean 'free-dwell'"),
         ({"rails": np.zeros((2, 3, 16))}, "every mask is dark"),
-        ({"rails": grey(pixels=15)}, r"give \(2 or 1, masks, 16\)"),
-        ({"rails": -grey()}, "0 or more"),
-        ({"rails": grey() * np.nan}, "finite"),
         ({"light": "two-arm"}, "do not sum to one time"),
-        ({"light": "two-arm", "rails": grey(rails=1)}, "single rail"),
-        ({"dwell_s": 0}, "dwell 0 is not allowed"),
         ({"dwell_s": math.inf}, "dwell inf"),
         ({"dwell_s": 999, "rails": UNEQUAL}, "longest picture takes"),
-        ({"s": 0}, "summed reflectance 0"),
-        ({"selection": "order"}, "did you mean 'ordered'"),
-        ({"selection": "random", "seed": -1}, "seed -1"),
         ({"format": "bin"}, "give one of npy, raw, png"),
         ({"device": find_device("3x3")}, "do not fit"),
-        ({"image_shape": (16, 1, 1)}, "1 or 2 axes"),
-        ({"image_shape": (16, 0)}, "1 or 2 axes"),
         ({"device": Device(name="slow", columns=8, rows=8, settle_us=1e3)}, "leave no time after"),
     ],
 )

@@ -1,12 +1,7 @@
 """Manifest: times of pictures as asked and as the device can; adaptive masks."""
 
-import json
-
 import pytest
 from pattern_samples import export, grey
-
-from deepfsi.hardware.patterns.manifest import Manifest
-from shared.live_samples import make_patterns
 
 
 @pytest.mark.parametrize(
@@ -18,10 +13,3 @@ def test_equal_dwell_holds_every_frame_for_whole_microseconds_that_the_device_ca
     """Rounded up, but not by floating point."""
     manifest = export(tmp_path / "p", grey() / 20, "equal-dwell", dwell_s=dwell).manifest
     assert {frame.picture_us for frame in manifest.frames} == {us}
-
-
-def test_a_first_look_of_other_masks_is_refused(digits, tmp_path):
-    told = json.loads((make_patterns(tmp_path, digits) / "manifest.json").read_text())
-    told["looks"]["first"] *= 2
-    with pytest.raises(ValueError, match="other frames"):
-        Manifest.model_validate(told)
