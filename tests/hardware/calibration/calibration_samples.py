@@ -8,7 +8,6 @@ from deepfsi.hardware.calibration.view import camera_view
 from deepfsi.hardware.counting.acquisition import Calibration
 
 VIEW = np.array([[0.9, 0.05, 0.02], [-0.04, 0.88, 0.06], [0.05, -0.06, 1]])
-IDENTITY = np.eye(3)
 GRID = find_grid(find_device("dlp7000"), (32, 32), DmdLayout(stretch=True))
 
 

@@ -83,8 +83,6 @@ def train(
 
 @dataclass
 class Trouble:
-    """Fault put into a marker train."""
-
     kind: str
     scene: int
     frame: int
@@ -217,5 +215,4 @@ def whole(tmp_path_factory) -> Run:
 
 @pytest.fixture
 def run(whole, tmp_path) -> Run:
-    """A copy of it to change."""
     return whole.copy(tmp_path / "run")

@@ -104,7 +104,6 @@ def test_law_the_variance_that_is_stated_is_that_of_draws(exposures):
 
 @pytest.mark.parametrize("gain", [0.5, 3.0])
 def test_law_counts_divided_by_a_gain_have_their_variance(gain):
-    """Of μ photons gμ are counted: arrivals have the mean μ and the variance μ / g."""
     mean, draws = 2000.0, 20_000
     factors = corrections.correct(np.zeros(1), [corrections.GainCorrection(np.array([gain]))])
     seen = np.random.default_rng(4).poisson(gain * mean, draws)

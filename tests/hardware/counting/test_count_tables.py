@@ -2,58 +2,42 @@
 
 import numpy as np
 import pytest
-import torch
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.numeric.tables import NumberTable
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.device import Device
 from deepfsi.hardware.counting import tables
 from deepfsi.hardware.counting.tables import TableSettings, count_table
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails, Manifest
 from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.physics.laws import light_law
+from deepfsi.physics.detection import Detection
+from hardware.virtual.virtual_samples import (
+    SUMMED_REFLECTANCE,
+    every_optics,
+    expected,
+    patterns,
+    scenes,
+)
 
-SHAPE, PIXELS, S_BAR = (3, 4), 12, 7.0
-DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
 CELLS = (0, 0, 1, 2, 0, 0, 1, 2, 0, 0, 0, 2)
-SCENES = np.random.default_rng(4).uniform(0.1, 1, (3, *SHAPE)).astype(np.float32)
+SCENES = scenes()
 FLUX, DARK = 1e12, 1e9
-
-
-def design_of(light: str, rails: str, cells=None) -> DesignRails:
-    wild = np.random.default_rng(3).random((5, PIXELS)) - (0.5 if rails == "dual" else 0)
-    wild[1] = abs(wild[1])  # of two rails, one that is dark
-    fitted = light_law(light).fit(torch.from_numpy(wild), rails).numpy()
-    detectors = None if cells is None else DetectorMap(count=max(cells) + 1, cells=cells)
-    return DesignRails(fitted, light, SHAPE, S_BAR, None, None, detectors)
 
 
 def exported(folder, light="free-dwell", rails="single", cells=None):
     """Patterns with pictures of whole microseconds, the shortest of 10: longer than their share."""
-    return export_patterns(design_of(light, rails, cells), FrameSettings(DEVICE, 2e-5), folder)
+    return patterns(folder, light, rails, 2e-5, cells)
 
 
-def expected(rails: np.ndarray, cells) -> np.ndarray:
-    """Readouts (S, rails, m[, D]) of the scenes for a budget of one photon."""
-    flat = SCENES.reshape(len(SCENES), -1).astype(float) / SCENES.sum() * len(SCENES)
-    if cells is None:
-        return np.einsum("rmn,sn->srm", rails, flat)
-    parts = np.eye(max(cells) + 1)[list(cells)]
-    return np.einsum("rmn,sn,nd->srmd", rails, flat, parts)
-
-
-@pytest.mark.parametrize(
-    ("light", "rails"), [("equal-dwell", "dual"), ("free-dwell", "single"), ("two-arm", "dual")]
-)
+@every_optics
 @pytest.mark.parametrize("cells", [None, CELLS], ids=["one", "three"])
 def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rails, cells):
     """So much light that noise is left out, whatever a picture lasts beyond its share."""
-    patterns = exported(tmp_path / "p", light, rails, cells)
-    manifest, wanted = patterns.manifest, expected(patterns.rails, cells)
-    asked = design_of(light, rails, cells).rails
-    assert abs(patterns.rails - asked).max() < 0.02 * asked.max()  # each arm its rail
+    shown = exported(tmp_path / "p", light, rails, cells)
+    seen = cells and Detection.by(DetectorMap(count=3, cells=cells))
+    one_photon = SUMMED_REFLECTANCE * len(SCENES) / SCENES.sum()
+    manifest, wanted = shown.manifest, expected(shown, SCENES, one_photon, seen)
+    if cells:
+        wanted = wanted.reshape(*wanted.shape[:-1], -1, 3)
     rates = arrival_rates(tmp_path / "p", SCENES, VirtualCamera(dark=DARK), FLUX)
     values = np.rint(rates * manifest.picture_s[:, None]).reshape(len(SCENES), -1)
     assert values.shape[1] == len(tables.column_names(manifest))
@@ -74,14 +58,6 @@ def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rail
         assert one.dark_rate == pytest.approx(DARK, rel=1e-3)
     bare = values[:, 2 * manifest.inputs : -2 * manifest.inputs]
     check(bare, photons=float(counts.photons[0]), background=DARK * counts.exposure_s)
-
-
-def test_a_column_design_is_shown_by_no_one_device():
-    wild = np.ones((5, PIXELS)) / 5
-    design = DesignRails(wild[None] * np.eye(5, PIXELS)[None].clip(min=0.1), "column", SHAPE, S_BAR)
-    Manifest.from_design(design)  # dim enough
-    with pytest.raises(InputError, match="give the folder of its patterns"):
-        Manifest.from_design(DesignRails(np.eye(5, PIXELS)[None], "column", SHAPE, S_BAR))
 
 
 @pytest.fixture(scope="module")
@@ -126,8 +102,7 @@ def test_names_and_values_that_do_not_fit_are_one_line(counted):
 
 def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
     """Mean and variance of what `--gain` and `--read-noise` say, in gates of other lengths."""
-    patterns = exported(tmp_path / "p")
-    manifest, draws, gain, noise = patterns.manifest, 4000, 2.5e4, 30.0
+    manifest, draws, gain, noise = exported(tmp_path / "p").manifest, 4000, 2.5e4, 30.0
     rates = arrival_rates(tmp_path / "p", SCENES[:1], VirtualCamera(dark=1e7), 1e8)[0, :, 0]
     rng = np.random.default_rng(6)
     photons = rng.poisson(rates * manifest.picture_s, (draws, len(rates)))

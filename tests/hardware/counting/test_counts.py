@@ -41,7 +41,6 @@ EDITS = {
 
 @pytest.mark.parametrize("change", EDITS.values(), ids=EDITS)
 def test_edited_counts_are_refused(run, change):
-    """Every one of these was read, and classified, as it stood."""
     path = run.folder / "counts.npz"
     with np.load(path) as file:
         held = dict(file)

@@ -32,7 +32,6 @@ FREE = schedule([400, 900, 1300, 2100, 700, 3000, 1500, 800, 600, 1100, 2500, 19
     [
         (np.zeros(0), 1, "0 whole passes"),
         (train(EQUAL, 3).ravel(), 4, "3 whole passes"),
-        (train(EQUAL, 3).ravel(), 2, "3 whole passes"),
         (train(EQUAL, 3, pauses=0.1).ravel()[:-1], 3, "2 whole passes"),
         (np.delete(train(EQUAL, 3).ravel(), 27), 3, r"2 ms after .* \(scene 1, frame 6\)"),
         (np.random.default_rng(0).random(1000), 5, "follow the schedule"),
