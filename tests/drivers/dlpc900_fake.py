@@ -22,8 +22,6 @@ class Refused(Exception):
 
 
 class Controller:
-    """DLPC900 with its table, its pictures, and what it showed."""
-
     def __init__(self):
         self.commands: list[tuple[int, bytes]] = []  # those that were executed, reads among them
         self.shown: list[list[tuple[np.ndarray, int, int]]] = []  # of each pass: frame, µs, dark µs

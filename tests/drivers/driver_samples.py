@@ -24,7 +24,6 @@ def make_patterns(folder, device, masks, light="free-dwell", format="npy", dwell
 
 
 def collect(counter: StreamingCounter, frames: int) -> np.ndarray:
-    """Counts (frames, inputs) of so many frames or more, as they come."""
     found: list[list[int]] = []
     while len(found) < frames:
         more = counter.counts_since_marker(60).counts.tolist()
@@ -34,7 +33,6 @@ def collect(counter: StreamingCounter, frames: int) -> np.ndarray:
 
 
 def check_counts(found, path, gates, inputs, tick_s):
-    """Counts of frames are those of the file that is left, by markers of its bit 2."""
     times, bits = read_markers(path)
     starts = times[bits == 2][: len(found)]
     opens = starts + np.rint(gates.offsets_s / tick_s).astype(int)

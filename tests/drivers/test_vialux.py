@@ -224,20 +224,6 @@ def test_a_frame_is_replaced_between_two_lists(library, patterns):
     assert len(library.lists) == 2
 
 
-def test_a_list_longer_than_the_table_has_longer_pictures(library, patterns):
-    dwells = np.array([0.5, 0.1, 44e-6, 0.3])
-    library.entries = 512
-    with vialux.VialuxLooks() as projector:
-        projector.load(patterns(masks=2))
-        projector.show(np.arange(4), dwells)
-        repeats, each_s = projector.pictures(dwells)
-    shown, us = library.lists[-1]
-    assert len(shown) == repeats.sum() <= 512
-    assert (repeats * us * 1e-6 >= dwells).all()
-    assert each_s == pytest.approx(us * 1e-6)
-    assert us < 1.02 * dwells.sum() * 1e6 / (512 - 4)
-
-
 def test_more_frames_than_nine_bits_name_take_entries_of_eighteen(library, patterns):
     with vialux.VialuxLooks() as projector:
         projector.load(patterns("equal-dwell", masks=600))

@@ -32,7 +32,6 @@ class Library:
         self.on_list = lambda frames, us: None  # what happens when a list of frames is shown
 
     def step(self, name):
-        """Note a call; the fake fails there if it was told to."""
         self.calls.append(name)
         failure = self.fail_at.pop(name, None)
         if isinstance(failure, BaseException):
@@ -41,7 +40,6 @@ class Library:
             raise KeyError(failure) if failure > 1020 else ALPError(f"Failure {failure}.")
 
     def note(self, number):
-        """Note the list of frames that a sequence shows, and its picture time."""
         controls = self.sequences[number]["controls"]
         wide = controls.get(vialux.Alp.FLUT_MODE) == vialux.Alp.FLUT_18BIT
         if vialux.Alp.FLUT_MODE in controls:
