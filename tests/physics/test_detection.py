@@ -119,28 +119,11 @@ def test_a_step_of_training_is_the_scanners_forward_and_its_gradient(
         assert torch.allclose(one, other, rtol=0, atol=1e-11)
 
 
-@every_map
-def test_arranging_loses_nothing(detectors):
-    seen, scenes = detection_by(detectors), photons()
-    arranged = seen.arrange(scenes)
-    assert torch.equal(seen.restore(arranged), scenes)
-    assert arranged.sum() == pytest.approx(float(scenes.sum()), rel=1e-6)
-    some = torch.rand(48, generator=generator(4)) < 0.4
-    part = seen.of_pixels(some)
-    assert part.count == seen.count
-    assert torch.equal(part.restore(part.arrange(scenes[:, some])), scenes[:, some])
-
-
 @pytest.mark.parametrize(
     ("detectors", "match"),
     [
-        ("0x2", "from 1x1 to 6x8"),
         ("7x2", "from 1x1 to 6x8"),
-        ("2", "give ROWSxCOLUMNS"),
-        ("2x2x2", "do not divide"),
-        (np.zeros(47, int), "give 48 whole numbers"),
         (np.zeros(48), "type float64"),
-        (np.arange(48) % 5 + 1, "number them from 0"),
         (np.array([0, 2] * 24), "without a gap"),
     ],
 )

@@ -7,8 +7,6 @@ from torch import Tensor
 from conftest import generator
 from deepfsi import Camera, Scanner
 from deepfsi.base.errors import InputError
-from deepfsi.jobs.exposures import Range
-from deepfsi.jobs.job import Job
 from deepfsi.physics import noise as noise_module
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.noise import Poisson
@@ -39,7 +37,6 @@ def covariance(rates: Tensor, frames: Tensor) -> Tensor:
 
 
 def frames_of(optics: str, detectors: int) -> Tensor:
-    """Number of the frame of each readout."""
     rails, frames = OPTICS[optics]
     return torch.tensor(frames).T[: len(rails)].repeat_interleave(detectors, dim=1).flatten()
 
@@ -56,7 +53,6 @@ def assert_covariance(counts: Tensor, mean: Tensor, expected: Tensor) -> None:
 @pytest.mark.parametrize("optics", OPTICS)
 @pytest.mark.parametrize("detection", [Detection(), TILES], ids=["one detector", "two"])
 def test_counts_of_one_frame_share_its_light(optics, detection):
-    """For all detectors; for both rails where two arms see them at once."""
     scanner = Scanner.from_rails(OPTICS[optics][0], FLUCTUATION, detection=detection)
     rates = scanner.rates(LIGHT).flatten()
     counts = scanner.counts(LIGHT.expand(DRAWS, 4), generator()).flatten(1)
@@ -107,7 +103,3 @@ def test_what_is_of_steady_light_says_so():
     with pytest.raises(InputError, match="leave fluctuation or noise out"):
         Camera.load(noise="click", fluctuation=0.1)
     assert Camera.load(Camera(fluctuation=0.1), noise="click").fluctuation == 0
-    job = Job(photons=1e3, masks=4, camera=Camera(fluctuation=0.1), exposure=Range(span=10))
-    assert any("leave out fluctuation" in str(fault) for fault in job.exposure.faults(job))
-    assert not Camera(fluctuation=0.1).noise_facts.exact
-    assert Camera().noise_facts.exact

@@ -96,7 +96,6 @@ def test_what_a_projector_leaks_is_of_its_dose(rails, levels):
 @pytest.mark.usefixtures("uncharacterised", "trained_once")
 @pytest.mark.parametrize("design", ["deepfsi", "pca", "raster", "control"])
 def test_a_design_for_a_projector_counts_what_leaks(design):
-    """Its file holds the light of OFF pixels, and its tests count it."""
     camera = {"light": "dose", "rails": "single", "contrast": 20.0}
     made_design = quick(synthetic((8, 8)), design, camera=camera)
     lit = frames(made_design.rails.stacked)
@@ -106,7 +105,6 @@ def test_a_design_for_a_projector_counts_what_leaks(design):
 
 
 def scan(design: str, digits) -> Tensor:
-    """Rails of all N masks, float64."""
     matrix = torch.from_numpy(sensing_matrix(design, N, digits))
     if design == "raster":
         return matrix.unsqueeze(0)

@@ -3,7 +3,6 @@
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
-import pytest
 import torch
 
 import deepfsi
@@ -84,14 +83,6 @@ def learn(data, **others):
 
 def learn_adaptive(data):
     return deepfsi.learn(data, design="adaptive", masks=3, photons=1e4, camera="dmd")
-
-
-@pytest.mark.parametrize("setting", SETTINGS)
-def test_a_design_is_learned_whatever_torch_is_set_to(digits, setting):
-    def rails():
-        return learn(digits).rails.stacked
-
-    assert same(rails(), under([setting], rails))
 
 
 def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digits, tmp_path):

@@ -18,35 +18,6 @@ DRAWS = 100_000
 ONE_RAIL = detection.Readouts(
     torch.tensor([[True], [False]]), torch.tensor([[1.0], [0.0]]), torch.zeros(2, 1).long()
 )
-LIMIT = noise_module.POISSON_LIMIT
-DEVICES = ["cpu", *["cuda"] * torch.cuda.is_available()]
-RATES = [0, 1e-3, 1, 1e3, math.nextafter(LIMIT, 0), LIMIT, math.nextafter(LIMIT, 1e9), 1e8, 1e10]
-
-
-@pytest.mark.parametrize("rate", RATES)
-@pytest.mark.parametrize(
-    ("name", "sigma", "dark"),
-    [
-        ("poisson", 0.0, 0.0),
-        ("ml_gauss", 0.0, 0.0),
-        ("gaussian", 1.0, 0.0),
-        ("gaussian", 7.0, 0.0),
-        ("camera", 0.0, 0.3),
-        ("camera", 0.5, 0.0),
-        ("camera", 7.0, 50.0),
-    ],
-)
-@pytest.mark.parametrize("device", DEVICES)
-def test_counts_have_the_mean_and_variance_of_light_dark_counts_and_read_noise(
-    name, sigma, dark, rate, device
-):
-    rates = torch.full((DRAWS,), rate, dtype=torch.float64, device=device)
-    seeded = torch.Generator(device).manual_seed(4)
-    counts = noise_module.make_noise(name, sigma=sigma).draw(rates, seeded, dark)
-    variance = sigma**2 + (0 if name == "gaussian" else rate + dark)
-    rounding = 0.5 * (rate > 1e6) if name != "gaussian" else 1e-6
-    poisson = name in ("poisson", "camera")
-    assert_moments(counts.cpu(), rate, variance, poisson=poisson, rounding=rounding)
 
 
 @pytest.mark.parametrize("rate", [0.05, 0.5, 2.0])
@@ -64,12 +35,6 @@ def test_counts_of_one_rail_follow_their_rate_by_the_trapezoid_rule(rate):
     assert abs(found - law[:-1] @ (slope[:-1] + slope[1:]) / 2) <= error
     exact, straight = law[:-1] @ losses.detach().diff(), law @ slope
     assert abs(found - exact) < abs(straight - exact) / 4
-
-
-@pytest.mark.parametrize("noise", [noise_module.MlGauss(), noise_module.Gaussian(2.0)], ids=repr)
-def test_gradients_equal_finite_differences(noise):
-    rate = torch.tensor([1e-2, 0.3, 1.0, 40.0, 1e3], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda r: noise.draw(r, generator()).square(), rate)
 
 
 ALL = [
@@ -138,13 +103,8 @@ def test_a_noise_of_ones_own_is_drawn_for_each_rail(own):
     ("own", "match"),
     [
         (exact, "no gradient in the rates"),
-        (lambda rates: rates, "cannot be used"),
         (lambda rates, generator: rates[:, :1], "of the shape of the rates"),
-        (lambda rates, generator: rates / 0, "no finite counts"),
-        (lambda rates, generator: rates.tolist(), "cannot be used"),
-        ("shared.noises:no_such", "has no no_such"),
         ("no_such_module:noise", "No module named"),
-        ("camrea", "did you mean 'camera'"),
     ],
 )
 def test_what_is_no_noise_is_refused_in_one_line(digits, own, match):
@@ -153,7 +113,7 @@ def test_what_is_no_noise_is_refused_in_one_line(digits, own, match):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", [0, 1e-3, 1, 1e3, noise_module.POISSON_LIMIT, 1e10])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("name", ["poisson", "ml_gauss"])
 def test_float32_keeps_mean_and_variance_up_to_1e10(name, rate, dtype):

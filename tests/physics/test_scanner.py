@@ -27,7 +27,6 @@ def scanner_of(name: str, rails: Tensor = RAILS) -> Scanner:
 
 
 def variances(name: str, rates: Tensor) -> Tensor:
-    """Variance of each rail, (2, 4)."""
     light = {"none": 0 * rates, "gaussian": 0 * rates, "camera": rates + DARK * TIMES}
     read = SIGMA**2 if name in ("gaussian", "camera") else 0.0
     return light.get(name, rates) + read * LIT
@@ -147,10 +146,7 @@ def test_dark_rails_and_dark_scenes_give_finite_gradients(light, rails, name):
     ("photons", "match"),
     [
         (torch.ones(5, 3), r"shape \(5, 3\) do not fit masks of 2 pixels"),
-        (torch.ones(5, 3, 3), "or images of so many"),
-        (torch.tensor(1.0), "do not fit masks of 2 pixels"),
         (torch.ones(5, 2).numpy(), "ndarray: give a tensor"),
-        ([[1.0, 2.0]], "list: give a tensor"),
         (torch.ones(5, 2, dtype=torch.int64), r"give photons.float\(\)"),
     ],
 )
@@ -165,12 +161,9 @@ def test_photons_of_another_shape_or_kind_are_refused(photons, match):
     ("make", "match"),
     [
         (lambda: Scanner.from_rails(torch.ones(3, 64)), r"rails of shape \(3, 64\)"),
-        (lambda: Scanner.from_rails(torch.ones(2, 3, 64).numpy()), "rails of ndarray"),
         (lambda: Scanner.from_rails(torch.ones(3, 3, 64)), "3 rails"),
-        (lambda: Scanner.from_rails(torch.ones(2, 3, 64).int()), "torch.int32"),
         (lambda: Scanner(torch.ones(2, 3, 64)), "give Scanner.from_rails"),
         (lambda: LearnedMasks(torch.ones(64), "column"), r"a start of shape \(64,\)"),
-        (lambda: LearnedMasks([[1.0]], "column"), "a start of list"),
         (lambda: LearnedMasks(-torch.ones(3, 64), "column", "single"), "negative entries"),
     ],
 )

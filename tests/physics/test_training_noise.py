@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from conftest import assert_moments
-from deepfsi.physics import detection, noise, training_noise
+from deepfsi.physics import detection, noise
 from deepfsi.physics.detection import Rails
 from deepfsi.physics.training_noise import TrainingNoise
 from shared.noises import RAILS
@@ -62,13 +62,6 @@ def test_a_noise_that_does_not_count_deviates_as_counts_over_the_gain(kind):
         assert torch.allclose(found[job].double(), power.double() / gain**2)
 
 
-@pytest.mark.parametrize("kind", ["ml_gauss", "poisson"])
-def test_a_part_of_the_trainings_has_their_own_noise(kind):
-    part = side_by_side(kind).of_jobs(slice(1, 2))
-    assert part.gain.tolist() == [[200.0]]
-    assert part.unit.item() == pytest.approx(200**-0.5)
-
-
 @pytest.mark.parametrize("kind", ["poisson", "camera"])
 def test_training_follows_mean_light_and_time(kind):
     """E[y²] = μ² + (L + σ² / Φ + d / Φ) / Φ a feature: slopes 2 μ in μ, 1 / Φ in L and in d / Φ."""
@@ -89,14 +82,3 @@ def test_training_follows_mean_light_and_time(kind):
         error = 5 * by_light.std(dim=0) / math.sqrt(DRAWS)
         by_time = read.time.grad[0, 0] / DRAWS  # through d = D t
         assert ((by_time - dark / gain**2).abs() <= error * dark / gain).all()
-
-
-def test_each_seed_has_an_order_of_its_own():
-    def order(seed):
-        one = TrainingNoise.of([noise.Poisson()], GAINS[:1], [seed], torch.device("cpu"))
-        stream = training_noise.SeedStream(seed, slice(0, 1), one, torch.arange(64), 16)
-        stream.shuffle()
-        return stream.order
-
-    assert torch.equal(order(3), order(3))
-    assert not torch.equal(order(3), order(4))
