@@ -29,7 +29,6 @@ def few(digits):
 
 @pytest.fixture(scope="module")
 def varies(few):
-    """Pixels that are not all but the same in each scene."""
     return torch.from_numpy(few.x_train.std(axis=0) > 0.01)
 
 
@@ -56,16 +55,10 @@ def apart(first: Design, second: Design, pixels: torch.Tensor) -> float:
     ("design", "noise", "tight", "light", "rails"),
     [
         *(("deepfsi", "ml_gauss", 1e-3, *optics) for optics in OPTICS),
-        *(
-            (*design, *optics)
-            for design in (
-                ("pca", "ml_gauss", 1e-5),
-                ("pca", "poisson", 1e-6),
-                ("random", "ml_gauss", 1e-5),
-                ("control", "ml_gauss", 1e-2),
-            )
-            for optics in (("column", "dual"), ("two-arm", "dual"), ("free-dwell", "single"))
-        ),
+        ("pca", "ml_gauss", 1e-5, "free-dwell", "single"),
+        ("pca", "poisson", 1e-6, "two-arm", "dual"),
+        ("random", "ml_gauss", 1e-5, "column", "dual"),
+        ("control", "ml_gauss", 1e-2, "column", "dual"),
     ],
 )
 def test_replicas_train_together_as_alone(few, varies, design, light, rails, noise, tight):
@@ -87,16 +80,10 @@ def test_replicas_train_together_as_alone(few, varies, design, light, rails, noi
 @pytest.mark.parametrize(
     ("design", "change", "seeds"),
     [
-        ("pca", {}, (3, 4, 7)),
-        ("pca", {}, (3, 3, 4)),
         ("pca", {"noise": "poisson"}, (3, 3, 4)),
         ("random", {}, (3, 4, 7)),
-        ("random", {}, (3, 3, 4)),
-        ("deepfsi", {}, (3, 4, 7)),
-        ("deepfsi", {}, (3, 3, 4)),
-        ("deepfsi", {"noise": "gaussian", "sigma": 3.0}, (3, 3, 4)),
         ("deepfsi", {"light": "two-arm"}, (3, 4, 7)),
-        ("deepfsi", {"rails": "single", "light": "free-dwell"}, (3, 3, 4)),
+        ("deepfsi", {"noise": "gaussian", "sigma": 3.0}, (3, 3, 4)),
         ("control", {}, (3, 4, 7)),
         ("pca", {"span": 100.0}, (3, 3, 4)),
     ],
@@ -120,13 +107,12 @@ def test_seeds_train_together_as_alone(few, varies, monkeypatch, design, change,
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks GNU OpenMP, which torch has on Linux")
-@pytest.mark.parametrize(("given", "spins"), [({}, 0), ({"GOMP_SPINCOUNT": "7"}, 7)])
-def test_threads_wait_asleep_unless_the_user_says_otherwise(monkeypatch, given, spins):
+def test_threads_wait_asleep(monkeypatch):
     """Threads that spin beside busy programs cost several times the work itself."""
     for name in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT"):
         monkeypatch.delenv(name, raising=False)
     command, asked = [sys.executable, "-c", "import deepfsi, torch"], {"OMP_DISPLAY_ENV": "verbose"}
     said = subprocess.run(
-        command, env={**os.environ, **asked, **given}, check=True, capture_output=True, text=True
+        command, env={**os.environ, **asked}, check=True, capture_output=True, text=True
     ).stderr
-    assert f"GOMP_SPINCOUNT = '{spins}'" in said
+    assert "GOMP_SPINCOUNT = '0'" in said

@@ -82,7 +82,6 @@ def test_a_resumed_training_ends_in_the_same_bits(few, writes, path, case):
 def test_designs_of_two_seeds_side_by_side_are_resumed(
     few, writes, path, monkeypatch, design, stacked
 ):
-    """With their weights stacked, as on a GPU, or not."""
     usual = loop.Replicas
     monkeypatch.setattr(loop, "Replicas", lambda nets, _, dtype: usual(nets, stacked, dtype))
     given = settings({"noise": "poisson", "design": design, "dropout": 0.1, "device": None})
@@ -108,7 +107,6 @@ def test_trainings_that_leave_folds_out_are_resumed(digits, writes, path):
 
 @pytest.fixture
 def stopped(few, writes, path, trained_once):
-    """Checkpoint of a training that was stopped after three steps."""
     writes["last"] = 3
     with pytest.raises(Stopped):
         learn(few, checkpoint=path, **SHORT)
