@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.numeric.tables import NumberTable
@@ -78,12 +77,10 @@ def run(request, tmp_path_factory):
 
 
 def corrected(kind, dead):
-    """Settings of counting that correct for a dead time."""
     return kind(effects=CounterEffects(dead_time=dead))
 
 
 def off_by(counts, shown, rates) -> np.ndarray:
-    """Signal less its mean, in standard errors of all gates of a readout together."""
     dark = rates[:, 1:2]
     wanted = (rates[:, shown.manifest.shown] - dark) * counts.lengths_s[0] * counts.counts.shape[1]
     found = counts.signal().sum(axis=(1, 2))
@@ -119,10 +116,3 @@ def test_a_counter_near_saturation_is_named(run):
     values = NumberTable(np.rint(rates * shown.manifest.picture_s))
     with pytest.raises(InputError, match="all ON"):
         count_table(values, shown.manifest, corrected(TableSettings, slow))
-
-
-def test_a_dead_time_of_more_than_ten_microseconds_is_refused():
-    """Gates of a shortest picture time, some 100 µs, must hold many of them."""
-    assert DeadTime(seconds=1e-5).most_registered == pytest.approx(5e4)
-    with pytest.raises(ValidationError, match="less than or equal to"):
-        DeadTime(seconds=1.01e-5)

@@ -11,7 +11,7 @@ from deepfsi.camera.light import check_budget, photons_per_pixel, summed_reflect
 
 @pytest.mark.parametrize(
     "bad",
-    [0, -1, -1e4, math.nan, math.inf, -math.inf, "abc", "", None, [], [1e3], "inf", 10**400, 1j],
+    [0, -1, math.nan, math.inf, "abc", None, [1e3], 10**400],
     ids=lambda bad: repr(bad)[:12],
 )
 def test_a_budget_is_finite_and_above_zero(bad):

@@ -1,25 +1,20 @@
 """A design file gives the design back bit for bit, or one clear error; it never runs code."""
 
-import copy
 import io
-import os
 import pickle
 import random
 import sys
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import save
-from torch import nn
 
 from conftest import PHOTONS, every_optics, light_on
 from deepfsi import Design, evaluate, load_design
 from deepfsi.base.errors import InputError
-from shared.design_files import header_of, refused, rewrite
+from shared.design_files import refused, rewrite
 from shared.jobs import learn
 
 
@@ -59,22 +54,13 @@ def zipped(thing) -> bytes:
     return buffer.getvalue()
 
 
-def with_metadata(metadata) -> bytes:
-    return save({"rails": torch.ones(2, 3, 4)}, metadata)
-
-
 @pytest.mark.parametrize(
     "content",
     [
-        *(lambda whole, share=share: whole[: int(share * len(whole))] for share in (0, 0.001, 0.5)),
         lambda whole: whole[:-1],
-        *(lambda _, n=n: random.Random(n).randbytes(n) for n in (1, 7, 8, 9, 100, 10_000)),
+        lambda _: random.Random(9).randbytes(9),
         lambda _: pickle.dumps(Bomb()),
         lambda _: zipped(Bomb()),
-        *(
-            lambda _, metadata=metadata: with_metadata(metadata)
-            for metadata in (None, {"other": "x"}, {"deepfsi": "{"}, {"deepfsi": "[]"})
-        ),
     ],
 )
 def test_a_truncated_or_foreign_file_is_refused_and_not_run(saved, monkeypatch, content):
@@ -82,88 +68,6 @@ def test_a_truncated_or_foreign_file_is_refused_and_not_run(saved, monkeypatch, 
     saved.write_bytes(content(saved.read_bytes()))
     refused(saved)
     assert not Path("ran").exists()
-
-
-def test_a_file_of_another_version_is_called_so_and_a_damaged_one_is_not(saved):
-    schema = header_of(saved)["schema"]
-    rewrite(saved, lambda header, _: (header.pop("exposure"), header.update(schema=3)))
-    for fields, words in (
-        ({"deepfsi": "0.1.0"}, "written by deepfsi 0.1.0 with schema 3, older than .* make it "),
-        ({"deepfsi": "99.0.0", "schema": schema}, "99.0.0, newer than this one: upgrade"),
-        ({"deepfsi": version("deepfsi")}, "not a whole deepfsi design file"),
-    ):
-        rewrite(saved, lambda header, _, fields=fields: header.update(fields))
-        refused(saved, words)
-
-
-DAMAGE = {
-    "missing": lambda tensors, key: tensors.pop(key),
-    "shape": lambda tensors, key: tensors.update({key: tensors[key][..., 1:].contiguous()}),
-    "nan": lambda tensors, key: tensors[key].view(-1)[0].fill_(torch.nan),
-    "infinite": lambda tensors, key: tensors[key].view(-1)[0].fill_(torch.inf),
-}
-NETWORK = ("0.weight", "1.weight", "1.bias")
-
-
-@pytest.mark.parametrize("damage", DAMAGE)
-@pytest.mark.parametrize(
-    "key", ["rails", "mean", "std", "shares", *(f"classifier.layers.{part}" for part in NETWORK)]
-)
-def test_a_damaged_tensor_is_refused(saved, key, damage):
-    rewrite(saved, lambda _, tensors: DAMAGE[damage](tensors, key))
-    refused(saved)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        *(("summed_reflectance", value) for value in (0.0, -3.0, float("nan"), "bright")),
-        *(("image_shape", value) for value in ([8, 9], "8x8")),
-        *(("classes", value) for value in (["a", "b"], 10)),
-        ("classifier", {"kind": "mlp", "hidden": [9], "dropout": 0.0}),
-        ("classifier", {"kind": "forest", "hidden": [8], "dropout": 0.0}),
-        *(("schema", value) for value in ("new", 0)),
-        ("light", "two-arm"),
-        ("info", {"job": 3}),
-        ("exposure", {"kind": "patches", "side": 8}),
-        ("exposure", {"kind": "conditioned", "photons": 1e3, "span": 10.0, "masks": 7}),
-    ],
-)
-def test_a_damaged_header_is_refused(saved, key, value):
-    rewrite(saved, lambda header, _: header.update({key: value}))
-    refused(saved)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda rails: -rails,
-        lambda rails: 2 * rails,
-        lambda rails: rails[[0, 1, 1]],
-        lambda rails: rails[:0],
-    ],
-    ids=["negative", "too bright", "three rails", "no rail"],
-)
-def test_rails_that_no_design_can_have_are_refused(saved, change):
-    rewrite(saved, lambda _, tensors: tensors.update(rails=change(tensors["rails"]).contiguous()))
-    refused(saved, ".")
-
-
-@pytest.mark.parametrize("step", ["replace", "fsync", None])
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(saved, made, monkeypatch, step):
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    design, words, whole = made("pca", "column", "dual"), "cannot write", saved.read_bytes()
-    if step is None:  # what is no network of the package's own cannot be saved
-        design, words = copy.copy(design), "Linear classifier cannot be saved"
-        design.classifier = nn.Linear(7, 10)
-    else:
-        monkeypatch.setattr(os, step, full)
-    with pytest.raises(InputError, match=words):
-        design.save(saved)
-    assert list(saved.parent.iterdir()) == [saved]
-    assert saved.read_bytes() == whole
 
 
 @pytest.mark.parametrize("rails", ["dual", "single"])

@@ -10,7 +10,6 @@ from conftest import generator, once
 from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.physics.detection import Detection
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
-from shared.design_files import assert_refused
 
 KINDS = {
     "fixed": {},
@@ -60,16 +59,3 @@ def test_the_light_of_all_detectors_is_that_of_one(digits):
     rates = [each.rates(each.scanner("none"), x) for each in (design, one)]
     assert torch.allclose(rates[0].unflatten(-1, (6, 4)).sum(dim=-1), rates[1], rtol=1e-5)
     assert float(design.shares.sum()) <= 1 + 1e-6
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda header, tensors: header.update(readout="both rails"),
-        lambda header, tensors: tensors.update(detectors=tensors["detectors"] * 2),
-        lambda header, tensors: tensors.update(detectors=tensors["detectors"][:-1]),
-    ],
-    ids=["readout", "gap", "short"],
-)
-def test_damaged_detectors_are_refused(digits, tmp_path, change):
-    assert_refused(trained(digits), tmp_path, change)

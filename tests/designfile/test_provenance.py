@@ -9,7 +9,6 @@ import deepfsi
 from deepfsi import load_dataset, load_design
 from deepfsi.designfile import provenance
 from deepfsi.designfile.provenance import TrainingScenes, scene_hashes
-from shared.design_files import assert_refused
 from shared.jobs import learn
 from shared.pictures import save_images
 
@@ -30,7 +29,6 @@ def data(request, tmp_path_factory):
 
 @pytest.fixture(scope="module", params=DESIGNS)
 def design(request, data, tmp_path_factory):
-    """A design of its file."""
     made = learn(data, photons=1e4, **DESIGNS[request.param])
     return load_design(made.save(tmp_path_factory.mktemp("design") / "one.safetensors"))
 
@@ -65,8 +63,3 @@ def test_scenes_that_were_trained_on_are_left_out_of_a_test(design, data):
     [result] = deepfsi.evaluate(design, own, 1e4, draws=1)
     assert result.images == len(data.x_train)
     assert result.covers.endswith(provenance.NO_MEASURE)
-
-
-def test_hashes_that_are_none_are_refused(design, tmp_path):
-    name = provenance.SCENE_HASHES
-    assert_refused(design, tmp_path, lambda _, t: t.update({name: t[name].flip(0)}))

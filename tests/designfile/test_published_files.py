@@ -38,7 +38,6 @@ def test_what_cannot_be_found_is_said_in_one_line(tmp_path):
 
 @real_mnist
 def test_shipped_designs_are_as_accurate_as_their_page_says():
-    """On some test images, of one noise draw; within four standard errors."""
     mnist = load_dataset("mnist")
     few = replace(mnist, x_test=mnist.x_test[:200], y_test=mnist.y_test[:200])
     for name in NAMES:

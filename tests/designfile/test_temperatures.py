@@ -21,18 +21,3 @@ def test_their_logarithm_is_interpolated():
     assert temperature(1.5, 10.0) == pytest.approx(np.exp(1.5))
     assert temperature(8, 1e9) == pytest.approx(1)  # the last look, the highest budget
     assert temperature(1, 0.01) == pytest.approx(np.exp(4) * 100)  # as 1 / Φ
-
-
-@pytest.mark.parametrize(
-    "arrays",
-    [
-        {"logs": np.zeros((3, 3)), "budgets": FITTED.budgets},
-        {"logs": FITTED.logs, "budgets": FITTED.budgets[::-1]},
-        {"logs": FITTED.logs, "budgets": -FITTED.budgets},
-        {"logs": FITTED.logs + 20, "budgets": FITTED.budgets},
-        {"logs": FITTED.logs, "budgets": np.array([1.0, 10.0, 1e3])},
-    ],
-)
-def test_others_are_refused(arrays):
-    with pytest.raises(ValueError, match="temperatures"):
-        Temperatures.restored(arrays, 2)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
 from deepfsi.designfile import view_test
 from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewTest
@@ -23,21 +22,11 @@ def masks(digits):
 
 
 def exposed(model, masks, scenes, rng):
-    """Result of a run of scenes (S, N) behind masks."""
     test, none = ViewTest(model, SHAPE), np.zeros(MASKS)
     for x in scenes:
         read = rng.poisson(masks @ x.clip(min=0)).astype(float)
         test.add(SceneReadouts(masks, read, none, none.astype(int)))
     return test.result
-
-
-def test_densities_are_those_of_scenes_and_noise_together():
-    rng = np.random.default_rng(1)
-    axes, away = rng.normal(size=(3, 7)), rng.normal(size=(2, 7))
-    together = np.eye(3) + axes @ axes.T
-    logs = view_test._log_densities(together, away @ axes.T, (away**2).sum(axis=1))
-    whole = multivariate_normal(np.zeros(7), np.eye(7) + axes.T @ axes).logpdf(away)
-    np.testing.assert_allclose(logs, whole + 7 / 2 * np.log(2 * np.pi))
 
 
 def test_a_likelihood_ratio_is_1_in_the_mean_of_sound_runs(model, masks):
