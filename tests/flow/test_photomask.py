@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import deepfsi
-from conftest import RECIPE, synthetic
 from deepfsi.base.errors import InputError
 from deepfsi_flow import photomask
-from shared.design_files import rewrite
 
 SVG = "{http://www.w3.org/2000/svg}"
 PATTERNS = {
@@ -46,25 +43,3 @@ def test_grey_levels_are_kept_in_a_picture_and_refused_as_polygons():
     assert np.array_equal(picture, np.rint(255 * grey))
     with pytest.raises(InputError, match="grey levels: learn it with `levels=2`"):
         photomask.as_svg(grey, 5.0, "")
-
-
-@pytest.fixture
-def design(tmp_path):
-    """Design file of a pattern of two levels that scenes pass."""
-    made = deepfsi.learn(
-        synthetic((4, 6)),
-        photons=1e4,
-        camera={"levels": 2},
-        exposure={"bins": 6, "speed": 1.5},
-        training=RECIPE,
-    )
-    return made.save(tmp_path / "design.safetensors")
-
-
-def test_pixels_of_no_length_and_damaged_patterns_are_refused(design, refuse, tmp_path):
-    for pixel, said in ((0, "give more than 0"), ("nan", "give a finite number")):
-        out = refuse("mask", design, "--pixel", pixel, "-o", tmp_path / "m.svg")
-        assert f"--pixel {pixel}: {said}" in out
-    rewrite(design, lambda header, tensors: tensors["exposure.pattern"].mul_(3))
-    with pytest.raises(InputError, match="not a whole deepfsi design file"):
-        photomask.read_static_pattern(design)

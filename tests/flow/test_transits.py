@@ -16,7 +16,6 @@ def dark(rng: np.random.Generator) -> np.ndarray:
 
 
 def rises(times: np.ndarray, level: int) -> int:
-    """Rises of a window to a level, photon by photon."""
     low, found = 0, 0
     for place, time in enumerate(times):
         while times[low] <= time - WINDOW:
