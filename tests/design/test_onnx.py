@@ -13,7 +13,6 @@ from conftest import PHOTONS, every_optics, generator
 from deepfsi import Design
 from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.onnx import to_onnx
-from deepfsi.hardware.patterns.folder import check_patterns
 
 onnxruntime = pytest.importorskip("onnxruntime")
 
@@ -80,11 +79,3 @@ def test_the_example_in_the_docs(good, digits, tmp_path):
     assert [float(chance) for _, chance in said] == pytest.approx(
         wanted.max(axis=1).tolist(), abs=0.001
     )
-
-
-def test_a_folder_of_patterns_exports_what_the_device_shows(good, tmp_path, done):
-    file, folder = good.save(tmp_path / "d.safetensors"), tmp_path / "patterns"
-    done("dmd", "export", file, "--device", "64x48", "-o", folder)
-    done("export", folder, "-o", tmp_path / "shown.onnx")
-    shown = Design.load(folder / "design.safetensors").as_shown(*check_patterns(folder).realised)
-    assert (tmp_path / "shown.onnx").read_bytes() == to_onnx(shown) != to_onnx(good)

@@ -94,22 +94,6 @@ def test_lines_that_repeat_cost_a_few_bytes():
 
 
 @pytest.mark.parametrize(
-    ("shortest_us", "settings", "words"),
-    [
-        (105, {"masks": 397}, "401 frames do not fit dlp6500"),
-        (44, {"dwell": 104e-6}, "lasts 104 µs, and dlp6500 shows 105"),
-    ],
-)
-def test_what_the_board_cannot_show_is_refused_before_it_is_sent(
-    board, patterns, shortest_us, settings, words
-):
-    device = SMALL.model_copy(update={"shortest_us": shortest_us})
-    with pytest.raises(InputError, match=words):
-        show(patterns("equal-dwell", device=device, **settings))
-    assert {command for command, _ in board.commands} == {0x0206, 0x1A0A, 0x1A24}
-
-
-@pytest.mark.parametrize(
     ("trouble", "words"),
     [
         ({"refuse": {0x0206: 3}}, "0x0206: invalid command number"),

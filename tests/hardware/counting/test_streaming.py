@@ -30,32 +30,6 @@ def record(folder, dwells_s, rate):
     return folder / "photons.ptu"
 
 
-@pytest.mark.parametrize(("rate", "ahead"), [(0, 12), (1e5, 12), (3e6, 4)])
-def test_frames_are_counted_as_at_the_end_and_may_be_told_after_the_last(tmp_path, rate, ahead):
-    """Gates of different lengths that end before their frames do, told some at a time."""
-    dwells = np.random.default_rng(4).uniform(44e-6, 90e-6, 12)
-    path = record(tmp_path, dwells, rate)
-    times, bits = read_markers(path)
-    starts = times[bits == 2]
-    opens, lengths = starts + round(SETTLE / TICK_S), (dwells - SETTLE) * 0.8
-    wanted = count_windows(path, opens, opens + np.rint(lengths / TICK_S).astype(int), (1, 0))
-
-    counter, content = FrameCounter((1, 0), marker_bit=2), path.read_bytes()
-    found, found_s, told, most = [], [], 0, 0
-    for first in range(0, len(content), 16):
-        if len(found) == told < 12:
-            counter.expect(FrameGates.of(SETTLE, lengths[told : told + ahead]))
-            told += ahead
-        counts = counter.feed(content[first : first + 16])
-        found += counts.counts.tolist()
-        found_s += counts.starts_s.tolist()
-        most = max(most, told - len(found))
-    assert np.array_equal(found, wanted)
-    assert found_s == pytest.approx(starts * TICK_S, abs=1e-15)
-    assert (told, most) == (12, ahead)
-    assert (wanted.sum() > 0) == (rate > 0)
-
-
 def frames_of(starts, slack, rng):
     """Frames of one to three markers that a file's markers begin, and gates that fill them."""
     first, offset, told = 0, slack + 1, []
@@ -69,7 +43,7 @@ def frames_of(starts, slack, rng):
     return np.array(told).T
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("kind", ptu.KINDS.values(), ids=lambda kind: kind.name)
 def test_frames_of_all_types_of_records_are_counted_alike(tmp_path, kind, seed):
     rng = np.random.default_rng(seed)

@@ -44,23 +44,6 @@ def test_a_tagger_may_be_on_for_any_time(tmp_path, start):
 
 
 @pytest.mark.parametrize(
-    ("heading", "order"),
-    [
-        ("channel,time", (1, 0)),
-        ("Time,Channel", (0, 1)),
-        ("n,time,channel", (1, 2)),
-    ],
-)
-def test_columns_are_found_by_name_or_place(tmp_path, heading, order):
-    rows = np.zeros((len(TIMES), heading.count(",") + 1), np.int64)
-    rows[:, order[0]], rows[:, order[1]] = TIMES, CHANNELS
-    np.savetxt(tmp_path / "tags.csv", rows, "%d", ",", header=heading, comments="")
-    times, channels = read_events(tmp_path / "tags.csv")
-    assert np.array_equal(times, TIMES)
-    assert np.array_equal(channels, CHANNELS)
-
-
-@pytest.mark.parametrize(
     ("name", "content", "said"),
     [
         ("half.npy", np.array([[0.5, 1]]), "holds 0.5: give whole numbers"),

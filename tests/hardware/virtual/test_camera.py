@@ -18,7 +18,6 @@ from virtual_samples import (
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
-from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.photons.reader import summarise
@@ -67,18 +66,6 @@ def test_the_ideal_camera_gives_each_mirror_its_share_of_its_cell(shape):
     assert (seen == 0).all()
 
 
-def test_perspective_puts_a_spot_where_the_homography_does():
-    view = ((0.8, 0.1, 0.05), (-0.05, 0.7, 0.2), (0.2, -0.1, 1.0))
-    device = Device(name="large", columns=400, rows=300)
-    spot = np.zeros((1, 50, 50))
-    spot[0, 10, 35] = 1  # at (0.71, 0.21)
-    [seen] = light(spot, device, find_grid(device, (30, 40)), view=view)
-    x, y, depth = np.array(view) @ (0.71, 0.21, 1)
-    rows, columns = np.nonzero(seen)
-    assert columns.mean() + 0.5 == pytest.approx(400 * x / depth, abs=1)
-    assert rows.mean() + 0.5 == pytest.approx(300 * y / depth, abs=1)
-
-
 def test_nothing_is_seen_behind_the_camera():
     """Of a display that crosses the horizon only one side is seen, that of the area's centre."""
     view = ((-0.8, -0.6, 0.6), (-0.7, -0.6, 0.6), (1, -0.7, -0.2))
@@ -91,26 +78,6 @@ def test_nothing_is_seen_behind_the_camera():
     assert (on_display & front).sum() > 100
     assert (on_display & ~front).sum() > 100
     assert np.array_equal(seen > 0, on_display & front)
-
-
-def test_blur_keeps_the_light_and_has_its_width():
-    x = np.zeros((1, 24, 36))
-    x[0, 12, 18] = 1
-    [seen] = light(x, blur=2.0)
-    assert seen.sum() == pytest.approx(1 / MIRRORS, rel=1e-5)
-    for axis, width in ((0, 36), (1, 26)):
-        profile = seen.sum(axis=axis) / seen.sum()
-        place = np.arange(width)
-        assert (profile * (place - profile @ place) ** 2).sum() == pytest.approx(4, rel=0.02)
-
-
-def test_vignetting_dims_the_corners():
-    device = Device(name="large", columns=200, rows=200)
-    grid = find_grid(device, (2, 2))
-    seen = light(np.ones((1, 2, 2)), device, grid, vignetting=0.3)[0] * grid.mirrors
-    assert seen[100, 100] == pytest.approx(1, abs=1e-3)
-    assert seen[0, 0] == pytest.approx(0.7, abs=0.01)
-    assert seen[100, 0] == pytest.approx(0.85, abs=0.01)
 
 
 # Rates

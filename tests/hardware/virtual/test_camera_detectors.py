@@ -16,7 +16,6 @@ from virtual_samples import (
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.hardware.calibration.scans import reconstruct
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.photons import ptu
@@ -93,21 +92,6 @@ def test_a_recording_is_counted_input_by_input(tmp_path, light, rails):
     assert counts.photons == pytest.approx(FLUX * EXPOSURE * bright, rel=5e-3)
     again = read_counts(tmp_path / "run")
     assert np.array_equal(again.signal(), counts.signal())
-
-
-def test_a_picture_is_each_detectors_of_its_own_cells(tmp_path):
-    """Twenty counts of five masks tell twelve cells, where those of one detector could not."""
-    shown, x, flux = export(tmp_path / "p", "free-dwell", "single"), scenes(2), 1e9
-    run = record(tmp_path, x, camera=IDEAL, flux=flux, exposure_s=EXPOSURE, repeats=1)
-    count_run(run)
-    mean, noise = means(shown, x, flux * EXPOSURE)[:, 0], np.empty((2, 12))
-    for each in range(D):
-        own = np.array(CELLS) == each
-        back = np.linalg.pinv(shown.rails[0][:, own])
-        noise[:, own] = np.sqrt(mean[..., each] @ (back**2).T) * SUMMED_REFLECTANCE / 1e6
-    off = (reconstruct(run) - x).reshape(2, 12) / noise
-    assert noise.max() < 0.1
-    assert np.abs(off).max() < 5
 
 
 @pytest.mark.parametrize("dark", [False, True])
