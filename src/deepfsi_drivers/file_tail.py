@@ -15,9 +15,6 @@ from pathlib import Path
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
 
-BYTES_AT_ONCE = 2**21
-"""Bytes read at once."""
-
 FILE_POLL_S = 0.0001
 """Time between two looks at the file, seconds."""
 
@@ -36,7 +33,8 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
         self._bit = marker_bit
         self._appears_s = appears_s
         self._ask = ask
-        self._buffer = memoryview(bytearray(BYTES_AT_ONCE))
+        # Bytes read at once
+        self._buffer = memoryview(bytearray(2**21))
         self._file: FileIO | None = None
         self._frames: FrameCounter | None = None
 

@@ -23,9 +23,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
 from deepfsi.hardware.photons.reader import PtuStream
 
-LONGEST_MS = 360_000_000
-"""Longest recording that the devices take, 100 hours, milliseconds."""
-
 SNAPI_POLL_S = 0.0002
 """Time between two questions for records, seconds."""
 
@@ -97,7 +94,8 @@ class SnapiCounter:
         if path.exists():
             raise InputError(f"{path} is there already: give a new file")
         self._accept(self._api.setPTUFilePath(str(path.absolute())), f"record into {path}")
-        self._accept(self._api.raw.startBlock(LONGEST_MS, self.buffer, True), "start to record")
+        # Longest recording that the devices take, 100 hours, milliseconds
+        self._accept(self._api.raw.startBlock(360_000_000, self.buffer, True), "start to record")
         tick_s = self._api.deviceConfig["BaseResolution"] * 1e-12
         stream = PtuStream.without_header(path, tick_s)
         self._frames = FrameCounter(self.inputs, self.marker_bit, stream)

@@ -49,9 +49,6 @@ SYNC_MS = 5000
 TAGGER_POLL_S = 0.0002
 """Time between two questions for tags, seconds."""
 
-LOOK_S = 0.05
-"""Time between two looks for a fault of the thread, seconds."""
-
 ERROR = 1
 """Type of a tag of an error; those above tell of tags that were lost, and 0 is a signal's."""
 
@@ -144,7 +141,8 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
             if self._fault is not None:
                 raise self._fault
             left = end - time.monotonic()
-            found = self._followed.counts_since_marker(min(max(left, 0.0), LOOK_S))
+            # Time between two looks for a fault of the thread, seconds
+            found = self._followed.counts_since_marker(min(max(left, 0.0), 0.05))
             if len(found.counts) or left <= 0:
                 return found
 

@@ -40,9 +40,6 @@ from deepfsi.physics.scanner import Scanner, project
 from deepfsi.physics.training_noise import Draws, SeedStream
 from deepfsi_flow.settings import STATIC, Passing, PassingEntry
 
-SLOWEST = 0.01
-"""Least speed of an exposure over the mean one, where a draw is less."""
-
 
 @dataclass(frozen=True)
 class ScenePath:
@@ -80,7 +77,8 @@ class ScenePath:
         if not self.moves:
             return (middle + self.speed * time).expand(*shape, -1)
         draws = torch.randn(2, *shape, 1, generator=generator, device=device)
-        speed = self.speed * (1 + self.speed_jitter * draws[1]).clamp(min=SLOWEST)
+        # Least speed of an exposure over the mean one, where a draw is less
+        speed = self.speed * (1 + self.speed_jitter * draws[1]).clamp(min=0.01)
         return middle + self.jitter * draws[0] + speed * time
 
     def means(self, correlation: Tensor, edges: Tensor) -> Tensor:
@@ -165,10 +163,6 @@ def in_levels(pattern: Tensor, levels: int) -> Tensor:
     check_levels(levels)
     steps = levels - 1
     return (pattern * steps).round() / steps
-
-
-MEAN_OF = 1024
-"""Transits whose mean is taken for expected counts of all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +280,8 @@ class PassingExposure(MaskExposure):
         device = self.passed.device
         generator = torch.Generator(self.passed.device)
         every = torch.eye(self.transit.shifts, device=device).unsqueeze(1)
-        count = MEAN_OF if self.transit.moves else 1
+        # Transits whose mean is taken for expected counts of all
+        count = 1024 if self.transit.moves else 1
         edges = self.transit.edges((count,), generator.manual_seed(0), device)
         return self.transit.means(every, edges).mean(dim=1)
 

@@ -41,14 +41,8 @@ TRANSIT_TICK_S = 1e-9
 FINE = 8
 """Steps of a bin in which the place of a transit is sought."""
 
-DIMMEST = 0.01
-"""Background over the mean rate of a transit that a stray photon is held against at least."""
-
 LEAST_WINDOWS = 10
 """Windows without transits that the background is estimated from at least."""
-
-BACKGROUND_ROUNDS = 50
-"""Rounds in which the background is estimated from what is left beside transits, at most."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +98,8 @@ def find_background(times: np.ndarray, window: float, duration: float, allowed: 
     # One photon is added, so that none in a short stretch is not taken for none at all
     count = len(times)
     left = duration
-    for _ in range(BACKGROUND_ROUNDS):
+    # Rounds in which the background is estimated from what is left beside transits, at most
+    for _ in range(50):
         level = find_threshold(count / left, window, duration, allowed).photons
         starts = find_transits(times, window, level)
         spans = _joined(starts - window, starts + 2 * window, duration)
@@ -141,7 +136,8 @@ def align_transits(
     """
     cells = FINE * len(trace)
     rate = np.repeat(trace, FINE) / bin_s
-    weight = np.log1p(rate / max(background, DIMMEST * rate.mean()))
+    # Background over the mean rate of a transit that a stray photon is held against at least
+    weight = np.log1p(rate / max(background, 0.01 * rate.mean()))
     step = bin_s / FINE
     moved = []
     for start in starts:

@@ -83,16 +83,6 @@ def test_every_picture_is_decoded_to_itself():
             np.testing.assert_array_equal(found, picture)
 
 
-def test_lines_that_repeat_cost_a_few_bytes():
-    """The guide's example of its table, and a line for which the one above stands."""
-    line = [4, 5, 6] * 3 + [0x77] * 15 + [4, 5, 6, 7, 8, 9, 10, 11, 12] + [1, 2, 3] * 130
-    picture = np.tile(np.array(line, np.uint8).reshape(1, -1, 3), (2, 1, 1))
-    body = dlpc900.encode_picture(picture)[48:]
-    first = bytes.fromhex("03040506 05777777 00030405060708090A0B0C 8201010203")
-    columns = len(line) // 3
-    assert body == first + bytes([0, 1, columns & 127 | 128, columns >> 7]) + bytes([0, 1, 0])
-
-
 @pytest.mark.parametrize(
     ("trouble", "words"),
     [
@@ -169,11 +159,3 @@ def test_ctrl_c_stops_and_closes_after_the_whole_command(board, patterns, report
     assert board.commands[-1] == (0x1A24, b"\0") or report == 0
     assert not board._message
     assert not board.opened
-
-
-def test_replies_to_earlier_commands_are_passed_over(board):
-    """Such as that to a command before Ctrl-C."""
-    with dlpc900.Dlpc900Projector() as projector:
-        board.replies.append([0x60, 250, *[0] * 62])  # of another command, which failed
-        projector.halt()
-    assert not board.replies

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driver_samples import check_counts, check_records_into_a_new_file_alone, collect
+from driver_samples import check_counts, collect
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates
@@ -184,7 +184,3 @@ def test_records_are_counted_while_nobody_asks(api, tmp_path):
             threading.Event().wait(0.001)
         assert len(collect(counter, 12)) == 12
         assert len(counter.counts_since_marker(0.0).counts) == 0
-
-
-def test_no_recording_is_written_over(api, tmp_path):
-    check_records_into_a_new_file_alone(picoquant.SnapiCounter(), tmp_path)

@@ -14,7 +14,6 @@ from deepfsi.camera.device import find_device
 from deepfsi.hardware.live.record import LiveCounts
 from deepfsi.hardware.live.run import plan_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.lab.setup import design_rails, open_looks
 from shared.live_samples import DEVICE, OPTICS, live, make_patterns, scenes_of
 
@@ -109,11 +108,3 @@ def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tm
     plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 0.99, looks=open_looks(patterns))
     with pytest.raises(InputError, match="shorter than the shortest dwell"):
         plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 1.01, looks=open_looks(patterns))
-
-
-def test_dark_counts_are_known_and_change_little(digits, patterns, tmp_path):
-    """As many of them as photons through half the mirrors: the masks are made with them."""
-    camera = VirtualCamera(dark=FLUX / 2)
-    noisy = run(tmp_path / "noisy", patterns, digits, count=40, camera=camera)
-    right = [each.answer.predicted == each.answer.label for each in noisy if each.answer]
-    assert np.mean(right) > 0.75

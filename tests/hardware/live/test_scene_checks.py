@@ -152,10 +152,3 @@ def test_a_trigger_that_jitters_is_named(digits, patterns, tmp_path):
 
     with pytest.raises(InputError, match="the trigger jitters"):
         answers(tmp_path / "run", patterns, digits, change=jitter)
-
-
-def test_faults_are_printed_by_the_replay_of_a_run(digits, patterns, tmp_path, done):
-    answers(tmp_path / "run", patterns, digits, scenes=6, photons=2 * PHOTONS)
-    out = done("camera", "classify", patterns.parent / "adaptive.safetensors", tmp_path / "run")
-    assert "--photons says" in out
-    assert "no class: 6 of 6 scenes" in out

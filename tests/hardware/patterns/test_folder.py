@@ -15,7 +15,6 @@ from scipy.linalg import hadamard
 
 from conftest import FLOAT32, OPTICS
 from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Progress
 from deepfsi.camera.device import DEVICES, Device, find_device
 from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.hardware.patterns import folder as folder_module
@@ -108,16 +107,6 @@ def test_a_long_sequence_needs_the_memory_of_a_few_frames():
     some = 2051 * 3e3 + 32 * device.frame_bytes
     assert known < 2 * patterns.on.nbytes + some < whole / 5
     assert reading < patterns.on.nbytes + some
-
-
-def test_an_export_that_stops_leaves_nothing(tmp_path):
-    def stop(share: float, what: str) -> None:
-        if share > 0.5:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        export(tmp_path / "p", report=Progress(stop))
-    assert not list(tmp_path.iterdir())
 
 
 @every_format

@@ -5,7 +5,6 @@ import random
 import resource
 import struct
 import time
-import tracemalloc
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -28,7 +27,6 @@ from ptufile.ptufile import encode_tag
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.photons import ptu, records
-from deepfsi.hardware.photons.ptu import PtuWriter
 from deepfsi.hardware.photons.reader import count_windows, read_markers, summarise
 from fuzz.mutations import mangled
 
@@ -43,23 +41,6 @@ def counted(found: list[tuple[str, int, int]], starts, stops, inputs) -> np.ndar
     photons = np.array([(time, n) for what, time, n in found if what == "photon"]).reshape(-1, 2)
     inside = (photons[:, 0] >= starts[:, None]) & (photons[:, 0] < stops[:, None])
     return np.stack([(inside & (photons[:, 1] == n)).sum(axis=1) for n in inputs], axis=1)
-
-
-def test_memory_does_not_grow_with_the_file(tmp_path):
-    path, rng, million = tmp_path / "long.ptu", np.random.default_rng(0), 10**6
-    with PtuWriter(path) as writer:
-        for k in range(8):
-            times = np.sort(rng.integers(k * 10**11, (k + 1) * 10**11, million))
-            writer.write(times, rng.integers(0, 3, million))
-    edges = np.arange(0, 8 * 10**11, 10**9)
-    tracemalloc.start()
-    gated = count_windows(path, edges[:-1], edges[1:], (0, 1, 2))
-    summarise(path)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert path.stat().st_size > 32e6
-    assert gated.sum() > 7.9 * million
-    assert peak < 12e6
 
 
 @every_source

@@ -1,6 +1,5 @@
 """PTU files: every type of record against ptufile, photons between gates, files that are cut."""
 
-import os
 import tracemalloc
 
 import numpy as np
@@ -19,7 +18,6 @@ from ptu_samples import (
 )
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Progress
 from deepfsi.hardware.photons import ptu, records
 from deepfsi.hardware.photons.reader import (
     PtuStream,
@@ -130,13 +128,6 @@ def test_of_a_recording_that_may_not_be_whole_only_what_is_sure_is_counted(
     assert gated.sum() > 100
     with pytest.raises(InputError, match="gates end at"):
         count_windows(opened(path), np.array([0]), np.array([sure + 1]))
-
-
-def test_a_file_that_shrinks_while_it_is_read_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(records, "RECORDS_IN_MEMORY", 10)
-    path = save(tmp_path / "a.ptu", T2, recorded(T2.code))
-    with pytest.raises(InputError, match="shorter"):
-        summarise(path, Progress(lambda share, what: os.truncate(path, 3000)))
 
 
 # Streams ----------------------------------------------------------------------------------------

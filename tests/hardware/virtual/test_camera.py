@@ -1,7 +1,5 @@
 """The virtual camera: light where it should be, and counts that agree with the scanner's."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -17,7 +15,6 @@ from virtual_samples import (
 )
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Progress
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.photons.reader import summarise
@@ -156,38 +153,6 @@ def test_law_counts_from_a_file_are_poisson_with_the_scanners_mean(tmp_path, lig
     assert counted.counts.shape[1] >= 50
     for drawn, mean in zip(counted.counts, expected(shown, x, flux * exposure), strict=True):
         assert_poisson(drawn, mean)
-
-
-def test_a_recording_that_is_stopped_leaves_nothing_and_another_is_not_written_to(tmp_path):
-    patterns(tmp_path / "p")
-    settings = {"camera": IDEAL, "flux": 2e6, "exposure_s": 1e-3}
-
-    def stop(share: float, what: str) -> None:
-        if share > 0.5:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        record(tmp_path, scenes(), report=Progress(stop), **settings)
-    assert [path.name for path in tmp_path.iterdir()] == ["p"]
-    (tmp_path / "run").mkdir()
-    with pytest.raises(InputError, match="exists"):
-        record(tmp_path, scenes(), **settings)
-    assert not list((tmp_path / "run").iterdir())
-
-
-def test_memory_does_not_grow_with_the_duration(tmp_path, monkeypatch):
-    monkeypatch.setattr(detector, "EVENTS_AT_ONCE", 2**12)
-    peaks = []
-    for name, dwell in (("short", 1e-3), ("long", 2e-2)):
-        shown = patterns(tmp_path / name, dwell=dwell)
-        flow = arrival_rates(tmp_path / name, scenes(), CAMERAS["spad"], 1e7)
-        tracemalloc.start()
-        path, rng = tmp_path / f"{name}.ptu", np.random.default_rng(0)
-        module.write_photons(path, shown.manifest, flow, CAMERAS["spad"], rng)
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    assert (tmp_path / "long.ptu").stat().st_size > 15 * (tmp_path / "short.ptu").stat().st_size
-    assert peaks[1] < 1.5 * peaks[0]
 
 
 def test_events_stay_in_order_where_jitter_reaches_over_chunks(tmp_path, monkeypatch):

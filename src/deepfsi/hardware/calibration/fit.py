@@ -30,38 +30,11 @@ WHITE = "white.png"
 BLACK = "black.png"
 """Names of the pictures of uniform white and black."""
 
-WINDOW_CELLS = 1.5
-"""Standard deviation of the window in which a spot is centred, cells."""
-
-LEAST_PEAK_STD = 6.0
-"""A spot is seen where its peak is this many standard deviations of the noise."""
-
-FIRST_OUTLIER_CELLS = 1.0
-"""Distance beyond which a spot is left out of the first homography, cells."""
-
-LEAST_FILLED = 0.5
-"""Share of a cell that the display fills where the flat field is fitted, not continued."""
-
-FLAT_DEGREE = 4
-"""Degree of the flat field's polynomial, at most."""
-
-CELLS_PER_TERM = 4
-"""Cells that each term of the polynomial needs."""
-
 POINTS = 4
 """Points of a displayed pixel in each direction that stand for its light."""
 
-WIDEST_BLUR_CELLS = 2.0
-"""Largest blur that is looked for, cells."""
-
 OUTLIER_CELLS = 0.5
 """Distance beyond which a spot is left out of the fit, cells."""
-
-LEAST_BRIGHTNESS_STD = 5.0
-"""A spot is part of the fit where its brightness is this many of its standard errors."""
-
-LEAST_VARIANCE = 1e-3
-"""Least variance of a cell, of the largest: a cell without photons is not known exactly."""
 
 STEP_CELLS = 0.02
 """Step of the derivatives by a spot's place, cells."""
@@ -207,12 +180,14 @@ def _find_spots(pictures: np.ndarray) -> np.ndarray:
         smooth = ndimage.gaussian_filter(excess, 1.0, mode="constant")
         noise = 1.4826 * np.median(np.abs(smooth - np.median(smooth)))
         top = np.unravel_index(smooth.argmax(), smooth.shape)
-        if not smooth[top] > LEAST_PEAK_STD * noise:
+        # A spot is seen where its peak is this many standard deviations of the noise
+        if not smooth[top] > 6.0 * noise:
             continue
         spot = np.array(top, dtype=float)
         for _ in range(50):  # a Gaussian window follows the spot, which undoes its own pull
             offset = np.array([down - spot[0], across - spot[1]])
-            weight = excess * np.exp(-(offset**2).sum(axis=0) / (2 * WINDOW_CELLS**2))
+            # Standard deviation of the window in which a spot is centred, cells
+            weight = excess * np.exp(-(offset**2).sum(axis=0) / (2 * 1.5**2))
             step = 2 * (weight * offset).sum(axis=(1, 2)) / max(weight.sum(), 1e-300)
             spot += np.clip(step, -1, 1)
             if np.abs(step).max() < 1e-6:
@@ -246,7 +221,8 @@ def find_homography(
             (source, target),
             transform.ProjectiveTransform,
             min_samples=4,
-            residual_threshold=FIRST_OUTLIER_CELLS,
+            # Distance beyond which a spot is left out of the first homography, cells
+            residual_threshold=1.0,
             max_trials=500,
             stop_probability=0.9999,
             rng=0,
@@ -279,14 +255,17 @@ def _find_flat(
     white = np.asarray(white, dtype=float)
     view = geometry_matrix(image_shape, white.shape, homography, blur)
     filled = view.sum(axis=1).reshape(white.shape)
-    lit = filled > LEAST_FILLED
+    # Share of a cell that the display fills where the flat field is fitted, not continued
+    lit = filled > 0.5
     if not (lit.any() and white[lit].mean() > 0):
         raise InputError(
             "the picture of the white scene is dark, or the camera does not look at the display: "
             "take it again with a longer exposure"
         )
-    terms = [(i, n - i) for n in range(FLAT_DEGREE + 1) for i in range(n + 1)]
-    terms = terms[: max(1, int(lit.sum()) // CELLS_PER_TERM)]
+    # Degree of the flat field's polynomial, at most
+    terms = [(i, n - i) for n in range(5) for i in range(n + 1)]
+    # Cells that each term of the polynomial needs
+    terms = terms[: max(1, int(lit.sum()) // 4)]
     down, across = (2 * (np.arange(n) + 0.5) / n - 1 for n in white.shape)
     basis = np.stack([np.outer(down**i, across**j) for i, j in terms])
     scaled = (basis * filled)[:, lit].T
@@ -414,7 +393,8 @@ def _solve(
         found = optimize.least_squares(
             misfit,
             view,
-            bounds=([-np.inf] * 8 + [0.0], [np.inf] * 8 + [WIDEST_BLUR_CELLS]),
+            # Largest blur that is looked for, cells
+            bounds=([-np.inf] * 8 + [0.0], [np.inf] * 8 + [2.0]),
             x_scale=[0.01] * 8 + [0.1],
             xtol=1e-6,
             ftol=1e-6,
@@ -434,7 +414,8 @@ def _weights(pictures: np.ndarray, model: np.ndarray) -> np.ndarray:
     most = variance.max()
     if most <= 0:
         return np.ones_like(pictures)
-    return np.asarray(1 / np.sqrt(variance / most + LEAST_VARIANCE)).reshape(pictures.shape)
+    # Least variance of a cell, of the largest: a cell without photons is not known exactly
+    return np.asarray(1 / np.sqrt(variance / most + 1e-3)).reshape(pictures.shape)
 
 
 def _shifts(
@@ -457,7 +438,8 @@ def _shifts(
         brightness = (centre[k] * picture).sum() / power
         rest = picture - brightness * centre[k]
         variance = (rest**2).mean() + 1e-300
-        bright[k] = brightness > LEAST_BRIGHTNESS_STD * np.sqrt(variance / power)
+        # A spot is part of the fit where its brightness is this many of its standard errors
+        bright[k] = brightness > 5.0 * np.sqrt(variance / power)
         slope = brightness * np.stack([each[k].ravel() for each in slopes], axis=1)
         prior = variance / OUTLIER_CELLS**2 * np.eye(2)
         shifts[k] = np.linalg.solve(slope.T @ slope + prior, slope.T @ rest.ravel())

@@ -45,32 +45,11 @@ TARGET = np.array(
 )
 """The target: white blocks on black, unlike itself in all other orientations."""
 
-BLOCK_PIXELS = 64
-"""Pixels of a block's side in the picture."""
-
 LEAST_READOUTS = 8
 """Readouts that a fit needs: of five unknowns, and the light of target and surroundings."""
 
-MODEL_ERROR = 0.003
-"""Error of a readout beside its noise, of the largest: mirrors, edges and print are not exact."""
-
-LEAST_CHANCE = 1e-6
-"""Chance of the counts' misfit below which no place of the target explains them."""
-
-CLEAR = 25.0
-"""Difference of the squared misfits by which one orientation must fit better than all others."""
-
 STARTS = (0.5, 0.7, 1.0, 1.4), (-0.2, 0.0, 0.2)
 """Scales and shifts from which a fit begins."""
-
-CERTAIN_ERRORS = 2.0
-"""Standard errors by which the blur must exceed what is well: it is known less than the place."""
-
-TRIED = 2
-"""Starts of each orientation that are followed."""
-
-MOST_STEPS = 50
-"""Steps of a fit at most: a right one takes some twenty, and only wrong ones creep on."""
 
 
 class _WellPlaced:
@@ -88,7 +67,8 @@ class _WellPlaced:
 
 def _reference_picture(image_shape: tuple[int, ...]) -> np.ndarray:
     """The target as a picture in the proportions of scenes (h, w)."""
-    down, across = (max(1, round(BLOCK_PIXELS * n / max(image_shape))) for n in image_shape)
+    # Pixels of a block's side in the picture
+    down, across = (max(1, round(64 * n / max(image_shape))) for n in image_shape)
     return np.kron(TARGET, np.ones((down, across)))
 
 
@@ -141,7 +121,8 @@ class ReferenceFit:
     @property
     def doubt(self) -> str | None:
         """Reason why what was found is not certain; None where it is."""
-        if self.chance < LEAST_CHANCE:
+        # Chance of the counts' misfit below which no place of the target explains them
+        if self.chance < 1e-6:
             return (
                 "no place of the reference explains these counts: show it alone, on black, and "
                 "give the patterns that were shown"
@@ -149,7 +130,8 @@ class ReferenceFit:
         well = _WellPlaced
         limits = well.SCALE, well.SHIFT, well.SHIFT, well.ROTATION
         more = max(error / most for error, most in zip(self.errors, limits, strict=True)) ** 2
-        more = max(more, CLEAR / max(self.clear, 1e-3))
+        # Difference of the squared misfits by which one orientation must fit better than all others
+        more = max(more, 25.0 / max(self.clear, 1e-3))
         if more <= 1:
             return None
         return f"too little light to be certain: record the reference with {more:.2g} times as much"
@@ -225,7 +207,9 @@ class ReferenceFit:
             (
                 "blur",
                 f"{self.blur:.2f} ± {self.blur_error:.2f} cells (standard deviation)",
-                self.blur - CERTAIN_ERRORS * self.blur_error > _WellPlaced.BLUR,
+                # Standard errors by which the blur must exceed what is well: it is known less than
+                # the place
+                self.blur - 2.0 * self.blur_error > _WellPlaced.BLUR,
             ),
         ]
 
@@ -267,7 +251,9 @@ class _ReferenceReadouts:
     @classmethod
     def of(cls, masks: np.ndarray, counts: np.ndarray, variance: np.ndarray) -> Self:
         """Readouts with the error of the model beside their noise."""
-        least = np.maximum(variance, 1) + (MODEL_ERROR * counts.max()) ** 2
+        # Error of a readout beside its noise, of the largest: mirrors, edges and print are not
+        # exact
+        least = np.maximum(variance, 1) + (0.003 * counts.max()) ** 2
         return cls(masks, counts, np.sqrt(least))
 
     def misfit(self, image: np.ndarray) -> np.ndarray:
@@ -334,7 +320,8 @@ def _fit_place(
             return readouts.misfit(model.image(layout, place))
 
         starts.sort(key=lambda place: float((misfit(place) ** 2).sum()))
-        for start in starts[:TRIED]:
+        # Starts of each orientation that are followed
+        for start in starts[:2]:
             limits = [0.2, -0.8, -0.6, -0.6, 0.0], [4.0, 0.8, 0.6, 0.6, 2.0]
             step = optimize.least_squares(
                 misfit,
@@ -343,7 +330,9 @@ def _fit_place(
                 x_scale=[0.1, 0.1, 0.1, 0.1, 0.3],
                 ftol=1e-6,
                 xtol=1e-5,
-                max_nfev=MOST_STEPS,
+                # Steps of a fit at most: a right one takes some twenty, and only wrong ones creep
+                # on
+                max_nfev=50,
             )
             fits.append((2 * step.cost, layout, step))
     fits.sort(key=lambda fit: fit[0])

@@ -25,9 +25,6 @@ SCAN_NAMES = ("raster", "hadamard")
 MOST_CELLS = 64 * 64
 """Cells of a scan at most: a calibration with larger cells serves masks with smaller ones."""
 
-CLEAR_SIGMAS = 5.0
-"""Standard errors by which a detector must count more of a cell's light than any other does."""
-
 WORST_GAIN = 0.01
 """Standard error of a detector's efficiency at most, a share."""
 
@@ -74,7 +71,8 @@ def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
     second, best = np.argsort(light, axis=1)[:, -2:].T
     cell = np.arange(len(light))
     lead = light[cell, best] - light[cell, second]
-    clear = lead > CLEAR_SIGMAS * np.sqrt(variance[cell, best] + variance[cell, second])
+    # Standard errors by which a detector must count more of a cell's light than any other does
+    clear = lead > 5.0 * np.sqrt(variance[cell, best] + variance[cell, second])
     if not clear.all():
         place = int(np.flatnonzero(~clear)[0])
         where = " and ".join(str(axis + 1) for axis in np.unravel_index(place, shape))
@@ -140,10 +138,6 @@ def save_detectors(labels: np.ndarray, folder: Path) -> Path:
     return write_atomically(folder / "detectors.npy", file.getvalue())
 
 
-LEAST_SINGULAR_VALUE = 1e-3
-"""Least singular value that a picture is made from, of the sensing matrix's largest."""
-
-
 def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
     """Least-squares picture of each scene from its counts, less background."""
     # The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
@@ -178,4 +172,5 @@ def _solve(masks: np.ndarray, counts: np.ndarray, detectors: DetectorMap | None)
             out[:, own] = _solve(masks[:, own], counts[..., place], None)
         return out
     every = counts if detectors is None else counts.sum(axis=-1)
-    return np.asarray(lstsq(masks, every.T, cond=LEAST_SINGULAR_VALUE)[0].T)
+    # Least singular value that a picture is made from, of the sensing matrix's largest
+    return np.asarray(lstsq(masks, every.T, cond=1e-3)[0].T)

@@ -46,9 +46,6 @@ MOST_RUN_FRAMES = 2**20
 LARGEST_JSON = 2**24
 """Bytes of acquisition.json at most."""
 
-LARGEST_COMPANION = 2**32
-"""Bytes of a file beside the manifest of patterns at most."""
-
 VERDICT = "reference.json"
 """File of what the reference target showed, in the folder of a run of scenes."""
 
@@ -249,8 +246,7 @@ def prepare_run(
     patterns = read_patterns(source)
     names = ["manifest.json", "mirrors.npy", *patterns.manifest.companions]
     content = {
-        name: read_regular(source / name, LARGEST_COMPANION, "export the patterns again")
-        for name in names
+        name: read_regular(source / name, 2**32, "export the patterns again") for name in names
     }
     digest = sha256(content["manifest.json"]).hexdigest()
     if acquisition.manifest_sha256 not in (None, digest):
@@ -367,9 +363,6 @@ LARGEST_RESIDUAL_CELLS = 0.25
 LARGEST_ERROR_CELLS = 0.1
 """Standard error of the view above which a calibration is doubted, cells."""
 
-LARGEST_CALIBRATION = 2**26
-"""Bytes of a calibration's file at most."""
-
 HomographyRow = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 """Row of a homography."""
 
@@ -456,6 +449,6 @@ class Calibration(StrictModel):
     def load(cls, folder: Path) -> Self:
         """Read `calibration.json` of a folder."""
         path = Path(folder) / "calibration.json"
-        content = read_text(path, LARGEST_CALIBRATION, "calibrate the camera")
+        content = read_text(path, 2**26, "calibrate the camera")
         with as_input_error(f"'{path}'", "calibrate the camera again", content):
             return cls.model_validate_json(content)

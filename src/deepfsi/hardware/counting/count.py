@@ -45,9 +45,6 @@ from deepfsi.hardware.light.curves import PARTS_OF_FRAME, Arrivals, name_inputs
 from deepfsi.hardware.patterns.folder import GatePlan
 from deepfsi.hardware.photons.reader import PhotonSource, summarise
 
-LEAST_GATE_TICKS = 10
-"""Ticks of the counter that a gate must have at least."""
-
 
 @dataclass(frozen=True)
 class CountSettings:
@@ -144,7 +141,8 @@ class _Recording:
         """Find the frames of a run, whose counter must resolve the shortest gate."""
         source = run.open_photons()
         shortest = (gates.click_width_s if gates.clicks else gates.length_s).min()
-        if shortest < LEAST_GATE_TICKS * source.tick_s:
+        # Ticks of the counter that a gate must have at least
+        if shortest < 10 * source.tick_s:
             raise InputError(
                 f"{source.path} has times in steps of {time_text(source.tick_s)}, too coarse for "
                 f"gates of {time_text(shortest)}: give a longer exposure"

@@ -38,15 +38,6 @@ LARGEST_COUNTS = 2**27
 LEAST_UNFIRED = 25
 """Gates of all ON without a click that tell the light, at least: to 1 / 5 of a photon in each."""
 
-NO_DRIFT = 1e-7
-"""Drift of clocks that is said to be none, as a share."""
-
-SMALL_DRIFT = 1e-3
-"""Drift of clocks that is said in ppm, as a share."""
-
-NPY_HEADER = 128
-"""Bytes of the header of a vector in numpy's format."""
-
 
 @dataclass(frozen=True)
 class RunLight:
@@ -235,9 +226,11 @@ def _span(values: np.ndarray) -> str:
 
 def _drift_text(drift: float) -> str:
     """Drift of clocks, a share, in words."""
-    if abs(drift) < NO_DRIFT:
+    # Drift of clocks that is said to be none, as a share
+    if abs(drift) < 1e-7:
         return "as planned"
-    size = f"{abs(drift) * 1e6:.1f} ppm" if abs(drift) < SMALL_DRIFT else f"{abs(drift):.2%}"
+    # Drift of clocks that is said in ppm, as a share
+    size = f"{abs(drift) * 1e6:.1f} ppm" if abs(drift) < 1e-3 else f"{abs(drift):.2%}"
     return f"{size} {'shorter' if drift < 0 else 'longer'} than planned"
 
 
@@ -340,7 +333,8 @@ def _member(
     content = archive.read(info)
     kind = np.dtype(dtype)
     if shape is None:
-        shape = ((len(content) - NPY_HEADER) // kind.itemsize,)
+        # Bytes of the header of a vector in numpy's format
+        shape = ((len(content) - 128) // kind.itemsize,)
     header = npy_header(dtype, shape)
     if len(content) != len(header) + kind.itemsize * math.prod(shape) or not content.startswith(
         header

@@ -99,23 +99,10 @@ class FrameCounts:
         *,
         ends: Sequence[Frame] | None = None,
     ) -> CorrectionFactors:
-        """Factors (F, inputs) of the counts, as those of a recorded run have them.
+        """Factors (F, inputs) of the counts in gates of these lengths (F,), seconds.
 
-        Parameters
-        ----------
-        live : LiveSettings
-            With the effects of the counter.
-        manifest : Manifest
-        gate_s : array (F,)
-            Lengths of the gates, seconds.
-        ends : sequence of Frame, optional
-            The frames, if they are ends of a scene, which must not be too bright. Others are
-            corrected as the brightest that can be.
-
-        Raises
-        ------
-        InputError
-            If such a frame is too bright to be corrected.
+        Frames that are `ends` of a scene must not be too bright, or `InputError`; others are
+        corrected as the brightest that can be.
         """
         corrections = corrections_of(live, manifest)
         rates = self.counts / gate_s[:, None]

@@ -29,9 +29,6 @@ from deepfsi.hardware.patterns.folder import GatePlan
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.hardware.photons.reader import PhotonSource, count_windows, read_markers
 
-GUARD_SHARE = 0.5
-"""Share of a frame after settling that a guard takes at most, where it is cut in parts."""
-
 
 @dataclass(frozen=True)
 class FrameStarts:
@@ -90,7 +87,8 @@ class Windows:
     def of_parts(cls, starts: FrameStarts, settle_s: float, number: int) -> Self:
         """So many equal parts of each frame, between settling and guard."""
         rest = starts.pictures_s - settle_s
-        guard = np.minimum(starts.tolerance_s, GUARD_SHARE * rest)
+        # Share of a frame after settling that a guard takes at most, where it is cut in parts
+        guard = np.minimum(starts.tolerance_s, 0.5 * rest)
         length = np.maximum(rest - guard, 0.0) / number
         offset = settle_s + length[:, None] * np.arange(number)
         frames = len(rest)
@@ -231,15 +229,6 @@ def _in_ticks(seconds: np.ndarray, tick_s: float) -> np.ndarray:
 MOST_DRIFT = 2e-4
 """Largest difference of two clocks' rates, of those planned or of those measured."""
 
-FRAMES_OF_BLOCK = 8
-"""Frames in a row that are compared with the schedule, at most, and half of a pass."""
-
-MOST_BLOCKS = 64
-"""Places of a recording that are compared."""
-
-MOST_PLACES = 4096
-"""Places of the schedule that each is compared with, the first ones."""
-
 MOST_RATE = 0.02
 """Most that all frames may be longer or shorter than planned, as a share of each."""
 
@@ -326,12 +315,15 @@ def _as_measured(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> n
 
     All frames are longer or shorter by a share of each, or by the same time, whichever fits better.
     """
-    size = min(FRAMES_OF_BLOCK, len(pictures) // 2)
+    # Frames in a row that are compared with the schedule, at most, and half of a pass
+    size = min(8, len(pictures) // 2)
     if len(times) <= size:
         return pictures
-    planned = np.lib.stride_tricks.sliding_window_view(pictures[:-1], size)[:MOST_PLACES]
+    # Places of the schedule that each is compared with, the first ones
+    planned = np.lib.stride_tricks.sliding_window_view(pictures[:-1], size)[:4096]
     steps = np.lib.stride_tricks.sliding_window_view(np.diff(times), size)
-    places = np.unique((np.arange(MOST_BLOCKS) * GOLDEN % 1 * len(steps)).astype(np.int64))
+    # Places of a recording that are compared
+    places = np.unique((np.arange(64) * GOLDEN % 1 * len(steps)).astype(np.int64))
     total = planned.sum(axis=1)
     shortest = float(pictures.min())
     fits: dict[str, list[tuple[float, float]]] = {"rate": [], "extra": []}

@@ -223,16 +223,13 @@ SPOILING = ("dark", "brighter", "unsteady", "flicker", "budget", "gain", "unsure
 """Kinds of faults that leave a scene's counts without a meaning."""
 
 
-RESTLESS_SHARE = 0.1
-"""Share of passes in which the light must be unsteady for the others to be in doubt."""
-
-
 def _find_restless_lamp(scenes: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> list[Fault]:
     """Fault of the whole recording if the light was wrong in many of its passes."""
     # One disturbance may reach into two passes that follow each other
     wrong = scenes[lit & ~sound]
     passes = np.count_nonzero(lit)
-    if len(wrong) < max(2, RESTLESS_SHARE * passes) or np.ptp(wrong) < 2:
+    # Share of passes in which the light must be unsteady for the others to be in doubt
+    if len(wrong) < max(2, 0.1 * passes) or np.ptp(wrong) < 2:
         return []
     detail = (
         f"the light was unsteady in {len(wrong)} of {passes} passes, so it may have "

@@ -28,12 +28,6 @@ HARMLESS_DARK = 0.02
 SPREAD_SIGMAS = 5.0
 """Standard deviations by which scenes of one class may differ from their mean."""
 
-LEAST_FOR_DECAY = 5
-"""Passes that a steady rise or fall is fitted to at least."""
-
-RANGE_SLACK = 1.25
-"""Range of brightness that new scenes may fill, as a multiple of the training scenes' (in log)."""
-
 AllowedRatio = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Ratio of the rates of two segments at most, from the numbers of their passes."""
 
@@ -238,7 +232,8 @@ def _fit_decay(
 ) -> np.ndarray | None:
     """Rates (P,) of a light that rises or falls steadily, if it does, and not in steps."""
     passes = len(rates.counts)
-    if passes < LEAST_FOR_DECAY or not (rates.counts > 0).all():
+    # Passes that a steady rise or fall is fitted to at least
+    if passes < 5 or not (rates.counts > 0).all():
         return None
     logs = np.log(rates.counts / rates.seconds)
     when = np.arange(passes) - (passes - 1) / 2
@@ -263,7 +258,8 @@ def allowed_ratio(brightness: Brightness) -> AllowedRatio:
     """Ratio by which the mean brightness of two groups of scenes may differ."""
     low = brightness.low
     high = brightness.high
-    most = RANGE_SLACK * np.log(high / low) if low > 0 else np.inf
+    # Range of brightness that new scenes may fill, as a multiple of the training scenes' (in log)
+    most = 1.25 * np.log(high / low) if low > 0 else np.inf
 
     def allowed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         noise = SPREAD_SIGMAS * brightness.within * np.sqrt(1 / one + 1 / other)

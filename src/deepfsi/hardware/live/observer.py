@@ -130,13 +130,11 @@ class LookChooser(Protocol):
 MARGIN_NS = 2000
 """Time by which a picture outlasts its gate at least, so that markers may be off, ns."""
 
-CLOCKS_DIFFER = 2e-4
-"""Share of its gate by which a picture outlasts it at least, so that clocks may differ."""
-
 
 def margin_ns(gate_ns: np.ndarray) -> np.ndarray:
     """Time by which pictures outlast their gates, ns."""
-    return np.maximum(MARGIN_NS, CLOCKS_DIFFER * gate_ns)
+    # Share of its gate by which a picture outlasts it at least, so that clocks may differ
+    return np.maximum(MARGIN_NS, 2e-4 * gate_ns)
 
 
 ON = 0
@@ -151,14 +149,8 @@ SCENE_ENDS = -1
 WITHOUT_VIEW = set(SPOILING) - {"unsure", "unlike"}
 """Faults of a scene whose counts tell nothing of how the camera sees scenes."""
 
-LOOKED_BACK = 20
-"""Scenes up to the present one among which the unsure ones are counted."""
-
 USUAL_DEAD_S = 3e-8
 """Dead time that a counter with its detector may well have, seconds."""
-
-SATURATED = 0.05
-"""Share of the photons lost to it from which on saturation is named."""
 
 
 @dataclass(frozen=True)
@@ -215,21 +207,9 @@ class SceneObserver:
     def observe(
         self, scene: int, source: _FrameSource, shown: Sequence[FrameList] | None = None
     ) -> Iterator[Decision]:
-        """Decisions after each look at the next scene.
+        """Decisions after each look at the next scene; none of one without light.
 
-        Parameters
-        ----------
-        scene : int
-            From 0, in their order.
-        source : FrameSource
-            Of the counts of its frames.
-        shown : sequence of FrameList, optional
-            All looks that were shown, in a replay.
-
-        Yields
-        ------
-        Decision
-            The last one with the faults of the scene. None of a scene without light.
+        The last one has the faults of the scene. In a replay all looks that were `shown` are told.
         """
         begin = self._arrivals(source, self._ends)
         lit, changes = self._light.begin(begin)
@@ -357,7 +337,8 @@ class _SceneChecks:
         self._exposure_s = acquisition.exposure_s
         self._live = acquisition.live
         self._scenes = len(acquisition.scenes)
-        self._unsure: deque[bool] = deque(maxlen=LOOKED_BACK)
+        # Scenes up to the present one among which the unsure ones are counted
+        self._unsure: deque[bool] = deque(maxlen=20)
 
     def find_faults(
         self,
@@ -423,7 +404,8 @@ class _SceneChecks:
     def _saturation(self, on: AllOnCounts) -> str:
         """Words on a counter that loses photons to a dead time that was not told."""
         rate = on.counts / on.seconds
-        if self._live.dead_time.seconds or rate * USUAL_DEAD_S < SATURATED:
+        # Share of the photons lost to it from which on saturation is named
+        if self._live.dead_time.seconds or rate * USUAL_DEAD_S < 0.05:
             return ""
         return (
             f"; at {rate:.3g} counts/s a counter with a dead time of {USUAL_DEAD_S * 1e9:.0f} ns "

@@ -38,9 +38,6 @@ from deepfsi.hardware.live.observer import (
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.hardware.photons.reader import count_windows, cut_windows, read_markers
 
-LARGEST_LOG = 2**31
-"""Bytes of a record at most."""
-
 
 class LoggedList(StrictModel):
     """A list of frames as it was shown."""
@@ -143,7 +140,7 @@ class FrameLog:
         """Record of a run, or `InputError` if it has no scenes or they do not follow."""
         # A last line that is not whole is that of a run that was killed, and is left out
         path = folder / cls.NAME
-        content = read_regular(path, LARGEST_LOG, "give a run of `camera live`")
+        content = read_regular(path, 2**31, "give a run of `camera live`")
         lines = content.split(b"\n")[:-1]
         try:
             scenes = tuple(LoggedScene.model_validate_json(line) for line in lines)

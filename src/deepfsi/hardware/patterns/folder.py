@@ -48,9 +48,6 @@ from deepfsi.hardware.patterns.manifest import (
     hash_mirrors,
 )
 
-LARGEST_MANIFEST = 2**29
-"""Bytes of a manifest at most."""
-
 EVEN = 1e-9
 """Departure of a cell's aspect from 1 below which it is square."""
 
@@ -403,15 +400,7 @@ class FrameSettings:
     def plan(self, design: DesignRails) -> Patterns:
         """Patterns of a design as an export would write them, whose frames have no hashes yet.
 
-        Parameters
-        ----------
-        design
-            Rails to be shown.
-
-        Raises
-        ------
-        InputError
-            If the design is dark, or the device cannot show its frames.
+        `InputError` if the design is dark, or the device cannot show its frames.
         """
         device = self.device
         grid = find_grid(device, design.image_shape, self.layout)
@@ -527,7 +516,7 @@ def export_patterns(
 def read_patterns(folder: str | os.PathLike[str]) -> Patterns:
     """Read the patterns of a folder, without its frames; `InputError` if they were changed."""
     path = Path(folder) / "manifest.json"
-    content = read_text(path, LARGEST_MANIFEST, "make patterns with `deepfsi dmd export`")
+    content = read_text(path, 2**29, "make patterns with `deepfsi dmd export`")
     with as_input_error(str(path), AGAIN, content):
         manifest = Manifest.model_validate_json(content)
     if manifest.sha256 not in (None, _digest(content)):

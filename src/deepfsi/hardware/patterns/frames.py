@@ -42,15 +42,6 @@ if TYPE_CHECKING:
 Selection = Literal["ordered", "random"]
 """Choice of the mirrors of a grey cell."""
 
-MOST_TABLE_BYTES = 2**24
-"""Largest table of every grey level of a cell, packed; larger ones are not worth their memory."""
-
-MOST_ORDERED_SINGLY = 2**12
-"""Most mirrors of a cell that are put in order one by one: the time grows with the square."""
-
-REPULSION_LENGTH = 0.3
-"""Length over which mirrors repel each other, in sides of a cell."""
-
 POTENTIAL_UNIT = 2**15
 """Repelling potential of a mirror on itself in each direction, in the whole numbers used."""
 
@@ -68,7 +59,8 @@ def make_frames(
     table_bits = (grid.mirrors + 1) * grid.mirrors
     if selection == "random":
         frames = _draw(counts, device, grid, np.random.default_rng(seed))
-    elif aligned and table_bits <= 8 * MOST_TABLE_BYTES:
+    # Largest table of every grey level of a cell, packed; larger ones are not worth their memory
+    elif aligned and table_bits <= 8 * 2**24:
         frames = _look_up(counts, device, grid)
     else:
         frames = _compare(counts, device, grid)
@@ -127,7 +119,8 @@ def order_mirrors(height: int, width: int) -> np.ndarray:
     # height · width - 1, each once, in an array (height, width) that is read only
     rows = height
     columns = width
-    while rows * columns > MOST_ORDERED_SINGLY:
+    # Most mirrors of a cell that are put in order one by one: the time grows with the square
+    while rows * columns > 2**12:
         if rows > columns:
             rows = -(-rows // 2)
         else:
@@ -163,7 +156,8 @@ def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
     for sides in (heights, widths):
         centre = (np.cumsum(sides) - sides / 2) / sides.sum()
         distance = np.abs(np.subtract.outer(centre, centre))
-        near.append(np.rint(POTENTIAL_UNIT * np.exp(-distance / REPULSION_LENGTH)).astype(np.int64))
+        # Length over which mirrors repel each other, in sides of a cell
+        near.append(np.rint(POTENTIAL_UNIT * np.exp(-distance / 0.3)).astype(np.int64))
     down, across = near
     free = np.outer(heights, widths)
     mirrors = int(free.sum())
@@ -232,12 +226,6 @@ def _pack(lit: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
 
 AGAIN = "export the patterns again"
 """Way on where a file of a folder is not what was exported."""
-
-BMP_HEADER = 62
-"""Bytes of a bitmap of one bit a pixel before its rows."""
-
-LARGEST_PICTURE = 2**31
-"""Bytes of a picture of frames at most."""
 
 
 class _FrameFormat(Protocol):
@@ -318,7 +306,8 @@ class _Pictures:
         """As of `_FrameFormat`."""
         if self.ending == "png":
             return 0
-        return total * (BMP_HEADER + device.rows * 4 * math.ceil(device.columns / 32))
+        # Bytes of a bitmap of one bit a pixel before its rows
+        return total * (62 + device.rows * 4 * math.ceil(device.columns / 32))
 
     def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
         """As of `_FrameFormat`: names have as many digits as the last one needs."""
@@ -459,7 +448,7 @@ def _open_picture(path: Path, device: Device, mode: str) -> Iterator["Image"]:
     from PIL.PngImagePlugin import PngImageFile
 
     opener = PngImageFile if path.suffix == ".png" else BmpImageFile
-    opened = open_regular(path, LARGEST_PICTURE, AGAIN)
+    opened = open_regular(path, 2**31, AGAIN)
     with _reading(str(path)), opened as file, opener(file) as picture:
         if picture.mode != mode or picture.size != (device.columns, device.rows):
             depth = "one bit" if mode == "1" else "24 bits"

@@ -45,38 +45,14 @@ SENTINELS = 4
 DESIGN_NAME = "design.safetensors"
 """File beside a manifest: the design."""
 
-SHARES_SLACK = 1e-4
-"""Sum of the frames' shares of the exposure beyond 1 that rounding may leave."""
-
-ARMS_SLACK = 1e-4
-"""Share of the exposure by which two arms' times may differ between pixels."""
-
 SMALLEST_STEP = float(np.finfo(np.float64).tiny)
 """Step between grey levels, as a share of a pixel's photons, below which a rail is dark."""
-
-FINEST_LEVELS = 2**16
-"""Grey levels of a cell, more than any device has, so that a rail is dark only where it is zero."""
 
 FINEST_PASS_US = 10**9
 """Time of the masks' frames of a pass without a device, µs: long, so that their ratios stay."""
 
-USUAL_PICTURE_S = 1e-3
-"""Mean picture time of a frame where no exposure is given, seconds."""
-
-PICTURE_SLACK = 1.01
-"""Time of pictures over what the gates of an exposure take: pictures are of whole microseconds."""
-
-SENTINEL_SHARE = 0.1
-"""Time of an all-ON frame of several looks, as a share of the exposure: it measures their light."""
-
 LEAST_DIMMED = 0.999
 """Share of a design's light that one device must show."""
-
-USUAL_TOLERANCE_S = 1e-5
-"""By how much a frame's marker may be off, seconds."""
-
-USUAL_SHARE = 0.1
-"""The most of it, as a share of the shortest frame."""
 
 Role = Literal["mask", "on", "off"]
 """Content of a frame: a mask, or a sentinel of all mirrors ON or OFF."""
@@ -216,7 +192,8 @@ class DesignRails:
                 "rails must be finite and 0 or more: give shares of each pixel's photons"
             )
         times = rails.sum(axis=0)
-        if self.two_arm and np.ptp(times, axis=-1).max() * len(times) > ARMS_SLACK:
+        # Share of the exposure by which two arms' times may differ between pixels
+        if self.two_arm and np.ptp(times, axis=-1).max() * len(times) > 1e-4:
             raise InputError("the two arms of a mask do not sum to one time for all of its pixels")
         if not (math.isfinite(self.summed_reflectance) and self.summed_reflectance > 0):
             raise InputError(
@@ -237,11 +214,16 @@ class DesignRails:
     def picture_s(self, device: Device, exposure_s: float | None) -> float:
         """Mean picture time of a frame, seconds: what an exposure takes, or 1 ms without one."""
         if exposure_s is None:
-            return USUAL_PICTURE_S
+            # Mean picture time of a frame where no exposure is given, seconds
+            return 1e-3
         if self.looks is not None:  # a live run times the masks itself
-            return max(SENTINEL_SHARE * exposure_s, device.shortest_us * 1e-6)
+            # Time of an all-ON frame of several looks, as a share of the exposure: it measures
+            # their light
+            return max(0.1 * exposure_s, device.shortest_us * 1e-6)
         frames = int((self.rails.max(axis=-1) > 0).sum())
-        return PICTURE_SLACK * exposure_s / frames + device.settle_us * 1e-6
+        # Time of pictures over what the gates of an exposure take: pictures are of whole
+        # microseconds
+        return 1.01 * exposure_s / frames + device.settle_us * 1e-6
 
     def first_dwells(self, frames: "MaskFrames") -> np.ndarray:
         """Shares of the exposure (f,) for which a fixed sequence, or a first look, shows frames."""
@@ -342,7 +324,8 @@ class Manifest(StrictModel):
             raise ValueError("a frame shows a mask that does not exist")
         if {rail for _, rail in rails} - ({"plus"} if self.rails == 1 else set(get_args(Rail))):
             raise ValueError("a frame shows a rail that does not exist")
-        if sum(frame.share for frame in self.frames) > 1 + SHARES_SLACK:
+        # Sum of the frames' shares of the exposure beyond 1 that rounding may leave
+        if sum(frame.share for frame in self.frames) > 1 + 1e-4:
             raise ValueError("the frames' shares of the exposure sum to more than 1")
         check_choice("light law", self.light, LIGHT_LAWS)
         if self.two_arm != (LIGHT_LAWS[self.light].arms == 2) or not rails:
@@ -482,7 +465,8 @@ class Manifest(StrictModel):
     @property
     def usual_tolerance_s(self) -> float:
         """By how much a frame's marker may be off unless another tolerance is given, seconds."""
-        return min(USUAL_SHARE * float(self.picture_s.min()), USUAL_TOLERANCE_S)
+        # By how much a frame's marker may be off: 10 µs, or a tenth of the shortest frame
+        return min(0.1 * float(self.picture_s.min()), 1e-5)
 
     def longest_exposure_s(self, settle_s: float) -> float:
         """Longest exposure, seconds, whose gates fit all frames after the time to settle."""
@@ -582,7 +566,9 @@ class Manifest(StrictModel):
         For counts of a design for which no device was chosen: a mask's frame lasts for its share of
         the exposure, a sentinel for the mean of them.
         """
-        counted = MaskFrames.of(design, FINEST_LEVELS)
+        # Grey levels of a cell, more than any device has, so that a rail is dark only where it is
+        # zero
+        counted = MaskFrames.of(design, 2**16)
         if not counted.mask_rails or counted.dimmed < LEAST_DIMMED:
             raise InputError(
                 f"one device shows a {design.light} design only dimmed, or not at all: give the "

@@ -15,17 +15,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.numeric.tables import read_whole_numbers
 from deepfsi.hardware.photons.ptu import PtuWriter, refuse_foreign
 
-MOST_CHANNELS = 64
-"""Different channels of a table whose columns have no names, at most."""
-
 MOST_NAMED_CHANNELS = 20
 """Channels that one line names, at most."""
-
-FINE_S = 1e-9
-"""Ticks up to which a detector does not see half of its photons two at a time, seconds."""
-
-BACK_S = 1e-6
-"""By how much a time may be before that of the event before on its channel, seconds."""
 
 
 def write_ptu(
@@ -104,7 +95,8 @@ def _check_clock(
     """Raise `InputError` where the clock of a channel ran back, or its events stand twice."""
     # Channels may follow each other in a list: each counts its time for itself
     times = every[events]
-    slack = max(round(BACK_S / tick_s), 1)
+    # By how much a time may be before that of the event before on its channel, seconds
+    slack = max(round(1e-6 / tick_s), 1)
     back = np.flatnonzero(times[1:] < np.maximum.accumulate(times)[:-1] - slack)
     if len(back):
         first = back[0]
@@ -116,7 +108,8 @@ def _check_clock(
         )
     twice = int(np.count_nonzero(np.diff(np.sort(times)) == 0))
     if (is_marker and twice) or (
-        len(times) > 1 and 2 * twice >= len(times) - 1 and tick_s <= FINE_S
+        # Ticks up to which a detector does not see half of its photons two at a time, seconds
+        len(times) > 1 and 2 * twice >= len(times) - 1 and tick_s <= 1e-9
     ):
         raise InputError(
             f"channel {channel} has {twice} of its {len(times)} events at the time of another: "
@@ -128,7 +121,8 @@ def read_events(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Times in ticks and channels (n,) of a table of events: columns `time` and `channel`."""
     refuse_foreign(path)
     times, channels = read_whole_numbers(path, _columns).T
-    if (count := len(np.unique(channels))) > MOST_CHANNELS:
+    # Different channels of a table whose columns have no names, at most
+    if (count := len(np.unique(channels))) > 64:
         raise InputError(
             f"{path} has {count} different numbers in its column of channels: name the columns "
             "'time' and 'channel', or give the time first"

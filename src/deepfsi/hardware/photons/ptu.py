@@ -27,9 +27,6 @@ MAGIC = b"PQTTTR"
 LONGEST_HEADER = 2**22
 """Bytes of a header, or of one tag, at most."""
 
-MOST_RECORDS = 2**61
-"""More records than any file has."""
-
 LATEST_WRITTEN_TICK = 2**55
 """Latest time that is written, ticks."""
 
@@ -62,21 +59,6 @@ FOREIGN = {
 
 TABLE_ENDS = (".txt", ".csv", ".npy", ".mat", ".parquet")
 """Ends of the names of tables, which may hold events."""
-
-_TO_TAGS = "save times and channels as two columns, and give these to `deepfsi camera import`"
-FOREIGN_ENDS = {
-    **dict.fromkeys((".pt2", ".pt3"), FOREIGN[b"PicoHarp 300"]),
-    **dict.fromkeys((".ht2", ".ht3"), FOREIGN[b"HydraHarp"]),
-    **dict.fromkeys((".t2r", ".t3r"), FOREIGN[b"TimeHarp"]),
-    **dict.fromkeys((".phu", ".phd", ".hhd", ".thd"), f"is by its name {NO_TIMES}"),
-    ".ttbin": FOREIGN[b"SITT"],
-    ".spc": "is by its name a file of Becker & Hickl: the package phconvert reads those of some "
-    "cards, for `write_ptu`",
-    ".sdt": "is by its name a file of Becker & Hickl with histograms or pictures, which have no "
-    "times of photons: record in FIFO mode, as .spc",
-    **dict.fromkeys(TABLE_ENDS, f"is no PTU file: {_TO_TAGS}"),
-}
-"""What else counters write, by the ends of names."""
 
 _VALUES: dict[int, Callable[[bytes], Any]] = {
     0xFFFF0008: lambda field: None,  # Empty8
@@ -186,7 +168,8 @@ class Header:
     @property
     def records(self) -> int:
         """Records to read: those claimed, or those that are there if fewer or unclaimed."""
-        most = MOST_RECORDS if self.size is None else (self.size - self.offset) // 4
+        # More records than any file has
+        most = 2**61 if self.size is None else (self.size - self.offset) // 4
         return min(self.claimed, most) if self.claimed > 0 else most
 
     @property
@@ -263,14 +246,13 @@ def refuse_foreign(path: Path) -> None:
         start = file.read(16)
     if start.startswith(MAGIC):
         raise InputError(f"{path} is a PTU file already: it needs no `camera import`")
-    if foreign := _foreign_file(path, start):
+    if foreign := _foreign_file(start):
         raise InputError(f"{path} {foreign}")
 
 
-def _foreign_file(path: str | os.PathLike[str], start: bytes) -> str:
+def _foreign_file(start: bytes) -> str:
     """Kind of a file that is no PTU file, and the way on; empty if nothing says it."""
-    by_start = (advice for begin, advice in FOREIGN.items() if start.startswith(begin))
-    return next(by_start, FOREIGN_ENDS.get(Path(path).suffix.lower(), ""))
+    return next((advice for begin, advice in FOREIGN.items() if start.startswith(begin)), "")
 
 
 def _parse_tags(
@@ -279,7 +261,7 @@ def _parse_tags(
     """Tags of a header by name, and its bytes."""
     start = yield 16
     if start[:8].rstrip(b"\0") != MAGIC:
-        if foreign := _foreign_file(path, start):
+        if foreign := _foreign_file(start):
             raise InputError(f"{path} {foreign}")
         raise InputError(f"{path} is not a PTU file: it begins with {start[:8]!r}, not {MAGIC!r}")
     tags: dict[str, Any] = {}

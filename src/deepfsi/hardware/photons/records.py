@@ -23,9 +23,6 @@ EARLIEST_TICK = -(2**62)
 RUNS_BACK = "a time before that of the record before"
 """Fault of a record whose time is too early."""
 
-MARKER_SLACK_S = 1e-6
-"""By how much a marker may stand too early or too late among photons, seconds."""
-
 
 @dataclass(frozen=True)
 class _Runs:
@@ -184,7 +181,8 @@ class Decoder:
 
 def marker_slack_s(tick_s: float) -> float:
     """Seconds by which a marker may stand too early or too late: a tick, if that is longer."""
-    return max(MARKER_SLACK_S, tick_s)
+    # By how much a marker may stand too early or too late among photons, seconds
+    return max(1e-6, tick_s)
 
 
 def _find_runs(words: np.ndarray, places: np.ndarray, bases: np.ndarray, mask: int) -> _Runs:

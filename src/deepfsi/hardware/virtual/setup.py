@@ -31,10 +31,6 @@ from deepfsi.hardware.virtual.camera import (
 )
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S, Stream, divide
 
-START_S = 1e-3
-"""Time on the counter's clock before the first list, seconds."""
-
-
 LATENCIES = {
     "load": 3.3e-3,  # of each pattern: known masks once, adaptive ones each before its look
     "display": 20e-3,  # until the display shows another scene, and it has settled
@@ -64,7 +60,8 @@ class VirtualOptics:
             )
         self._made = made
         self.latencies = latencies
-        self.now_s = START_S
+        # Time on the counter's clock before the first list, seconds
+        self.now_s = 1e-3
         self._rates = rates
         self._scene = 0
         self._frame = 1
