@@ -60,8 +60,6 @@ class Lit:
     rng: np.random.Generator
     lamp: Course = field(default_factory=lambda: steady(1.0))
     stray: Course = field(default_factory=lambda: steady(200.0))
-    deaf: bool = False
-    """The inputs that are asked for have dark counts only, and the light is on another."""
 
     @classmethod
     def sound(cls, patterns: Patterns, rng: np.random.Generator) -> "Lit":
@@ -96,16 +94,16 @@ class Lit:
         grid = np.linspace(0, self.scenes * self.pass_s, 20_001)
         times, codes = [starts.ravel()], [np.full(starts.size, -MARKER)]
         for arm, each in enumerate(inputs):
-            for rates, course, heard in (
-                (self.rates[..., arm], self.lamp, 7 if self.deaf else each),
-                (np.ones(starts.shape), self.stray, each),
+            for rates, course in (
+                (self.rates[..., arm], self.lamp),
+                (np.ones(starts.shape), self.stray),
             ):
                 most = 1.05 * course(grid).max()
                 number = rng.poisson(rates * most * DWELL).ravel()
                 came = np.repeat(starts.ravel(), number) + rng.random(number.sum()) * DWELL
                 came = came[rng.random(len(came)) * most < course(came)]
                 times.append(came)
-                codes.append(np.full(len(came), heard))
+                codes.append(np.full(len(came), each))
         write_photons(folder, np.concatenate(times) + 0.01, np.concatenate(codes))
 
     def errors(self, counts: Counts) -> np.ndarray:
@@ -117,7 +115,7 @@ class Lit:
         lamp, stray = self.lamp(when).mean(axis=2), self.stray(when).mean(axis=2)
         for arm in range(self.rates.shape[2]):
             true = self.rates[:, manifest.shown, arm]
-            seen = true * lamp * (not self.deaf) + stray - counts.dark_rate[:, [arm]]
+            seen = true * lamp + stray - counts.dark_rate[:, [arm]]
             wrong = wrong + ((seen / counts.flux[:, None] - true / self.flux) ** 2).sum(axis=1)
             size = size + ((true / self.flux) ** 2).sum(axis=1)
         return np.sqrt(wrong / size)
@@ -133,10 +131,6 @@ def lamp_off(lit: Lit) -> None:
     first = int(lit.rng.integers(lit.scenes))
     last = int(lit.rng.integers(first, lit.scenes)) + 1 if first else 1
     lit.lamp = while_in(first * lit.pass_s, last * lit.pass_s, 0.0, 1.0)
-
-
-def never_lit(lit: Lit) -> None:
-    lit.lamp = steady(0.0)
 
 
 def lamp_steps(lit: Lit) -> None:
@@ -180,21 +174,7 @@ def stray_burst(lit: Lit) -> None:
     lit.stray = while_in(begin, begin + length, burst, usual)
 
 
-def stray_stays(lit: Lit) -> None:
-    """From some scene on."""
-    at = lit.pass_s * int(lit.rng.integers(1, lit.scenes))
-    usual = lit.stray(np.zeros(1))[0]
-    lit.stray = while_in(at, np.inf, usual + lit.flux * lit.rng.uniform(0.1, 1), usual)
-
-
-def wrong_input(lit: Lit) -> None:
-    lit.deaf = True
-
-
 FAULTS = {
     fault.__name__: fault
-    for fault in (
-        *(lamp_off, never_lit, lamp_steps, lamp_decays, lamp_flickers, lamp_sags),
-        *(stray_burst, stray_stays, wrong_input),
-    )
+    for fault in (lamp_off, lamp_steps, lamp_decays, lamp_flickers, lamp_sags, stray_burst)
 }
