@@ -7,7 +7,6 @@ from recording_samples import named, patterns_of
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.calibration.scans import reconstruct
-from deepfsi.hardware.counting import acquisition
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import read_counts
@@ -34,18 +33,16 @@ def test_acquisitions_that_do_not_fit_are_refused(run, changes, match):
     run.refused(match)
 
 
-def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path, monkeypatch):
+def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path):
     held = sorted(p.name for p in run.folder.iterdir())
     assert held == ["acquisition.json", "calibration", "counts.npz", "patterns", "photons.ptu"]
     assert (run.folder / "patterns" / "design.safetensors").read_bytes() == b"not read"
-    monkeypatch.setattr(acquisition, "MOST_RUN_FRAMES", 45)
     source, other = run.folder / "patterns", tmp_path / "other"
     for folder, patterns, asked, match in (
         (run.folder, source, named(1), "exists already"),
         (other, source, named(1, manifest_sha256="0" * 64), "of other patterns"),
         (other, source, named(1, inputs=(0, 1)), "2 inputs"),
         (other, tmp_path / "none", named(1), r"manifest\.json is missing: make patterns"),
-        (other, source, named(4), r"4 scenes of .* at most 45 frames are allowed: split it"),
     ):
         with pytest.raises(InputError, match=match):
             prepare_run(folder, patterns, asked)

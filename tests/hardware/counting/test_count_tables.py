@@ -146,15 +146,3 @@ def test_clicks_of_a_table_are_read_as_they_are_and_tell_the_budget(counted):
     error, rate = np.sqrt(np.expm1(mean) / (2 * 8 * 60)) / mean, 8 * mean / manifest.picture_s[0]
     assert counts.flux == pytest.approx(np.full(60, rate), rel=5 * error)
     assert (counts.background == 0).all()
-
-
-def test_clicks_that_cannot_be_or_tell_no_budget_are_refused(counted):
-    manifest = counted[0]
-    table = clicks_of(manifest, 0.1)
-    table.values[4, 3] = 9
-    said = "9 counts in mask1 of exposure 5, and .* clicks at most 8 times in a frame: give clicks"
-    refuse(manifest, said, table, clicks=8)
-    for mean in (0.0, 1e4):
-        table = clicks_of(manifest, mean)
-        refuse(manifest, "does not tell its budget: all-ON frames leave less", table, clicks=8)
-        assert count_table(table, manifest, TableSettings(clicks=8, photons=9.0))[0].valid.all()

@@ -8,7 +8,6 @@ import pytest
 
 from deepfsi import evaluate, load_design
 from deepfsi.base.errors import InputError
-from deepfsi.camera.device import find_device
 from deepfsi.hardware.live import record as frame_log
 from deepfsi.hardware.live.record import LiveCounts
 from deepfsi.hardware.live.run import run_live
@@ -121,17 +120,6 @@ def test_decisions_are_those_of_the_design_and_its_replay(digits, design, patter
     faults = [fault.kind for each in last for fault in each.faults]
     assert set(faults) <= {"unsure"}
     assert len(faults) <= 11  # 0.04 of 100 at most, at a chance of 1 in 1000
-
-
-def test_devices_that_load_nothing_while_they_run_show_a_dictionary(patterns, tmp_path):
-    rails = design_rails(patterns.parent / "adaptive.safetensors")
-    frames = FrameSettings(find_device("dlp6500"), 1e-3, format="planes")
-    written = export_patterns(rails, frames, tmp_path / "other")
-    lines = " ".join(map(str, written.lines()))
-    assert "300 frames of masks and 4 all-ON" in lines
-    assert "one of these masks by its index, so that nothing is loaded between looks" in lines
-    assert "virtual devices alone show them: the driver of dlp6500" in lines
-    assert "virtual devices alone" not in " ".join(map(str, read_patterns(patterns).lines()))
 
 
 def test_a_device_that_cannot_hold_the_masks_is_refused(patterns, tmp_path):

@@ -148,26 +148,16 @@ def test_a_changed_manifest_is_found(tmp_path):
     assert read_patterns(tmp_path / "p").manifest.frames[3].share == frames[3]["share"]
 
 
-def test_mirror_counts_that_do_not_fit_are_refused(tmp_path):
+def test_mirror_counts_that_the_frames_do_not_show_are_refused(tmp_path):
     shown = export(tmp_path / "p")
-    path = tmp_path / "p" / "mirrors.npy"
-    wrong, beyond = shown.on.copy(), shown.on.copy()
+    path, wrong = tmp_path / "p" / "mirrors.npy", shown.on.copy()
     wrong[4, 7] += 1 if wrong[4, 7] < shown.manifest.grid.mirrors else -1
-    beyond[4, 7] = shown.manifest.grid.mirrors + 1
-    for content, message in (
-        (shown.on.astype(np.int64), "uint32 numbers"),
-        (beyond, "more than their 192 mirrors"),
-        (wrong, r"mirrors\.npy was changed"),
-    ):
-        np.save(path, content)
-        with pytest.raises(InputError, match=message):
-            read_patterns(tmp_path / "p")
+    np.save(path, wrong)
+    with pytest.raises(InputError, match=r"mirrors\.npy was changed"):
+        read_patterns(tmp_path / "p")
     change(tmp_path / "p", mirrors_sha256=folder_module.hash_mirrors(wrong), sha256=None)
     with pytest.raises(InputError, match=r"frame 6 of .*\(mask 2, plus\) does not show"):
         check_patterns(tmp_path / "p")
-    path.write_bytes(path.read_bytes()[:-70])
-    with pytest.raises(InputError, match=r"it breaks off in frame 10;"):
-        read_patterns(tmp_path / "p")
 
 
 def test_another_design_beside_the_frames_is_found(tmp_path):

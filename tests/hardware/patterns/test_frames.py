@@ -8,13 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pattern_samples import BOARD, every_format, export
 from PIL import Image
-from vendor_readers import read_bmp
 
 from deepfsi.base.errors import InputError
-from deepfsi.camera.device import Device, find_device
+from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.patterns import frames as frames_module
-from deepfsi.hardware.patterns.folder import check_patterns, read_frames
+from deepfsi.hardware.patterns.folder import check_patterns
 from deepfsi.hardware.patterns.frames import make_frames, unpack
 from shared.disks import nearly_full
 
@@ -94,27 +93,6 @@ def test_a_full_disk_leaves_no_patterns_whichever_file_it_cuts(tmp_path, form):
         with nearly_full(path.stat().st_size - 1), pytest.raises(InputError, match="cannot write"):
             export(tmp_path / "cut", device=BOARD, format=form)
         assert os.listdir(tmp_path) == ["whole"]
-
-
-@pytest.mark.parametrize("form", ["png", "bmp"])
-def test_the_left_mirror_is_the_highest_bit_and_on_is_white(tmp_path, form):
-    rails = np.zeros((1, 2, 16))
-    rails[0, 0, 0], rails[0, 1, 11] = 0.5, 0.25  # top left; third row, right
-    export(tmp_path / "p", rails, device=find_device("20x4"), format=form)
-    wanted = np.zeros((2, 4, 20), dtype=bool)
-    wanted[0, 0, :5] = wanted[1, 2, 15:20] = True
-    frames = list(read_frames(tmp_path / "p"))[2:4]
-    assert frames[0][0].tolist() == [0b11111000, 0, 0]
-    assert frames[1][2].tolist() == [0, 0b00000001, 0b11110000]
-    for mirrors, place in zip(wanted, (2, 3), strict=True):
-        path = tmp_path / "p" / f"frames/{place:04d}.{form}"
-        if form == "bmp":
-            assert np.array_equal(read_bmp(path, 1), mirrors)
-            continue
-        with Image.open(path) as picture:
-            assert np.array_equal(np.asarray(picture.convert("L")), mirrors * np.uint8(255))
-        header = bytes([0, 0, 0, 20, 0, 0, 0, 4, 1, 0])  # one bit, grey
-        assert path.read_bytes()[16:26] == header
 
 
 FILES = {

@@ -87,21 +87,6 @@ def test_every_type_of_record_is_read_as_ptufile_reads_it(
 
 
 @every_source
-@pytest.mark.parametrize(
-    ("starts", "stops", "inputs", "message"),
-    [
-        ([0, 5], [6, 9], (0,), "overlap"),
-        ([5], [4], (0,), "overlap"),
-        ([5], [6], (64,), "input 64"),
-    ],
-)
-def test_gates_that_cannot_be_are_refused(tmp_path, starts, stops, inputs, message, opened):
-    path = save(tmp_path / "a.ptu", T2, [5, 6])
-    with pytest.raises(InputError, match=message):
-        count_windows(opened(path), np.array(starts), np.array(stops), inputs)
-
-
-@every_source
 @pytest.mark.parametrize("claimed", [3000, 0, "absent", 1200])
 def test_of_a_recording_that_may_not_be_whole_only_what_is_sure_is_counted(
     tmp_path, claimed, opened
