@@ -51,15 +51,3 @@ def test_limits_of_the_dlpc900_are_those_of_its_documents():
     assert {name: one.shortest_us for name, one in family.items()} == SHORTEST_US
     packed = {one.controller for one in DEVICES.values() if one.packed}
     assert packed == {c for one in DEVICES.values() if (c := one.controller).startswith("dlpc")}
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("longest_us", 9),  # shorter than the shortest
-        ("planes", "BGG"),
-    ],
-)
-def test_devices_that_cannot_be_are_refused(field, value):
-    with pytest.raises(ValueError, match=field):
-        Device(name="mine", columns=8, rows=8, **{"shortest_us": 10, field: value})

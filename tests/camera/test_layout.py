@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
 from deepfsi.camera.device import DEVICES, find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
@@ -45,19 +44,6 @@ def test_cells_lie_in_the_region_or_fill_it(device, shape, layout, cell, corner)
     assert ((grid.height, grid.width), (grid.top, grid.left)) == (cell, corner)
     if layout.get("stretch") and "region" not in layout:
         assert grid.aspect == cell[1] / cell[0]
-
-
-@pytest.mark.parametrize(
-    ("region", "match"),
-    [
-        ("1025x768", "the region 1025x768 does not lie on dlp7000 with 1024 x 768 mirrors"),
-        ("4x4", "8 x 8 cells do not fit the region 4x4 with 4 x 4 mirrors"),
-        *((text, "give COLUMNSxROWS") for text in ("0x5", "4x4+1")),
-    ],
-)
-def test_a_region_that_cannot_be_is_named(region, match):
-    with pytest.raises((InputError, ValueError), match=match):
-        find_grid(DEVICES["dlp7000"], (8, 8), DmdLayout(region=region))
 
 
 @pytest.mark.parametrize("layout", DmdLayout().orientations(), ids=str)

@@ -63,23 +63,6 @@ def test_counts_that_are_not_of_the_training_are_refused_unless_forced(lab):
         deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=0)
 
 
-def test_the_error_of_a_background_is_in_the_test_of_the_counts(lab, monkeypatch):
-    """It is the same in all exposures of a scene, so that of n together has n² its variance."""
-    from dataclasses import replace
-
-    from deepfsi import Design
-    from deepfsi.lab import classify
-
-    counts, told = read_counts(lab / RUN), []
-    monkeypatch.setattr(Design, "consistency", lambda *given: told.append(given[3]))
-    n = counts.valid.sum(axis=1)[0]
-    for ambient_variance in (0 * counts.ambient, counts.ambient + 7.0):
-        changed = replace(counts, ambient_variance=ambient_variance)
-        monkeypatch.setattr(classify, "read_counts", lambda *given, held=changed: held)
-        deepfsi.classify_run(lab / DESIGN, lab / RUN, force=True)
-    np.testing.assert_allclose(told[1] - told[0], 7.0 * n**2)
-
-
 def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path):
     """A table of two exposures at the training's light, and two at 2 % of it."""
     manifest = read_patterns(lab / "frames").manifest

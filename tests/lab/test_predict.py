@@ -41,17 +41,6 @@ def test_new_pictures_are_classified_as_often_as_the_test_scenes(design, digits,
     assert "then mapped from [0, 1] to [0.3, 1]" in found.preprocessing
 
 
-def test_without_noise_the_answer_is_that_of_the_expected_counts(design, digits, raw):
-    found = deepfsi.predict(design, raw, 1e4, noise="none")
-    features = design.rates(design.scanner("none"), design.mean.new_tensor(digits.x_test)) * 1e4
-    chances = design.classify(design.readouts(features.numpy()), np.full(len(features), 1e4))
-    confidence = np.array([each.confidence for each in found.pictures])
-    assert confidence == pytest.approx(chances.max(axis=-1), abs=0.02)
-    assert [each.predicted for each in found.pictures] == [
-        digits.classes[place] for place in chances.argmax(axis=-1)
-    ]
-
-
 def test_size_white_and_damaged_pictures(tmp_path):
     """16-bit pictures of 12 bits, averaged to the size of the training."""
     rng = np.random.default_rng(1)

@@ -151,19 +151,15 @@ def test_dark_rails_and_dark_scenes_give_finite_gradients(light, rails, name):
     ],
 )
 def test_photons_of_another_shape_or_kind_are_refused(photons, match):
-    scanner = scanner_of("poisson")
-    for see in (scanner, scanner.counts, scanner.rates):
-        with pytest.raises(InputError, match=match):
-            see(photons)
+    with pytest.raises(InputError, match=match):
+        scanner_of("poisson")(photons)
 
 
 @pytest.mark.parametrize(
     ("make", "match"),
     [
-        (lambda: Scanner.from_rails(torch.ones(3, 64)), r"rails of shape \(3, 64\)"),
         (lambda: Scanner.from_rails(torch.ones(3, 3, 64)), "3 rails"),
         (lambda: Scanner(torch.ones(2, 3, 64)), "give Scanner.from_rails"),
-        (lambda: LearnedMasks(torch.ones(64), "column"), r"a start of shape \(64,\)"),
         (lambda: LearnedMasks(-torch.ones(3, 64), "column", "single"), "negative entries"),
     ],
 )
