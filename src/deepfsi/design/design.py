@@ -611,7 +611,7 @@ def _check_readouts(
 ) -> tuple[Tensor, Tensor]:
     """Counts (..., *parts, *wanted) and budgets (..., 1), checked."""
     try:
-        arrays = [np.array(values, dtype=np.float32) for values in (counts, photons)]
+        arrays = [np.asarray(values, np.float32).copy() for values in (counts, photons)]
     except (TypeError, ValueError):
         raise InputError("counts and photons must be arrays of numbers") from None
     read, budget = map(torch.from_numpy, arrays)
