@@ -55,23 +55,6 @@ def assert_as_often(unsure, least_photons):
     assert least <= unsure.mean() <= UNSURE + error
 
 
-@pytest.mark.parametrize(
-    ("photons", "dark"), [((1e3, 1e5, 1e3), (0, 0, 0)), ((1e3, 1e3, 1e3), (0, 40, 0))]
-)
-def test_exposures_of_other_light_or_background_are_compared_each_with_its_own(
-    known, photons, dark
-):
-    photons = np.array(photons)
-    background = np.array(dark)[:, None, None] * np.ones(READOUTS)
-    rates, _ = scenes_of(len(photons), seed=6)
-    counts = np.random.default_rng(5).poisson(rates * photons[:, None, None] + background)
-    counts = counts - background
-    counts[:, 1, 3] = 0
-    each = zip(counts, photons, background, strict=True)
-    alone = [known.test(*(part[None] for part in one)).exposures[0] for one in each]
-    assert known.test(counts, photons, background).exposures == pytest.approx(alone, rel=1e-9)
-
-
 @pytest.mark.parametrize("dark", [0.0, 0.3, 3.0])
 @pytest.mark.parametrize("photons", [30.0, 1e3, 2e4, 5e5, 1e9])
 def test_sound_exposures_are_unsure_as_often_as_stated(known, photons, dark):

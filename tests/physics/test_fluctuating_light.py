@@ -5,8 +5,7 @@ import torch
 from torch import Tensor
 
 from conftest import generator
-from deepfsi import Camera, Scanner
-from deepfsi.base.errors import InputError
+from deepfsi import Scanner
 from deepfsi.physics import noise as noise_module
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.noise import Poisson
@@ -95,11 +94,3 @@ def test_dark_counts_and_read_noise_do_not_fluctuate():
     rates = torch.full((2,), float(LIGHT.sum()) / 4).double()
     expected = covariance(rates, torch.arange(2)) + torch.eye(2) * (50.0 * 0.25 + 4.0)
     assert_covariance(counts.flatten(1), rates, expected)
-
-
-def test_what_is_of_steady_light_says_so():
-    with pytest.raises(InputError, match="column shows all masks at once"):
-        Camera.load("paper", fluctuation=0.1)
-    with pytest.raises(InputError, match="leave fluctuation or noise out"):
-        Camera.load(noise="click", fluctuation=0.1)
-    assert Camera.load(Camera(fluctuation=0.1), noise="click").fluctuation == 0

@@ -75,21 +75,6 @@ def learned(light: str, rails: str, single_signed: bool = False) -> LearnedMasks
     return masks
 
 
-@every_optics
-@pytest.mark.parametrize("name", ["ml_gauss", "gaussian", "none"])
-def test_mask_gradients_equal_finite_differences(light, rails, name):
-    """Sample mean and mean square of features, with common random numbers."""
-    masks = learned(light, rails)
-    photons = torch.tensor([[50.0, 80.0, 20.0, 0.0], [3.0, 0.0, 9.0, 30.0]], dtype=torch.float64)
-    scanner = Scanner(masks, name, 2.0)
-
-    def moments(*_: Tensor) -> tuple[Tensor, Tensor]:
-        features = scanner(photons.repeat(20, 1), generator())
-        return features.mean(dim=0), features.square().mean(dim=0)
-
-    assert torch.autograd.gradcheck(moments, tuple(masks.parameters()), atol=1e-4)
-
-
 FLUCTUATING = noise.Fluctuation(noise.Poisson(), 0.2)
 
 

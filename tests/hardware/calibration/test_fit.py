@@ -42,16 +42,6 @@ def test_a_calibration_finds_what_was_done(blur_cells, noise):
     assert np.abs(gain * mine - truth).mean() < 0.01 + noise
 
 
-def test_a_calibration_that_is_not_to_be_trusted_says_why():
-    sure = calibration_of()
-    assert sure.doubts == []
-    doubts = sure.model_copy(update={"spots": 15, "residual": 0.3, "error": 0.2}).doubts
-    assert "only 15 of 25 spots" in doubts[0]
-    assert "0.30 cells" in doubts[1]
-    assert "4 times the light" in doubts[2]
-    assert sure.model_copy(update={"spots": 9, "shown": 9}).doubts == []
-
-
 def test_a_spot_that_is_not_where_the_others_say_is_left_out():
     scenes = fit.spot_scenes((32, 32))
     pictures = pictures_of(scenes, VIEW, (0.01, 0.01), ((1.0,),), 0.005)

@@ -5,8 +5,7 @@ import pytest
 import recording_samples
 from recording_samples import DWELL, train
 
-from deepfsi.hardware.counting import acquisition
-from deepfsi.hardware.counting.count import CountSettings, count_run
+from deepfsi.hardware.counting.count import count_run
 
 run, whole = recording_samples.run, recording_samples.whole
 
@@ -50,9 +49,3 @@ def test_a_recording_of_other_patterns_is_refused(run):
     photons = np.roll(run.photons, 3, axis=1)  # not where ON and OFF should be
     run.record(run.starts, run.starts.ravel(), photons)
     run.refused("no light on input 3: .* patterns that were shown")
-
-
-def test_repeats_are_as_many_as_can_be_counted(run, monkeypatch):
-    monkeypatch.setattr(acquisition, "MOST_READOUTS", 3 * 12 * 5)
-    assert count_run(run.folder, CountSettings(exposure_s=1e-3)).counts.shape[1] == 5
-    run.refused("give at most 5", exposure_s=1e-3, repeats=6)

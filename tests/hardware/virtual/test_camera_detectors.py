@@ -42,21 +42,6 @@ def means(shown, x, photons) -> np.ndarray:
     return rates.reshape(*rates.shape[:-1], -1, D)
 
 
-@every_optics
-def test_detectors_divide_the_light_of_one(tmp_path, light, rails):
-    """Stray light too; dark counts come once for each detector."""
-    x = scenes()
-    patterns(tmp_path / "one", light, rails)
-    export(tmp_path / "several", light, rails)
-    stray = VirtualCamera(ambient=3e5)
-    one, several = (arrival_rates(tmp_path / each, x, stray, FLUX) for each in ("one", "several"))
-    dark = arrival_rates(tmp_path / "several", x, VirtualCamera(ambient=3e5, dark=100.0), FLUX)
-    assert several.shape[-1] == D * one.shape[-1]
-    parts = several.reshape(*one.shape, D)
-    np.testing.assert_allclose(parts.sum(axis=-1), one, rtol=1e-5)
-    np.testing.assert_allclose(dark, several + 100)
-
-
 def test_each_detector_has_a_dead_time_of_its_own(tmp_path):
     """So several lose less than one: each is as blind as its own light makes it."""
     manifest = export(tmp_path / "p", "free-dwell", "single").manifest
