@@ -16,7 +16,7 @@ SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
     "adaptive": 1591,
-    "base": 1464,
+    "base": 1458,
     "base.models": 88,
     "base.numeric": 1283,
     "camera": 1490,
@@ -41,7 +41,7 @@ LINES = {
     "physics": 2001,
     "report": 1740,
     "report.playground": 207,
-    "sweeps": 2797,
+    "sweeps": 2790,
     "training": 1805,
 }
 """Lines of each room, which may only fall: lower the number with them."""

@@ -5,4 +5,4 @@ from deepfsi.base.registry import Registry
 
 def register(registry: Registry) -> None:
     """Name the training of these masks."""
-    registry.add_adaptive("click", "deepfsi_clicks.clicking:ClickTraining")
+    registry.add_part("adaptive", "click", "deepfsi_clicks.clicking:ClickTraining")

@@ -6,4 +6,4 @@ from deepfsi.base.registry import Registry
 def register(registry: Registry) -> None:
     """Name images seen patch by patch, and the transformer that reads them."""
     registry.add_scheme("patches", ("patch",), "deepfsi_paper.patches.settings:Patches")
-    registry.add_classifier("vit", "deepfsi_paper.patches.settings:VIT")
+    registry.add_part("classifier", "vit", "deepfsi_paper.patches.settings:VIT")

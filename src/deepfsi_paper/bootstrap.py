@@ -26,7 +26,7 @@ are equal in truth, and lie further apart than 1e-12 where they are not.
 """
 
 
-class Interval(NamedTuple):
+class _Interval(NamedTuple):
     """A 95 % interval."""
 
     low: float
@@ -44,7 +44,7 @@ class Wilcoxon(NamedTuple):
     rank_biserial: float
 
 
-def cluster_bootstrap(rates: ArrayLike, seed: int) -> Interval:
+def cluster_bootstrap(rates: ArrayLike, seed: int) -> _Interval:
     """Percentile interval of the mean rate, classes drawn with replacement.
 
     The rates, (C,), are those of two classes or more: a single class says nothing of others. Of no
@@ -62,10 +62,10 @@ def cluster_bootstrap(rates: ArrayLike, seed: int) -> Interval:
         method="percentile",
         rng=np.random.default_rng(seed),
     )
-    return Interval(*map(float, found.confidence_interval))
+    return _Interval(*map(float, found.confidence_interval))
 
 
-def studentised_bootstrap(rates: ArrayLike, seed: int) -> Interval:
+def studentised_bootstrap(rates: ArrayLike, seed: int) -> _Interval:
     """Bootstrap-t interval of the mean rate, as `cluster_bootstrap`; not held inside 0 to 1.
 
     With ten classes whose rates vary freely it covers the true mean in 95 % of experiments. A
@@ -76,13 +76,13 @@ def studentised_bootstrap(rates: ArrayLike, seed: int) -> Interval:
     rates = np.asarray(rates)
     mean, error = rates.mean(), _standard_error(rates)
     if np.ptp(rates) == 0:
-        return Interval(float(rates[0]), float(rates[0]))
+        return _Interval(float(rates[0]), float(rates[0]))
     drawn = np.random.default_rng(seed).choice(rates, size=(RESAMPLES, len(rates)))
     drawn = drawn[np.ptp(drawn, axis=1) > 0]
     studentised = (drawn.mean(axis=1) - mean) / _standard_error(drawn)
     tail = (1 - CONFIDENCE) / 2
     low, high = np.quantile(studentised, [tail, 1 - tail])
-    return Interval(float(mean - high * error), float(mean - low * error))
+    return _Interval(float(mean - high * error), float(mean - low * error))
 
 
 def wilcoxon_signed_rank(a: ArrayLike, b: ArrayLike) -> Wilcoxon:

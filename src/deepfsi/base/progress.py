@@ -115,8 +115,8 @@ def _lines(what: str) -> Iterator[Progress]:
             before, since = first
             pace = (share - before) / max(now - since, 1e-9)
             left = (1 - share) / pace if share - before >= LEAST_PROGRESS else None
-            rest = "" if left is None else f", about {duration_text(left)} left"
-            done = f"{what}: {share:.0%} after {duration_text(now - began)}{rest}"
+            rest = "" if left is None else f", about {_duration_text(left)} left"
+            done = f"{what}: {share:.0%} after {_duration_text(now - began)}{rest}"
             print(done, file=sys.stderr)
             pause = min(time.monotonic() - began, MOST_LINE_SECONDS)
 
@@ -127,7 +127,7 @@ def _lines(what: str) -> Iterator[Progress]:
         ended.set()
 
 
-def duration_text(seconds: float) -> str:
+def _duration_text(seconds: float) -> str:
     """Write a time as people do: 40 s, 12 min, 3.5 h."""
     if seconds < 90:
         return f"{seconds:.0f} s"

@@ -11,15 +11,17 @@ class Registry:
     """Parts by their names, each with its import path: it is loaded when it is used."""
 
     def __init__(self) -> None:
-        self.devices: dict[str, dict[str, str]] = {
-            "projector": {},  # of passes of all frames: a `PassProjector`
-            "list projector": {},  # of frames that are chosen meanwhile: a `StreamingProjector`
+        # Import paths by kind and name. A projector shows passes of all frames, a list projector
+        # frames that are chosen meanwhile; adaptive masks go by the noise of their detectors
+        self.parts: dict[str, dict[str, str]] = {
+            "projector": {},  # a `PassProjector`
+            "list projector": {},  # a `StreamingProjector`
             "counter": {},  # a `StreamingCounter`
+            "classifier": {},  # its `ClassifierFacts`
+            "adaptive": {},  # its `AdaptiveTraining`
         }
         # By the kind of their entries: the settings that ask for an exposure, and its class
         self.schemes: dict[str, tuple[tuple[str, ...], str]] = {}
-        self.adaptive: dict[str, str] = {}  # by the noise of their detectors
-        self.classifiers: dict[str, str] = {}
         # By their words, such as "camera transits": import path and summary
         self.commands: dict[str, tuple[str, str]] = {}
 
@@ -27,17 +29,9 @@ class Registry:
         """Add a kind of exposure: the settings that ask for it, and their class, an `Exposure`."""
         self.schemes[kind] = settings, target
 
-    def add_adaptive(self, noise: str, target: str) -> None:
-        """Add adaptive masks before detectors of a noise: their `AdaptiveTraining`."""
-        self.adaptive[noise] = target
-
-    def add_classifier(self, name: str, target: str) -> None:
-        """Add a classifier: its `ClassifierFacts`."""
-        self.classifiers[name] = target
-
-    def add_device(self, role: str, name: str, target: str) -> None:
-        """Add a driver: a class or function whose keywords are the settings of the device."""
-        self.devices[role][name] = target
+    def add_part(self, kind: str, name: str, target: str) -> None:
+        """Add a part; of a device a class or function whose keywords are its settings."""
+        self.parts[kind][name] = target
 
     def add_command(self, words: str, target: str, summary: str) -> None:
         """Add a command of `deepfsi`, or of one of its groups: a `Command`."""
@@ -46,9 +40,9 @@ class Registry:
     def open_device(self, role: str, text: str, **wiring: Any) -> Any:
         """Driver of a device by ``NAME[,SETTING=VALUE...]``, not yet taken hold of."""
         name, *settings = text.split(",")
-        check_choice(role, name, self.devices[role])
+        check_choice(role, name, self.parts[role])
         with as_input_error():
-            return load_plugin(self.devices[role][name])(
+            return load_plugin(self.parts[role][name])(
                 **wiring, **dict(setting.partition("=")[::2] for setting in settings)
             )
 

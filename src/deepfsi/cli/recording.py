@@ -140,15 +140,15 @@ class SimulateRun(Command):
             virtual = virtual.model_copy(update={"gates": clicks})
         recording = RecordingSettings(
             virtual,
-            flux_of(camera),
-            exposure_of(camera),
+            _flux_of(camera),
+            _exposure_of(camera),
             seed=self.seed,
             **self.explicit(("settle_s", "repeats", "inputs")),
         )
         patterns = read_patterns(self.patterns)
         images = displayed(self.scene, self.patterns)
         if not self.yes:
-            ask_for_room(terminal, expected_events(patterns, images.x, virtual, recording.flux))
+            _ask_for_room(terminal, expected_events(patterns, images.x, virtual, recording.flux))
         with terminal.progress("photons") as report:
             acquisition = record_scenes(
                 self.patterns,
@@ -174,7 +174,7 @@ class SimulateRun(Command):
         )
 
 
-def ask_for_room(terminal: Terminal, events: float) -> None:
+def _ask_for_room(terminal: Terminal, events: float) -> None:
     """Ask before a photon file beyond `MOST_EVENTS`; `InputError` where there is no one to ask."""
     if events <= MOST_EVENTS:
         return
@@ -186,14 +186,14 @@ def ask_for_room(terminal: Terminal, events: float) -> None:
         )
 
 
-def exposure_of(camera: Camera) -> float:
+def _exposure_of(camera: Camera) -> float:
     """Time of a whole exposure in seconds, or `InputError` where the camera has none."""
     if camera.exposure is None:
         raise InputError("an exposure needs a time: give `exposure`, such as 10ms, or a camera")
     return camera.exposure
 
 
-def flux_of(camera: Camera) -> float:
+def _flux_of(camera: Camera) -> float:
     """Flux in counts/s, or `InputError` where the camera has none."""
     if camera.flux is None:
         raise InputError("a virtual camera needs its light: give `flux`, such as 1e6, or a camera")
@@ -229,7 +229,7 @@ class _DeviceRun(Command):
     def check_devices(self) -> None:
         """Raise `InputError` for devices or options that do not go together."""
         for role, text in (("projector", self.projector), ("counter", self.counter)):
-            check_choice(role, text.partition(",")[0], ("virtual", *installed().devices[role]))
+            check_choice(role, text.partition(",")[0], ("virtual", *installed().parts[role]))
         if self.is_virtual != (self.counter == "virtual"):
             raise InputError("virtual and real devices do not go together: give both, or neither")
         for setting in () if self.is_virtual else self.OF_VIRTUAL:
@@ -292,11 +292,11 @@ class RecordRun(_DeviceRun):
         camera = camera_of(self.patterns, self.settings)
         wiring = self.explicit(("settle_s", "repeats", "inputs", "marker_bit"))
         if self.is_virtual:
-            flux = flux_of(camera)
+            flux = _flux_of(camera)
             images = displayed(self.scene, self.patterns)
             virtual = virtual_camera(self.virtual, self.patterns, self.settings)
             if not self.yes:
-                ask_for_room(terminal, expected_events(patterns, images.x, virtual, flux))
+                _ask_for_room(terminal, expected_events(patterns, images.x, virtual, flux))
             scenes = scenes_of(images, self.scene, self.patterns)
             wiring |= {"seed": self.seed, "camera": virtual.model_dump(mode="json")}
         else:
@@ -371,12 +371,12 @@ class RunLive(_DeviceRun):
         if not self.is_virtual:
             projector = installed().open_device("list projector", self.projector)
         camera = camera_of(self.source, self.settings)
-        exposure_s = exposure_of(camera)
+        exposure_s = _exposure_of(camera)
         others = self.explicit(("inputs", "marker_bit"))
         if effects := camera.counter_effects(self.settings):
             others["effects"] = effects
         if self.is_virtual:
-            flux = flux_of(camera)
+            flux = _flux_of(camera)
             virtual = virtual_camera(self.virtual, self.source, self.settings)
             others |= {"seed": self.seed, "camera": virtual.model_dump(mode="json")}
         with self._patterns(terminal) as patterns:
@@ -399,7 +399,7 @@ class RunLive(_DeviceRun):
                     shown = read_patterns(patterns)
                     passes = exposure_s / shown.manifest.pass_s + 1  # at most
                     events = expected_events(shown, images.x, virtual, flux)
-                    ask_for_room(terminal, events * passes)
+                    _ask_for_room(terminal, events * passes)
                 with terminal.progress("light of the scenes") as report:
                     setup = virtual_setup(
                         patterns,

@@ -101,7 +101,7 @@ class CompareDesigns(Command):
         chosen = self.explicit(RECIPE_FIELDS)
         if self.data != "digits":
             chosen["data"] = self.data
-        recipe, scenes = _checked(recipe_settings(self.settings, chosen, base), matrix)
+        recipe, scenes = _checked(_recipe_settings(self.settings, chosen, base), matrix)
         if unnamed:
             recipe = with_adaptive(recipe, scenes)
         if self.target is not None:
@@ -121,7 +121,7 @@ class CompareDesigns(Command):
                 workers=Workers(self.workers),
                 report=report,
             )
-        return results_outcome(results, self.out, self.target)
+        return _results_outcome(results, self.out, self.target)
 
 
 class SweepRecipe(Command):
@@ -176,7 +176,7 @@ class SweepRecipe(Command):
                 workers=workers,
                 report=report,
             )
-        outcome = results_outcome(results, self.out)
+        outcome = _results_outcome(results, self.out)
         if self.table is None:
             return outcome
         write_table(records, self.table)
@@ -208,7 +208,7 @@ class ReproducePaper(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The page of the experiments, and which claims hold."""
-        studies = paper_studies()
+        studies = _paper_studies()
         if self.name == "list":
             return self._list(studies)
         changes = {} if self.ratios is None else {"ratios": list(self.ratios)}
@@ -291,8 +291,8 @@ class WriteReport(Command):
         """The page, written again."""
         from deepfsi.report.comparison_page import write_report
 
-        is_study = _has_paper() and paper_studies().is_study(self.folder)
-        page = paper_studies().page(self.folder) if is_study else write_report(self.folder)
+        is_study = _has_paper() and _paper_studies().is_study(self.folder)
+        page = _paper_studies().page(self.folder) if is_study else write_report(self.folder)
         return Outcome({"report": str(page)}, [f"report: {page}"])
 
 
@@ -310,7 +310,7 @@ def _has_paper() -> bool:
     return find_spec(PAPER_PACKAGE) is not None
 
 
-def paper_studies() -> "ModuleType":
+def _paper_studies() -> "ModuleType":
     """The paper's experiments by name, or `InputError` where they are missing."""
     if not _has_paper():
         raise InputError(
@@ -334,7 +334,7 @@ def read_recipe(source: str) -> dict[str, Any]:
     return settings
 
 
-def recipe_settings(
+def _recipe_settings(
     options: Mapping[str, Any], chosen: Mapping[str, Any], base: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Settings of the recipe that the options of a command ask for."""
@@ -393,7 +393,7 @@ def _checked(
 # results
 
 
-def results_outcome(results: "Results", folder: Path, target: float | None = None) -> Outcome:
+def _results_outcome(results: "Results", folder: Path, target: float | None = None) -> Outcome:
     """Write the results of trials and their page, and say them, with what a target needs."""
     from deepfsi.report.comparison_page import (
         comparison_lines,

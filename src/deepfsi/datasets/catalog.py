@@ -67,34 +67,34 @@ PASSES = 12
 """Passes of it, all."""
 
 
-def cache_folder(name: str) -> Path:
+def _cache_folder(name: str) -> Path:
     """Folder of this user's cache for the files of a data set."""
     import pooch
 
     return Path(pooch.os_cache("deepfsi")) / name
 
 
-def data_folders(name: str) -> list[Path]:
+def _data_folders(name: str) -> list[Path]:
     """Folders where the files of a data set may be, the first before the second."""
     root = os.environ.get("DEEPFSI_DATA")
     if not root:
-        return [cache_folder(name)]
+        return [_cache_folder(name)]
     if not Path(root).is_dir():
         raise InputError(f"DEEPFSI_DATA is '{root}', which is no folder; correct or unset it")
-    return [Path(root) / name, cache_folder(name)]
+    return [Path(root) / name, _cache_folder(name)]
 
 
-def find_folder(name: str, files: Iterable[str]) -> Path | None:
-    """First of the `data_folders` that has all the files."""
+def _find_folder(name: str, files: Iterable[str]) -> Path | None:
+    """First of the `_data_folders` that has all the files."""
     files = tuple(files)
-    folders = data_folders(name)
+    folders = _data_folders(name)
     return next((path for path in folders if all((path / f).is_file() for f in files)), None)
 
 
-def download_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...]) -> Path:
+def _download_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...]) -> Path:
     """Folder of the files of a data set, downloaded where they are missing, all undamaged."""
-    folder = find_folder(name, hashes)
-    if folder is not None and folder != cache_folder(name):
+    folder = _find_folder(name, hashes)
+    if folder is not None and folder != _cache_folder(name):
         for file, expected in hashes.items():
             if fault := _fault_of(folder / file, expected):
                 raise InputError(f"{folder / file}: {fault}; replace it with the original")
@@ -102,7 +102,7 @@ def download_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...
     for file, expected in hashes.items():
         failures = []
         for mirror in mirrors:
-            if not (reason := fetch(mirror + file, expected, cache_folder(name) / file)):
+            if not (reason := _fetch(mirror + file, expected, _cache_folder(name) / file)):
                 break
             failures.append(f"{urlsplit(mirror).netloc} ({reason})")
         else:
@@ -111,7 +111,7 @@ def download_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...
                 f"the original files into a folder {name} and set DEEPFSI_DATA to the folder that "
                 "holds it"
             )
-    return cache_folder(name)
+    return _cache_folder(name)
 
 
 def _fault_of(path: Path, expected: str) -> str:
@@ -125,7 +125,7 @@ def _fault_of(path: Path, expected: str) -> str:
     return "" if actual == digest else f"{algorithm} is {actual}, not {digest}"
 
 
-def fetch(url: str, expected: str | None, path: Path) -> str:
+def _fetch(url: str, expected: str | None, path: Path) -> str:
     """Bring the file of an address to a path, unless it is there undamaged, or say why not."""
     import pooch
 
@@ -183,11 +183,11 @@ class NamedDataset(ABC):
 
     def find(self) -> Path | str | None:
         """First folder that has all files, None without one, or words."""
-        return find_folder(self.folder, self.hashes)
+        return _find_folder(self.folder, self.hashes)
 
     def download(self) -> Path:
         """Folder of the files, downloaded where they are missing, all undamaged."""
-        return download_files(self.folder, self.hashes, self.mirrors)
+        return _download_files(self.folder, self.hashes, self.mirrors)
 
     def frame(self, x: Reflectance) -> Reflectance:
         """Pictures (n, H, W) with the frame that those of the data set have."""
@@ -307,7 +307,7 @@ class CifarJpeg(Cifar10):
 
     def download(self) -> Path:
         """Folder of the zip file, which is not to be downloaded."""
-        folder = find_folder(self.folder, self.hashes)
+        folder = _find_folder(self.folder, self.hashes)
         if folder is None:
             raise InputError(
                 "cifar10-jpeg is not here, and not to be downloaded: put a zip file of the JPEG "
@@ -365,7 +365,7 @@ class IndianPines(NamedDataset):
         package, inside = self.PACKAGE
         spec = find_spec(package)
         installed = list(spec.submodule_search_locations or ()) if spec else []
-        for folder in [*data_folders(self.folder), *(Path(path) / inside for path in installed)]:
+        for folder in [*_data_folders(self.folder), *(Path(path) / inside for path in installed)]:
             endings = [
                 [end for end in (".npy", ".mat") if (folder / f"{stem}{end}").is_file()]
                 for stem in (self.CUBE, self.LABELS)
@@ -414,7 +414,7 @@ class IndianPines(NamedDataset):
         if not (_high_bytes(scene.cube) == CARRIAGE_RETURN).any():
             damaged = scene.cube.astype(np.uint16)
             cube = kept_array(
-                cache_folder(self.folder) / f"{self.CUBE}_restored.npy",
+                _cache_folder(self.folder) / f"{self.CUBE}_restored.npy",
                 self.RESTORED_HASH,
                 lambda: restore_high_bytes(damaged),
             )

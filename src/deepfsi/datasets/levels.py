@@ -118,7 +118,7 @@ def family_of(dtype: np.dtype[Any], what: str) -> Family:
     return kinds[dtype.kind]
 
 
-def empty_scenes(shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
+def _empty_scenes(shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
     """Array for reflectance; a large one is a file that has no name and ends with it."""
     size = 4 * prod(shape)
     if size <= LARGE:
@@ -142,7 +142,7 @@ def slices(shape: tuple[int, ...]) -> Iterator[slice]:
 
 def reflectance(values: AnyArray, levels: ValueRange) -> npt.NDArray[np.float32]:
     """Reflectance of values, a copy of them, in [0, 1] but for the rounding of floats."""
-    out = empty_scenes(values.shape)
+    out = _empty_scenes(values.shape)
     for part in slices(values.shape):
         if levels.white == 1:
             out[part] = values[part]
@@ -155,7 +155,7 @@ def select_scenes(
     x: npt.NDArray[np.float32], rows: npt.NDArray[np.intp]
 ) -> npt.NDArray[np.float32]:
     """Some scenes, a copy of them."""
-    out = empty_scenes((len(rows), *x.shape[1:]))
+    out = _empty_scenes((len(rows), *x.shape[1:]))
     for part in slices(out.shape):
         out[part] = x[rows[part]]
     return out

@@ -57,7 +57,7 @@ def find_classifier(name: str) -> ClassifierFacts:
     """Facts of a classifier that settings or a design file name; those of a user's own, else."""
     if name == MLP:
         return MLP_FACTS
-    path = installed().classifiers.get(name)
+    path = installed().parts["classifier"].get(name)
     return resolve_name(path) if path else CUSTOM_CLASSIFIER
 
 

@@ -72,7 +72,7 @@ def _page_text(results: Results, designs: Path, figures: Figures) -> str:
         impulse=any(p.every_pixel for p in points),
         bullets=[
             verdict.text,
-            compared_text(results),
+            _compared_text(results),
             *(summary_text(results, noise) for noise in noises(results)),
             covers_text(results),
         ],
@@ -110,7 +110,7 @@ def _page_text(results: Results, designs: Path, figures: Figures) -> str:
     )
 
 
-def compared_text(results: Results) -> str:
+def _compared_text(results: Results) -> str:
     """Say what is compared, and how it is measured."""
     points = [p for p in results.points if not p.every_pixel] or results.points
     designs = len({p.design for p in results.points})
@@ -123,7 +123,7 @@ def compared_text(results: Results) -> str:
     return f"{many}, at {light} (light law {laws}): {task}. {capital(parts)}."
 
 
-def mean_light_text(points: Iterable[Point]) -> str | None:
+def _mean_light_text(points: Iterable[Point]) -> str | None:
     """Light that exposures which may end early took in the tests, in words; None without such."""
     taken = [point.further["mean_light"] for point in points if shares_light(point)]
     if not taken:
@@ -169,7 +169,7 @@ def covers_text(results: Results) -> str:
             )
     covers = "; ".join(dict.fromkeys(p.covers for p in results.points))
     guessing = main_measure(results.data.measure).guessing
-    if (light := mean_light_text(p for p in results.points if p.best)) is not None:
+    if (light := _mean_light_text(p for p in results.points if p.best)) is not None:
         text += f"{light} "
     return (
         f"{text}Chance is {share_text(results.data.chance)}, {guessing}. "
@@ -494,7 +494,7 @@ def comparison_lines(results: Results) -> Iterator[str | Table]:
     )
     covers = "; ".join(dict.fromkeys(point.covers for point in best))
     yield f"± half of the 95 % interval: {covers}"
-    if (light := mean_light_text(best)) is not None:
+    if (light := _mean_light_text(best)) is not None:
         yield light
     if (uneven := uneven_point(best)) is not None:
         worst = worst_text(uneven.worst, results.data.classes[uneven.worst_class])

@@ -7,7 +7,7 @@ import socket
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import islice
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.interrupts import restore_handlers
@@ -22,23 +22,6 @@ demand, and a hundred thousand do not flood the driver."""
 
 ANSWER_SECONDS = 5.0
 """Seconds in which a cluster must answer. Ray itself tries for minutes."""
-
-
-class _Demand(NamedTuple):
-    """Share of a cluster that each task takes."""
-
-    cpus: float
-    gpus: float
-
-    def __str__(self) -> str:
-        return f"{self.cpus:g} CPUs and {self.gpus:g} GPUs"
-
-    def slots(self) -> int:
-        """Tasks that can run at once on the cluster that this process is connected to."""
-        needs = [(need, name) for need, name in zip(self, ("CPU", "GPU"), strict=True) if need]
-        return sum(
-            int(min(node.get(name, 0.0) / need for need, name in needs) + 1e-9) for node in _nodes()
-        )
 
 
 def run_on_ray(
@@ -58,14 +41,8 @@ def run_on_ray(
     """
     if importlib.util.find_spec("ray") is None:
         raise InputError("Ray is not installed: pip install ray")
-    demand = _Demand(cpus, gpus)
-    if cpus < 0 or gpus < 0 or cpus + gpus == 0 or (gpus > 1 and gpus % 1):
-        raise InputError(
-            f"a task cannot ask for {demand}: give numbers ≥ 0, not both 0, and whole GPUs or a "
-            "share of one"
-        )
     with _connected(address):
-        yield from _results(work, shared, tasks, demand, retries=retries)
+        yield from _results(work, shared, tasks, (cpus, gpus), retries=retries)
 
 
 @contextmanager
@@ -88,18 +65,19 @@ def _results(
     work: Callable[[_Shared, _Task], _Result],
     shared: _Shared,
     tasks: Iterable[_Task],
-    demand: _Demand,
+    demand: tuple[float, float],
     *,
     retries: int,
 ) -> Generator[tuple[int, _Result], None, None]:
     """Submit tasks as there is room, and yield index and result of each as they finish."""
     import ray
 
-    if not demand.slots():
+    cpus, gpus = demand
+    if not _slots(*demand):
         there = [(node.get("CPU", 0.0), node.get("GPU", 0.0)) for node in _nodes()]
         raise InputError(
-            f"no node of the cluster has the {demand} that one task asks for (there are: {there}): "
-            "ask for less, or add a node that has them"
+            f"no node of the cluster has the {cpus:g} CPUs and {gpus:g} GPUs that one task asks "
+            f"for (there are: {there}): ask for less, or add a node that has them"
         )
 
     def run(shared: _Shared, task: _Task) -> _Result:
@@ -107,17 +85,17 @@ def _results(
 
     remote = ray.remote(run).options(
         name=getattr(work, "__name__", "work"),
-        num_cpus=demand.cpus,
-        num_gpus=demand.gpus,
+        num_cpus=cpus,
+        num_gpus=gpus,
         max_retries=retries,
-        runtime_env={"env_vars": {"OMP_NUM_THREADS": str(max(1, int(demand.cpus)))}},
+        runtime_env={"env_vars": {"OMP_NUM_THREADS": str(max(1, int(cpus)))}},
     )
     everywhere = ray.put(shared)
     running: dict[Any, int] = {}
     waiting = iter(enumerate(tasks))
     try:
         while True:
-            room = max(1, TASKS_AHEAD * demand.slots()) - len(running)
+            room = max(1, TASKS_AHEAD * _slots(*demand)) - len(running)
             for index, task in islice(waiting, max(0, room)):
                 running[remote.remote(everywhere, task)] = index
             if not running:
@@ -181,6 +159,14 @@ def answers(address: str) -> bool:
     except (OSError, ValueError):
         return False
     return True
+
+
+def _slots(cpus: float, gpus: float) -> int:
+    """Tasks that can run at once on the cluster that this process is connected to."""
+    needs = [(need, name) for need, name in ((cpus, "CPU"), (gpus, "GPU")) if need]
+    return sum(
+        int(min(node.get(name, 0.0) / need for need, name in needs) + 1e-9) for node in _nodes()
+    )
 
 
 def _nodes() -> list[dict[str, float]]:

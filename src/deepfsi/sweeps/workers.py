@@ -14,7 +14,7 @@ from multiprocessing import resource_tracker
 from types import ModuleType
 from typing import Any, NamedTuple, TypeVar
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.interrupts import block_ctrl_c, saved_work_text
@@ -38,6 +38,13 @@ class Resources(StrictModel):
 
     cpus: float = Field(1, gt=0, allow_inf_nan=False, description="processors")
     gpus: float = Field(0, ge=0, allow_inf_nan=False, description="GPUs, or a share of one")
+
+    @field_validator("gpus")
+    @classmethod
+    def _whole(cls, gpus: float) -> float:
+        if gpus > 1 and gpus % 1:
+            raise ValueError(f"{gpus:g} is not allowed: give whole GPUs, or a share of one")
+        return gpus
 
 
 @dataclass(frozen=True)

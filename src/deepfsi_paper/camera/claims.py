@@ -59,7 +59,7 @@ AXES = {
 
 
 @dataclass(frozen=True)
-class Comparison:
+class _Comparison:
     """Tests in the laboratory as it is, of designs trained for `ASSUMED`."""
 
     at: dict[tuple[str, float], DigitTest]  # (design, exposure in s) → test
@@ -82,7 +82,7 @@ def show(results: Results) -> Finding:
     """Figures, claims and tables of the laboratory."""
     measures = TypeAdapter(Measures).validate_python(results.extra)
     tests = [test for test in measures.tests if test.effect == "none" and test.assumed == ASSUMED]
-    compared = Comparison(
+    compared = _Comparison(
         {(test.design, test.exposure_s): test for test in tests},
         {test.design: test.label for test in tests},
     )
@@ -98,7 +98,7 @@ def show(results: Results) -> Finding:
     )
 
 
-def _found(compared: Comparison) -> str:
+def _found(compared: _Comparison) -> str:
     tests = [test for (_, exposure), test in compared.at.items() if exposure == 1e-2]
     order = sorted(tests, key=lambda test: -test.accuracy.mean)
     free = [
@@ -108,7 +108,7 @@ def _found(compared: Comparison) -> str:
         f"Trained for {photons_text(ASSUMED)} photons and tested over 0.01 s "
         f"({photons_text(FLUX * 1e-2)} photons): "
         + "; ".join(f"{test.label} {test.accuracy.mean:.3f}" for test in order)
-        + f". Means over {trainings_text(order[0])} and {len(order[0].by_draw)} draws of ten "
+        + f". Means over {_trainings_text(order[0])} and {len(order[0].by_draw)} draws of ten "
         f"digits, {REPEATS} exposures each; intervals are Student's over draws, and do not cover "
         f"other trainings. {LABELS[FREE]} (non-negative masks, each with a time of its own) "
         f"differs from {LABELS[OURS]} (signed masks) by {free[0]} at 0.1 s and "
@@ -116,7 +116,7 @@ def _found(compared: Comparison) -> str:
     )
 
 
-def _falling(compared: Comparison) -> list[str]:
+def _falling(compared: _Comparison) -> list[str]:
     """Sentences on designs that read less with more light as they answer one class: why."""
     said = []
     for name, label in compared.labels.items():
@@ -134,13 +134,13 @@ def _falling(compared: Comparison) -> list[str]:
     return said
 
 
-def trainings_text(test: DigitTest) -> str:
+def _trainings_text(test: DigitTest) -> str:
     """Number of trained designs behind a test."""
     number = len(test.rates)
     return "one trained design each" if number == 1 else f"{number} trained designs each"
 
 
-def _first(compared: Comparison) -> Claim:
+def _first(compared: _Comparison) -> Claim:
     leads = [compared.lead(exposure) for exposure in BRIGHT]
     worst = {
         rival: min((each[rival] for each in leads), key=lambda lead: lead.low)
@@ -154,7 +154,7 @@ def _first(compared: Comparison) -> Claim:
     )
 
 
-def _every_digit(compared: Comparison) -> Claim:
+def _every_digit(compared: _Comparison) -> Claim:
     exposure = max(EXPOSURES)
     ours = compared.at[(OURS, exposure)].by_digit
     behind = []
@@ -175,7 +175,7 @@ def _every_digit(compared: Comparison) -> Claim:
     )
 
 
-def _even(compared: Comparison) -> Claim:
+def _even(compared: _Comparison) -> Claim:
     exposure = max(EXPOSURES)
     std = {
         name: np.std(compared.at[(name, exposure)].rates, axis=2, ddof=1).mean(axis=0)
@@ -206,7 +206,7 @@ def _point(test: DigitTest) -> Accuracy:
     )
 
 
-def _exposure_picture(compared: Comparison) -> Picture:
+def _exposure_picture(compared: _Comparison) -> Picture:
     points = [_point(test) for test in compared.at.values()]
     published = [
         replace(point, accuracy=mean, low=low, high=high)
@@ -225,7 +225,7 @@ def _exposure_picture(compared: Comparison) -> Picture:
     )
 
 
-def _digits_picture(compared: Comparison, digits: Sequence[str]) -> Picture:
+def _digits_picture(compared: _Comparison, digits: Sequence[str]) -> Picture:
     panels = {
         f"{exposure:g} s": np.array(
             [compared.at[(name, exposure)].by_digit.mean(axis=0) for name in compared.labels]
@@ -252,7 +252,7 @@ def _effects_picture(measures: Measures) -> Picture:
     )
 
 
-def _intervals(compared: Comparison) -> Table:
+def _intervals(compared: _Comparison) -> Table:
     rows = []
     for exposure in EXPOSURES:
         for name, label in compared.labels.items():
@@ -289,7 +289,7 @@ def _intervals(compared: Comparison) -> Table:
     )  # fmt: skip
 
 
-def _tests(compared: Comparison) -> Table:
+def _tests(compared: _Comparison) -> Table:
     rows = []
     for exposure in EXPOSURES:
         ours = compared.at[(OURS, exposure)].single

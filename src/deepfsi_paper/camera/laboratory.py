@@ -195,7 +195,7 @@ def prepare(data: Dataset) -> Dataset:
 
 
 @dataclass(frozen=True)
-class MountedDesign:
+class _MountedDesign:
     """A design on the device, and the light of some scenes on the detector."""
 
     design: Design  # as the patterns realise it
@@ -209,7 +209,7 @@ class MountedDesign:
         return camera.efficiency * photons + camera.dark
 
 
-def draw_digits(labels: np.ndarray, draws: int, seed: int) -> np.ndarray:
+def _draw_digits(labels: np.ndarray, draws: int, seed: int) -> np.ndarray:
     """Places (draws, classes) of one scene of each class, no scene twice."""
     rng = np.random.default_rng(seed)
     classes = np.unique(labels)
@@ -217,19 +217,19 @@ def draw_digits(labels: np.ndarray, draws: int, seed: int) -> np.ndarray:
     return np.stack(columns, axis=1)
 
 
-def mount(design: Design, scenes: np.ndarray) -> MountedDesign:
+def _mount(design: Design, scenes: np.ndarray) -> _MountedDesign:
     """A design exported to the device, and scenes (S, h, w) seen through it by the laboratory."""
     optics = LAB.model_copy(update={"dark": 0.0, "ambient": 0.0})
     with tempfile.TemporaryDirectory() as folder:
         there = Path(folder) / "patterns"
-        patterns = export(design, REPEATS, there)
+        patterns = _export(design, REPEATS, there)
         scene_rates = arrival_rates(there, scenes, optics, FLUX)
         one = optics.model_copy(update={"ambient": 1.0})
         ambient_rates = arrival_rates(there, np.zeros_like(scenes[:1]), one, 0.0)
-    return MountedDesign(design.as_shown(*patterns.realised), patterns, scene_rates, ambient_rates)
+    return _MountedDesign(design.as_shown(*patterns.realised), patterns, scene_rates, ambient_rates)
 
 
-def export(design: Design, repeats: int, folder: Path) -> Patterns:
+def _export(design: Design, repeats: int, folder: Path) -> Patterns:
     """Patterns whose frames last for so many of the longest exposures, and a little more."""
     rails = design.rails.stacked.numpy()
     frames = int((rails.max(axis=-1) > 0).sum())
@@ -243,7 +243,7 @@ def export(design: Design, repeats: int, folder: Path) -> Patterns:
 
 
 def classify(
-    mounted: MountedDesign,
+    mounted: _MountedDesign,
     camera: VirtualCamera,
     exposure_s: float,
     rng: np.random.Generator,
@@ -278,14 +278,14 @@ class Laboratory:
 
 
 @dataclass(frozen=True)
-class DesignResult:
+class _DesignResult:
     """Tests of one design, and the time of a run."""
 
     tests: list[DigitTest]
     time: RunTime
 
 
-def design_groups(results: Results) -> list[Group]:
+def _design_groups(results: Results) -> list[Group]:
     """Designs with their points at the chosen number of masks."""
     groups: dict[str, list[Point]] = {}
     for point in results.points:
@@ -303,16 +303,16 @@ def measure(
     Parameters as of `Experiment.measure`.
     """
     raw = load_dataset(results.recipe["data"])
-    places = draw_digits(raw.y_test, DRAWS, seed=0)
+    places = _draw_digits(raw.y_test, DRAWS, seed=0)
     laboratory = Laboratory(
         designs, raw.x_test[places.ravel()].reshape(-1, *raw.image_shape), raw.y_test[places]
     )
-    groups = dict(design_groups(results))
+    groups = dict(_design_groups(results))
     costly_first = sorted(groups.items(), key=lambda group: -group[1][0].masks)
     report(0.0, "laboratory")
     done = {}
     at_once = min(workers or cores(), len(groups))
-    for result in processes(in_laboratory, laboratory, costly_first, at_once):
+    for result in processes(_in_laboratory, laboratory, costly_first, at_once):
         done[result.time.design] = result
         report(len(done) / len(groups), "laboratory")
     return asdict(
@@ -324,14 +324,14 @@ def measure(
     )
 
 
-def in_laboratory(laboratory: Laboratory, group: Group) -> DesignResult:
+def _in_laboratory(laboratory: Laboratory, group: Group) -> _DesignResult:
     """Tests of one design, trained for several budgets and several times for each."""
     name, points = group
     tests: list[DigitTest] = []
-    mounted_by_masks: dict[bytes, MountedDesign] = {}  # fixed masks are the same in every training
+    mounted_by_masks: dict[bytes, _MountedDesign] = {}  # fixed masks are the same in every training
     for point in points:
         mounted = [
-            mounted_design(
+            _mounted_design(
                 Design.load(laboratory.designs / f"{key}.safetensors"), laboratory, mounted_by_masks
             )
             for key in point.keys
@@ -361,17 +361,17 @@ def in_laboratory(laboratory: Laboratory, group: Group) -> DesignResult:
         if point.photons == ASSUMED:
             made = Design.load(laboratory.designs / f"{point.keys[0]}.safetensors")
             label = LABELS.get(name, point.label)
-            time = RunTime(name, label, *run_time(made, laboratory.images[:1]))
-    return DesignResult(tests, time)
+            time = RunTime(name, label, *_run_time(made, laboratory.images[:1]))
+    return _DesignResult(tests, time)
 
 
-def mounted_design(
-    design: Design, laboratory: Laboratory, known: dict[bytes, MountedDesign]
-) -> MountedDesign:
+def _mounted_design(
+    design: Design, laboratory: Laboratory, known: dict[bytes, _MountedDesign]
+) -> _MountedDesign:
     """A design on the device; what one with the same masks was mounted for before serves again."""
     masks = design.rails.stacked.numpy().tobytes()
     if masks not in known:
-        known[masks] = mount(design, laboratory.images)
+        known[masks] = _mount(design, laboratory.images)
     return replace(known[masks], design=design.as_shown(*known[masks].patterns.realised))
 
 
@@ -384,11 +384,11 @@ def _conditions(assumed: float) -> Iterator[tuple[str, float, VirtualCamera, flo
                 yield effect, value, LAB.model_copy(update={effect: value}), exposure
 
 
-def run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
+def _run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
     """Seconds from a photon file to its classes, photons and bytes of one longest exposure."""
     with tempfile.TemporaryDirectory() as folder:
         patterns, run = Path(folder) / "patterns", Path(folder) / "run"
-        export(design, 1, patterns)
+        _export(design, 1, patterns)
         settings = RecordingSettings(LAB, FLUX, max(EXPOSURES), repeats=1)
         record_scenes(patterns, scene, ["scene"], None, run, settings)
         began = time.perf_counter()

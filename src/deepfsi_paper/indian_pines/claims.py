@@ -59,7 +59,7 @@ Chosen = Mapping[tuple[str, float], Point]
 
 
 @dataclass(frozen=True)
-class Leakage:
+class _Leakage:
     """Accuracy of DeepFSI in a random split and in blocks, and their difference."""
 
     random: float
@@ -98,7 +98,7 @@ class Numbers:
         }
 
     @cached_property
-    def leakages(self) -> dict[float, Leakage]:
+    def leakages(self) -> dict[float, _Leakage]:
         """Leakage by budget, where there are two splits."""
         return leakage(self.measures) if len(self.splits) == 2 else {}
 
@@ -184,7 +184,7 @@ def _advantageous(of: str, split: str, compared: Compared, chosen: Chosen) -> Cl
     )
 
 
-def leakage(measures: Measures) -> dict[float, Leakage]:
+def leakage(measures: Measures) -> dict[float, _Leakage]:
     """Accuracy that a random split adds to DeepFSI under photon noise, by budget.
 
     Both accuracies, and their difference, are means over the classes that both splits test, each
@@ -198,11 +198,11 @@ def leakage(measures: Measures) -> dict[float, Leakage]:
         both = np.isfinite(one).all(axis=0) & np.isfinite(other).all(axis=0)
         means = [np.average(each[:, both], axis=1, weights=sizes[both]) for each in (one, other)]
         apart = mean_of_trials((means[0] - means[1]).tolist())
-        found[photons] = Leakage(float(means[0].mean()), float(means[1].mean()), apart)
+        found[photons] = _Leakage(float(means[0].mean()), float(means[1].mean()), apart)
     return found
 
 
-def _leakage_claim(of: str, leakages: dict[float, Leakage]) -> Claim:
+def _leakage_claim(of: str, leakages: dict[float, _Leakage]) -> Claim:
     bright = max(leakages)
     own = leakages[bright]
     return Claim(

@@ -149,7 +149,7 @@ def measure(
             if ("deepfsi", photons) in chosen:
                 design = _load(designs, chosen[("deepfsi", photons)])
                 seen = _classify_pixels(design, scene, data.pixels, photons)
-                right = seen == ranks(scene)
+                right = seen == _ranks(scene)
                 train, test = (float(right[uses == use].mean()) for use in (TRAINED, TESTED))
                 maps.append(ClassMap(split, photons, pack(seen), train, test))
     masks = list(_spectral_masks(results, scene.cube.shape[2], splits[0], designs))
@@ -161,14 +161,14 @@ def _load(designs: Path, point: Point, trial: int = 0) -> Design:
     return Design.load(designs / f"{point.keys[trial]}.safetensors")
 
 
-def ranks(scene: SpectralImage) -> np.ndarray:
+def _ranks(scene: SpectralImage) -> np.ndarray:
     """Place of each pixel's class among those present, from 1, (H, W); 0 where it has none."""
     present = np.unique(scene.labels[scene.labels != 0])
     return np.where(scene.labels != 0, np.searchsorted(present, scene.labels) + 1, 0)
 
 
 def _overview(scene: SpectralImage) -> Overview:
-    labels = ranks(scene)
+    labels = _ranks(scene)
     spectra = scene.scenes().reshape(*labels.shape, -1)
     bands = spectra.shape[2]
     band = spectra[..., min(BAND, bands) - 1]

@@ -19,7 +19,7 @@ SHADES = ("#cc79a7", "#0072b2", "#009e73", "#e69f00", "#56b4e9", "#7a838d")
 """Colours of budgets."""
 
 
-def relative(point: Point) -> float:
+def _relative(point: Point) -> float:
     """Read noise σ of the masks over √(Φ / N), at which impulse imaging errs as under PN."""
     sigma = float(point.variant.removeprefix("sigma "))
     return float(f"{sigma / math.sqrt(point.photons * point.ratio / point.masks):.2g}")
@@ -28,7 +28,7 @@ def relative(point: Point) -> float:
 def show(results: Results) -> Finding:
     """DeepFSI less the control group, by budget and read noise."""
     learned = {p.photons: p for p in points(results, best=True, design="deepfsi")}
-    control = {(relative(p), p.photons): p for p in points(results, best=True, design="control")}
+    control = {(_relative(p), p.photons): p for p in points(results, best=True, design="control")}
     lead = {
         place: accuracy_difference(learned[place[1]], point) for place, point in control.items()
     }

@@ -53,7 +53,7 @@ PAPER = (
 
 
 @dataclass(frozen=True)
-class Measures:
+class _Measures:
     """Measures of the learned masks, as `masks.json` holds them."""
 
     measures: Sequence[Measure]
@@ -103,7 +103,7 @@ def measure(
         for photons in SHOWN
         if all((noise, photons) in matrices for noise in NOISES)
     ]
-    return asdict(Measures(rows, shown, masks / pixels))
+    return asdict(_Measures(rows, shown, masks / pixels))
 
 
 def _row(name: str, series: str, photons: float, values: list[float]) -> Measure:
@@ -113,7 +113,7 @@ def _row(name: str, series: str, photons: float, values: list[float]) -> Measure
 
 def show(results: Results) -> Finding:
     """Masks, their measures and what these say of the paper's claims."""
-    measures = TypeAdapter(Measures).validate_python(results.extra)
+    measures = TypeAdapter(_Measures).validate_python(results.extra)
     found = _found(measures, results.points[0].masks)
     heads = ("measure", "noise", "photons", "value", "low", "high")
     rows = [
@@ -124,7 +124,7 @@ def show(results: Results) -> Finding:
     return Finding(found, _pictures(measures), _claims(measures), (table,))
 
 
-def _claims(measures: Measures) -> tuple[Claim, ...]:
+def _claims(measures: _Measures) -> tuple[Claim, ...]:
     budgets = sorted(measures.at(LIGHT, "poisson"))
     dim, bright = budgets[0], budgets[-1]
     starved = [budget for budget in budgets if budget <= 1e3] or [dim]
@@ -156,7 +156,7 @@ def _claims(measures: Measures) -> tuple[Claim, ...]:
     )
 
 
-def _found(measures: Measures, masks: int) -> str:
+def _found(measures: _Measures, masks: int) -> str:
     budgets = sorted(measures.at(LIGHT, "poisson"))
     dim, bright = budgets[0], budgets[-1]
 
@@ -181,7 +181,7 @@ def _found(measures: Measures, masks: int) -> str:
     )
 
 
-def _pictures(measures: Measures) -> tuple[Picture, ...]:
+def _pictures(measures: _Measures) -> tuple[Picture, ...]:
     drawn = Picture(
         measures_figure(
             measures.measures, PANELS, {BOTH: "masks of read noise and of photon noise"}

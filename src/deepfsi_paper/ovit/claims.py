@@ -65,7 +65,7 @@ class Measures:
     masks: Sequence[LearnedMasks]
 
 
-def measure(
+def _measure(
     results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
     """Throughput and directions of every trial's learned masks, and the masks of the first.
@@ -224,7 +224,7 @@ def grows(
 
 def _experiment(name: str, title: str) -> Experiment:
     """The study at one size."""
-    return Experiment(name, title, PAPER, show, measure, adapt=cifar10_here, label=LABEL)
+    return Experiment(name, title, PAPER, show, _measure, adapt=cifar10_here, label=LABEL)
 
 
 TITLE = "A vision transformer with an optical front end (OViT)"

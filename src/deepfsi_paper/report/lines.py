@@ -55,7 +55,7 @@ def lines_figure(
     figure = Figure(figsize=(4.6 * len(panels), PANEL_HEIGHT), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, (label, lines) in zip(axes, panels.items(), strict=True):
-        draw_lines(ax, lines)
+        _draw_lines(ax, lines)
         ax.set_xscale("log")
         ticks = sorted({value for line in lines for value in line.across})
         ax.xaxis.set_major_locator(FixedLocator(ticks))
@@ -66,7 +66,7 @@ def lines_figure(
     return figure
 
 
-def draw_lines(ax: Axes, lines: Iterable[Line]) -> None:
+def _draw_lines(ax: Axes, lines: Iterable[Line]) -> None:
     """Draw lines with their intervals, and a key."""
     for line in lines:
         ax.plot(line.across, line.accuracy, label=line.name or "_", **line.look)

@@ -39,7 +39,7 @@ def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[S
         sections=[
             {
                 "section": section,
-                "tally": tally(section.claims),
+                "tally": _tally(section.claims),
                 "pictures": [
                     (
                         picture,
@@ -48,7 +48,7 @@ def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[S
                     )
                     for number, picture in enumerate(section.pictures, start=1)
                 ],
-                "tables": [(table, *columns(table)) for table in section.tables],
+                "tables": [(table, *_columns(table)) for table in section.tables],
                 "facts": list(flat(section.facts)),
             }
             for section in sections
@@ -60,7 +60,7 @@ def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[S
     return write_atomically(home / "report.html", text.encode())
 
 
-def tally(claims: Iterable[Claim]) -> str:
+def _tally(claims: Iterable[Claim]) -> str:
     """Say how many claims hold, do not and are open; empty where there are none."""
     answers = [claim.holds for claim in claims]
     yes, no, still = (answers.count(answer) for answer in ANSWERS)
@@ -93,7 +93,7 @@ def lead(sections: Sequence[Section]) -> str:
     claims = [claim for section in sections for claim in section.claims]
     text = f"{many} experiment{'s' if many > 1 else ''}. "
     if claims:
-        text += f"Claims tested: {len(claims)}; {tally(claims)}. "
+        text += f"Claims tested: {len(claims)}; {_tally(claims)}. "
         text += "A claim is open where these data do not decide it. "
     return text + (
         "Each experiment says what the paper found and what we find, and gives its figures, the "
@@ -101,26 +101,26 @@ def lead(sections: Sequence[Section]) -> str:
     )
 
 
-def columns(table: Table) -> tuple[list[bool], list[list[Shown]]]:
+def _columns(table: Table) -> tuple[list[bool], list[list[Shown]]]:
     """Tell which columns of a table hold words, and write its cells, row by row."""
     words, shown = [], []
     for cells in zip(*table.rows, strict=True):
-        decimals = decimals_of([float(cell) for cell in cells if isinstance(cell, Real)])
+        decimals = _decimals_of([float(cell) for cell in cells if isinstance(cell, Real)])
         words.append(any(isinstance(cell, str) for cell in cells))
-        shown.append([cell_shown(cell, decimals) for cell in cells])
+        shown.append([_cell_shown(cell, decimals) for cell in cells])
     return words or [True] * len(table.heads), [list(row) for row in zip(*shown, strict=True)]
 
 
-def cell_shown(cell: Cell, decimals: int) -> Shown:
+def _cell_shown(cell: Cell, decimals: int) -> Shown:
     """Write a cell; a dash where there is no value."""
     if isinstance(cell, str):
         return Shown(cell)
     if cell is None or math.isnan(cell):
         return Shown("–")
-    return Shown(number_text(cell, decimals), str(cell).replace("inf", "Infinity"))
+    return Shown(_number_text(cell, decimals), str(cell).replace("inf", "Infinity"))
 
 
-def decimals_of(numbers: Sequence[float]) -> int:
+def _decimals_of(numbers: Sequence[float]) -> int:
     """Decimals that a column needs so that its largest number has three digits or four."""
     sizes = [abs(n) for n in numbers if _plain(n) and not n.is_integer()]
     if not sizes:
@@ -129,7 +129,7 @@ def decimals_of(numbers: Sequence[float]) -> int:
     return max(0, 3 - exponent) if exponent >= 0 else 2 - exponent
 
 
-def number_text(number: float | Integral, decimals: int) -> str:
+def _number_text(number: float | Integral, decimals: int) -> str:
     """Write a number: integers in full, others with these decimals or as a power of ten."""
     if isinstance(number, Integral):
         text = str(number)

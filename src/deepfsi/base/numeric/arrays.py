@@ -91,7 +91,7 @@ def read_array(
     """Array of a ``.npy`` file, or a variable of a ``.mat`` or HDF5 file."""
     if path.suffix.lower() not in VARIABLE_ENDINGS:
         return read_npy(path, largest)
-    found = list_variables(path, dimensions)
+    found = _list_variables(path, dimensions)
     if not variable:
         variable = next(iter(found)) if len(found) == 1 else usual
     if variable not in found:
@@ -101,7 +101,7 @@ def read_array(
             f"{', '.join(found) or 'none'}{_others(path)}: "
             f"{advice or f'name one as {path}:VARIABLE'}"
         )
-    return read_variable(path, variable, found[variable], largest)
+    return _read_variable(path, variable, found[variable], largest)
 
 
 def read_npz(
@@ -173,7 +173,7 @@ def check_size(what: str, shape: Sequence[int], itemsize: int, largest: int) -> 
     check_memory(itemsize * size, free_memory(), f"the values of {what}", "give fewer")
 
 
-def list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int, ...]]:
+def _list_variables(path: Path, dimensions: Sequence[int]) -> dict[str, tuple[int, ...]]:
     """Shapes of the numeric variables in a file, by name."""
     if _in_hdf5(path):
         with _open_hdf5(path) as found:
@@ -202,7 +202,7 @@ def _others(path: Path) -> str:
     return f" (and {', '.join(named)}{full})" if named else ""
 
 
-def read_variable(path: Path, name: str, shape: tuple[int, ...], largest: int) -> npt.NDArray[Any]:
+def _read_variable(path: Path, name: str, shape: tuple[int, ...], largest: int) -> npt.NDArray[Any]:
     """Variable of a ``.mat`` or HDF5 file."""
     from scipy.io import loadmat
 

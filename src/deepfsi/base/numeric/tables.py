@@ -112,7 +112,7 @@ def read_whole_numbers(
     """Whole numbers of some columns, exact to 64 bits, (rows, columns) int64."""
     path, columns = _read(source)
     if isinstance(columns, np.ndarray):
-        return whole_numbers(columns[:, list(choose((), columns.shape[1]))], str(path))
+        return _whole_numbers(columns[:, list(choose((), columns.shape[1]))], str(path))
     chosen = list(choose(columns.names, columns.width))
     out = np.empty((columns.frame.height, len(chosen)), np.int64)
     for number, index in enumerate(chosen):
@@ -124,11 +124,11 @@ def read_whole_numbers(
         rest = exact.is_null().to_numpy()
         name = columns.names[index] if columns.names else f"column_{index + 1}"
         out[:, number] = exact.fill_null(0).to_numpy()
-        out[rest, number] = whole_numbers(values[rest], f"{path}, column {name},")
+        out[rest, number] = _whole_numbers(values[rest], f"{path}, column {name},")
     return out
 
 
-def whole_numbers(values: np.ndarray, what: str) -> np.ndarray:
+def _whole_numbers(values: np.ndarray, what: str) -> np.ndarray:
     """Numbers as int64, or `InputError` for one that is no whole number or may be rounded."""
     if values.dtype.kind == "b" or (values.dtype.kind in "iu" and values.dtype != np.uint64):
         return values.astype(np.int64)

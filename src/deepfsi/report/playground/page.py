@@ -51,7 +51,7 @@ def write_page(path: str | os.PathLike[str], payload: Mapping[str, Any]) -> Path
         "Expose.",
         facts=_facts(payload),
         pixels=prod(payload["image_shape"]),
-        detectors=detector_count_text(payload),
+        detectors=_detector_count_text(payload),
         bands=(round(min(bands)), round(max(bands))) if bands else None,
     )
     return write_atomically(path, page.encode())
@@ -79,7 +79,7 @@ def _masks_text(payload: _Payload) -> str:
     return plural(_masks(payload), "adaptive mask" if _is_adaptive(payload) else "mask")
 
 
-def detector_count_text(payload: _Payload) -> str:
+def _detector_count_text(payload: _Payload) -> str:
     """Number of detectors, and which light each of them has."""
     # Where the light is divided, what is divided is counted at the same time
     law = LIGHT_LAWS[payload["light"]]
@@ -98,7 +98,7 @@ def _readout(payload: _Payload) -> str:
     return "each rail of each mask" if payload["rails"] == 2 else "each mask"
 
 
-def way_text(payload: _Payload) -> str:
+def _way_text(payload: _Payload) -> str:
     """Sentences on the way in which the camera counts."""
     law = LIGHT_LAWS[payload["light"]]
     if law.in_turn and not law.one_device:
@@ -128,9 +128,9 @@ def _facts(payload: _Payload) -> list[tuple[str, str]]:
     """Name and words of what is to be known about a design."""
     test = payload["test"]
     facts = {
-        "Camera": way_text(payload),
+        "Camera": _way_text(payload),
         "Data": f"{payload['data']['name']}. {payload['data']['preprocessing']}",
-        "Detectors": f"{detector_count_text(payload)}.",
+        "Detectors": f"{_detector_count_text(payload)}.",
         "Light law": f"{payload['light']}: {LAW_TERMS[payload['light']]}.",
         **(_posterior(payload) if _is_adaptive(payload) else _networks(payload)),
         "Stopping": _stopping(payload),
