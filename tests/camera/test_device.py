@@ -14,15 +14,6 @@ DIAGONAL_INCHES = {
 }  # fmt: skip
 """As the names say, rounded."""
 
-TABLE = 400
-"""Patterns of a sequence of a DLPC900 at most, from its guide DLPU018J, 0x1A31.
-
-The memory holds more of some devices (DLPS037H: 480 of the DLP9000, 800 of the DLP500YX).
-"""
-
-SHORTEST_US = {"dlp6500": 105, "dlp9000": 105, "dlp670s": 105, "dlp500yx": 62}
-"""Of 1-bit patterns, from table 7-3 of DLPS037F."""
-
 
 @pytest.mark.parametrize("name", DEVICES)
 def test_mirrors_and_pitch_give_the_diagonal_of_the_name(name):
@@ -43,11 +34,3 @@ def test_each_number_has_a_source_or_is_said_to_be_assumed(name):
     assert numbers - {"name", "controller"} == {*DEVICE_SOURCES[name]}
     document = r"\bDLP[SU]\d{3}|thread \d+|data sheet|clocks at 400 MHz|DLPC900REF-SW|assumed"
     assert all(re.search(document, source) for source in DEVICE_SOURCES[name].values())
-
-
-def test_limits_of_the_dlpc900_are_those_of_its_documents():
-    family = {name: one for name, one in DEVICES.items() if one.controller == "dlpc900"}
-    assert {one.patterns for one in family.values()} == {TABLE}
-    assert {name: one.shortest_us for name, one in family.items()} == SHORTEST_US
-    packed = {one.controller for one in DEVICES.values() if one.packed}
-    assert packed == {c for one in DEVICES.values() if (c := one.controller).startswith("dlpc")}

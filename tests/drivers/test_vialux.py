@@ -246,19 +246,3 @@ def test_a_trigger_gives_the_pictures_their_time(library, patterns):
         with pytest.raises(InputError, match="too fast"):
             projector.load(folder)
         assert not library.sequences
-
-
-def test_lists_that_cannot_be_are_refused(library, patterns):
-    one = np.array([44e-6])
-    with vialux.VialuxLooks() as projector:
-        with pytest.raises(InputError, match="load a pattern folder first"):
-            projector.show(np.array([0]), one)
-        projector.load(patterns(masks=2))
-        for frames, dwells, words in [
-            (np.array([6]), one, "of those loaded, 0 to 5"),
-            (np.array([0, 1]), one, "one for each time"),
-            (np.array([0]), np.array([np.nan]), "times that are none"),
-        ]:
-            with pytest.raises(InputError, match=words):
-                projector.show(frames, dwells)
-        assert not library.lists

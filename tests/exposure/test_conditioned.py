@@ -8,6 +8,8 @@ import torch
 
 from conftest import every_optics, generator, once
 from deepfsi.camera.light import photons_per_pixel
+from deepfsi.exposure.fixed import standardised
+from deepfsi.exposure.training import standardise
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.training.learning import train
@@ -47,3 +49,17 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale):
     axis = 0 if scale == "each" else None
     error = every.std(axis=axis) / (every.size / (6 if axis is None else 36)) ** 0.5
     assert (np.abs(every.mean(axis=axis) - 1) < 5 * error + 1e-3).all()
+
+
+of_a_batch = pytest.mark.parametrize("divided", [standardise, standardised])
+
+
+@of_a_batch
+@pytest.mark.parametrize("scale", ["each", "common"])
+def test_features_that_do_not_vary_in_a_batch_are_0_and_have_finite_gradients(scale, divided):
+    """As of detectors whose gates all click."""
+    features = torch.zeros(50, 1, 3, requires_grad=True)
+    scaled = divided(features, scale)
+    scaled.sum().backward()
+    assert (scaled == 0).all()
+    assert features.grad.isfinite().all()

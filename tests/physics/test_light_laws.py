@@ -3,16 +3,18 @@
 import math
 import re
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from torch import Tensor
 
 from conftest import FIXED, FLOAT32, OPTICS, every_optics, generator, two_valued
 from deepfsi.base.errors import InputError
 from deepfsi.jobs.designs import count_allowed, sensing_matrix
-from deepfsi.physics.laws import ROUNDING_SLACK, LearnedMasks, frames, light_law
+from deepfsi.physics.laws import ROUNDING_SLACK, LearnedMasks, frames, light_law, share_out
 
 
 def signs_for(rails: str, matrix: Tensor) -> Tensor:
@@ -169,20 +171,6 @@ def test_check_refuses_more_light_than_there_is_and_gives_the_factor(light, rail
 
 
 @every_optics
-def test_the_first_masks_use_the_share_of_the_law_that_they_take_alone(light, rails):
-    """Of masks none of which is dark; frames of equal dwells are a share of all frames."""
-    law, matrix = light_law(light), torch.randn(6, 9, generator=generator())
-    fitted = law.fit(signs_for(rails, matrix), rails)
-    used = law.used(fitted)
-    for count in range(1, 7):
-        part = fitted[:, :count]
-        whole = len(frames(part)) / len(frames(fitted))
-        share = whole if light == "equal-dwell" else limits(part, light).max()
-        assert float(used[count - 1]) == pytest.approx(float(share), rel=1e-5)
-    assert torch.allclose(law.used(torch.stack([fitted, fitted / 2]))[0], used)
-
-
-@every_optics
 @pytest.mark.parametrize("levels", [0, 2, 769])
 @pytest.mark.parametrize("rate", [0.03, 3.0])
 def test_learned_masks_obey_after_every_step(light, rails, rate, levels):
@@ -204,3 +192,43 @@ def test_learned_masks_obey_after_every_step(light, rails, rate, levels):
             assert replica.min() >= 0
             assert limits(replica, light).max() <= 1 + ROUNDING_SLACK
             assert light_law(light).excess(replica) <= ROUNDING_SLACK
+
+
+DWELLS = arrays(np.float64, (3, 7), elements=st.floats(1e-4, 1.0))
+SHORTEST = st.floats(1e-6, 0.5)
+
+
+@settings(max_examples=200, derandomize=True, deadline=None)
+@given(DWELLS, SHORTEST)
+def test_no_time_is_lost_and_as_many_frames_as_can_be_are_shown(dwell, shortest):
+    """None is too short; of one more of those left out, one would be."""
+    dwell /= dwell.sum(axis=-1, keepdims=True)
+    shares = share_out(torch.from_numpy(dwell), shortest).numpy()
+    np.testing.assert_allclose(shares.sum(axis=-1), 1, rtol=1e-12)
+    assert ((shares == 0) | (shares >= shortest * (1 - 1e-6))).all()
+    for asked, shown in zip(dwell, shares > 0, strict=True):
+        assert shown[asked.argmax()]
+        if not shown.all():
+            longest = np.where(shown, -1, asked).argmax()
+            assert asked[shown].min() >= asked[longest]
+            more = asked[shown | (np.arange(7) == longest)]
+            assert more.min() / more.sum() < shortest
+
+
+def test_gradients_are_those_of_the_times_shared_out():
+    dwell = torch.tensor([0.5, 0.25, 0.15, 0.1], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda d: share_out(d, 0.2), dwell)
+
+
+@every_optics
+def test_the_first_masks_use_the_share_of_the_law_that_they_take_alone(light, rails):
+    """Of masks none of which is dark; frames of equal dwells are a share of all frames."""
+    law, matrix = light_law(light), torch.randn(6, 9, generator=generator())
+    fitted = law.fit(signs_for(rails, matrix), rails)
+    used = law.used(fitted)
+    for count in range(1, 7):
+        part = fitted[:, :count]
+        whole = len(frames(part)) / len(frames(fitted))
+        share = whole if light == "equal-dwell" else limits(part, light).max()
+        assert float(used[count - 1]) == pytest.approx(float(share), rel=1e-5)
+    assert torch.allclose(law.used(torch.stack([fitted, fitted / 2]))[0], used)

@@ -78,14 +78,6 @@ def test_features_have_the_mean_and_the_variance_that_a_noise_claims(noise, gain
         assert torch.allclose(noise.deviation(light).square(), variance)
 
 
-@pytest.mark.parametrize("noise", ALL, ids=repr)
-def test_trainings_side_by_side_have_the_numbers_of_each(noise):
-    both = type(noise).side_by_side([noise, noise], torch.device("cpu"))
-    for name, number in noise.settings.items():
-        kept = both.of_jobs(0).settings[name]
-        assert kept == number if isinstance(number, int) else kept.tolist() == [number]
-
-
 @pytest.mark.parametrize("own", [saturating, "shared.noises:saturating"], ids=["function", "path"])
 def test_a_noise_of_ones_own_is_drawn_for_each_rail(own):
     scene = torch.tensor([600.0, 900.0], dtype=torch.float64)

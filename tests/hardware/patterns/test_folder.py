@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from pattern_samples import BOARD, SMALL, UNEQUAL, every_format, every_selection, export
+from pattern_samples import BOARD, SMALL, UNEQUAL, every_format, every_selection, export, grey
 from PIL import Image
 from scipy.linalg import hadamard
 
@@ -18,7 +18,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import DEVICES, Device, find_device
 from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.hardware.patterns import folder as folder_module
-from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import GatePlan, check_patterns, read_frames, read_patterns
 from deepfsi.hardware.patterns.frames import make_frames, unpack
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 
@@ -187,3 +187,32 @@ def test_what_cannot_be_shown_is_refused_before_anything_is_written(tmp_path, ch
     with pytest.raises(InputError, match=message):
         export(tmp_path / "p", **changes)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("dwell", "us"), [(7e-4, 700), (123e-6, 123), (70.01e-6, 71), (1.001e-3, 1001), (1e-6, 44)]
+)
+def test_equal_dwell_holds_every_frame_for_whole_microseconds_that_the_device_can(
+    tmp_path, dwell, us
+):
+    """Rounded up, but not by floating point."""
+    manifest = export(tmp_path / "p", grey() / 20, "equal-dwell", dwell_s=dwell).manifest
+    assert {frame.picture_us for frame in manifest.frames} == {us}
+
+
+@pytest.mark.parametrize("exposure", [1e-3, 4e-3, 0.017])
+@pytest.mark.parametrize("light", ["free-dwell", "equal-dwell"])
+def test_the_cost_is_the_clock_less_what_gates_are_open(tmp_path, exposure, light):
+    manifest = export(tmp_path / "p", light=light, dwell_s=5e-3).manifest
+    cost = GatePlan.of(manifest, exposure).cost(manifest)
+    gates = GatePlan.of(manifest, exposure)
+    clock = np.zeros(round(manifest.pass_s * 1e7), dtype=bool)  # steps of 0.1 µs
+    for place, opens, length in zip(manifest.shown, gates.starts_s, gates.length_s, strict=True):
+        for begin in manifest.starts_s[place] + opens:
+            clock[round(begin * 1e7) : round((begin + length) * 1e7)] = True
+    steps = len(manifest.shown) * gates.repeats
+    assert cost.total == pytest.approx(1 - clock.mean(), abs=(steps + 1) / len(clock))
+    assert cost.sentinels * manifest.pass_s == pytest.approx(4 * 5e-3)
+    assert cost.settling * manifest.pass_s == pytest.approx(10 * 10e-6)
+    assert cost.idle >= 0
+    assert GatePlan.of(manifest, exposure, repeats=1).cost(manifest).idle >= cost.idle
