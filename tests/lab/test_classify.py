@@ -9,8 +9,7 @@ import pytest
 import deepfsi
 from conftest import quick
 from deepfsi.datasets.display import read_display, write_pictures
-from deepfsi.hardware.counting import acquisition
-from deepfsi.hardware.counting.acquisition import ReferenceVerdict, read_run
+from deepfsi.hardware.counting.acquisition import read_run
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.patterns.folder import read_patterns
@@ -120,18 +119,3 @@ def test_a_sound_run_is_classified_and_a_short_one_says_what_it_does_not_exclude
     assert not any("exclude" in remark for remark in whole.remarks)
     assert any("2 scenes do not exclude" in remark for remark in short.remarks)
     assert whole.as_dict()["view"]["scenes"] == 40
-
-
-def test_the_verdict_of_the_reference_is_kept_with_a_run_and_refuses_it(forty, lab, tmp_path):
-    forty(tmp_path / "run", scenes=3)
-    kept = ReferenceVerdict(reference=str(tmp_path / "run"), fits=False, reasons=("blur 1.0",))
-    kept.keep(tmp_path / "run")
-    shown = tmp_path / "run" / "patterns"
-    with pytest.raises(deepfsi.InputError, match=r"does not fit \(blur 1.0\)"):
-        deepfsi.classify_run(shown, tmp_path / "run")
-    assert deepfsi.classify_run(shown, tmp_path / "run", force=True).scenes
-    kept.model_copy(update={"fits": True, "reasons": ()}).keep(tmp_path / "run")
-    assert "lies as the masks do" in deepfsi.classify_run(shown, tmp_path / "run").remarks[-1]
-    (tmp_path / "run" / acquisition.VERDICT).write_text("{")
-    with pytest.raises(deepfsi.InputError, match="check again"):
-        deepfsi.classify_run(shown, tmp_path / "run")

@@ -134,10 +134,6 @@ class CheckView(Command):
     """
 
     folder: fields.RunFolder
-    keep: Path | None = fields.option(
-        "acquisition folder of scenes with the same patterns, with which what is found is kept: "
-        "`camera classify` then refuses the run if the reference did not fit"
-    )
 
     def run(self, terminal: Terminal) -> Outcome:
         """Place of the scenes on the device."""
@@ -145,8 +141,6 @@ class CheckView(Command):
 
         with terminal.progress("reference") as report:
             fit = check_view(self.folder, report)
-        if self.keep is not None:
-            fit.verdict(self.folder).keep(self.keep)
         return Outcome(fit.as_dict(), fit.lines(), failed=not fit.fits)
 
 

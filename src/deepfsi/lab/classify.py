@@ -26,7 +26,7 @@ from deepfsi.camera.light import TOO_DIM, check_budget
 from deepfsi.designfile.distribution import ConsistencyResult
 from deepfsi.designfile.provenance import Score, was_trained_on
 from deepfsi.designfile.view_test import ViewResult
-from deepfsi.hardware.counting.acquisition import ReferenceVerdict, Scene, read_run
+from deepfsi.hardware.counting.acquisition import Scene, read_run
 from deepfsi.hardware.counting.counts import Counts, read_counts
 from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.hardware.light.checks import Fault
@@ -194,9 +194,6 @@ def classify_run(
     ['0', '1']
     """
     path = Path(folder)
-    verdict = None if force else ReferenceVerdict.of(path)
-    if verdict is not None and not verdict.fits:
-        raise InputError(f"{verdict.words}; `force` classifies them all the same")
     if is_live(path, photons):
         _check_design(design, read_run(path).patterns.manifest)
         return replay_run(path, open_looks(path / "patterns")).answers
@@ -212,8 +209,7 @@ def classify_run(
         photons=photons,
         force=force,
     )
-    run = counted.classify()
-    return run if verdict is None else replace(run, remarks=(*run.remarks, verdict.words))
+    return counted.classify()
 
 
 @plain_keywords()

@@ -107,4 +107,4 @@ def test_law_the_blur_of_the_target_is_found_and_refused_beyond_half_a_cell(tmp_
     assert abs(fit.blur - cells) < 5 * fit.blur_error + 0.1
     assert fit.fits == (cells < 0.5)
     if cells > 0.5:
-        assert [why.split()[0] for why in fit.reasons] == ["blur"]
+        assert [what for what, _, departs in fit.findings if departs] == ["blur"]

@@ -19,7 +19,6 @@ from deepfsi.base.files import write_atomically
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.layout import DmdLayout
 from deepfsi.hardware.calibration.fit import DisplayedScenes
-from deepfsi.hardware.counting.acquisition import ReferenceVerdict
 from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.manifest import Manifest
@@ -140,17 +139,6 @@ class ReferenceFit:
     def fits(self) -> bool:
         """True if the target certainly lies as the masks do."""
         return self.doubt is None and not any(departs for _, _, departs in self.findings)
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """Words on what departs, or on why nothing is certain; none where it fits."""
-        if self.doubt is not None:
-            return (self.doubt,)
-        return tuple(f"{what} {words}" for what, words, departs in self.findings if departs)
-
-    def verdict(self, folder: Path) -> ReferenceVerdict:
-        """Verdict that is kept with a run of scenes, with the folder of the reference's run."""
-        return ReferenceVerdict(reference=str(folder), fits=self.fits, reasons=self.reasons)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""

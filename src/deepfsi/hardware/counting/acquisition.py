@@ -4,7 +4,6 @@
     patterns/          manifest.json, mirrors.npy and the design of the patterns shown, no frames
     photons.ptu        photons and frame markers, as the vendor's software or a virtual camera wrote
     counts.npz         photons of each readout (`Counts`), written by `count`
-    reference.json     what the reference target showed (`ReferenceVerdict`), where it was kept
     calibration/       spot scans and flat fields, if there are any
 
 A recording can be counted again for another exposure: gates are shorter or longer, and as many
@@ -45,9 +44,6 @@ MOST_RUN_FRAMES = 2**20
 
 LARGEST_JSON = 2**24
 """Bytes of acquisition.json at most."""
-
-VERDICT = "reference.json"
-"""File of what the reference target showed, in the folder of a run of scenes."""
 
 
 class Scene(StrictModel):
@@ -197,43 +193,6 @@ class Acquisition(StrictModel):
         """Write to the folder of a run that was stopped that it has its first scenes alone."""
         kept = self.model_copy(update={"scenes": self.scenes[:count]})
         write_atomically(folder / "acquisition.json", kept.model_dump_json(indent=1).encode())
-
-
-class ReferenceVerdict(StrictModel):
-    """Findings of `camera check` on a run of the reference target, kept with a run of scenes."""
-
-    reference: str  # folder of that run
-    fits: bool  # true if scenes certainly lie as the masks do, and are sharp
-    reasons: tuple[str, ...]  # against it
-
-    def keep(self, run: str | os.PathLike[str]) -> Path:
-        """Write it to the folder of a run of scenes of the same patterns."""
-        digests = [read_run(path).acquisition.manifest_sha256 for path in (self.reference, run)]
-        if len(set(digests)) > 1:
-            raise InputError(
-                f"{run} was recorded with other patterns than {self.reference}: record the "
-                "reference with those that were shown"
-            )
-        return write_atomically(Path(run) / VERDICT, self.model_dump_json(indent=1).encode())
-
-    @classmethod
-    def of(cls, run: Path) -> Self | None:
-        """Verdict that is kept with a run; none where none is."""
-        if not (run / VERDICT).is_file():
-            return None
-        again = "check again with `deepfsi camera check --keep`"
-        with as_input_error(str(run / VERDICT), again):
-            return cls.model_validate_json(read_regular(run / VERDICT, LARGEST_JSON, again))
-
-    @property
-    def words(self) -> str:
-        """The verdict in a line."""
-        if self.fits:
-            return "the reference target of these patterns lies as the masks do, and is sharp"
-        return (
-            f"the reference target of these patterns, {self.reference}, does not fit "
-            f"({'; '.join(self.reasons)}): mend the optics or export again, and record again"
-        )
 
 
 def prepare_run(

@@ -1,7 +1,7 @@
 """Corrections of counts: dead time, unequal detectors, ambient light, and clicks.
 
-A counter registers more or less than arrives, and in proportion to what it counts. Each such effect
-is a `Correction`, and `CORRECTIONS` lists them in the order in which they are undone.
+A counter registers more or less than arrives, and in proportion to what it counts: first what dead
+time took is undone (`Corrections`), then the gains of its detectors.
 
 Ambient light on the device is counted through each mask, and is no factor. A pass with the scene
 dark measures it, readout by readout, beyond the dark counts that all-OFF frames have; it is then
@@ -19,10 +19,8 @@ detector fires with the probability p has -log(1 - p) photons in the mean. Where
 than one photon in the mean, a detector is not gated, and the photons themselves tell it.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
 from typing import Self
 
 import numpy as np
@@ -36,44 +34,35 @@ Gains = tuple[float, ...]
 """Relative efficiency of each detector; empty for equal ones."""
 
 
-class Correction(ABC):
-    """One effect of a counter that is undone by factors of its counts."""
-
-    @classmethod
-    @abstractmethod
-    def of(cls, effects: CounterEffects, gains: Gains, manifest: Manifest) -> Self:
-        """Correction of an effect on the inputs of a manifest, or `InputError`."""
-
-    @abstractmethod
-    def apply(self, factors: CorrectionFactors, rates: np.ndarray) -> CorrectionFactors:
-        """Factors (S, F, inputs) with this effect undone, at registered rates, counts/s."""
-
-    def check(  # noqa: B027 - most effects can be undone at any rate
-        self, rates: np.ndarray, frames: Sequence[Frame], inputs: Sequence[int], name: str
-    ) -> None:
-        """Raise `InputError` if rates (S, F, inputs) are too high to be corrected."""
-
-
 @dataclass(frozen=True)
-class _DeadTimeCorrection(Correction):
-    """Photons that arrived while the counter was blind."""
+class Corrections:
+    """What a counter does to counts, undone by factors of them."""
 
-    dead_time: DeadTime
+    dead_time: DeadTime  # photons that arrive while it is blind are not counted
+    gains: np.ndarray  # (inputs,): how many times as much of the light as usual each counts
 
     @classmethod
-    def of(cls, effects: CounterEffects, gains: Gains, manifest: Manifest) -> Self:
-        """Correction for the dead time of all inputs."""
-        return cls(effects.dead_time)
+    def of(cls, effects: CounterEffects, manifest: Manifest, gains: Gains = ()) -> Self:
+        """Corrections on the inputs of a manifest, or `InputError` for gains of others."""
+        if gains and len(gains) != manifest.inputs:
+            raise InputError(
+                f"the flat field is of {len(gains)} detectors, and these patterns are for "
+                f"{manifest.inputs}: record it with the same detectors"
+            )
+        return cls(effects.dead_time, np.array(gains or (1.0,) * manifest.inputs))
 
-    def apply(self, factors: CorrectionFactors, rates: np.ndarray) -> CorrectionFactors:
-        """Factors of `DeadTime.correction`, at most those of the highest rate that has one."""
+    def factors(self, rates: np.ndarray) -> CorrectionFactors:
+        """Factors (S, F, inputs) of the counts of frames with these registered rates, counts/s.
+
+        Those of dead time are at most those of the highest rate that has one.
+        """
         lost = self.dead_time.correction(np.minimum(rates, self.dead_time.most_registered))
-        return CorrectionFactors(factors.arrivals * lost.arrivals, factors.variance * lost.variance)
+        return CorrectionFactors(lost.arrivals / self.gains, lost.variance / self.gains**2)
 
     def check(
         self, rates: np.ndarray, frames: Sequence[Frame], inputs: Sequence[int], name: str
     ) -> None:
-        """Raise `InputError` where the counter is too near its saturation."""
+        """Raise `InputError` where the counter is too near its saturation, rates (S, F, inputs)."""
         most = self.dead_time.most_registered
         if not (rates > most).any():
             return
@@ -83,45 +72,6 @@ class _DeadTimeCorrection(Correction):
             f"{frames[int(frame)]}, and a dead time of {self.dead_time}, is corrected up to "
             f"{most:.3g}: dim the light, or give the counter's own dead time"
         )
-
-
-@dataclass(frozen=True)
-class GainCorrection(Correction):
-    """Detectors that count so many times as much of the light as usual."""
-
-    gains: np.ndarray  # (inputs,)
-
-    @classmethod
-    def of(cls, effects: CounterEffects, gains: Gains, manifest: Manifest) -> Self:
-        """Correction for the gains of all detectors, 1 where none are given."""
-        if gains and len(gains) != manifest.inputs:
-            raise InputError(
-                f"the flat field is of {len(gains)} detectors, and these patterns are for "
-                f"{manifest.inputs}: record it with the same detectors"
-            )
-        return cls(np.array(gains or (1.0,) * manifest.inputs))
-
-    def apply(self, factors: CorrectionFactors, rates: np.ndarray) -> CorrectionFactors:
-        """Factors over the gains."""
-        return CorrectionFactors(factors.arrivals / self.gains, factors.variance / self.gains**2)
-
-
-CORRECTIONS: tuple[type[Correction], ...] = (_DeadTimeCorrection, GainCorrection)
-"""Effects of a counter, in the order in which they are undone."""
-
-
-def corrections_of(
-    effects: CounterEffects, manifest: Manifest, gains: Gains = ()
-) -> tuple[Correction, ...]:
-    """Corrections for the effects of a counter and the gains of its detectors, in their order."""
-    return tuple(kind.of(effects, gains, manifest) for kind in CORRECTIONS)
-
-
-def correct(rates: np.ndarray, corrections: Sequence[Correction]) -> CorrectionFactors:
-    """Factors (S, F, inputs) of the counts of frames with these registered rates, counts/s."""
-    ones = np.ones_like(rates, np.float64)
-    start = CorrectionFactors(ones, ones)
-    return reduce(lambda factors, one: one.apply(factors, rates), corrections, start)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ what the counter does, and the light is checked. All of it can be done again for
 """
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -22,11 +21,9 @@ from deepfsi.hardware.counting.corrections import (
     ALL_ON,
     ENDS,
     Ambient,
-    Correction,
+    Corrections,
     Estimate,
     check_clicks,
-    correct,
-    corrections_of,
     light_of_clicks,
     variance_of_clicks,
 )
@@ -203,11 +200,11 @@ class _Recording:
             "patterns that were shown, or switch on the lamp"
         )
 
-    def find_ambient(self, gated: WindowCounts, corrections: Sequence[Correction]) -> Ambient:
+    def find_ambient(self, gated: WindowCounts, corrections: Corrections) -> Ambient:
         """Background of passes with the scene dark."""
         manifest = self.run.manifest
         photons, spent = gated.per_frame()
-        factors = correct(photons / spent[..., None], corrections)
+        factors = corrections.factors(photons / spent[..., None])
         estimate = Estimate.of(gated.gates(self.gates.repeats), factors, manifest)
         return Ambient.of(
             manifest,
@@ -251,7 +248,7 @@ def _count_photons(
     if effects is None and (calibration / "calibration.json").is_file():
         effects = Calibration.load(calibration).effects
     effects = effects or NO_EFFECTS
-    corrections = corrections_of(effects, manifest, settings.gains)
+    corrections = Corrections.of(effects, manifest, settings.gains)
     names = [scene.name for scene in acquisition.scenes]
     dark = names.index(settings.background) if settings.background in names else None
     ambient = Ambient.none(manifest)
@@ -278,9 +275,8 @@ def _count_photons(
         of_dark.append(Fault(kind="background", scene=dark, detail=detail))
     photons, spent = gated.per_frame()
     rates = photons / spent[..., None]
-    for correction in corrections:
-        correction.check(rates, manifest.frames, acquisition.inputs, source)
-    factors = correct(rates, corrections)
+    corrections.check(rates, manifest.frames, acquisition.inputs, source)
+    factors = corrections.factors(rates)
     shape = (len(parted.scenes), len(manifest.frames), PARTS_OF_FRAME)
     parts = parted.photons.reshape(*shape, -1)
     arrivals = Arrivals(
@@ -357,9 +353,7 @@ def _count_clicks(run: Run, gates: GatePlan, settings: CountSettings, progress: 
     )
 
 
-def _read_ambient(
-    folder: Path, run: Run, gates: GatePlan, corrections: Sequence[Correction]
-) -> Ambient:
+def _read_ambient(folder: Path, run: Run, gates: GatePlan, corrections: Corrections) -> Ambient:
     """Background that a run with the scene dark has, in the gates of another."""
     if not folder.is_dir():
         raise InputError(

@@ -18,7 +18,7 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import time_text
 from deepfsi.camera.dead_time import CorrectionFactors, LiveSettings
-from deepfsi.hardware.counting.corrections import correct, corrections_of
+from deepfsi.hardware.counting.corrections import Corrections
 from deepfsi.hardware.counting.windows import MOST_EXTRA, MOST_RATE
 from deepfsi.hardware.light.curves import PARTS_OF_FRAME
 from deepfsi.hardware.patterns.manifest import Frame, Manifest
@@ -104,12 +104,11 @@ class FrameCounts:
         Frames that are `ends` of a scene must not be too bright, or `InputError`; others are
         corrected as the brightest that can be.
         """
-        corrections = corrections_of(live, manifest)
+        corrections = Corrections.of(live, manifest)
         rates = self.counts / gate_s[:, None]
         if ends is not None:
-            for correction in corrections:
-                correction.check(rates[None], ends, range(manifest.inputs), "a scene")
-        return correct(rates, corrections)
+            corrections.check(rates[None], ends, range(manifest.inputs), "a scene")
+        return corrections.factors(rates)
 
     def __getitem__(self, frames: slice) -> "FrameCounts":
         return FrameCounts(self.starts_s[frames], self.parts[frames])

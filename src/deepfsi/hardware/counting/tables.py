@@ -24,10 +24,9 @@ from deepfsi.hardware.counting.corrections import (
     ALL_ON,
     ENDS,
     Ambient,
+    Corrections,
     Estimate,
     check_clicks,
-    correct,
-    corrections_of,
     light_of_clicks,
     variance_of_clicks,
 )
@@ -205,11 +204,9 @@ class _Exposures:
             counts = values * (settings.gain or 1.0)
             return Estimate(counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2)
         rates = values / self.seconds[:, None]
-        corrections = corrections_of(settings.effects, self.manifest)
-        for correction in corrections:
-            inputs = range(self.manifest.inputs)
-            correction.check(rates, self.manifest.frames, inputs, self.name)
-        factors = correct(rates, corrections)
+        corrections = Corrections.of(settings.effects, self.manifest)
+        corrections.check(rates, self.manifest.frames, range(self.manifest.inputs), self.name)
+        factors = corrections.factors(rates)
         return Estimate(values * factors.arrivals, values * factors.variance)
 
     def in_gates(self, frames: Estimate) -> Estimate:
