@@ -84,7 +84,7 @@ def as_png(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
     return written.getvalue()
 
 
-def read_static_pattern(file: str | os.PathLike[str]) -> np.ndarray:
+def _read_static_pattern(file: str | os.PathLike[str]) -> np.ndarray:
     """Pattern (H, P) of a design file, dark 0 to open 1, that scenes pass."""
     design = DesignFile.read(file)
     entry: object = design.mask_header.exposure
@@ -108,7 +108,7 @@ def write_photomask(
         raise InputError(
             f"a pixel of {pixel_um:g} µm is not allowed: give above 0 and up to {LARGEST_UM:g}"
         )
-    pattern = read_static_pattern(file)
+    pattern = _read_static_pattern(file)
     rows, columns = pattern.shape
     about = (
         f"{rows} x {columns} pixels of {pixel_um:g} um, {rows * pixel_um:g} x "

@@ -81,7 +81,6 @@ def fit_calibration(
     scenes = np.asarray(scenes, dtype=float)
     pictures = np.asarray(pictures, dtype=float)
     cells = (grid.down, grid.across)
-    _check_shapes(scenes, pictures, {"white": white, "black": black}, cells)
     floor = 0.0 if black is None else np.asarray(black, dtype=float)
     pictures = pictures - floor
     first, agreed = find_homography(_centroids(scenes), _find_spots(pictures), cells)
@@ -102,25 +101,6 @@ def fit_calibration(
         dark=dark,
         ambient=ambient,
     )
-
-
-def _check_shapes(
-    scenes: np.ndarray,
-    pictures: np.ndarray,
-    uniform: Mapping[str, np.ndarray | None],
-    cells: tuple[int, int],
-) -> None:
-    """Raise `InputError` unless there is a picture of each scene, all of these cells."""
-    if scenes.ndim != 3 or pictures.shape != (len(scenes), *cells):
-        raise InputError(
-            f"scenes of shape {scenes.shape} and pictures of shape {pictures.shape}: give one "
-            f"picture of {cells[0]} x {cells[1]} cells for each displayed image"
-        )
-    for name, picture in uniform.items():
-        if picture is not None and np.shape(picture) != cells:
-            raise InputError(
-                f"the {name} picture has shape {np.shape(picture)}: give {cells[0]} x {cells[1]}"
-            )
 
 
 def calibrate_run(

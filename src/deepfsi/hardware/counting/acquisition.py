@@ -39,12 +39,6 @@ from deepfsi.hardware.photons.reader import PtuFile
 MOST_READOUTS = 2**21
 """Gates, and readouts, that are counted at once, at most."""
 
-MOST_RUN_FRAMES = 2**20
-"""Frames of all passes together, times the detectors of an arm, at most."""
-
-LARGEST_JSON = 2**24
-"""Bytes of acquisition.json at most."""
-
 
 class Scene(StrictModel):
     """One scene of a recording."""
@@ -250,7 +244,7 @@ def read_run(folder: str | os.PathLike[str]) -> Run:
     """Settings and patterns of a recording, checked for consistency."""
     path = Path(folder) / "acquisition.json"
     hint = "make the folder with `deepfsi camera prepare` or `simulate`"
-    content = read_text(path, LARGEST_JSON, hint)
+    content = read_text(path, 2**24, hint)
     with as_input_error(str(path), content=content):
         acquisition = Acquisition.model_validate_json(content)
     patterns = read_patterns(path.parent / "patterns")
@@ -283,7 +277,8 @@ def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
             f"{name} has {len(acquisition.inputs)} inputs, and its patterns need "
             f"{manifest.inputs}: give one for each detector"
         )
-    most = MOST_RUN_FRAMES // manifest.detector_count
+    # Frames of all passes together, times the detectors of an arm, at most
+    most = 2**20 // manifest.detector_count
     if len(acquisition.scenes) * len(roles) > most:
         raise InputError(
             f"{name} has {len(acquisition.scenes)} scenes of {len(roles)} frames, and at most "

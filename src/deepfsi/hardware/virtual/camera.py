@@ -56,10 +56,6 @@ MOST_FLUX = 1e12
 SCENES_AT_ONCE = 64
 """Scenes whose light on the mirrors is held in memory."""
 
-FRAMES_AT_ONCE = 16
-"""Frames that are unpacked in memory."""
-
-
 DetectorRows = tuple[tuple[WholeNumber, ...], ...]
 """Detector of each part of an area that these rows, equally long, divide evenly."""
 
@@ -312,7 +308,8 @@ def arrival_rates(
         light = MirrorLight(manifest, part, camera, flux)
         done = 0
         unread = read_frames(patterns_folder)
-        while some := list(islice(unread, FRAMES_AT_ONCE)):
+        # Frames that are unpacked in memory
+        while some := list(islice(unread, 16)):
             out[first : first + len(part), done : done + len(some)] = light.rates(some)
             done += len(some)
             report((first * frames + done * len(part)) / (len(images) * frames))

@@ -181,7 +181,7 @@ class Stream:
             kept = times[np.diff(times, prepend=self._last) >= self._dead]
             self._last = int(times[-1])
         else:
-            kept = thin(times[np.searchsorted(times, self._last + self._dead) :], self._dead)
+            kept = _thin(times[np.searchsorted(times, self._last + self._dead) :], self._dead)
             self._last = int(kept[-1]) if len(kept) else self._last
         return kept
 
@@ -198,7 +198,7 @@ def arrivals(durations: np.ndarray, rates: np.ndarray, rng: np.random.Generator)
     return np.minimum(times, int(ends[-1]) - 1)
 
 
-def thin(times: np.ndarray, dead: int) -> np.ndarray:
+def _thin(times: np.ndarray, dead: int) -> np.ndarray:
     """Arrivals that a non-paralysable counter registers if it is not blind at the first one."""
     # Of rising times, int64 (n,), the first, and each that comes at least `dead` after the last one
     # kept. An arrival at least `dead` after the one before it is always kept and starts a cluster;
