@@ -23,7 +23,7 @@ import deepfsi
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.evaluation.confidence import logits_at_stops
 from deepfsi.jobs.job import Job
-from deepfsi.measures.table import chance_error, confidence_error
+from deepfsi.measures.table import confidence_error
 from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.training.characterisation import find_temperatures
 
@@ -50,6 +50,13 @@ BELOW, ABOVE = (0.01, 0.1, 0.3, 1.0), (1.0, 3.0, 10.0)
 
 Answers = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Confidence with temperatures (E,), without them (E,), and whether the answers are right (E,)."""
+
+
+def chance_error(sure: np.ndarray) -> float:
+    """Calibration error that exactly calibrated answers of confidence (E,) show, of 200 draws."""
+    rng = np.random.default_rng(0)
+    draws = (rng.random(len(sure)) < sure for _ in range(200))
+    return float(np.mean([confidence_error(sure, right) for right in draws]))
 
 
 def answers(design: Any, data: Dataset, photons: float, seed: int, tests: int) -> Answers:

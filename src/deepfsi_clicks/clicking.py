@@ -117,7 +117,7 @@ class ClickPosterior(AdaptivePosterior):
         """Take in whether the detector clicked (b,) in a look."""
         mean, parts = self.prior.light(look.masks)
         light = mean[:, None] + parts @ self.prior.coefficients.T + FLOOR * _on(look.masks)
-        variance = light_variance(mean, parts)[:, None]
+        variance = _light_variance(mean, parts)[:, None]
         none = log_no_click(light, variance, self.gain * look.dwells[:, None])
         some = torch.expm1(none).neg_().clamp_(min=LEAST_WEIGHT).log_()
         self.logs += torch.where(clicks[:, None] > 0, some, none)
@@ -131,7 +131,7 @@ class ClickPosterior(AdaptivePosterior):
         mean, parts = self.prior.light(masks)  # (b, P), (b, P, d)
         scenes = self.prior.coefficients[places].transpose(1, 2)  # (b, d, S)
         light = mean[..., None] + parts @ scenes + FLOOR * _on(masks)  # (b, P, S)
-        variance = light_variance(mean, parts)[..., None, None]
+        variance = _light_variance(mean, parts)[..., None, None]
         none = log_no_click(light[:, :, None], variance, (self.gain * dwells)[:, None])
         chances = -torch.expm1(none.flatten(1, 2))  # (b, P · L, S) of a click
         members = torch.nn.functional.one_hot(self.prior.labels[places], self.prior.classes)
@@ -151,7 +151,7 @@ def _on(masks: Tensor) -> Tensor:
     return masks.sum(dim=-1, keepdim=True)
 
 
-def light_variance(mean: Tensor, parts: Tensor) -> Tensor:
+def _light_variance(mean: Tensor, parts: Tensor) -> Tensor:
     """Variance (...) of light between scenes that are alike, from its mean and parts (..., d)."""
     return (VARIATION * mean.clamp(min=1e-4)).square() + parts.square().sum(dim=-1)
 
@@ -302,16 +302,15 @@ class _ClickingExposure(AdaptiveExposure):
         """Raise `InputError`: no camera's run is computed by these."""
         raise InputError(NOT_AT_A_CAMERA)
 
-    def front_end(self, camera: Camera | None) -> Camera:
+    def front_end(self, camera: Camera) -> Camera:
         """The camera, or `InputError` where its detector does not click at most once a look."""
-        front = super().front_end(camera)
-        if front.clicks is None:
+        if camera.clicks is None:
             raise InputError(
-                f"this design is for a detector that clicks, and {front.noise_name} noise has "
+                f"this design is for a detector that clicks, and {camera.noise_name} noise has "
                 'none: give `noise="click"`, or learn a design for it'
             )
-        AdaptiveMasks.check_camera(front)
-        return front
+        AdaptiveMasks.check_camera(camera)
+        return camera
 
     def observe(
         self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator

@@ -16,7 +16,6 @@ from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
 from deepfsi.base.errors import InputError
 from deepfsi.evaluation import page_data
 from deepfsi.evaluation.accuracy import evaluate
-from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.physics.noise import Poisson
 from shared.design_files import assert_refused
 
@@ -169,11 +168,6 @@ def test_damaged_dictionaries_are_refused(ready, tmp_path):
 def test_a_page_has_no_dictionary(ready, digits):
     with pytest.raises(InputError, match="a page makes its masks"):
         page_data.check_playable(ready)
-
-
-def test_looks_of_one_length_alone_have_a_dictionary():
-    with pytest.raises(ValueError, match="looks of one length"):
-        AdaptiveMasks(dictionary=10, growth=2)
 
 
 def test_a_dictionary_is_of_adaptive_masks_and_one_detector(digits):

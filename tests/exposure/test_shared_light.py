@@ -41,11 +41,6 @@ def test_the_threshold_takes_the_light_asked_for_and_rises_with_it(seed):
     assert found == sorted(found)
 
 
-def test_less_light_than_the_first_stop_takes_is_refused():
-    with pytest.raises(InputError, match="the first stop alone"):
-        sharing_threshold(np.array([0.5, 1.0]), confidences(0, stops=2), 0.4)
-
-
 def test_test_scenes_take_the_budget_in_the_mean_and_at_most_the_cap(digits, shared, tested):
     """Light of an exposure lies within (1/8, 2), so that its deviation is 0.94 at most.
 

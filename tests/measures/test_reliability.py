@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from deepfsi.measures.table import BINS, calibration_error, confidence_groups
+from deepfsi.measures.table import BINS, confidence_error
 
 
 def test_calibration_error_is_that_of_groups_written_out():
     confidence = np.repeat([0.5, 0.7, 1.0], 20 * BINS)
     right = np.concatenate([np.tile([1, 0], 10 * BINS), np.ones(40 * BINS)])
-    error = calibration_error(confidence_groups(confidence, right))
-    assert error == pytest.approx((0 + 0.3 + 0) / 3)
+    assert confidence_error(confidence, right) == pytest.approx((0 + 0.3 + 0) / 3)

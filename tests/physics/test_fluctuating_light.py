@@ -60,7 +60,7 @@ def test_counts_of_one_frame_share_its_light(optics, detection):
 
 @pytest.mark.parametrize("optics", OPTICS)
 @pytest.mark.parametrize("readout", ["difference", "both"])
-@pytest.mark.parametrize("inner", [Poisson(), noise_module.MlGauss()], ids=repr)
+@pytest.mark.parametrize("inner", [Poisson(), noise_module.make_noise("ml_gauss")], ids=repr)
 def test_features_of_a_training_have_the_same_law(optics, readout, inner):
     """And the variance that is claimed of them: that of the photons, and of the light."""
     (rails, _), gain = OPTICS[optics], 3.0

@@ -108,7 +108,7 @@ def analytic_error(rails: Tensor, photons: Tensor, noise: str, sigma: float) -> 
     light = noise_module.Expectation(
         photons @ both.difference.T,
         photons @ both.total.T,
-        detection.SINGLE_DETECTION.readouts(both),
+        detection.Detection().readouts(both),
     )
     power = noise_module.make_noise(noise, sigma=sigma).variance(light)
     return float((torch.linalg.inv(both.difference).square() @ power).mean())

@@ -90,7 +90,7 @@ def test_mask_gradients_follow_mean_and_variance(kind, light):
     scanner = Scanner(masks, kind, *numbers)
 
     shown = masks()
-    read = detection.SINGLE_DETECTION.readouts(shown)
+    read = detection.Detection().readouts(shown)
     mean, power = shown.difference @ scene, shown.total @ scene
     if kind == "gaussian":
         power = SIGMA**2 * read.lit

@@ -39,10 +39,10 @@ def test_training_draws_what_the_scanner_does(kind):
     """Counted features of a step, against the law of each training, which is also claimed."""
     trained = side_by_side(kind)
     mean, light = (each @ SCENE for each in (TRAINED.difference, TRAINED.total))  # (1, 4)
-    read = detection.SINGLE_DETECTION.readouts(TRAINED)
+    read = detection.Detection().readouts(TRAINED)
     features = trained.counted(mean.expand(DRAWS, 2, 4), light.expand(DRAWS, 2, 4), read)
     claimed = trained.variance(mean, light, read).double()
-    of_one = detection.SINGLE_DETECTION.readouts(Rails.of(RAILS))
+    of_one = detection.Detection().readouts(Rails.of(RAILS))
     for job, (one, gain) in enumerate(zip(alone(kind), GAINS, strict=True)):
         plus, minus = one.mean(RAILS @ SCENE * gain)
         power = one.variance(noise.Expectation(mean[0] * gain, light[0] * gain, of_one))
@@ -54,7 +54,7 @@ def test_training_draws_what_the_scanner_does(kind):
 @pytest.mark.parametrize("kind", ["ml_gauss", "gaussian"])
 def test_a_noise_that_does_not_count_deviates_as_counts_over_the_gain(kind):
     mean, light = (each @ SCENE for each in (TRAINED.difference, TRAINED.total))
-    read = detection.SINGLE_DETECTION.readouts(TRAINED)
+    read = detection.Detection().readouts(TRAINED)
     found = side_by_side(kind).deviation(mean, light, read).square()
     for job, gain in enumerate(GAINS):
         lit = (RAILS.amax(dim=-1) > 0).sum(dim=0)
@@ -68,7 +68,7 @@ def test_training_follows_mean_light_and_time(kind):
     gain, dark = GAINS[0], NUMBERS["camera"][0]["dark"]
     noisy = TrainingNoise.of(alone(kind)[:1], [gain], [0], torch.device("cpu"))
     rails = Rails.of(RAILS[:, :2].unsqueeze(0))
-    read = detection.SINGLE_DETECTION.readouts(rails)
+    read = detection.Detection().readouts(rails)
     read = read._replace(time=read.time.clone().requires_grad_())
     mean, light = (
         (each @ SCENE).expand(DRAWS, 1, 2).clone().requires_grad_()

@@ -72,7 +72,9 @@ def group_differences(state: AdaptivePosterior) -> Tensor:
     count = min(4, chances.shape[1])  # classes that a mask is to separate at most
     likely, top = chances.topk(count, dim=1)
     own = sums.gather(1, top[..., None].expand(-1, -1, sums.shape[-1]))
-    groups = _groups_of(count).to(sums.dtype)
+    # all ways to part them in two groups: 1 for one of them, the last in neither
+    numbers = torch.arange(1, 2 ** (count - 1))
+    groups = (numbers[:, None] >> torch.arange(count) & 1).to(sums.dtype)
     means = [
         (group @ own) / (likely @ group.T).clamp(min=1e-9)[..., None]
         for group in (groups, 1 - groups)
@@ -128,12 +130,6 @@ def information(counts: Tensor, members: Tensor, unknown: Tensor | None = None) 
         within = (total - between).clamp(min=0) + noise
         return (between / within).log1p()[..., 0, 0] / 2
     return (torch.logdet(total + noise) - torch.logdet(total - between + noise)) / 2
-
-
-def _groups_of(count: int) -> Tensor:
-    """All ways (P, count) to part classes in two groups: 1 for one of them, the last in neither."""
-    numbers = torch.arange(1, 2 ** (count - 1))
-    return numbers[:, None] >> torch.arange(count) & 1
 
 
 def draw_places(

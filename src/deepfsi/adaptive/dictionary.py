@@ -82,7 +82,7 @@ class MaskTables:
             4 * scenes * (3 * many + 6 * TABLED),
             free_memory(),
             "the tables of these masks and scenes",
-            "give fewer scenes, or a smaller {dictionary}",
+            "give fewer scenes, or a smaller `dictionary`",
         )
         gain = optics.photons / prior.summed_reflectance * share
         dark = optics.dark_sum * share

@@ -38,14 +38,7 @@ from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.designfile.design_file import AdaptiveHeader
-from deepfsi.exposure.kind import (
-    Answer,
-    CountedLight,
-    ExposureKind,
-    Observation,
-    ReadsCounts,
-    Use,
-)
+from deepfsi.exposure.kind import Answer, CountedLight, ExposureKind, Observation, ReadsCounts, Use
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import Job
 from deepfsi.physics.detection import Detection
@@ -211,12 +204,8 @@ def sharing_threshold(used: np.ndarray, confidence: np.ndarray, light: float) ->
     def taken(threshold: float) -> float:
         return float(used[_last_looks(confidence, threshold)].mean())
 
+    # no job has so few looks that the first alone takes more
     tried: list[float] = np.unique(np.append(confidence[:, :-1], [0.0, 1.0])).tolist()
-    if taken(tried[0]) > light:
-        raise InputError(
-            f"the first stop alone takes {used[0]:.3g} of the budget, and {light:.3g} is asked for "
-            "in the mean: give more looks or a lower cap"
-        )
     first = bisect_right(range(len(tried)), light, key=lambda place: taken(tried[place]))
     return tried[first - 1]
 
@@ -368,9 +357,9 @@ class AdaptiveExposure(ExposureKind):
         share = self.settings.shares[0]
         return DictionaryPosterior(self.dictionary, self.prior, exposures, optics, share=share)
 
-    def front_end(self, camera: Camera | None) -> Camera:
+    def front_end(self, camera: Camera) -> Camera:
         """The camera itself: its optics, and its dark counts."""
-        return self.camera if camera is None else camera
+        return camera
 
     def rates(self, front: Camera, scenes: Tensor) -> Tensor:
         """The reflectances (n, N) themselves: what is counted follows from masks to come."""
@@ -481,7 +470,7 @@ class LeftOutScenes(NamedTuple):
     def leave(self, state: AdaptivePosterior) -> None:
         """Take each scene for impossible in the exposure of its row."""
         if self.places is not None:
-            state.leave_out(self.places)
+            state.logs[torch.arange(len(state)), self.places] = -torch.inf
 
     def parts(
         self, size: int, report: Progress = SILENT

@@ -353,10 +353,6 @@ class AdaptivePosterior:
         some._weights = some._class_sums = None
         return some
 
-    def leave_out(self, places: Tensor) -> None:
-        """Take one scene of the prior, at a place of each exposure (b,), for impossible."""
-        self.logs[torch.arange(len(self)), places] = -torch.inf
-
     def dictionary_masks(self) -> Tensor | None:
         """Masks (b, N) of a dictionary to be shown next; None where they are to be made."""
         return None

@@ -15,21 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, Unpack
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidationInfo,
-    field_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 
 from deepfsi.base.errors import InputError, as_input_error, check_choice, closest_choice
 from deepfsi.base.files import read_toml
 from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.models.strict import Seconds, UserModel
+from deepfsi.base.numeric.arrays import read_npy
 from deepfsi.base.quantities import count_text, time_text
 from deepfsi.camera.dead_time import LONGEST_DEAD_TIME_S, CounterEffects, DeadTime
-from deepfsi.camera.detectors import DetectorMap, detector_setting
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import DmdLayout, Region, find_grid
 from deepfsi.camera.names import (
@@ -88,6 +83,29 @@ def _levels(count: int) -> int:
 
 Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
 """Grey levels, dark included; 0 for continuous masks."""
+
+
+def _detectors(given: Any) -> str | tuple[int, ...]:
+    """Field of a camera: a name, bands as text, or the detector of each pixel, or its .npy file."""
+    if isinstance(given, str):
+        if not given.lower().endswith(".npy"):
+            return given.lower()
+        labels = read_npy(Path(given))
+        if labels.dtype.kind not in "iu":
+            raise InputError(
+                f"{given} holds numbers of type {labels.dtype}: give the detector of each pixel as "
+                "a whole number, from 0"
+            )
+        return tuple(labels.ravel().tolist())
+    if isinstance(given, int):
+        return str(given)
+    detectors = np.asarray(given).ravel()
+    if detectors.dtype.kind not in "iu":
+        raise ValueError(
+            "give ROWSxCOLUMNS such as 2x2, a number of bands, or the number of each pixel's "
+            "detector, from 0"
+        )
+    return tuple(detectors.tolist())
 
 
 def _device(given: Any) -> Any:
@@ -222,7 +240,7 @@ class Camera(UserModel):
         + " and ".join(name for name, law in LIGHT_LAWS.items() if law.usual_rails == "dual")
         + ", else single unless given",
     )
-    detectors: Annotated[str | tuple[int, ...], BeforeValidator(detector_setting)] = Field(
+    detectors: Annotated[str | tuple[int, ...], BeforeValidator(_detectors)] = Field(
         default="1x1",
         description="detectors, each on its part of the device: ROWSxCOLUMNS, a number of spectral "
         "bands, or each pixel's detector, from 0 (a .npy file)",

@@ -2,15 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.models.strict import Amount, Share, StrictModel, WholeNumber
-from deepfsi.base.numeric.arrays import read_npy
 
 MOST_INPUTS = 64
 """Inputs of a counter at most."""
@@ -20,30 +18,21 @@ DetectorSetting = str | Sequence[int] | np.ndarray
 
 
 class DetectorMap(StrictModel):
-    """Detectors of a device, or of each of its two arms.
+    """Detectors of a device, or of each of its two arms."""
 
-    Attributes
-    ----------
-    count : int
-        D, detectors of an arm.
-    cells : tuple of int, or None
-        Detector of each cell (N,), 0 .. D-1; None where that is not known, as before a calibration,
-        and of one detector that sees all.
-    shares : tuple of tuple of float, or None
-        Share of each detector in the light of each class of the training, (classes, D); None where
-        that is not known.
-    spread : tuple of float
-        Standard deviation of a scene's shares about those of its class, (D,).
-    """
-
-    count: int = Field(ge=1, le=2**16)
+    count: int = Field(ge=1, le=2**16)  # D, detectors of an arm
+    # Detector of each cell (N,), 0 .. D-1; None where that is not known, as before a calibration,
+    # and of one detector that sees all
     cells: tuple[WholeNumber, ...] | None = None
+    # Share of each detector in the light of each class of the training, (classes, D); None where
+    # that is not known
     shares: tuple[tuple[Share, ...], ...] | None = None
+    # Standard deviation of a scene's shares about its class's, (D,)
     spread: tuple[Amount, ...] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.cells and _count_detectors(self.cells) != self.count:
+        if self.cells and {*self.cells} != {*range(self.count)}:
             raise ValueError("the detectors of the cells are not numbered from 0 without a gap")
         if self.shares is not None and {len(self.spread), *map(len, self.shares)} != {self.count}:
             raise ValueError("the light of the classes is of another number of detectors")
@@ -77,40 +66,6 @@ def _check_several(detectors: DetectorMap) -> DetectorMap:
 
 SeveralDetectors = Annotated[DetectorMap, AfterValidator(_check_several)]
 """Field of a file that has none where one detector sees all."""
-
-
-def _count_detectors(labels: Sequence[int]) -> int | None:
-    """D of the detector of each cell or part; None where numbers from 0 to D-1 leave a gap."""
-    numbers = set(labels)
-    return len(numbers) if max(numbers) == len(numbers) - 1 else None
-
-
-def _read_detectors(name: str) -> str | tuple[int, ...]:
-    """Detectors of an option or a recipe: a map (N,) of a .npy file, any other name as it is."""
-    if not name.lower().endswith(".npy"):
-        return name.lower()
-    labels = read_npy(Path(name))
-    if labels.dtype.kind not in "iu":
-        raise InputError(
-            f"{name} holds numbers of type {labels.dtype}: give the detector of each pixel as a "
-            "whole number, from 0"
-        )
-    return tuple(labels.ravel().tolist())
-
-
-def detector_setting(given: Any) -> str | tuple[int, ...]:
-    """Field of a camera: a name or bands as text, or the detector of each pixel."""
-    if isinstance(given, str):
-        return _read_detectors(given)
-    if isinstance(given, int):
-        return str(given)
-    detectors = np.asarray(given).ravel()
-    if detectors.dtype.kind not in "iu":
-        raise ValueError(
-            "give ROWSxCOLUMNS such as 2x2, a number of bands, or the number of each pixel's "
-            "detector, from 0"
-        )
-    return tuple(detectors.tolist())
 
 
 def _divided(name: str, image_shape: tuple[int, ...]) -> np.ndarray:

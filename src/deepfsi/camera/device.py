@@ -4,6 +4,7 @@
 """
 
 import math
+import re
 import tomllib
 from importlib.resources import files
 from typing import Literal, Self
@@ -36,49 +37,30 @@ Controller = Literal["any", "alp", "dlpc900", "dlpc350", "dlpc347x"]
 
 
 class Device(UserModel):
-    """A micromirror device and its controller.
+    """A micromirror device and its controller."""
 
-    Attributes
-    ----------
-    name : str
-        By which messages and results name it.
-    columns, rows : int
-        Mirrors across and down, as they are addressed.
-    shortest_us, longest_us : int
-        Shortest and longest picture time, µs.
-    settle_us : float
-        Time after the start of a frame in which mirrors still move, µs.
-    patterns : int or None
-        Frames that the controller holds for one sequence; None where as many fit as its memory
-        allows.
-    video_us : int or None
-        Shortest video frame, µs, of a controller that takes frames as a video's bit-planes and
-        shows all for one time; None of one that stores frames.
-    load_us : int or None
-        Time to bring another frame into the device while a run goes on, µs; None of a controller
-        that cannot.
-    lattice : {"square", "diamond"}
-        Places of the mirrors.
-    pitch_um : float or None
-        Side of a mirror with its gap, µm.
-    controller : {"any", "alp", "dlpc900", "dlpc350", "dlpc347x"}
-        It decides which frame files the device takes; "any" takes packed frames.
-    planes : str
-        Colours of a 24-bit picture in the order of bit positions, eight of each, lowest bit first.
-    """
-
-    name: str
-    columns: int = Field(ge=1, le=MOST_MIRRORS)
-    rows: int = Field(ge=1, le=MOST_MIRRORS)
+    name: str  # by which messages and results name it
+    columns: int = Field(ge=1, le=MOST_MIRRORS)  # mirrors across, as they are addressed
+    rows: int = Field(ge=1, le=MOST_MIRRORS)  # mirrors down
+    # Shortest picture time, µs
     shortest_us: int = Field(default=44, ge=1, le=LONGEST_PICTURE_US)
+    # Longest picture time, µs
     longest_us: int = Field(default=LONGEST_PICTURE_US, ge=1, le=LONGEST_PICTURE_US)
+    # Time after the start of a frame in which mirrors still move, µs
     settle_us: float = Field(default=10.0, ge=0, allow_inf_nan=False)
+    # Frames that the controller holds for one sequence; None where as many fit as its memory allows
     patterns: Count | None = None
+    # Shortest video frame, µs, of a controller that takes frames as a video's bit-planes and shows
+    # all for one time; None of one that stores frames
     video_us: int | None = Field(default=None, ge=1, le=LONGEST_PICTURE_US)
+    # Time to bring another frame into the device while a run goes on, µs; None of a controller that
+    # cannot
     load_us: int | None = Field(default=None, ge=1, le=LONGEST_PICTURE_US)
-    lattice: Lattice = "square"
-    pitch_um: Positive | None = None
+    lattice: Lattice = "square"  # places of the mirrors
+    pitch_um: Positive | None = None  # side of a mirror with its gap, µm
+    # It decides which frame files the device takes; "any" takes packed frames
     controller: Controller = "any"
+    # Colours of a 24-bit picture in the order of bit positions, eight of each, lowest bit first
     planes: str = "BGR"
 
     @model_validator(mode="after")
@@ -133,33 +115,25 @@ class Device(UserModel):
         return self.model_copy(update=changes)
 
 
-def _read_devices() -> tuple[dict[str, Device], dict[str, dict[str, str]]]:
-    """Devices by name, and the source of each of their numbers."""
-    content = tomllib.loads(files(__package__).joinpath("devices.toml").read_text("utf-8"))
-    sources = {name: fields.pop("sources") for name, fields in content.items()}
-    return {name: Device(name=name, **fields) for name, fields in content.items()}, sources
+_CONTENT = tomllib.loads(files(__package__).joinpath("devices.toml").read_text("utf-8"))
+
+DEVICE_SOURCES = {name: fields.pop("sources") for name, fields in _CONTENT.items()}
+"""Where each number of a device is from."""
+
+DEVICES = {name: Device(name=name, **fields) for name, fields in _CONTENT.items()}
+"""Devices by name."""
 
 
-DEVICES, DEVICE_SOURCES = _read_devices()
-"""Devices by name, and where each of their numbers is from."""
-
-
-def find_device(
-    name: str, shortest_s: float | None = None, settle_s: float | None = None
-) -> Device:
-    """Device of a name, or one of COLUMNSxROWS mirrors, perhaps with times of its own, seconds."""
-    device = DEVICES.get(name.lower()) or _device_of_size(name)
-    return device.timed(shortest_s, settle_s)
-
-
-def _device_of_size(name: str) -> Device:
-    sides = name.lower().split("x")
-    if len(sides) == 2 and all(side.isascii() and side.isdecimal() for side in sides):
-        columns, rows = map(int, sides)
-        known = 1 <= columns <= MOST_MIRRORS and 1 <= rows <= MOST_MIRRORS
-        if known and columns * rows <= MOST_TOGETHER:
-            return Device(name=f"{columns}x{rows}", columns=columns, rows=rows)
-    raise InputError(
-        f"unknown device {name!r}: {closest_choice(name, DEVICES)}; or COLUMNSxROWS, such as "
-        "1920x1080, or a TOML file"
-    )
+def find_device(name: str) -> Device:
+    """Device of a name, or one of COLUMNSxROWS mirrors."""
+    device = DEVICES.get(name.lower())
+    if device is None:
+        sides = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", name.lower())
+        columns, rows = map(int, sides.groups()) if sides else (0, 0)
+        if not sides or max(columns, rows) > MOST_MIRRORS or columns * rows > MOST_TOGETHER:
+            raise InputError(
+                f"unknown device {name!r}: {closest_choice(name, DEVICES)}; or COLUMNSxROWS, such "
+                "as 1920x1080, or a TOML file"
+            )
+        device = Device(name=f"{columns}x{rows}", columns=columns, rows=rows)
+    return device

@@ -235,11 +235,11 @@ class Design:
         """
         return self.mask_exposure.scanner(noise, sigma, dark)
 
-    def front_end(self, camera: Camera | None = None) -> Any:
+    def front_end(self, camera: Camera) -> Any:
         """Front end that `rates` and `observe` take: the scanner with the noise of a camera.
 
-        That is the noise of photons unless a camera is given; of adaptive masks it is a camera, the
-        own one unless given. Raises `InputError` where it cannot be tested under that noise.
+        Of adaptive masks it is the camera. Raises `InputError` where it cannot be tested under that
+        noise.
         """
         return self.exposure.front_end(camera)
 

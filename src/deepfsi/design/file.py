@@ -23,7 +23,7 @@ from deepfsi.designfile.design_file import (
 )
 from deepfsi.exposure.kind import Clicks, TrainedMasks
 from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.networks.classifiers import Classifier, Values, find_network, restore_network
+from deepfsi.networks.classifiers import Classifier, Values, find_network
 from deepfsi.networks.custom import OwnClassifier
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
@@ -45,10 +45,16 @@ def file_of(design: "Design") -> DesignFile:
     if isinstance(entry, AdaptiveMasks):
         header = AdaptiveHeader(settings=entry, **words)
     else:
+        classifier = design.classifier
+        if not isinstance(classifier, Classifier):
+            raise InputError(
+                f"a design with a {type(classifier).__name__} classifier cannot be saved: "
+                "give it as deepfsi.OwnClassifier(module)"
+            )
         optics = design.mask_exposure.optics
         header = MaskHeader(
             exposure=entry,
-            classifier=_entry_of(design.classifier),  # type: ignore[arg-type]
+            classifier=classifier.header,  # type: ignore[arg-type]
             light=optics.light,
             readout=optics.detection.readout,
             summed_reflectance=optics.summed_reflectance,
@@ -59,16 +65,6 @@ def file_of(design: "Design") -> DesignFile:
     if design.training_scenes is not None:
         arrays = arrays | design.training_scenes.arrays
     return DesignFile(header, arrays)
-
-
-def _entry_of(classifier: nn.Module | None) -> dict[str, Any]:
-    """Entry of a header for a classifier, or `InputError` if it cannot be described."""
-    if not isinstance(classifier, Classifier):
-        raise InputError(
-            f"a design with a {type(classifier).__name__} classifier cannot be saved: "
-            "give it as deepfsi.OwnClassifier(module)"
-        )
-    return classifier.header
 
 
 def _network_arrays(design: "Design") -> dict[str, np.ndarray]:
@@ -141,32 +137,34 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
         clicks=Clicks.of(header.info),
         **{name: torch.from_numpy(file.arrays[name]) for name in STATISTICS},
     )
-    weights = {name: torch.from_numpy(array) for name, array in file.arrays_of("exposure").items()}
     kind = resolve_name(header.exposure.restored_by)
-    exposure = kind.restored(header.exposure, weights, optics)
-    scales = {name: torch.from_numpy(array) for name, array in file.arrays_of("values").items()}
+    exposure = kind.restored(header.exposure, _tensors(file, "exposure"), optics)
     return {
         "exposure": exposure,
         "classifier": _classifier(file, header, exposure.input_count(file.feature_count)),
         "distribution": file.distribution,
         "scene_model": file.scene_model,
         "temperatures": file.temperatures,
-        "values": Values.restored(header.values, scales) if header.values else None,
+        "values": (
+            Values.restored(header.values, _tensors(file, "values")) if header.values else None
+        ),
     }
+
+
+def _tensors(file: DesignFile, owner: str) -> dict[str, Tensor]:
+    """Tensors of what a design has, such as its `classifier`, by their names there."""
+    return {name: torch.from_numpy(array) for name, array in file.arrays_of(owner).items()}
 
 
 def _classifier(file: DesignFile, header: MaskHeader, inputs: int) -> nn.Module:
     """Classifier of a file, of so many inputs; one of its maker's own without its code."""
     sizes = header.classifier
-    weights = {
-        name: torch.from_numpy(array) for name, array in file.arrays_of("classifier").items()
-    }
+    weights = _tensors(file, "classifier")
     if isinstance(sizes, CustomEntry):
         return OwnClassifier(None, sizes.factory, sizes.arguments, weights)
-    return restore_network(
-        find_network(sizes.kind),
-        weights,
-        inputs=inputs,
-        classes=len(header.classes or header.values),
-        **sizes.model_dump(exclude={"kind"}),
-    )
+    classes = len(header.classes or header.values)
+    further = sizes.model_dump(exclude={"kind"})
+    with torch.device("meta"):  # what the sizes ask for is compared before it takes memory
+        network = find_network(sizes.kind)(inputs=inputs, classes=classes, **further)
+    network.load_state_dict(weights, assign=True)
+    return network.eval()

@@ -63,65 +63,37 @@ class MlpEntry(StrictModel, strict=True):
 
 
 class CustomEntry(StrictModel, strict=True):
-    """Entry of the header for an `OwnClassifier`: its parameters of the same names.
-
-    Attributes
-    ----------
-    factory : str
-        module:name of the function or class that makes the module; empty of one given as an object.
-    arguments : dict
-        Its keyword arguments.
-    """
+    """Entry of the header for an `OwnClassifier`: its parameters of the same names."""
 
     kind: Literal["own"]
+    # module:name of the function or class that makes the module; empty of one given as an object
     factory: str = Field(pattern=f"^({IMPORT_PATH})?$")
-    arguments: dict[str, Any]
+    arguments: dict[str, Any]  # its keyword arguments
     parts: ClassVar = 1
 
 
 class MaskHeader(StrictModel, strict=True, populate_by_name=True):
-    """Header of a design whose masks are known before an exposure.
+    """Header of a design whose masks are known before an exposure."""
 
-    Attributes
-    ----------
-    name : str
-        Which design, such as deepfsi.
-    light : str
-        Light law that the rails obey.
-    summed_reflectance : float
-        s, the training scenes' mean summed reflectance: λ = Φ x / s.
-    image_shape : tuple of int
-        Rows and columns of a scene, or values of a spectrum.
-    classes : tuple of str
-        Names, in the order of the classifier's outputs; none of a design that estimates values.
-    values : tuple of str
-        Names of these, likewise.
-    info : dict
-        Provenance: settings of the training, data and their hash, versions, device, seconds.
-    schema_number : int
-        `DESIGN_SCHEMA`; "schema" in the file.
-    deepfsi : str
-        Version of the package that wrote it.
-    readout : str
-        What is read of two rails, of `detection.Detection`.
-    exposure, classifier
-        Kind and sizes: what rebuilds them, with the tensors.
-    """
-
+    # Number of the schema; "schema" in the file
     schema_number: Literal[1] = Field(DESIGN_SCHEMA, alias="schema")
-    deepfsi: str = version("deepfsi")
-    name: Annotated[str, AfterValidator(check_design)]
-    light: LightLawName
-    readout: Readout
+    deepfsi: str = version("deepfsi")  # version of the package that wrote it
+    name: Annotated[str, AfterValidator(check_design)]  # which design, such as deepfsi
+    light: LightLawName  # light law that the rails obey
+    readout: Readout  # what is read of two rails
+    # s, the training scenes' mean summed reflectance: λ = Φ x / s
     summed_reflectance: SummedReflectance
-    image_shape: tuple[Count, ...]
+    image_shape: tuple[Count, ...]  # rows and columns of a scene, or values of a spectrum
+    # Names, in the order of the classifier's outputs; none of a design that estimates values
     classes: tuple[str, ...]
-    values: tuple[str, ...] = ()
-    exposure: ExposureEntry
+    values: tuple[str, ...] = ()  # names of these, likewise
+    exposure: ExposureEntry  # kind and sizes: what rebuilds it, with the tensors
+    # Kind and sizes, likewise
     classifier: Annotated[
         SerializeAsAny[Annotated[MlpEntry | CustomEntry, Field(discriminator="kind")]],
         of_kinds((MlpEntry, CustomEntry), lambda kind: find_classifier(str(kind)).entry),
     ]
+    # Provenance: settings of the training, data and their hash, versions, device, seconds
     info: DesignInfo
 
     @model_validator(mode="after")

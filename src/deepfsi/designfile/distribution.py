@@ -103,13 +103,10 @@ class FrameLight:
 
     def counts(self, expected: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Counts of exposures (n, rails, m) that expect so many; readouts of a frame share it."""
-        light = self.levels((len(expected), int(self.frame.max()) + 1), rng)
-        return rng.poisson(expected * light[:, self.frame])
-
-    def levels(self, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
-        """Light of frames over the mean, log-normal."""
         sigma = np.sqrt(np.log1p(self.fluctuation**2))
-        return rng.lognormal(-(sigma**2) / 2, sigma, shape)
+        frames = len(expected), int(self.frame.max()) + 1
+        light = rng.lognormal(-(sigma**2) / 2, sigma, frames)  # over the mean
+        return rng.poisson(expected * light[:, self.frame])
 
 
 @dataclass(frozen=True)

@@ -192,9 +192,10 @@ class SceneModel:
         """Model from a file, or `ValueError` if it holds none of such scenes."""
         shapes = {"means": (classes, pixels), "rest": (pixels,), "shares": (classes,)}
         shapes["axes"] = (len(arrays["axes"]), pixels)
-        if {name: array.shape for name, array in arrays.items()} != shapes:
+        fits = {name: array.shape for name, array in arrays.items()} == shapes
+        if not fits or min(arrays["rest"].min(), arrays["shares"].min()) < 0:
             raise ValueError("the model of the scenes is not of these masks")
-        if min(arrays["rest"].min(), arrays["shares"].min()) < 0 or not arrays["means"].any():
+        if not arrays["means"].any():
             raise ValueError("the model of the scenes is none")
         return cls(**arrays)
 

@@ -62,13 +62,7 @@ class CalibrationScenes:
         """Logits (len(places), E, C) of the exposures after some stops, from 0, less `base`."""
         logits = [
             logits_at_stops(
-                each.design,
-                each.front,
-                each.x,
-                photons,
-                draws=self.draws,
-                seed=seed,
-                places=places,
+                each.design, each.front, each.x, photons, draws=self.draws, seed=seed, places=places
             )
             for each in self.parts
         ]
@@ -224,7 +218,6 @@ def find_distribution(
     rates: Tensor,
     labels: Sequence[int] | np.ndarray,
     classes: int,
-    seed: int = 0,
     light: FrameLight | None = None,
 ) -> ReadoutDistribution | None:
     """Distribution of readouts of training scenes, or None where there are too few scenes.
@@ -234,7 +227,7 @@ def find_distribution(
     """
     fluctuation = 0.0 if light is None else light.fluctuation
     every = rates.double().cpu().numpy()
-    rng = np.random.default_rng([seed, 12])
+    rng = np.random.default_rng([0, 12])
     # each calibrated with the covariance of the others
     folds = np.array_split(rng.permutation(len(every)), 4)
     # what the scenes of one fold alone light cannot be compared with those of the others

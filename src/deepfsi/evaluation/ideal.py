@@ -17,7 +17,6 @@ from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.numeric.arrays import check_memory, free_memory
 from deepfsi.base.progress import Progress, progress_bar
 from deepfsi.camera.light import check_budget, summed_reflectance
-from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile.provenance import new_scenes
@@ -78,14 +77,7 @@ class IdealObserver:
         )
 
     def chances(self, counts: Tensor, photons: float) -> Tensor:
-        """Class probabilities (b, C) of counts (b, ...) of the readouts.
-
-        Parameters
-        ----------
-        counts : tensor, shape (b, ...)
-        photons : float
-            Budget Φ.
-        """
+        """Class probabilities (b, C) of counts (b, ...) of the readouts, at a budget Φ."""
         rows = max(1, 2**24 // len(self._logs))  # likelihoods held at a time
         read = counts.flatten(1)[:, self._lit].to(self._logs.dtype)
         return torch.cat([self._chances(part, photons) for part in read.split(rows)])
@@ -156,7 +148,8 @@ def ideal_observer(
         scanner = Scanner.from_rails(design)
         s = summed_reflectance(scenes.x_train)
     else:
-        _check_design(design, scenes)
+        check_data(design, scenes)
+        design.exposure.check("ideal observer")
         scanner = design.scanner()
 
     def rates_of(x: Tensor) -> Tensor:
@@ -188,9 +181,3 @@ def ideal_observer(
         conditions = Conditions(budgets, draws, seed, noise="poisson")
         answers = expose_scenes(scenes, guess_of, conditions, shares, kind=ClassAnswers, report=bar)
         return list(map(Result.of, answers))
-
-
-def _check_design(design: Design, data: Dataset) -> None:
-    """Raise `InputError` unless the observer knows what a design's counts of scenes are."""
-    check_data(design, data)
-    design.exposure.check("ideal observer")

@@ -41,7 +41,7 @@ TESTED = 300
 
 @library_defaults()
 def playable(
-    design: Design, data: Dataset, *, draws: int = 1, seed: int = 0, report: Progress = SILENT
+    design: Design, data: Dataset, *, seed: int = 0, report: Progress = SILENT
 ) -> dict[str, Any]:
     """Payload of a page: JSON types only."""
     check_playable(design)
@@ -59,7 +59,7 @@ def playable(
     else:
         budgets = sorted({*SLIDER_BUDGETS, *inside})
         optics = _networks(design)
-    results = evaluate(design, tested, budgets, draws=draws, seed=seed, report=report)
+    results = evaluate(design, tested, budgets, draws=1, seed=seed, report=report)
     return {
         **optics,
         "name": design.name,
@@ -80,7 +80,7 @@ def playable(
         ],
         "test": {
             "images": results[0].images,
-            "draws": draws,
+            "draws": 1,
             "covers": results[0].covers,
             "commonest": fresh.chance,
         },
@@ -169,7 +169,10 @@ def _networks(design: Design) -> dict[str, Any]:
         "total": sums,
         "mean": _pack(design.mean.cpu().numpy()),
         "std": _pack(design.std.cpu().numpy()),
-        "network": _layers(_classifier(design)),
+        "network": [
+            {"weight": _pack(weight), "bias": _pack(bias)}
+            for weight, bias in _classifier(design).arrays
+        ],
         "exposure": design.mask_exposure.entry().model_dump(),
     }
 
@@ -210,10 +213,6 @@ def _temperatures(fitted: Temperatures | None) -> dict[str, Any] | None:
         "budgets": fitted.budgets.tolist(),
         "dimmest": fitted.dimmest,
     }
-
-
-def _layers(network: Mlp) -> list[dict[str, Any]]:
-    return [{"weight": _pack(weight), "bias": _pack(bias)} for weight, bias in network.arrays]
 
 
 def _rules(design: Design) -> list[dict[str, Any]]:

@@ -8,13 +8,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.exposure.kind import UNTRAINED, MaskExposure, TrainedMasks
-from deepfsi.exposure.training import (
-    CHUNK,
-    LEAST_POWER,
-    ExposureTraining,
-    JobGroup,
-    standardise,
-)
+from deepfsi.exposure.training import CHUNK, LEAST_POWER, ExposureTraining, JobGroup, standardise
 from deepfsi.jobs.exposures import ConditionedEntry, FixedEntry
 from deepfsi.jobs.training import Scale
 from deepfsi.physics.detection import Rails

@@ -133,8 +133,8 @@ class ExposureKind(ABC):
         """Arrays of a design file that are the kind's own."""
 
     @abstractmethod
-    def front_end(self, camera: Camera | None) -> Any:
-        """Front end that exposes scenes, with the noise of a camera; the plain one unless given."""
+    def front_end(self, camera: Camera) -> Any:
+        """Front end that exposes scenes, with the noise of a camera."""
 
     @abstractmethod
     def rates(self, front: Any, scenes: Tensor) -> Tensor:
@@ -390,10 +390,8 @@ class MaskExposure(ExposureKind):
             self.optics.rails.stacked, noise, sigma=sigma, dark=dark, detection=self.detection
         )
 
-    def front_end(self, camera: Camera | None) -> Scanner:
-        """The scanner with the noise of a camera; that of photons unless given."""
-        if camera is None:
-            return self.scanner()
+    def front_end(self, camera: Camera) -> Scanner:
+        """The scanner with the noise of a camera."""
         return self.scanner(noise_of(camera))
 
     def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
@@ -406,11 +404,7 @@ class MaskExposure(ExposureKind):
         return photons if clicks is None else 0 * photons + clicks.photons
 
     def read(
-        self,
-        front: Scanner,
-        expected: Tensor,
-        generator: torch.Generator | None,
-        photons: float,
+        self, front: Scanner, expected: Tensor, generator: torch.Generator | None, photons: float
     ) -> Tensor:
         """Features (..., k) over the budget of expected counts (..., rails, m · D)."""
         counts = front.read(expected, generator) * (photons / self.scale(photons))

@@ -14,24 +14,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
-from pydantic import (
-    BeforeValidator,
-    Field,
-    SerializeAsAny,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from deepfsi.base.errors import InputError, as_input_error, closest_choice
-from deepfsi.base.models.strict import (
-    Count,
-    Positive,
-    StrictModel,
-    UserModel,
-    of_kinds,
-)
+from deepfsi.base.models.strict import Count, Positive, StrictModel, UserModel, of_kinds
 from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, find_noise
@@ -170,30 +159,14 @@ class Range(Exposure):
 
 
 class ConditionedEntry(Entry):
-    """Exposure of fixed dwells whose classifier has the budget as an input.
+    """Exposure of fixed dwells whose classifier has the budget as an input."""
 
-    Attributes
-    ----------
-    photons : float
-        Lowest budget of the training.
-    span : float
-        Highest over lowest.
-    masks : int
-        m, of the whole sequence.
-    nested : int
-        0, of earlier versions.
-    width : int
-        Features of each mask.
-    used : float
-        Share of the light law that the masks take within the whole sequence.
-    """
-
-    photons: Positive
-    span: Annotated[float, Field(ge=1, allow_inf_nan=False)]
-    masks: Count
-    nested: Literal[0] = 0
-    width: Count = 1
-    used: Positive = 1.0
+    photons: Positive  # lowest budget of the training
+    span: Annotated[float, Field(ge=1, allow_inf_nan=False)]  # highest over lowest
+    masks: Count  # m, of the whole sequence
+    nested: Literal[0] = 0  # of earlier versions
+    width: Count = 1  # features of each mask
+    used: Positive = 1.0  # share of the light law that the masks take within the whole sequence
     kind: Literal["conditioned"] = "conditioned"
     restored_by: ClassVar[str] = "deepfsi.exposure.fixed:ConditionedExposure"
 
@@ -331,12 +304,6 @@ class AdaptiveMasks(UserModel):
         "are made anew unless given",
     )
 
-    @model_validator(mode="after")
-    def _one_length(self) -> Self:
-        if self.dictionary is not None and self.growth != 1:
-            raise ValueError("masks of a dictionary are shown in looks of one length: leave growth")
-        return self
-
     @property
     def shares(self) -> list[float]:
         """Share of the budget that each look takes; their sum is `cap`."""
@@ -365,24 +332,7 @@ class AdaptiveMasks(UserModel):
             )
 
 
-def check_dictionary_camera(camera: Camera) -> None:
-    """Raise `InputError` where a camera has no single readout that counts, for a dictionary."""
-    if camera.clicks is not None:
-        raise InputError(
-            "masks of a dictionary are for photon counts: leave `dictionary` out, or give "
-            '`noise="poisson"`'
-        )
-    if LIGHT_LAWS[camera.light].arms > 1 or not camera.one_detector:
-        raise InputError(
-            "masks of a dictionary are chosen for one detector and one arm: leave `dictionary` or "
-            '`detectors` out, and give `light="free-dwell"`'
-        )
-
-
-EXPOSURE_KINDS: dict[str, type[Exposure]] = {
-    "span": Range,
-    "cap": SharedLight,
-}
+EXPOSURE_KINDS: dict[str, type[Exposure]] = {"span": Range, "cap": SharedLight}
 """Kind of exposure by the setting that asks for it; the first that is given counts."""
 
 NEUTRAL = {"span": "1", "cap": "1"}

@@ -24,7 +24,6 @@ from deepfsi.jobs.designs import (
     Code,
     check_count,
     check_design,
-    check_matrix,
     count_allowed,
 )
 from deepfsi.jobs.exposures import (
@@ -34,7 +33,6 @@ from deepfsi.jobs.exposures import (
     ExposureSource,
     Fixed,
     SharedLight,
-    check_dictionary_camera,
     exposure_kinds,
     find_exposure,
 )
@@ -80,7 +78,7 @@ class Job(UserModel):
     masks: int = Field(ge=1, description="number of masks, m")
     photons: Annotated[PhotonBudget, BeforeValidator(check_budget)] = Field(
         description="budget Φ: expected photons on the coding device, LOW:HIGH for a range of "
-        "budgets; flux times exposure of the camera unless given",
+        "budgets; flux times exposure of the camera unless given"
     )
     camera: Camera = Field(
         default=Camera(),
@@ -246,11 +244,11 @@ class Job(UserModel):
             if self.code.adaptive:
                 AdaptiveMasks.check_camera(camera)
                 if self.training.dictionary:
-                    check_dictionary_camera(camera)
+                    _check_dictionary_camera(camera)
             if matrix is None:
                 check_count(self.design, self.masks, scene, camera.detector_map(scene.image_shape))
             else:
-                check_matrix(np.asarray(matrix), (self.masks, data.pixels))
+                _check_matrix(np.asarray(matrix), (self.masks, data.pixels))
         except InputError as error:
             return [error.message]
         return []
@@ -368,6 +366,32 @@ class Job(UserModel):
                 f"{self.masks} looks are shorter than {shortest:.3g} of the exposure, the shortest "
                 f"picture of the camera: give at most {int(most / shortest)} masks"
             )
+
+
+def _check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
+    """Raise `InputError` unless a user's matrix has a shape, finite real numbers and any light."""
+    if matrix.shape != shape:
+        raise InputError(
+            f"a matrix of shape {matrix.shape} does not fit: give ({shape[0]}, {shape[1]})"
+        )
+    if matrix.dtype.kind not in "biuf" or not np.abs(matrix, dtype=float).max() < 1e30:
+        raise InputError("the matrix holds something else than finite real numbers")
+    if not matrix.any():
+        raise InputError("the matrix is zero everywhere: give at least one lit entry")
+
+
+def _check_dictionary_camera(camera: Camera) -> None:
+    """Raise `InputError` where a camera has no single readout that counts, for a dictionary."""
+    if camera.clicks is not None:
+        raise InputError(
+            "masks of a dictionary are for photon counts: leave `dictionary` out, or give "
+            '`noise="poisson"`'
+        )
+    if LIGHT_LAWS[camera.light].arms > 1 or not camera.one_detector:
+        raise InputError(
+            "masks of a dictionary are chosen for one detector and one arm: leave `dictionary` or "
+            '`detectors` out, and give `light="free-dwell"`'
+        )
 
 
 SETTING_ALIASES = {"dmd": ("camera", "device"), "train_noise": ("training", "noise")}

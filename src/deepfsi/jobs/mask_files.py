@@ -36,15 +36,10 @@ def read_matrix(source: str) -> np.ndarray:
         masks = read_array(path, (2, 3), variable, largest=LARGEST)
     if masks.ndim not in (2, 3) or not masks.size:
         raise InputError(f"{path} holds an array of shape {masks.shape}: give {WAYS}")
-    full = _full_scale(masks)
-    return (masks / (full * len(masks)) if full else masks).reshape(len(masks), -1)
-
-
-def _full_scale(values: np.ndarray) -> int:
-    """The level that stands for all light; 0 where numbers are no levels."""
-    if values.dtype.kind not in "bu" or values.dtype.itemsize > 2:
-        return 0
-    return 1 if values.max() <= 1 else int(np.iinfo(values.dtype).max)
+    if masks.dtype.kind in "bu" and masks.dtype.itemsize <= 2:  # levels, the last of all light
+        full = 1 if masks.max() <= 1 else int(np.iinfo(masks.dtype).max)
+        masks = masks / (full * len(masks))
+    return masks.reshape(len(masks), -1)
 
 
 def _read_images(path: Path) -> np.ndarray:

@@ -13,7 +13,7 @@ from deepfsi.base.quantities import (
     short_name,
 )
 from deepfsi.measures.results import Estimates, Result
-from deepfsi.measures.table import Measure
+from deepfsi.measures.table import MEASURES, Measure
 
 
 def score_text(result: Result | Estimates) -> str:
@@ -28,12 +28,9 @@ def details_text(result: Result | Estimates, classes: Sequence[str]) -> str:
     if isinstance(result, Estimates):
         errors = ", ".join(map(" ".join, zip(result.values, _answers(result, ()), strict=True)))
         return f"root mean squared error (of the best linear estimator): {errors}"
-    _, balanced, *others = (
-        f"{measure.title} {_interval(result, measure)}"
-        for measure in result.measures()
-        if measure.interval and result.score(measure.key) is not None
-    )
-    return ", ".join((balanced, f"worst class {_worst(result, classes)}", *others))
+    balanced = MEASURES["balanced"]
+    worst = _worst(result, classes)
+    return f"{balanced.title} {_interval(result, balanced)}, worst class {worst}"
 
 
 def results_lines(
@@ -76,14 +73,6 @@ def results_lines(
         yield "of each value: root mean squared error (that of the best linear estimator)"
     for result in results:
         if isinstance(result, Result):
-            for measure in result.measures():
-                if (
-                    measure.interval
-                    and not measure.column
-                    and result.score(measure.key) is not None
-                ):
-                    where = f"{budget_text(result.photons)} photons"
-                    yield f"{measure.title} at {where}: {_interval(result, measure)}"
             yield _confusion_table(result, classes)
     if bounds:
         yield Table(

@@ -4,7 +4,7 @@ A new measure is one entry. Results of tests, records of trials, tables of comma
 comparisons and their pages take it from here.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,38 +22,16 @@ BINS = 15
 """Groups of answers of like confidence, all of one size, in which calibration is measured."""
 
 
-def confidence_groups(
-    confidence: np.ndarray, right: np.ndarray
-) -> list[tuple[float, float, float]]:
-    """Confidence, accuracy and weight of E answers in `BINS` groups, the least sure first."""
-    order = np.argsort(confidence, kind="stable")
-    return [
-        (float(confidence[part].mean()), float(right[part].mean()), len(part) / len(order))
-        for part in np.array_split(order, min(BINS, len(order)))
-    ]
-
-
-def calibration_error(groups: Sequence[tuple[float, float, float]]) -> float:
-    """Mean distance of confidence and accuracy over groups from `confidence_groups`."""
-    return sum(weight * abs(confidence - right) for confidence, right, weight in groups)
-
-
 def confidence_error(confidence: np.ndarray, right: np.ndarray) -> float:
-    """Expected calibration error of E answers, by their confidence and which are right."""
-    return calibration_error(confidence_groups(confidence, right))
+    """Expected calibration error of E answers, by their confidence and which are right.
 
-
-def chance_error(confidence: np.ndarray, draws: int = 200, seed: int = 0) -> float:
-    """Calibration error that exactly calibrated answers of confidence (E,) show, in the mean.
-
-    Groups are finite: each answer is right with the probability that it says, and yet the accuracy
-    of a group differs from its confidence.
+    It is the mean distance of confidence and accuracy over `BINS` groups, the least sure first.
     """
-    rng = np.random.default_rng(seed)
-    errors = [
-        confidence_error(confidence, rng.random(len(confidence)) < confidence) for _ in range(draws)
-    ]
-    return float(np.mean(errors))
+    order = np.argsort(confidence, kind="stable")
+    return sum(
+        len(part) / len(order) * abs(float(confidence[part].mean()) - float(right[part].mean()))
+        for part in np.array_split(order, min(BINS, len(order)))
+    )
 
 
 MOST_DRAWS = 10_000

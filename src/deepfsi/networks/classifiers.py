@@ -126,13 +126,11 @@ class Mlp(NamedClassifier):
         *inner, last = self.layers
         h = features
         for layer in inner:
-            h = self._drop(layer(h)).relu()
+            h = layer(h)
+            if self.training and self.dropout:
+                h = h * self.kept(h)
+            h = h.relu()
         return last(h)
-
-    def _drop(self, h: Tensor) -> Tensor:
-        if not self.training or self.dropout == 0:
-            return h
-        return h * self.kept(h)
 
     def kept(self, h: Tensor) -> Tensor:
         """Draw what dropout multiplies hidden units with: 0, or 1 / (1 − dropout)."""
@@ -150,14 +148,6 @@ def find_network(name: str) -> type[NamedClassifier]:
 
 
 Network = TypeVar("Network", bound=NamedClassifier)
-
-
-def restore_network(kind: type[Network], weights: Mapping[str, Tensor], **sizes: Any) -> Network:
-    """A network of a design file, of its state and the parameters of its class."""
-    with torch.device("meta"):  # what the sizes ask for is compared before it takes memory
-        network = kind(**sizes)
-    network.load_state_dict(weights, assign=True)
-    return network.eval()
 
 
 class Replicas(nn.Module):

@@ -162,17 +162,6 @@ def _called(factory: Factory, arguments: Mapping[str, Any], inputs: int, classes
     return factory(inputs, classes, **arguments)
 
 
-def _load(classifier: OwnClassifier, weights: Mapping[str, Tensor]) -> OwnClassifier:
-    """The classifier with its weights from a design file, or `InputError` if they do not fit."""
-    assert classifier.module is not None
-    try:
-        classifier.module.load_state_dict(weights)
-    except (RuntimeError, TypeError) as error:
-        told = " ".join(str(error).split())
-        raise InputError(f"the classifier is not the one of this design: {told}") from None
-    return classifier.eval()
-
-
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
     """Draw from torch's global generators as of a seed; their state is put back at the end."""
@@ -193,4 +182,11 @@ def rebuilt(
             "this design does not say where its classifier is imported from: give `classifier`"
         )
     arguments = {} if isinstance(classifier, nn.Module) else known.arguments
-    return _load(make_custom(classifier, arguments, inputs, classes), known.weights)
+    made = make_custom(classifier, arguments, inputs, classes)
+    assert made.module is not None
+    try:
+        made.module.load_state_dict(known.weights)
+    except (RuntimeError, TypeError) as error:
+        told = " ".join(str(error).split())
+        raise InputError(f"the classifier is not the one of this design: {told}") from None
+    return made.eval()

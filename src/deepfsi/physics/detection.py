@@ -228,10 +228,6 @@ class Detection:
         return Readouts(*(torch.stack([tensor, torch.zeros_like(tensor)]) for tensor in one))
 
 
-SINGLE_DETECTION = Detection()
-"""One detector that sees all, of whose rails the difference is read."""
-
-
 class Readouts(NamedTuple):
     """Rails of masks as detectors read them, the positive ones first."""
 

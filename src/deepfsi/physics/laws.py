@@ -35,18 +35,10 @@ Weights = Mapping[str, Tensor]
 
 
 class LightLaw(ABC):
-    """Limit of what masks may do with light, for their rails (..., 2 or 1, m, N).
+    """Limit of what masks may do with light, for their rails (..., 2 or 1, m, N)."""
 
-    Attributes
-    ----------
-    name : str
-        By which a camera names it.
-    disjoint : bool
-        True if no pixel of a mask is lit on both rails, so that the total of learned masks is |M|.
-    """
-
-    name: ClassVar[LightLawName]
-    disjoint: ClassVar[bool] = True
+    name: ClassVar[LightLawName]  # by which a camera names it
+    disjoint: ClassVar[bool] = True  # no pixel is lit on both rails: learned masks' total is |M|
 
     def rails(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Rails (..., 2 or 1, m, N) whose difference is a matrix (..., m, N).
@@ -165,16 +157,21 @@ class _Column(LightLaw):
     The only law is that no photon is counted twice. Source: the paper, arXiv 2508.01981.
     """
 
-    name = "column"
+    name: ClassVar[LightLawName] = "column"
+
+    @staticmethod
+    def most(sums: Tensor) -> Tensor:
+        """What the law limits (..., 1), of the sums of columns (..., N): the largest."""
+        return sums.amax(dim=-1, keepdim=True)
 
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
-        """One common factor, 1 / max_j Σ_i |M_ij|."""
+        """One common factor, for 1 of what the law limits."""
         parts = self.rails(matrix, kind)
-        return parts / parts.sum(dim=(0, 1)).max()
+        return parts / self.most(parts.sum(dim=(0, 1)))
 
     def excess(self, rails: Tensor) -> float:
-        """max_j Σ_i |M_ij| − 1."""
-        return float(rails.sum(dim=(0, 1)).max()) - 1
+        """What the law limits, less 1."""
+        return float(self.most(rails.sum(dim=(0, 1)))) - 1
 
     def used(self, rails: Tensor) -> Tensor:
         """max_j Σ_i |M_ij| over the first k masks i."""
@@ -183,19 +180,26 @@ class _Column(LightLaw):
     def quantise(self, rails: Tensor, levels: int) -> Tensor:
         """Grey levels of each frame; where rounding breaks the law, all are dimmed to mend it."""
         shown = super().quantise(rails, levels)
-        return shown / shown.sum(dim=(-3, -2), keepdim=True).amax(dim=-1, keepdim=True).clamp(min=1)
+        return shown / self.most(shown.sum(dim=(-3, -2), keepdim=True)).clamp(min=1)
 
     def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
         """The fitted start in units of its own rms, and that unit."""
-        most = start.abs().sum(dim=-2, keepdim=True).amax(dim=-1, keepdim=True)
-        return _units_of(start, most)
+        light = self.most(start.abs().sum(dim=-2, keepdim=True))
+        if not bool(light.all()):
+            raise InputError("a start is 0 everywhere: give masks that pass light")
+        fitted = start / light
+        unit = fitted.square().mean(dim=(-2, -1), keepdim=True).sqrt()
+        return {"weight": nn.Parameter(fitted / unit), "unit": unit}
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Each pixel's column, divided by its sum where that exceeds 1."""
-        weight = weights["weight"]
+        sums = weights["weight"].abs().sum(dim=-2, keepdim=True)
+        return self.limited(weights, kind, sums)
+
+    def limited(self, weights: Weights, kind: RailsKind, light: Tensor) -> Tensor:
+        """Matrix of the weights, divided by the light (..., 1, N or 1) where that exceeds 1."""
         unit = weights["unit"]
-        sums = weight.abs().sum(dim=-2, keepdim=True)
-        matrix = weight * (unit / (sums * unit).clamp(min=1))
+        matrix = weights["weight"] * (unit / (light * unit).clamp(min=1))
         return matrix if kind == "dual" else matrix.abs()
 
     def dim(self, weights: Weights, kind: RailsKind, factor: Tensor) -> None:
@@ -328,7 +332,7 @@ class _TwoArm(LightLaw):
         return Rails(matrix, times.expand_as(matrix))
 
 
-class _Dose(LightLaw):
+class _Dose(_Column):
     """A projector lights the scene with the masks, one after another: mean_j Σ_i |M_ij| ≤ 1.
 
     What is limited is the light that falls on the scene. A pixel may get more than its mean share,
@@ -338,41 +342,19 @@ class _Dose(LightLaw):
 
     name = "dose"
 
-    def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
-        """One common factor, 1 / mean_j Σ_i |M_ij|."""
-        parts = self.rails(matrix, kind)
-        return parts / parts.sum(dim=(0, 1)).mean()
-
-    def excess(self, rails: Tensor) -> float:
-        """mean_j Σ_i |M_ij| − 1."""
-        return float(rails.sum(dim=(0, 1)).mean()) - 1
+    @staticmethod
+    def most(sums: Tensor) -> Tensor:
+        """The mean of the sums of columns."""
+        return sums.mean(dim=-1, keepdim=True)
 
     def used(self, rails: Tensor) -> Tensor:
         """mean_j Σ_i |M_ij| over the first k masks i."""
         return rails.sum(dim=-3).mean(dim=-1).cumsum(dim=-1)
 
-    def quantise(self, rails: Tensor, levels: int) -> Tensor:
-        """Grey levels of each frame; where rounding breaks the law, all are dimmed to mend it."""
-        shown = super().quantise(rails, levels)
-        sums = shown.sum(dim=(-3, -2), keepdim=True)
-        return shown / sums.mean(dim=-1, keepdim=True).clamp(min=1)
-
-    def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
-        """The fitted start in units of its own rms, and that unit."""
-        mean = start.abs().sum(dim=-2, keepdim=True).mean(dim=-1, keepdim=True)
-        return _units_of(start, mean)
-
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """All masks, divided by the mean of their columns' sums where that exceeds 1."""
-        weight = weights["weight"]
-        unit = weights["unit"]
-        mean = weight.abs().sum(dim=-2, keepdim=True).mean(dim=-1, keepdim=True)
-        matrix = weight * (unit / (mean * unit).clamp(min=1))
-        return matrix if kind == "dual" else matrix.abs()
-
-    def dim(self, weights: Weights, kind: RailsKind, factor: Tensor) -> None:
-        """Take a smaller unit."""
-        weights["unit"].mul_(factor[:, None, None])
+        sums = weights["weight"].abs().sum(dim=-2, keepdim=True)
+        return self.limited(weights, kind, self.most(sums))
 
 
 LAW_CLASSES: dict[str, type[LightLaw]] = {
@@ -385,15 +367,6 @@ def light_law(name: str) -> LightLaw:
     """Light law of a name; `InputError` if there is none."""
     check_light_law(name, "dual")
     return LAW_CLASSES[name]()
-
-
-def _units_of(start: Tensor, light: Tensor) -> dict[str, Tensor]:
-    """Weights of a start (..., m, N) over its light (..., 1, 1), and their unit, its rms then."""
-    if not bool(light.all()):
-        raise InputError("a start is 0 everywhere: give masks that pass light")
-    fitted = start / light
-    unit = fitted.square().mean(dim=(-2, -1), keepdim=True).sqrt()
-    return {"weight": nn.Parameter(fitted / unit), "unit": unit}
 
 
 def signed_parts(matrix: Tensor) -> Tensor:

@@ -45,27 +45,16 @@ class Noise(ABC):
     """Noise of the readouts of a camera.
 
     Its numbers are floats, or tensors (R, 1) of R trainings side by side.
-
-    Attributes
-    ----------
-    name : str
-        By which a camera names it; of a user's own its import path.
-    draws_rails : bool
-        True if counts of each rail are drawn, rather than a normal number for each feature.
-    of_light : bool
-        True if its draws depend on the light.
-    unbiased : bool
-        True if the mean of its counts is the rate: `gradient` then lets drawn counts follow what
-        they expect. Draws of others have a gradient of their own.
-    has_moments : bool
-        True if mean and variance are all that is to be known: of all but a user's own, and but for
-        light that fluctuates, under which readouts of one frame are correlated.
     """
 
-    name: ClassVar[str]
-    draws_rails: ClassVar[bool] = True
-    of_light: ClassVar[bool] = True
+    name: ClassVar[str]  # by which a camera names it; of a user's own its import path
+    draws_rails: ClassVar[bool] = True  # of each rail, rather than a normal number a feature
+    of_light: ClassVar[bool] = True  # whether its draws depend on the light
+    # Whether the mean of its counts is the rate: `gradient` then lets drawn counts follow what they
+    # expect. Draws of others have a gradient of their own
     unbiased: ClassVar[bool] = True
+    # Whether mean and variance are all that is to be known: of all but a user's own, and but for
+    # light that fluctuates, under which readouts of one frame are correlated
     has_moments: ClassVar[bool] = True
 
     @property
@@ -200,7 +189,7 @@ class Gaussian(Noise):
 
 
 @dataclass(frozen=True)
-class MlGauss(Noise):
+class _MlGauss(Noise):
     """The smooth stand-in for photon noise that masks train under, y = r + √r ε.
 
     Its mean and variance are those of photons, and it has a gradient in the rate. For the
@@ -246,7 +235,7 @@ class Poisson(Noise):
         bright = rates > POISSON_LIMIT
         if not bool(bright.any()):
             return exact
-        return torch.where(bright, MlGauss().draw(rates, random).round(), exact)
+        return torch.where(bright, _MlGauss().draw(rates, random).round(), exact)
 
 
 @dataclass(frozen=True)
@@ -384,8 +373,6 @@ class Fluctuation(Noise):
     def __post_init__(self) -> None:
         if self.inner.facts.gates:
             raise InputError("clicks have no light that fluctuates here: give another noise")
-        if not (math.isfinite(self.fluctuation) and self.fluctuation >= 0):
-            raise InputError(f"a fluctuation of {self.fluctuation!r} is none: give 0 or more")
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -458,7 +445,7 @@ class Fluctuation(Noise):
 
 
 NOISE_CLASSES: dict[str, type[Noise]] = {
-    noise.name: noise for noise in (_NoNoise, Gaussian, Poisson, MlGauss, _CameraNoise, Click)
+    noise.name: noise for noise in (_NoNoise, Gaussian, Poisson, _MlGauss, _CameraNoise, Click)
 }
 """Class of each noise of the package, by its name."""
 
@@ -494,7 +481,7 @@ def noise_of(camera: Camera, noise: str | NoiseFunction | None = None) -> Noise:
 
 
 def attach_gradient(counts: Tensor, mean: Tensor, total: Tensor) -> Tensor:
-    """Let counts (..., m) follow what their mean and variance depend on, as those of `MlGauss` do.
+    """Let counts (..., m) follow what their mean and variance depend on, as those of `ml_gauss` do.
 
     These are the derivatives of μ + √L ε at the ε that gives y. The gradient of the mean of any
     f(y) is right where f is at most quadratic.

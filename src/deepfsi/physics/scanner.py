@@ -135,22 +135,12 @@ class Scanner(nn.Module):
         return torch.where(read.active, self.noise.dark_counts(read.time), 0.0)
 
     def moments(self, rates: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and variance (..., k) of features of rails that so many photons reach.
-
-        Parameters
-        ----------
-        rates : tensor, shape (..., rails, m · D)
-            Expected photons, as from `rates`.
-        """
-        mean = self.detection.features(self.noise.mean(rates))
-        return mean, self.detection.totals(self._variance(rates))
-
-    def _variance(self, rates: Tensor) -> Tensor:
-        """Variance of the counts of rails that so many photons reach."""
+        """Mean and variance (..., k) of features of rails of expected photons, as from `rates`."""
         read = self._readouts(rates.shape[-2])
         alone = Readouts(*(tensor.unsqueeze(0) for tensor in read))  # each rail is a feature
         power = self.noise.variance(Expectation(rates, rates, alone))
-        return torch.where(read.active, power, 0.0).expand_as(rates)
+        power = torch.where(read.active, power, 0.0).expand_as(rates)
+        return self.detection.features(self.noise.mean(rates)), self.detection.totals(power)
 
     def _readouts(self, rails: int) -> Readouts:
         """Readouts (..., rails, m · D): which rails are not dark by construction, and how long."""

@@ -52,12 +52,10 @@ def torch_device(given: Any) -> torch.device:
         device = None
     number = 0 if device is None else device.index or 0
     if device is None or device.type not in ("cpu", "cuda", "mps") or number < 0:
-        shown = given if isinstance(given, str) else str(given)
-        raise InputError(f"unknown device {shown!r}: choose auto, cpu, cuda, cuda:1 or mps")
+        raise InputError(f"unknown device {str(given)!r}: choose auto, cpu, cuda, cuda:1 or mps")
+    here = number == 0 and (device.type == "cpu" or torch.backends.mps.is_available())
     if device.type == "cuda":
         here = number < gpus
-    else:
-        here = number == 0 and (device.type == "cpu" or torch.backends.mps.is_available())
     if not here:
         there = f", and torch sees {gpus} of CUDA" if gpus and device.type == "cuda" else ""
         raise InputError(f'device {device!s} is not here{there}: use `device="cpu"` or auto')

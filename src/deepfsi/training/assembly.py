@@ -76,7 +76,7 @@ def design_of(
     job = _job(scanner, rails, budget, light)
     front = Scanner.from_rails(rails.stacked, detection=scanner.detection)
     counts = scanner.detection.totals(front.rates(mean.to(rails.difference)))
-    info = provenance(job, scenes, rails.device, 0.0)
+    info = provenance(job, scenes, rails.device)
     optics = TrainedMasks(
         rails=rails,
         light=light,

@@ -64,22 +64,18 @@ def characterise(
             design.distribution = _distribution(design, scenes, training_set.data.groups)
         else:
             design.distribution = first.distribution
-        if _compared(design):
-            design.scene_model = first.scene_model or _scene_model(
-                design, scenes, training_set.data.groups
-            )
+        if _compared(design) and first.scene_model is not None:
+            design.scene_model = first.scene_model
+        elif _compared(design):
+            rows = sample_scenes(len(scenes), scenes.shape[1])
+            x = scenes[rows].double().cpu().numpy()
+            labels = training_set.data.groups[rows]
+            design.scene_model = SceneModel.fit(x, labels, len(design.classes) or 1)
         if design.classes:
             folds = [(fold, several[place]) for fold, several in left_out]
             design.temperatures, test = find_temperatures(design, job, training_set.data, folds)
             if test is not None:
                 design.info["left_out"] = test.as_dict()
-
-
-def _scene_model(design: Design, scenes: Tensor, labels: np.ndarray) -> SceneModel | None:
-    """Model of the scenes (n, N) of classes (n,), if there are enough."""
-    rows = sample_scenes(len(scenes), scenes.shape[1])
-    x = scenes[rows].double().cpu().numpy()
-    return SceneModel.fit(x, labels[rows], len(design.classes) or 1)
 
 
 def find_temperatures(
@@ -124,26 +120,18 @@ def _compared(design: Design) -> bool:
     return design.exposure.comparable and design.gates is None
 
 
-def _frame_light(design: Design) -> FrameLight | None:
-    """Light of the frames of a design whose light fluctuates."""
-    fluctuation = design.camera.fluctuation
-    if not fluctuation:
-        return None
-    rails = design.rails.map(design.detection.arrange)
-    return FrameLight(fluctuation, design.detection.frames(rails).cpu().numpy())
-
-
 def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> ReadoutDistribution | None:
     """Distribution of the readouts of scenes (n, N) of classes (n,), if it can be had."""
     if not _compared(design):
         return None
     rows = sample_scenes(len(scenes), prod(design.counts_shape))
-    x = scenes[rows]
+    light = None
+    if fluctuation := design.camera.fluctuation:
+        rails = design.rails.map(design.detection.arrange)
+        light = FrameLight(fluctuation, design.detection.frames(rails).cpu().numpy())
     with torch.no_grad():
-        rates = design.rates(design.scanner(), x)
-        return find_distribution(
-            rates, labels[rows], len(design.classes) or 1, light=_frame_light(design)
-        )
+        rates = design.rates(design.scanner(), scenes[rows])
+        return find_distribution(rates, labels[rows], len(design.classes) or 1, light=light)
 
 
 @dataclass(frozen=True)
@@ -244,9 +232,7 @@ def _guess(data: Dataset) -> np.ndarray:
     return np.bincount(data.y_train, minlength=len(data.classes)) / len(data.y_train)
 
 
-def provenance(
-    job: BaseModel, data: Dataset, device: torch.device, seconds: float
-) -> dict[str, Any]:
+def provenance(job: BaseModel, data: Dataset, device: torch.device) -> dict[str, Any]:
     """Provenance of a design for `Design.info`, from parameters of its training."""
     return {
         "job": job.model_dump(mode="json"),
@@ -256,7 +242,7 @@ def provenance(
         "deepfsi": version("deepfsi"),
         "torch": torch.__version__,
         "device": device.type,
-        "seconds": seconds,
+        "seconds": 0.0,  # until its end is measured
     }
 
 

@@ -9,7 +9,7 @@ import copy
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,39 +25,22 @@ from deepfsi.training.assembly import designs_of
 from deepfsi.training.checkpoint import LoopState
 from deepfsi.training.losses import SceneLoss
 
-Made = TypeVar("Made")
-
 
 @dataclass(frozen=True)
 class Epoch:
-    """One epoch of a training.
+    """One epoch of a training."""
 
-    Attributes
-    ----------
-    epoch, epochs : int
-        Number of the epoch, from 1, and how many were asked for.
-    loss : float
-        Mean over the scenes of the epoch, under noise and while weights change: of the answer at
-        the end of an exposure, without the cost of counts.
-    lr : float
-        Learning rate of the classifier in the last step.
-    design : str
-        What is trained: of a control group its masks first, ``"deepfsi"``.
-    photons : float
-        Budget of the training, the lowest of a range.
-    seed : int
-    validation_loss, validation_accuracy : float or None
-        Of held-out scenes under the camera's noise, at the middle budget of a range; None without
-        such scenes. Values have no accuracy.
-    """
-
-    epoch: int
-    epochs: int
+    epoch: int  # from 1
+    epochs: int  # that were asked for
+    # Mean over the scenes of the epoch, under noise and while weights change: of the answer at the
+    # end of an exposure, without the cost of counts
     loss: float
-    lr: float
-    design: str
-    photons: float
+    lr: float  # learning rate of the classifier in the last step
+    design: str  # what is trained: of a control group its masks first, "deepfsi"
+    photons: float  # budget of the training, the lowest of a range
     seed: int
+    # Of held-out scenes under the camera's noise, at the middle budget of a range; None without
+    # such scenes. Values have no accuracy
     validation_loss: float | None = None
     validation_accuracy: float | None = None
 
@@ -118,13 +101,6 @@ class LoopHooks:
                 tensor.copy_(watch.best[name])
         self.lengths.append(watch.number)
         self.history = watch.history
-
-
-def check_made(name: str, made: Any, kind: type[Made]) -> Made:
-    """Object that a user's function has made, or `InputError` unless it is of its kind."""
-    if not isinstance(made, kind):
-        raise InputError(f"{name} gives {made!r}: give a function that makes a torch {name}")
-    return made
 
 
 class _LoopWatch:

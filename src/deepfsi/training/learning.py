@@ -219,7 +219,7 @@ def train(
         JobGroup.of(training_set, jobs, **masks), own, checkpoint=checkpoint, hooks=hooks
     )
     for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
-        design.info = provenance(job, training_set.data, training_set.device, 0.0)
+        design.info = provenance(job, training_set.data, training_set.device)
         design.info |= hooks.info(place)
         if start is not None:
             design.info["start"] = array_hash(start)
@@ -274,9 +274,6 @@ def _check(
     start: np.ndarray | None,
 ) -> None:
     """Raise an error unless jobs can train together on the data, in the memory that is free."""
-    # Jobs that learn the masks of others before ask for nothing that these do not
-    if len({companions(job, training_set.device) for job in jobs}) > 1:
-        raise ValueError("jobs that train together may differ in photons, sigma and seed only")
     for job in jobs:
         job.check(training_set.data, matrix)
         if start is not None:
@@ -398,7 +395,7 @@ def _adaptive_designs(
     training = training_of(clicks)(data, settings)
     designs: list[Design] = []
     for job, span in zip(jobs, report.split(len(jobs)), strict=True):
-        info = provenance(job, data, torch.device("cpu"), 0.0)
+        info = provenance(job, data, torch.device("cpu"))
         made, answers = training.make(job, info["job"]["camera"], span)
         if clicks:
             made, info["left_out"] = calibrate_posterior(made, answers, data, job)

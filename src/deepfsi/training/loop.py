@@ -12,6 +12,7 @@ to rounding a design does not depend on which others it was trained with.
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from typing import Any
 
 import torch
@@ -19,15 +20,15 @@ from torch import nn
 from torch.optim.lr_scheduler import LRScheduler, OneCycleLR
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.progress import SILENT, Progress
+from deepfsi.base.progress import Progress
 from deepfsi.exposure.training import ExposureTraining
 from deepfsi.exposure.training_set import network_dtype
 from deepfsi.jobs.training import Training
 from deepfsi.networks.classifiers import Classifier, Mlp, Replicas, Sizes, find_network
 from deepfsi.networks.custom import make_custom, seeded
 from deepfsi.physics.training_noise import Draws
-from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, LoopState
-from deepfsi.training.hooks import LoopHooks, check_made
+from deepfsi.training.checkpoint import Checkpoint, LoopState
+from deepfsi.training.hooks import LoopHooks
 from deepfsi.training.losses import CountsCost, find_loss
 
 REPORT_SECONDS = 1.0
@@ -35,13 +36,9 @@ REPORT_SECONDS = 1.0
 
 
 def optimise(
-    exposure: ExposureTraining,
-    report: Progress = SILENT,
-    checkpoint: Checkpoint = NO_CHECKPOINT,
-    hooks: LoopHooks | None = None,
+    exposure: ExposureTraining, report: Progress, checkpoint: Checkpoint, hooks: LoopHooks
 ) -> list[Classifier]:
     """Train classifiers of jobs side by side, with masks that learn."""
-    hooks = hooks or LoopHooks()
     job = exposure.job
     settings = job.training
     device = exposure.training_set.device
@@ -59,9 +56,10 @@ def optimise(
     groups = [_parameter_group(classify, settings.lr, settings.decay)]
     if exposure.learns:
         groups.append(_parameter_group(exposure.masks, settings.mask_lr))
-    made = (hooks.optimiser or _adamw)(groups)
-    optimiser = check_made("optimiser", made, torch.optim.Optimizer)
-    schedule = check_made("schedule", (hooks.schedule or _one_cycle)(optimiser, total), LRScheduler)
+    made = (hooks.optimiser or partial(torch.optim.AdamW, fused=True))(groups)
+    optimiser = _check_made("optimiser", made, torch.optim.Optimizer)
+    cycle = (hooks.schedule or _one_cycle)(optimiser, total)
+    schedule = _check_made("schedule", cycle, LRScheduler)
     modules = [classify, *([exposure.masks] if exposure.learns else [])]
     generators = exposure.noise.generators + _generators(settings, classifiers, device)
     state = LoopState(
@@ -110,14 +108,16 @@ def optimise(
     return classifiers
 
 
+def _check_made(name: str, made: Any, kind: type[Any]) -> Any:
+    """Object that a user's function has made, or `InputError` unless it is of its kind."""
+    if not isinstance(made, kind):
+        raise InputError(f"{name} gives {made!r}: give a function that makes a torch {name}")
+    return made
+
+
 def batch_of(settings: Training, count: int) -> int:
     """Scenes of a step."""
     return min(settings.batch or min(max(count // 100, 32), 500), count)
-
-
-def _adamw(groups: list[dict[str, Any]]) -> torch.optim.Optimizer:
-    """Optimiser of groups of parameters with their rates."""
-    return torch.optim.AdamW(groups, fused=True)
 
 
 def _one_cycle(optimiser: torch.optim.Optimizer, steps: int) -> LRScheduler:
