@@ -12,7 +12,6 @@ DIAGONAL_INCHES = {
     "dlp670s": 0.67, "dlp500yx": 0.5, "dlp4500": 0.45, "dlp3010": 0.3, "dlp4710": 0.47,
     "dlp6500-dlpc910": 0.65, "dlp9000x": 0.9,
 }  # fmt: skip
-"""As the names say, rounded."""
 
 
 @pytest.mark.parametrize("name", DEVICES)

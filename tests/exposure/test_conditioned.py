@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import every_optics, generator, once
+from conftest import RECIPE, every_optics, generator, once
 from deepfsi.camera.light import photons_per_pixel
 from deepfsi.exposure.fixed import standardised
 from deepfsi.exposure.training import standardise
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.networks.classifiers import stop_temperatures
+from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from deepfsi.training.learning import train
-from shared.jobs import job
+from shared.jobs import job, learn
 
 TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0}
 
@@ -63,3 +64,29 @@ def test_features_that_do_not_vary_in_a_batch_are_0_and_have_finite_gradients(sc
     scaled.sum().backward()
     assert (scaled == 0).all()
     assert features.grad.isfinite().all()
+
+
+SHORTEST = 0.06
+"""Share of the exposure: sixteen frames."""
+
+ONE_DMD = {"light": "free-dwell", "rails": "single"}
+
+
+def check_dwells(dwells: np.ndarray, total: float) -> None:
+    lit = dwells[dwells > 0]
+    assert lit.min() >= SHORTEST * (1 - 1e-5)
+    assert lit.size <= total / SHORTEST
+    assert dwells.sum() == pytest.approx(total, rel=1e-5)
+
+
+@pytest.mark.parametrize("levels", [0, 2])
+@pytest.mark.parametrize(
+    "optics", [ONE_DMD, {"light": "free-dwell"}, {"light": "two-arm"}], ids=str
+)
+def test_no_frame_of_a_sequence_is_below_the_shortest(digits, optics, levels):
+    words = {**RECIPE, **optics, "levels": levels, "device": "cpu"}
+    design = learn(digits, photons=1e3, masks=20, shortest_dwell=SHORTEST, **words)
+    rails = design.rails.total[None] if "two-arm" in optics.values() else design.rails.stacked
+    dwells = rails.amax(dim=-1).numpy()
+    check_dwells(dwells, float(dwells.sum()))
+    assert light_law(optics["light"]).excess(design.rails.stacked) <= ROUNDING_SLACK

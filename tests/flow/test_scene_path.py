@@ -18,8 +18,6 @@ PATHS = [
     ScenePath((2, 4), 30, 6, 4.5),
     ScenePath((1, 1), 6, 6, 1.0),
 ]
-"""Paths whose bins end on the fine grid."""
-
 every_path = pytest.mark.parametrize("path", PATHS, ids=str)
 
 

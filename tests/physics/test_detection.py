@@ -17,8 +17,6 @@ from deepfsi.physics.training_noise import ml_gauss_features
 SHAPE = (6, 8)
 ARBITRARY = np.random.default_rng(0).permutation(np.arange(48) % 5)
 MAPS = ["1x1", "2x2", "4x3", "6x8", ARBITRARY]
-"""Tiles of equal and of unequal size, a detector for each pixel, and any map."""
-
 every_map = pytest.mark.parametrize("detectors", MAPS, ids=str)
 every_readout = pytest.mark.parametrize("readout", ["difference", "both"])
 

@@ -3,12 +3,15 @@
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
+import pytest
 import torch
 
 import deepfsi
+from deepfsi import InputError
 from deepfsi.design.onnx import to_onnx
 from deepfsi.evaluation.page_data import playable
 from deepfsi.hardware.counting.tables import TableSettings
+from deepfsi.physics.surroundings import torch_device
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import compare
 from shared.pictures import save_images
@@ -130,3 +133,14 @@ def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digi
         with torch.no_grad():
             wanted = call()
         assert same(wanted, under_all(call)), number
+
+
+def test_a_device_is_one_that_torch_has(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    assert torch_device("auto") == torch.device("cuda")
+    assert torch_device("cuda:1") == torch_device(torch.device("cuda", 1)) == torch.device("cuda:1")
+    with pytest.raises(InputError, match="torch sees 2 of CUDA"):
+        torch_device("cuda:2")
+    with pytest.raises(InputError, match=r"^unknown device 'cuda:x': choose auto, cpu, cuda"):
+        torch_device("cuda:x")

@@ -20,8 +20,6 @@ NUMBERS = {
     "camera": [{"sigma": 2.0, "dark": 30.0}, {"sigma": 5.0, "dark": 10.0}],
     "click": [{"gates": 20}, {"gates": 20}],
 }
-"""Of two trainings side by side."""
-
 SCENE = torch.tensor([0.4, 0.9], dtype=torch.float64)
 TRAINED = Rails.of(RAILS.unsqueeze(0))
 

@@ -10,8 +10,10 @@ from conftest import RECIPE, same
 from deepfsi import evaluate
 from deepfsi import learn as learned
 from deepfsi.base.errors import InputError
+from deepfsi.training import losses
 from shared.checkpoints import TRAININGS
 from shared.jobs import learn
+from shared.values import placed_digits
 
 SHORT = {**RECIPE, "epochs": 3, "batch": 64, "photons": 1e3, "masks": 5, "device": "cpu"}
 
@@ -120,3 +122,33 @@ def test_masks_start_from_a_matrix_or_a_design(held):
 def test_what_cannot_be_is_refused(digits, given, words):
     with pytest.raises(InputError, match=words):
         learned(digits, **{"masks": 3, "photons": 1e3, **given})
+
+
+def test_a_loss_of_ones_own_that_is_the_usual_one_trains_the_same_design():
+    data, name = placed_digits(), "deepfsi.training.losses:squared_error"
+
+    def made(**loss):
+        training = {"epochs": 2, **loss}
+        return learned(data, camera="dmd", photons=1e4, masks=4, training=training)
+
+    usual, own, named = made(), made(loss=losses.squared_error), made(loss=name)
+    assert torch.equal(usual.rails.stacked, own.rails.stacked)
+    assert torch.equal(usual.rails.stacked, named.rails.stacked)
+    assert own.info["job"]["training"]["loss"] == name
+    other = made(loss=lambda outputs, truth: (outputs - truth).abs().mean(dim=-1))
+    assert not torch.equal(usual.rails.stacked, other.rails.stacked)
+    assert evaluate(other, data, 1e4, draws=1)[0].r2 > 0.3
+
+
+@pytest.mark.parametrize(
+    ("loss", "told"),
+    [
+        (lambda outputs, truth: outputs.mean(), r"gives \(\) of"),
+        (lambda outputs, truth: outputs.detach()[:, 0], "no gradient"),
+        ("no.such:loss", "cannot be imported"),
+    ],
+)
+def test_a_bad_loss_is_refused_in_one_line(digits, loss, told):
+    with pytest.raises(InputError, match=told) as error:
+        learned(digits, camera="dmd", photons=1e4, masks=2, training={"epochs": 1, "loss": loss})
+    assert "\n" not in str(error.value)

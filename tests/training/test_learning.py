@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch.nn.functional import cross_entropy
 
+import deepfsi
 from conftest import (
     FLOAT32,
     PHOTONS,
@@ -20,8 +21,10 @@ from conftest import (
     synthetic,
     two_valued,
 )
-from deepfsi import evaluate
+from deepfsi import Camera, evaluate
+from deepfsi.base.errors import InputError
 from deepfsi.datasets.arrays import from_arrays
+from deepfsi.evaluation.page_data import check_playable
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics.laws import light_law
 from deepfsi.training import characterisation
@@ -130,3 +133,26 @@ def test_the_weighted_loss_is_that_of_scenes_repeated():
     weights = TrainingSet(data, "cpu").class_weights
     weighted = cross_entropy(logits, labels, weights, reduction="sum") / len(labels)
     assert weighted.item() == pytest.approx(repeated.item(), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera(light="two-arm", fluctuation=0.1),
+        Camera(light="equal-dwell", detectors="2x2", readout="both", fluctuation=0.1),
+    ],
+)
+def test_a_design_keeps_its_light_and_tests_counts_of_it(digits, tmp_path, camera):
+    """Sound counts of its light pass; those of steady light are told by a design for that."""
+    few = {"epochs": 1}
+    design = deepfsi.learn(digits, photons=1e4, masks=4, camera=camera, training=few)
+    kept = deepfsi.load_design(design.save(tmp_path / "d.safetensors"))
+    assert kept.camera.fluctuation == 0.1
+    assert kept.distribution is not None
+    assert float(kept.distribution.fluctuation) == pytest.approx(0.1)
+    counts = design.expose(digits.x_test[:60], 1e6, seed=1)
+    assert not kept.consistency(counts, 1e6).refused
+    steady = replace(kept.distribution, fluctuation=np.array(0.0))
+    assert replace(kept, distribution=steady).consistency(counts, 1e6).refused
+    with pytest.raises(InputError, match="a page draws photon and dark counts of steady light"):
+        check_playable(kept)

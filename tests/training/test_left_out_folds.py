@@ -18,8 +18,6 @@ from deepfsi.training import characterisation
 
 PHOTONS, LOOKS = 1e4, 6
 EACH = 16
-"""Scenes of each class."""
-
 CLASSES = (3, 8, 9)
 """Digits that are often mistaken for each other."""
 

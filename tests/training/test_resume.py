@@ -22,7 +22,6 @@ from shared.jobs import job as job_of
 from shared.jobs import learn
 
 SHORT = {**RECIPE, "epochs": 2, "batch": 32, "masks": 5, "photons": 1e3, "device": "cpu", "seed": 3}
-"""Six steps of a training."""
 
 
 def settings(changes):

@@ -21,8 +21,6 @@ from deepfsi.hardware.patterns.manifest import DesignRails, Frame, Manifest
 from deepfsi.hardware.photons.ptu import PtuWriter
 
 FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "100"))
-"""Examples of each test on random faults, and mutated folders."""
-
 TICK = 1e-12
 DWELL = 1e-3
 JITTER = 2e-7

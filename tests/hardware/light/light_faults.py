@@ -14,8 +14,6 @@ from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, named, spl
 
 SETTLE = 2e-5
 WITHIN = 0.04
-"""Spread of the brightness of scenes."""
-
 BRIGHTNESS = Brightness(low=0.87, high=1.14, between=1.03, within=0.05)
 ARM_INPUTS = (2, 1)
 MARKER = 4

@@ -77,7 +77,6 @@ NAMES = {
     "lamp_sags": {"unsteady"},
     "stray_burst": {"unsteady", "brighter"},
 }
-"""Kinds, one of which a fault is called."""
 
 
 @pytest.mark.parametrize("fault", FAULTS)

@@ -15,8 +15,6 @@ SMALL = find_device("67x50")
 """Not whole bytes across, and cells of 8 x 8 leave margins."""
 
 UNEQUAL = np.array([0.999, 0.001])[None, :, None].repeat(16, axis=2)
-"""Two masks of very different shares, rails (1, 2, 16)."""
-
 every_format = pytest.mark.parametrize("form", ["npy", "png", "bmp", "raw", "planes"])
 every_selection = pytest.mark.parametrize("selection", ["ordered", "random"])
 
@@ -30,7 +28,6 @@ def family(name: str) -> Device:
 
 
 BOARD = family("dlp6500")
-"""A device that takes every format."""
 
 
 def grey(masks: int = 5, pixels: int = 16, rails: int = 2, seed: int = 0) -> np.ndarray:

@@ -162,6 +162,4 @@ def cut(content: bytes) -> Iterator[bytes]:
 
 
 SOURCES = {"file": PtuFile, "stream": StreamedFile}
-"""Ways to read a file: at once, and while its bytes arrive."""
-
 every_source = pytest.mark.parametrize("opened", SOURCES.values(), ids=SOURCES)

@@ -31,8 +31,6 @@ from deepfsi.hardware.photons.reader import count_windows, read_markers, summari
 from fuzz.mutations import mangled
 
 FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "300"))
-"""Mutated files that the fuzz test reads."""
-
 TICK = 10**6
 """Ticks of 1 ps by which markers may be off."""
 

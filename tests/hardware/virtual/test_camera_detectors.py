@@ -25,8 +25,6 @@ from deepfsi.physics.detection import Detection
 
 IDEAL = CAMERAS["ideal"]
 CELLS = (0, 0, 1, 2, 0, 0, 1, 2, 3, 3, 3, 2)
-"""Detector of each of 3 x 4 cells: parts of 4, 2, 3 and 3 cells."""
-
 D = 4
 FLUX, EXPOSURE = 2e7, 1e-3
 DETECTION = Detection.by(DetectorMap.of(np.array(CELLS), SHAPE))
