@@ -15,7 +15,6 @@ from contextlib import contextmanager
 
 import torch
 
-from deepfsi.base.progress import Moments
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets.load import load_dataset
 from deepfsi.evaluation.accuracy import evaluate
@@ -24,6 +23,7 @@ from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
 from deepfsi.training.learning import train
+from moments import Moments
 
 TYPES = {"float32": 10**9, "bfloat16": 0}
 """Units from which networks are in bfloat16: for none, and for all."""

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, TensorDataset
 
-from deepfsi.base.progress import Moments, Progress
+from deepfsi.base.progress import Progress
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.exposure.training_set import TrainingSet, network_dtype
@@ -30,6 +30,7 @@ from deepfsi.training.learning import train
 from deepfsi_paper.patches.settings import Patches
 from deepfsi_paper.patches.transformer import Vit
 from deepfsi_paper.studies import find
+from moments import Moments
 
 BUDGET, CLASSES = 1e4, 10
 

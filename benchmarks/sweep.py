@@ -23,7 +23,6 @@ import numpy as np
 import torch
 from torch import nn
 
-from deepfsi.base.progress import Moments
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
@@ -37,6 +36,7 @@ from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
 from deepfsi.sweeps.run import run_trials
 from deepfsi.sweeps.workers import Workers, default_count
 from deepfsi.training.learning import train
+from moments import Moments
 
 BUDGETS, SEEDS, EPOCHS, BATCH = (1e3, 1e4, 1e5, 1e6), 5, 20, 500
 PAPER_SECONDS = 2.87e4

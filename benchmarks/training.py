@@ -19,7 +19,6 @@ import torch
 from torch import nn
 from torch.utils.data import DataLoader, TensorDataset
 
-from deepfsi.base.progress import Moments
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.evaluation.accuracy import evaluate
@@ -27,6 +26,7 @@ from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
 from deepfsi.training.learning import train
+from moments import Moments
 
 BUDGET, BATCH, LR, MASK_LR = 1e4, 500, 5e-3, 5e-2
 

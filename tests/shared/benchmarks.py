@@ -7,6 +7,7 @@ from pathlib import Path
 from types import ModuleType
 
 HERE = Path(__file__).parents[2] / "benchmarks"
+sys.path.append(str(HERE))  # as for a script there
 
 
 @cache

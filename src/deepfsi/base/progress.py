@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from typing import NamedTuple
 
 
@@ -36,23 +35,6 @@ class Progress(NamedTuple):
 
 SILENT = Progress()
 """Shows nothing."""
-
-
-class Moments:
-    """Moments at which a task reached its shares, as its `report` told."""
-
-    def __init__(self) -> None:
-        self._seen: list[tuple[float, float]] = []
-        self.report = Progress(lambda share, what: self._seen.append((share, time.perf_counter())))
-
-    def reached(self, share: float) -> float:
-        """Moment, s, at which the task first was that far."""
-        return next(when for done, when in self._seen if done >= share - 1e-9)
-
-    def epochs(self, count: int) -> list[float]:
-        """Seconds of each of the epochs that the task had."""
-        ends = [self.reached(epoch / count) for epoch in range(count + 1)]
-        return [stop - start for start, stop in pairwise(ends)]
 
 
 FIRST_LINE_SECONDS = 2.0
