@@ -10,7 +10,7 @@ from deepfsi.adaptive.exposure import AdaptiveExposure, sharing_threshold
 from deepfsi.base.errors import InputError
 from deepfsi.evaluation.accuracy import evaluate
 
-PHOTONS, DRAWS = 1e3, 3
+PHOTONS, DRAWS = 1e3, 2
 
 
 @pytest.fixture(scope="module")
