@@ -11,14 +11,12 @@ left is printed; a fact that differs is never stored.
 import contextlib
 import functools
 import importlib
-import io
 import json
 import os
 import platform
 import re
 import subprocess
 import sys
-import tarfile
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -194,8 +192,7 @@ def _source() -> Path | None:
             except (OSError, subprocess.CalledProcessError):
                 return None
             unpacked = Path(tempfile.mkdtemp(dir=CACHE))
-            with tarfile.open(fileobj=io.BytesIO(archived.stdout)) as archive:
-                archive.extractall(unpacked, filter="data")
+            subprocess.run(["tar", "-xC", unpacked], input=archived.stdout, check=True)
             unpacked.rename(folder)
     return folder
 
