@@ -19,6 +19,7 @@ import numpy as np
 from scipy.special import softmax
 
 import deepfsi
+from calibration import chance_error
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.evaluation.confidence import logits_at_stops
 from deepfsi.measures.table import confidence_error
@@ -76,13 +77,6 @@ def answers(design: Any, data: Dataset, photons: float, seed: int) -> tuple[np.n
     logits = logits_at_stops(design, scanner, data.x_test, photons, 1, seed)[-1]
     temperature = stop_temperatures(design.temperatures, photons)[-1]
     return softmax(logits / temperature, axis=1), softmax(logits, axis=1)
-
-
-def chance_error(sure: np.ndarray) -> float:
-    """Calibration error that exactly calibrated answers of confidence (E,) show, of 200 draws."""
-    rng = np.random.default_rng(0)
-    draws = (rng.random(len(sure)) < sure for _ in range(200))
-    return float(np.mean([confidence_error(sure, right) for right in draws]))
 
 
 def measures(chances: np.ndarray, truth: np.ndarray) -> list[float]:

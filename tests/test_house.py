@@ -32,7 +32,7 @@ LINES = {
     "hardware.light": 947,
     "hardware.live": 1283,
     "hardware.patterns": 1827,
-    "hardware.photons": 1337,
+    "hardware.photons": 1335,
     "hardware.virtual": 1019,
     "jobs": 1680,
     "lab": 1301,

@@ -274,9 +274,8 @@ class ClickLooks(NamedTuple):
             chances[step.rows] = step.chances
             clicked[step.rows] |= step.clicked
         dark = ~clicked & (used > 0)
-        dwells = dark * (1 - used).clamp(
-            min=0.0, max=20.0 / self.photons
-        )  # the detector clicks all but surely
+        # 20 photons, of which the detector clicks all but surely
+        dwells = dark * (1 - used).clamp(min=0.0, max=20.0 / self.photons)
         light = x.sum(dim=1) * dwells * state.gain
         seen = -torch.expm1(-light)
         silent = dark & (torch.rand(len(x), generator=generator) >= seen)

@@ -9,7 +9,7 @@ import inspect
 import shlex
 import sys
 from abc import abstractmethod
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -256,14 +256,17 @@ class ClickCommand(click.Command):
 
     def invoke(self, ctx: click.Context) -> None:
         """Run the command; an error names settings as options."""
-        own = {each.key for each in self.declared}
-        settings = own | job_options().fields.keys() | Camera.model_fields.keys()
         try:
-            self._run(ctx, settings)
+            self._run(ctx)
         except InputError as error:
-            raise InputError(as_options(error.message, settings)) from error
+            raise InputError(self._with_options(error.message)) from error
 
-    def _run(self, ctx: click.Context, names: Collection[str]) -> None:
+    def _with_options(self, text: str) -> str:
+        """A text with its settings as options, which are listed only where it may have some."""
+        others = job_options().fields.keys() | Camera.model_fields.keys() if "`" in text else ()
+        return as_options(text, {*others, *(each.key for each in self.declared)})
+
+    def _run(self, ctx: click.Context) -> None:
         """Read the settings, check what is written to, run, and print what was found."""
         given = {
             name: value for name, value in ctx.params.items() if value not in (None, False, ())
@@ -275,7 +278,7 @@ class ClickCommand(click.Command):
                 if isinstance(output, Output) and (path := getattr(settings, name)) is not None:
                     output.check(path, getattr(settings, "force", False))
         typed = shlex.join(["deepfsi", *map(readable_name, sys.argv[1:])])
-        terminal = Terminal(as_json, typed, names)
+        terminal = Terminal(as_json, typed, self._with_options)
         try:
             outcome = settings.run(terminal)
         except KeyboardInterrupt:  # of which `click` would make an empty line

@@ -50,9 +50,6 @@ COUNTER_EFFECTS = ("dead_time", "dead_time_model")
 MOST_PIXELS = 10_000
 """Pixels of a side of an image."""
 
-PROBE = 2**20
-"""Bytes that must fit a disk before any work whose result goes there."""
-
 PICTURES = (".png", ".svg", ".pdf")
 """Ends of the names of pictures."""
 
@@ -190,7 +187,7 @@ def check_writable(path: Path, folder: Path) -> None:
         raise InputError(f"cannot write to {path}: {there} is a file; give another place")
     try:
         with tempfile.TemporaryFile(dir=there) as file:
-            file.write(bytes(PROBE))  # a file may be made where nothing can be written into it
+            file.write(bytes(2**20))  # a file may be made where nothing can be written into it
     except OSError as error:
         raise InputError(f"cannot write to {path}: {error.strerror}; give another place") from None
 

@@ -462,7 +462,7 @@ class ImportRecording(Command):
     """
 
     events: Path = fields.argument(
-        "time stamps: two columns, time and channel (.csv .npy .parquet)"
+        "time stamps: two columns, time and channel (.txt .csv .npy .parquet)"
     )
     out: Annotated[Path, fields.Output((".ptu",))] = fields.required("photon file, .ptu, new")
     unit: fields.Time = fields.required("unit of the times, such as 1ps")

@@ -3,7 +3,7 @@
 import json
 import re
 import sys
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
@@ -30,10 +30,10 @@ class Outcome:
 class Terminal:
     """Where a command runs: it shows progress, says and asks."""
 
-    def __init__(self, as_json: bool, command_line: str, settings: Collection[str]) -> None:
+    def __init__(self, as_json: bool, command_line: str, wording: Callable[[str], str]) -> None:
         self.as_json = as_json
         self.command_line = command_line
-        self.settings = settings  # those that are options
+        self.wording = wording  # a text with its settings as options
 
     def progress(self, what: str) -> AbstractContextManager[Progress]:
         """Progress bar on standard error with the time left."""
@@ -46,7 +46,7 @@ class Terminal:
 
     def warn(self, text: str) -> None:
         """Say on standard error what a reader should know in any case."""
-        print(as_options(text, self.settings), file=sys.stderr, flush=True)
+        print(self.wording(text), file=sys.stderr, flush=True)
 
     def ask(self, what: str) -> None:
         """Ask someone to do something, and wait until it is done."""
@@ -73,7 +73,7 @@ class Terminal:
         if isinstance(line, Table):
             print_table(line)
         else:
-            print(as_options(line, self.settings), flush=True)
+            print(self.wording(line), flush=True)
 
 
 def as_options(text: str, settings: Collection[str]) -> str:

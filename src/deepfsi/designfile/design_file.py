@@ -396,7 +396,7 @@ def _check_prior(header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]) -> No
 
 
 SHIPPED_DESIGNS = Path(str(files(__package__) / "shipped"))
-"""Their folder."""
+"""Folder of the published designs."""
 
 
 def find_design(given: str | os.PathLike[str]) -> Path:

@@ -416,7 +416,7 @@ def check_memory(needed: float, free: float, what: str, advice: str) -> None:
     """Raise `InputError` where something would not fit."""
     if needed > free:
         raise InputError(
-            f"{what} need {needed / 1000000000.0:.3g} GB of memory, and {free / 1000000000.0:.3g} "
+            f"{what} need {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} "
             f"GB are free: {advice}"
         )
 

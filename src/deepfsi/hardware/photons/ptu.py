@@ -20,6 +20,7 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import GrowingFile, open_atomically, open_regular
+from deepfsi.base.numeric.tables import TABLE_ENDINGS
 
 MAGIC = b"PQTTTR"
 """First bytes of a file."""
@@ -56,9 +57,6 @@ FOREIGN = {
     "its package, save times and channels as two columns, and give these to `camera import`",
 }
 """What else counters write, by the first bytes."""
-
-TABLE_ENDS = (".txt", ".csv", ".npy", ".mat", ".parquet")
-"""Ends of the names of tables, which may hold events."""
 
 _VALUES: dict[int, Callable[[bytes], Any]] = {
     0xFFFF0008: lambda field: None,  # Empty8
@@ -240,7 +238,7 @@ def parse_header(path: str | os.PathLike[str]) -> HeaderParser:
 
 def refuse_foreign(path: Path) -> None:
     """Raise `InputError` for a file of another counter, which no table of events is."""
-    if path.suffix.lower() in TABLE_ENDS or not path.is_file():
+    if path.suffix.lower() in TABLE_ENDINGS or not path.is_file():
         return
     with open_regular(path) as file:
         start = file.read(16)

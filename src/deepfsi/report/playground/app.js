@@ -2,7 +2,7 @@
 
 import { AdaptiveView } from "./adaptive.js";
 import { accuracyAt, chanceText, drawAnswer, drawCounts, drawCurve, drawHistory, photonsText, wholeText } from "./charts.js";
-import { candidates, information, nextMask, sample } from "./choice.js";
+import { candidates, nextMask } from "./choice.js";
 import { Exposure, LeastSquares, Rivals } from "./exposure.js";
 import { KnownView } from "./known.js";
 import { LookExposure, LookModel } from "./looks.js";
@@ -335,7 +335,7 @@ async function start() {
     Array.from(values.subarray(place * shape[1], (place + 1) * shape[1]), (level) => low + (level / 65535) * (high - low)),
   );
   const page = new Page(model, scenes);
-  const optics = { LookOptics, Posterior, candidates, information, nextMask, sample };
+  const optics = { LookOptics, Posterior, candidates, nextMask };
   const parts = { Exposure, LookExposure, LeastSquares, Random, poisson, ...optics };
   Object.assign(window, { playground: { page, model, ...parts } });
 }

@@ -68,7 +68,7 @@ export function brightest(differ, scene, optics) {
 }
 
 /** Scenes drawn by their weights, all where there are few: their places and weights. */
-export function sample(weights, uniform) {
+function sample(weights, uniform) {
   if (weights.length <= SAMPLES) return { places: [...weights.keys()], weights: [...weights] };
   const places = [];
   const sum = weights.reduce((a, b) => a + b, 0);
@@ -101,7 +101,7 @@ export function worth(state, mask, share, drawn) {
 }
 
 /** Nats that counts tell of the class, were they normal within each on 2 √counts. */
-export function information(counts, labels, weights, classes, unknown) {
+function information(counts, labels, weights, classes, unknown) {
   const scale = counts.map((own) => {
     const roots = own.map((count) => 2 * Math.sqrt(count + 3 / 8));
     const mean = dot(roots, weights);
