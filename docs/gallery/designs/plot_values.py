@@ -53,8 +53,8 @@ for photons in budgets:
     bounds.append(float(np.mean(result.bound)))  # of the learned masks, the last
 
 # %%
-# ``result.bound`` is the error of the best *linear* estimator of the same counts. The error of a
-# network, which is none, can be below it.
+# ``result.bound``, dotted, is the error of the best *linear* estimator of the counts of the learned
+# masks. Their network, which is not linear, can be below it.
 #
 # At 10⁶ photons the error of the learned masks is above that of PCA: so short a training does not
 # reach what so much light allows.
@@ -63,7 +63,7 @@ figure, ax = plt.subplots(figsize=(4.8, 4.4), layout="constrained")
 titles = {"raster": "raster scan, 64 bands", "pca": "PCA, 4 masks", "deepfsi": "learned, 4 masks"}
 for name, values in errors.items():
     ax.plot(budgets, values, "o-", color=DESIGN_COLOURS[name], label=titles[name])
-ax.plot(budgets, bounds, ":", color="0.4", label="bound, learned masks")
+ax.plot(budgets, bounds, ":", color="0.4", label="best linear estimator")
 spread = float(data.y_test.std(axis=0).mean())
 ax.axhline(spread, color="0.6", linewidth=0.9, linestyle="--", label="always the mean")
 ax.set(xscale="log", yscale="log", xlabel="photon budget", ylabel="RMS error of an abundance")
