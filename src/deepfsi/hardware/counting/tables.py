@@ -56,8 +56,8 @@ class TableSettings:
 
     def __post_init__(self) -> None:
         for name, least, allowed in (
-            ("photons", np.nextafter(0, 1), "a number above 0"),
-            ("gain", np.nextafter(0, 1), "a number above 0"),
+            ("photons", 5e-324, "a number above 0"),  # the smallest of all
+            ("gain", 5e-324, "a number above 0"),  # the smallest of all
             ("background", 0, "counts, 0 or more"),
             ("read_noise", 0, "counts, 0 or more"),
             ("repeats", 1, "1 or more"),
