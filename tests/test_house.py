@@ -38,7 +38,7 @@ LINES = {
     "lab": 1301,
     "measures": 630,
     "networks": 474,
-    "physics": 1945,
+    "physics": 1928,
     "report": 1740,
     "report.playground": 207,
     "sweeps": 2790,

@@ -1,11 +1,11 @@
-"""Rails of masks, detectors on parts of the device, and what a network reads of their counts.
+"""Rails of masks, detectors that share the device, and the features that a network reads.
 
-The device's area is divided among D detectors, and all see each frame at once: m masks give m · D
-readouts of each rail. A detector sees the part of a mask that lies on its pixels and is dark
-elsewhere, so that products are taken part by part and cost what the parts hold.
+D detectors divide the device and see each frame at once, so m masks give m · D readouts of each
+rail. Each detector sees only its own pixels of a mask. Products are taken detector by detector,
+which costs no more than one product of all pixels.
 
-Scenes and masks are *arranged* for that: pixels of one detector follow one another, and those of
-smaller parts are filled up with dark pixels to the size P of the largest.
+For this, scenes and masks are *arranged*: the pixels of a detector are neighbours, and dark pixels
+fill each detector up to the size P of the largest.
 
 A network reads the difference y⁺ − y⁻ of the rails, or `both`: each rail's counts, mask by mask.
 """
@@ -31,7 +31,7 @@ class Rails:
 
     difference: Tensor  # (..., m, N)
     _total: Tensor | None = None
-    # The rails that these are of: the two sums alone give M⁺ and M⁻ back but for rounding
+    # The rails as given: difference and total give them back only up to rounding
     _stacked: Tensor | None = None
 
     @classmethod
@@ -46,17 +46,17 @@ class Rails:
 
     @property
     def total(self) -> Tensor:
-        """M⁺ + M⁻, (..., m, N): the difference itself for one rail."""
+        """M⁺ + M⁻, (..., m, N), which is the difference of a single rail."""
         return self.difference if self._total is None else self._total
 
     @property
     def count(self) -> int:
-        """Number of rails, 2 or 1."""
+        """2 rails, or 1."""
         return 1 if self._total is None else 2
 
     @property
     def kind(self) -> RailsKind:
-        """Kind of the rails, by their number."""
+        """Name of the kind."""
         return "single" if self._total is None else "dual"
 
     @property
@@ -66,7 +66,7 @@ class Rails:
 
     @property
     def device(self) -> torch.device:
-        """Where the numbers are."""
+        """Torch device of the tensors."""
         return self.difference.device
 
     @property
@@ -98,16 +98,13 @@ class Rails:
 
     @property
     def apart(self) -> "Rails":
-        """Each rail as a mask of its own, those of a mask one after the other: one of 2 m frames.
-
-        One rail is itself.
-        """
+        """A single rail of 2 m masks: M⁺ and M⁻ of each mask in turn."""
         if self._total is None:
             return self
         return Rails(self.stacked.transpose(-3, -2).flatten(-3, -2))
 
     def map(self, change: Callable[..., Tensor], *others: "Rails") -> "Rails":
-        """Rails whose difference is `change` of the difference (and the others'), total alike."""
+        """Rails with `change` applied to the difference, and to the total, of these and others."""
         difference = change(self.difference, *(other.difference for other in others))
         if self._total is None:
             return Rails(difference)
@@ -120,7 +117,7 @@ class Rails:
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Which detector sees each pixel, and what is read of two rails."""
+    """Which detector sees each pixel, and how two rails become features."""
 
     readout: Readout = "difference"
     count: int = 1  # D, number of detectors
@@ -139,12 +136,12 @@ class Detection:
 
     @cached_property
     def key(self) -> bytes:
-        """Tells which pixels have the same detectors."""
+        """Bytes that are equal for equal detectors."""
         return b"" if self.labels is None else self.labels.numpy().tobytes()
 
     @cached_property
     def _order(self) -> Tensor:
-        """Pixel of each arranged one, (D · P,); N for those that are filled up."""
+        """Source (D · P,) of each arranged pixel; N for a filler."""
         assert self.labels is not None
         sizes = torch.bincount(self.labels, minlength=self.count)
         order = self.labels.new_full((self.count, int(sizes.max())), len(self.labels))
@@ -154,7 +151,7 @@ class Detection:
 
     @cached_property
     def _places(self) -> Tensor:
-        """Place of each pixel among the arranged ones, (N,)."""
+        """Arranged place (N,) of each pixel."""
         assert self.labels is not None
         places = torch.empty_like(self.labels)
         real = (self._order < len(places)).nonzero().flatten()
@@ -162,7 +159,7 @@ class Detection:
         return places
 
     def arrange(self, pixels: Tensor) -> Tensor:
-        """Scenes or masks (..., D · P), those of each detector together, of (..., N)."""
+        """Arrange the pixels (..., N) of scenes or masks by detector: (..., D · P)."""
         if self.count == 1:
             return pixels
         order = self._order.to(pixels.device)
@@ -171,27 +168,27 @@ class Detection:
         return pixels.index_select(-1, order)
 
     def restore(self, arranged: Tensor) -> Tensor:
-        """Inverse of `arrange`: (..., N) of (..., D · P)."""
+        """Undo `arrange`: (..., D · P) becomes (..., N)."""
         if self.count == 1:
             return arranged
         return arranged.index_select(-1, self._places.to(arranged.device))
 
     def of_pixels(self, kept: Tensor) -> "Detection":
-        """Detection of some of the pixels, those where (N,) is true."""
+        """Detection of the pixels where `kept` (N,) is true."""
         if self.labels is None:
             return self
         return replace(self, labels=self.labels[kept.to(self.labels.device)])
 
     def width(self, rails: int) -> int:
-        """Numbers that a network reads of each mask of so many rails."""
+        """Features of a mask with 1 or 2 rails."""
         return self.count * (rails if self.readout == "both" else 1)
 
     def read_of(self, rails: Rails) -> Rails:
-        """Masks whose counts a network reads as one: for `both` each rail is one, of 2 m frames."""
+        """Masks with one feature each: for `both`, a single rail of 2 m masks."""
         return rails if self.readout == "difference" else rails.apart
 
     def features(self, counts: Tensor) -> Tensor:
-        """Features (..., k) of counts of rails (..., 2 or 1, m · D): k is `width` · m."""
+        """Features (..., k) from counts (..., 2 or 1, m · D); k is m times `width`."""
         if counts.shape[-2] == 1:
             return counts[..., 0, :]
         if self.readout == "difference":
@@ -199,23 +196,23 @@ class Detection:
         return self._mask_by_mask(counts)
 
     def totals(self, counts: Tensor) -> Tensor:
-        """Counts (..., k) in what is read of counts of rails (..., 2 or 1, m · D)."""
+        """Counts (..., k) of all rails behind each feature, from (..., 2 or 1, m · D)."""
         return counts.sum(dim=-2) if self.readout == "difference" else self.features(counts)
 
     def _mask_by_mask(self, rails: Tensor) -> Tensor:
-        """Numbers (..., m · 2 · D) of rails (..., 2, m · D)."""
+        """Rails (..., 2, m · D) as features (..., m · 2 · D)."""
         return rails.unflatten(-1, (-1, self.count)).transpose(-3, -2).flatten(-3)
 
     def frames(self, rails: Rails) -> Tensor:
-        """Number of the frame (rails, ..., m · D) in which each rail of masks is counted."""
+        """Index (rails, ..., m · D) of the frame that counts each rail."""
         apart = replace(self, readout="difference")
         return apart.readouts(rails).frame[: rails.count]
 
     def readouts(self, rails: Rails) -> "Readouts":
-        """Readouts of rails of masks (..., m, D · P), arranged."""
+        """Readouts of arranged rails (..., m, D · P)."""
         total = rails.total
         both = [total + rails.difference, total - rails.difference]
-        frames = torch.stack(both) / 2  # M⁻ of one rail is dark
+        frames = torch.stack(both) / 2  # a single rail has a dark M⁻
         arms = (frames > 0).all(dim=0).any(dim=-1)
         time = torch.where(arms, total.amax(dim=-1), frames.amax(dim=-1))
         active = (frames > 0).unflatten(-1, (self.count, -1)).any(dim=-1).flatten(-2)
@@ -229,13 +226,13 @@ class Detection:
 
 
 class Readouts(NamedTuple):
-    """Rails of masks as detectors read them, the positive ones first."""
+    """Readouts of both rails, positive first, for each of k features."""
 
-    active: Tensor  # (2, ..., k), which are not dark by construction, and are read out
-    time: Tensor  # (2, ..., k)
-    frame: Tensor  # (2, ..., k), number of the frame in which each is read, below 2 k
+    active: Tensor  # (2, ..., k), whether it is read out: dark rails are not
+    time: Tensor  # (2, ..., k), share of the exposure
+    frame: Tensor  # (2, ..., k), index of its frame, below 2 k
 
     @property
     def lit(self) -> Tensor:
-        """Number of rails that are read out for each feature, (..., k)."""
+        """Number (..., k) of rails read out for each feature."""
         return self.active.sum(dim=0)

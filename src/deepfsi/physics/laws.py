@@ -6,9 +6,9 @@
     two-arm      M⁺_ij + M⁻_ij = t_i, Σ t_i ≤ 1  one DMD, a detector on each arm
     dose         mean_j Σ_i |M_ij| ≤ 1           a projector that lights the scene, one detector
 
-A law is one of frames: here the rails of masks are the tensor (..., 2, m, N) of M⁺ and M⁻ for
-signed masks, or (..., 1, m, N) where there is one rail, `Rails.stacked`. Masks that learn are made
-of free weights, tensors by name, by a function that cannot break the law (`LearnedMasks`).
+A law limits frames. Rails are one tensor, `Rails.stacked`: (..., 2, m, N) holds M⁺ and M⁻ of signed
+masks, (..., 1, m, N) a single rail. `LearnedMasks` computes them from free weights by a function
+that cannot break the law.
 """
 
 import math
@@ -31,11 +31,11 @@ BRIGHTEST = 1e30
 """Entry beyond which sums of float32 may be infinite."""
 
 Weights = Mapping[str, Tensor]
-"""Free numbers of learned masks, and the numbers that scale them, by their names."""
+"""Weights of learned masks and their scale, by name."""
 
 
 class LightLaw(ABC):
-    """Limit of what masks may do with light, for their rails (..., 2 or 1, m, N)."""
+    """Limit on the light that rails (..., 2 or 1, m, N) may use."""
 
     name: ClassVar[LightLawName]  # by which a camera names it
     disjoint: ClassVar[bool] = True  # no pixel is lit on both rails: learned masks' total is |M|
@@ -61,8 +61,8 @@ class LightLaw(ABC):
     def used(self, rails: Tensor) -> Tensor:
         """Share (..., m) of the law that the first k masks use; 0 while they are dark.
 
-        Shown alone for the whole exposure these k may be brighter by the inverse. Shown at the
-        beginning of all, on one device, they have taken this share of its time.
+        If the exposure shows these k alone, they may be brighter by the inverse. If one device
+        shows them first, they take this share of its time.
         """
 
     def quantise(self, rails: Tensor, levels: int) -> Tensor:
@@ -83,11 +83,10 @@ class LightLaw(ABC):
         return lit / lit.sum(dim=(-3, -2), keepdim=True).mean(dim=-1, keepdim=True).clamp(min=1)
 
     def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
-        """Free numbers of masks (..., m, N) that begin like a start: parameters, and their scale.
+        """Weights that begin at a start (..., m, N): parameters, and their scale.
 
-        They are in units of the start's own size, so that one learning rate serves any number of
-        masks. Those of frames are patterns, at first at nine tenths of their peaks, and dwells,
-        at first equal, both before the functions that bound them.
+        The start sets their unit, so that one learning rate serves any number of masks. Frames
+        have patterns, which begin at nine tenths of their peaks, and dwells, which begin equal.
         """
         *replicas, masks, _ = start.shape
         pattern = 0.9 * start / frame_peaks(start.abs())
@@ -98,31 +97,31 @@ class LightLaw(ABC):
         return weights
 
     def dwells_of_mask(self, kind: RailsKind) -> int:
-        """Dwells of each mask that masks learn."""
+        """Number of dwells that each mask learns."""
         return 0
 
     @abstractmethod
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
-        """Difference M⁺ − M⁻ (..., m, N) of the rails of free numbers, as `project` has them."""
+        """Difference M⁺ − M⁻ (..., m, N) of the rails that `project` gives."""
 
     def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
-        """Rails (..., m, N) of free numbers: differentiable, and whatever these are they obey.
+        """Rails (..., m, N) of weights: differentiable, and within the law for any weights.
 
-        Frames last a share `shortest` of the exposure at least, or are dark.
+        A frame is dark or lasts at least the share `shortest` of the exposure.
         """
         matrix = self.matrix(weights, kind, shortest)
         return Rails(matrix, matrix.abs()) if kind == "dual" else Rails(matrix)
 
     def dim(self, weights: Weights, kind: RailsKind, factor: Tensor) -> None:
-        """Pass a factor (R,) of the light, up to 1, by a change of the weights in place."""
+        """Dim the masks by factors (R,) up to 1: change the weights in place."""
         weight = weights["weight"]
         pattern = _pattern_of(weight, kind) * factor[:, None, None]
         weight.copy_(torch.atanh(pattern) if kind == "dual" else torch.logit(pattern, eps=1e-6))
 
     def check(self, rails: Tensor) -> Tensor:
-        """Return rails (2 or 1, m, N), or raise `InputError` if they are no shares or too bright.
+        """Return rails (2 or 1, m, N) that are finite, not negative and within the law.
 
-        Rails must be finite, not negative, of a kind that the law can have, and obey it.
+        Else raise `InputError`.
         """
         check_light_law(self.name, "dual" if len(rails) == 2 else "single")
         if not bool(torch.isfinite(rails).all()):
@@ -146,7 +145,7 @@ class LightLaw(ABC):
         return rails
 
     def rails_of(self, matrix: np.ndarray, kind: RailsKind) -> Tensor:
-        """Rails (2 or 1, m, N) of a user's matrix (m, N), as it is; errors as of `check`."""
+        """Rails (2 or 1, m, N) of a user's matrix (m, N), which must pass `check`."""
         signed = torch.from_numpy(np.asarray(matrix, dtype=np.float32))
         return self.check(self.rails(signed, kind))
 
@@ -161,16 +160,16 @@ class _Column(LightLaw):
 
     @staticmethod
     def most(sums: Tensor) -> Tensor:
-        """What the law limits (..., 1), of the sums of columns (..., N): the largest."""
+        """Quantity (..., 1) that the law limits, from column sums (..., N): the largest."""
         return sums.amax(dim=-1, keepdim=True)
 
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
-        """One common factor, for 1 of what the law limits."""
+        """Scale all masks by one factor, up to the limit."""
         parts = self.rails(matrix, kind)
         return parts / self.most(parts.sum(dim=(0, 1)))
 
     def excess(self, rails: Tensor) -> float:
-        """What the law limits, less 1."""
+        """Limited quantity, less 1."""
         return float(self.most(rails.sum(dim=(0, 1)))) - 1
 
     def used(self, rails: Tensor) -> Tensor:
@@ -178,12 +177,12 @@ class _Column(LightLaw):
         return rails.sum(dim=-3).cumsum(dim=-2).amax(dim=-1)
 
     def quantise(self, rails: Tensor, levels: int) -> Tensor:
-        """Grey levels of each frame; where rounding breaks the law, all are dimmed to mend it."""
+        """Grey levels of each frame; all frames are dimmed where rounding breaks the law."""
         shown = super().quantise(rails, levels)
         return shown / self.most(shown.sum(dim=(-3, -2), keepdim=True)).clamp(min=1)
 
     def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
-        """The fitted start in units of its own rms, and that unit."""
+        """The fitted start in units of its rms, and this unit."""
         light = self.most(start.abs().sum(dim=-2, keepdim=True))
         if not bool(light.all()):
             raise InputError("a start is 0 everywhere: give masks that pass light")
@@ -192,12 +191,12 @@ class _Column(LightLaw):
         return {"weight": nn.Parameter(fitted / unit), "unit": unit}
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
-        """Each pixel's column, divided by its sum where that exceeds 1."""
+        """Each pixel's column, divided by its sum where it exceeds 1."""
         sums = weights["weight"].abs().sum(dim=-2, keepdim=True)
         return self.limited(weights, kind, sums)
 
     def limited(self, weights: Weights, kind: RailsKind, light: Tensor) -> Tensor:
-        """Matrix of the weights, divided by the light (..., 1, N or 1) where that exceeds 1."""
+        """Matrix of the weights, divided by the light (..., 1, N or 1) where it exceeds 1."""
         unit = weights["unit"]
         matrix = weights["weight"] * (unit / (light * unit).clamp(min=1))
         return matrix if kind == "dual" else matrix.abs()
@@ -210,15 +209,14 @@ class _Column(LightLaw):
 class _EqualDwell(LightLaw):
     """One DMD and one detector, equal times for F frames: M⁺_ij, M⁻_ij ≤ 1/F.
 
-    A frame is a rail of a mask that is not dark; learned masks have as many frames as rails. Each
-    is shown for 1/F of the exposure, and a mirror that is ON sends its light as long. Source:
-    docs/understand/physics.md, as of the others of one device.
+    Each rail that is not dark is a frame; learned masks have a frame for each rail. The device
+    shows each frame for 1/F of the exposure. Source, here and below: docs/understand/physics.md.
     """
 
     name = "equal-dwell"
 
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
-        """Each frame over its own peak and F."""
+        """Divide each frame by its peak and by F."""
         parts = self.rails(matrix, kind)
         return parts / (frame_peaks(parts) * len(frames(parts)))
 
@@ -227,7 +225,7 @@ class _EqualDwell(LightLaw):
         return float(rails.max()) * max(len(frames(rails)), 1) - 1
 
     def used(self, rails: Tensor) -> Tensor:
-        """Share of the frames that are of the first k masks."""
+        """Share of the frames that belong to the first k masks."""
         lit = (rails.amax(dim=-1) > 0).sum(dim=-2).cumsum(dim=-1)
         return lit / lit[..., -1:].clamp(min=1)
 
@@ -241,14 +239,14 @@ class _EqualDwell(LightLaw):
 class _FreeDwell(LightLaw):
     """One DMD and one detector, each frame its own time: Σ_frames max_j(frame) ≤ 1.
 
-    A mirror that is always ON sends its light for the whole dwell of its frame, so that the peak of
-    a frame is the shortest dwell that it can have, and dwells sum to the exposure.
+    A mirror that is always ON sends light for the whole dwell of its frame. So the peak of a frame
+    is its shortest possible dwell, and dwells sum to the exposure.
     """
 
     name = "free-dwell"
 
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
-        """One common factor, 1 / Σ peaks."""
+        """Scale all masks by 1 / Σ peaks."""
         parts = self.rails(matrix, kind)
         return parts / parts.amax(dim=-1).sum()
 
@@ -261,11 +259,11 @@ class _FreeDwell(LightLaw):
         return rails.amax(dim=-1).sum(dim=-2).cumsum(dim=-1)
 
     def dwells_of_mask(self, kind: RailsKind) -> int:
-        """One of each rail."""
+        """One for each rail."""
         return 2 if kind == "dual" else 1
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
-        """Patterns for the dwells of their frames, which are a softmax."""
+        """Patterns times the dwells of their frames, which are a softmax."""
         pattern = _pattern_of(weights["weight"], kind)
         dwells = _softmax_dwells(weights["dwell"], shortest, pattern)
         if kind == "single":
@@ -277,8 +275,8 @@ class _FreeDwell(LightLaw):
 class _TwoArm(LightLaw):
     """One DMD with a detector on each arm: M⁺_ij + M⁻_ij = t_i, Σ t_i ≤ 1.
 
-    What one arm does not get, the other does: a mask that is shown for the time t has M± = (t ± M)
-    / 2, and no light is lost.
+    Light that misses one arm reaches the second: a mask shown for the time t has M± = (t ± M) / 2,
+    and no light is lost.
     """
 
     name = "two-arm"
@@ -290,14 +288,11 @@ class _TwoArm(LightLaw):
         return Rails(matrix, matrix.abs().amax(dim=-1, keepdim=True)).stacked
 
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
-        """Each mask over its own peak and m."""
+        """Divide each mask by its peak and by m."""
         return self.rails(matrix / (frame_peaks(matrix.abs()) * len(matrix)), kind)
 
     def excess(self, rails: Tensor) -> float:
-        """Σ t − 1, or by how much the sum of the arms differs among the pixels of a mask, times m.
-
-        The larger of both.
-        """
+        """Larger of Σ t − 1 and m times the spread, among pixels of a mask, of the arms' sum."""
         dwell = rails.sum(dim=0)
         uneven = float((dwell.amax(dim=-1) - dwell.amin(dim=-1)).max()) * len(dwell)
         return max(float(dwell.amax(dim=-1).sum()) - 1, uneven)
@@ -307,7 +302,7 @@ class _TwoArm(LightLaw):
         return rails.sum(dim=-3).amax(dim=-1).cumsum(dim=-1)
 
     def quantise(self, rails: Tensor, levels: int) -> Tensor:
-        """Grey levels of the positive rail; the other gets what is left of the time."""
+        """Grey levels of the positive rail; the negative rail gets the rest of the time."""
         check_levels(levels)
         steps = levels - 1
         total = rails.sum(dim=-3)
@@ -320,12 +315,12 @@ class _TwoArm(LightLaw):
         return 1
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
-        """Patterns for the times of their masks, which are a softmax."""
+        """Patterns times the times of their masks, which are a softmax."""
         pattern = _pattern_of(weights["weight"], kind)
         return pattern * _softmax_dwells(weights["dwell"], shortest)[..., 0, :, None]
 
     def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
-        """Their total is the times of the masks."""
+        """Rails whose total is the times of the masks."""
         matrix = self.matrix(weights, kind, shortest)
         # Taken again: the gradient of each use goes through the softmax by itself
         times = _softmax_dwells(weights["dwell"], shortest)[..., 0, :, None]
@@ -335,9 +330,8 @@ class _TwoArm(LightLaw):
 class _Dose(_Column):
     """A projector lights the scene with the masks, one after another: mean_j Σ_i |M_ij| ≤ 1.
 
-    What is limited is the light that falls on the scene. A pixel may get more than its mean share,
-    as what another does not get is not lost; so photons of a pixel may be counted more often than
-    `column` allows. Source: docs/understand/physics.md.
+    The law limits the light that falls on the scene. A pixel may get more than its mean share if
+    others get less, and then gives more photons than `column` allows.
     """
 
     name = "dose"
@@ -352,7 +346,7 @@ class _Dose(_Column):
         return rails.sum(dim=-3).mean(dim=-1).cumsum(dim=-1)
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
-        """All masks, divided by the mean of their columns' sums where that exceeds 1."""
+        """All masks, divided by the mean of their column sums where it exceeds 1."""
         sums = weights["weight"].abs().sum(dim=-2, keepdim=True)
         return self.limited(weights, kind, self.most(sums))
 
@@ -387,23 +381,23 @@ def frame_peaks(parts: Tensor) -> Tensor:
 
 
 def check_levels(levels: int) -> None:
-    """Raise `InputError` unless masks can have so many grey levels."""
+    """Raise `InputError` for fewer than two grey levels."""
     if levels < 2:
         raise InputError(f"{levels} grey levels are not allowed: give at least 2, dark included")
 
 
 def _pattern_of(weight: Tensor, kind: RailsKind) -> Tensor:
-    """Patterns (..., m, N) of free numbers, in [−1, 1] of two rails, in [0, 1] of one."""
+    """Patterns (..., m, N): two rails have them in [−1, 1], a single rail in [0, 1]."""
     return torch.tanh(weight) if kind == "dual" else torch.sigmoid(weight)
 
 
 def _softmax_dwells(dwell: Tensor, shortest: float, pattern: Tensor | None = None) -> Tensor:
-    """Shares (..., 1 or 2, m) of the exposure of frames, of free numbers.
+    """Share (..., 1 or 2, m) of the exposure that each frame gets.
 
-    A frame is read for its peak's share of its dwell: that is 0, or `shortest` at least. Dwells so
-    rounded have the gradient of those before, so that a dark frame may come back.
+    A mirror is ON for its frame's dwell times its peak: 0, or at least `shortest`. Dwells rounded
+    to this have the gradient of the softmax, so that a dark frame can come back.
     """
-    # of frames without patterns (..., m, N) the peak is 1
+    # without patterns (..., m, N) each peak is 1
     shares = dwell.flatten(-2).softmax(dim=-1)
     if not shortest:
         return shares.view_as(dwell)
@@ -417,12 +411,11 @@ def _softmax_dwells(dwell: Tensor, shortest: float, pattern: Tensor | None = Non
 
 
 def share_out(dwell: Tensor, shortest: float) -> Tensor:
-    """Dwells (..., q) of frames without those that are too short, whose time the others get.
+    """Dwells (..., q) without frames that are too short; the rest share their time.
 
-    The shortest frames are left out one after another, until the time, shared out among the others
-    in proportion to their dwells, leaves none of them below the shortest dwell. So as many frames
-    are shown as can be, and the longest one always is. It can be differentiated: the choice of the
-    frames is fixed, their times are not.
+    The shortest frames leave one by one, until all that remain, scaled to the whole time, reach
+    the shortest dwell. The longest frame always stays. Gradients flow through the times, not
+    through the choice of frames.
     """
     order = dwell.argsort(dim=-1, descending=True, stable=True)
     longest_first = dwell.gather(-1, order)
@@ -434,7 +427,7 @@ def share_out(dwell: Tensor, shortest: float) -> Tensor:
 
 
 def through(continuous: Tensor, shown: Tensor) -> Tensor:
-    """Second tensor, exactly, with the gradient of the first (straight through)."""
+    """The second tensor, exactly, with the gradient of the first (straight through)."""
     return _Through.apply(continuous, shown)  # type: ignore[no-untyped-call]
 
 
@@ -449,7 +442,7 @@ class _Through(torch.autograd.Function):
 
 
 class FixedMasks(nn.Module):
-    """Masks that do not learn; `forward` gives their rails (..., 2 or 1, m, N)."""
+    """Fixed masks; `forward` gives their rails (..., 2 or 1, m, N)."""
 
     difference: Tensor
     total: Tensor | None
@@ -469,28 +462,28 @@ class FixedMasks(nn.Module):
 class LearnedMasks(nn.Module):
     """Masks as a differentiable function of free weights that cannot break their light law.
 
-    Quantised masks have the gradient of the continuous ones that they are rounded from: it goes
-    straight through the rounding, whose own is 0.
+    Rounding to grey levels has the gradient 0, so the gradient of the continuous masks goes
+    straight through it.
 
     Parameters
     ----------
     start : tensor, shape (..., m, N)
-        Matrix that they begin like; leading axes are replicas.
+        Matrix that the masks begin at; leading axes are replicas.
     light : str
-        A light law, one of `LIGHT_LAWS`.
+        Name of a light law, from `LIGHT_LAWS`.
     rails : {"dual", "single"}
         Signed masks, or frames of 0 or more.
     levels : int
         Grey levels, dark included; 0 for continuous masks.
     shortest : float
-        Share of the exposure that a frame lasts at least, where masks have dwells.
+        Shortest frame, as a share of the exposure, for laws with dwells.
     contrast : float, optional
-        Of a projector, whose OFF pixels leak light; None for dark ones.
+        Contrast of a projector, whose OFF pixels leak light. Default: OFF pixels are dark.
 
     Raises
     ------
     InputError
-        For an unknown law, rails that it cannot have, or a start that is no such matrix.
+        For an unknown law, rails that it cannot have, or a start of a wrong shape or sign.
     """
 
     def __init__(
@@ -530,18 +523,18 @@ class LearnedMasks(nn.Module):
         return Rails.of(self.law.leak(rails.stacked, self.contrast))
 
     def matrix(self) -> Tensor:
-        """Their difference alone, (..., m, N), before it is rounded to grey levels or leaks."""
+        """Difference (..., m, N) of the rails, before rounding to grey levels and leaks."""
         return self.law.matrix(self._weights, self.rails, self.shortest)
 
     def dim(self, factor: Tensor) -> None:
-        """Pass a factor (R,) of the light, up to 1."""
+        """Dim the masks by factors (R,) up to 1."""
         with torch.no_grad():
             self.law.dim(self._weights, self.rails, factor)
 
     @property
     def disjoint(self) -> bool:
-        """True if the total is |M|, and its gradient that of |M|."""
-        # So it is where there are two rails of which each pixel is on one, and no rounding or leak
+        """True if the total is |M| and has its gradient."""
+        # Each pixel is then on one of two rails, and nothing rounds or leaks
         changed = self.levels or self.contrast is not None
         return self.rails == "dual" and self.law.disjoint and not changed
 
@@ -551,7 +544,7 @@ class LearnedMasks(nn.Module):
 
 
 def _check_tensor(given: Any, what: str, axes: int, shape: str) -> None:
-    """Raise `InputError` unless a tensor of real numbers has so many axes or more."""
+    """Raise `InputError` unless this is a tensor of real numbers with enough axes."""
     if not isinstance(given, Tensor) or not given.is_floating_point() or given.ndim < axes:
         found = tuple(given.shape) if isinstance(given, Tensor) else type(given).__name__
         kind = f" and type {given.dtype}" if isinstance(given, Tensor) else ""

@@ -4,10 +4,10 @@
     poisson   y ~ Poisson(r)                 ml_gauss  y = r + √r ε
     camera    y ~ Poisson(r + d) − d + σ ε   click     y ~ Binomial(G, 1 − exp(−r / G))
 
-Under `Fluctuation` r is the light of a frame that is now brighter, now dimmer. ε is standard
-normal. A feature is y⁺ − y⁻ of two rails, or y of one. Counts that are drawn rail by
-rail train masks too, with the gradient of `attach_gradient`. A rail that is dark by construction is
-not read out and adds no noise.
+ε is standard normal. `Fluctuation` makes the light r of some frames brighter and of some dimmer. A
+feature is y⁺ − y⁻ of two rails, or y of a single rail. Masks train under counts drawn rail by rail,
+too, with the gradient of `attach_gradient`. A rail that is dark by construction is not read out and
+adds no noise.
 """
 
 import math
@@ -44,22 +44,21 @@ class Expectation(NamedTuple):
 class Noise(ABC):
     """Noise of the readouts of a camera.
 
-    Its numbers are floats, or tensors (R, 1) of R trainings side by side.
+    Its numbers are floats, or tensors (R, 1) for R trainings side by side.
     """
 
-    name: ClassVar[str]  # by which a camera names it; of a user's own its import path
-    draws_rails: ClassVar[bool] = True  # of each rail, rather than a normal number a feature
-    of_light: ClassVar[bool] = True  # whether its draws depend on the light
-    # Whether the mean of its counts is the rate: `gradient` then lets drawn counts follow what they
-    # expect. Draws of others have a gradient of their own
+    name: ClassVar[str]  # as a camera names it; a user's noise has its import path
+    draws_rails: ClassVar[bool] = True  # draws each rail, not one normal number for each feature
+    of_light: ClassVar[bool] = True  # whether draws depend on the light
+    # Whether the mean count is the rate. Then `gradient` gives counts the gradient of their mean
+    # and variance; draws of a biased noise bring their own
     unbiased: ClassVar[bool] = True
-    # Whether mean and variance are all that is to be known: of all but a user's own, and but for
-    # light that fluctuates, under which readouts of one frame are correlated
+    # Whether `mean` and `variance` are known and readouts are independent
     has_moments: ClassVar[bool] = True
 
     @property
     def facts(self) -> NoiseFacts:
-        """Its facts, as far as the package knows it."""
+        """Its entry in the table of noises."""
         return find_noise(self.name)
 
     @property
@@ -70,7 +69,7 @@ class Noise(ABC):
         }
 
     def __call__(self, rates: Tensor, random: Random = None) -> Tensor:
-        """Counts of rates (..., m) in a whole exposure, as a user's own function gives them."""
+        """Counts of rates (..., m) in a whole exposure."""
         return self.draw(rates, random, self.dark_counts(1.0))
 
     @abstractmethod
@@ -85,7 +84,7 @@ class Noise(ABC):
         random: Random = None,
         rails: int = -2,
     ) -> Tensor:
-        """Counts of rails as from `draw`, but 0 of those that are not read out."""
+        """Counts of rails from `draw`; rails that are not read out count 0."""
         if not self.unbiased:
             rates = torch.where(read.active, rates, 1.0)  # the slope of a root at 0 is infinite
         return torch.where(read.active, self.draw(rates, random, dark), 0.0)
@@ -95,37 +94,37 @@ class Noise(ABC):
         return 0.0
 
     def mean(self, rates: Tensor) -> Tensor:
-        """Mean counts of rails (...) that so many photons reach."""
+        """Mean counts of rails (...) that receive these photons."""
         return rates
 
     def variance(self, light: Expectation) -> Tensor:
-        """Variance (..., k) of y⁺ − y⁻, in units of `gain` counts: that of photons is the total."""
+        """Variance (..., k) of y⁺ − y⁻, in units of `gain` counts; for photons it is the total."""
         return light.total
 
     def gradient(self, counts: Tensor, light: Expectation) -> Tensor:
-        """Drawn features (..., k), unchanged, which follow the mean and variance that they expect.
+        """Drawn features (..., k), unchanged, with the gradient of their mean and variance.
 
-        Those of a noise that is not unbiased have the gradient of their draws.
+        A biased noise keeps the gradient of its draws.
         """
         if not self.unbiased:
             return counts
         return attach_gradient(counts, light.mean, self.variance(light))
 
     def features(self, light: Expectation, random: Random = None) -> Tensor:
-        """Features (..., k) by one normal number each, of a noise that does not count."""
+        """Features (..., k) from one normal number each, for a noise that does not count."""
         return light.mean + self.deviation(light) * _normal(light.mean, random)
 
     def deviation(self, light: Expectation) -> Tensor:
-        """Standard deviation (..., k) of features, in units of the mean, where none are counted."""
-        # Each says it by its own formula, since the variance over the gain would round otherwise
+        """Standard deviation (..., k) of features, in units of the mean, for such a noise."""
+        # Each class has its own formula: the root of the variance would round differently
         raise NotImplementedError(f"{self.name} noise is drawn rail by rail")
 
     def check(self, learning: bool) -> None:
         """Raise `InputError` unless it draws counts, and masks can learn under it."""
-        return  # as all of the package do
+        return  # all of the package pass
 
     def of_jobs(self, jobs: int | slice) -> Self:
-        """The noise of some of the trainings side by side, of which it has the numbers."""
+        """Noise of some of the trainings side by side."""
         numbers = {n: one[jobs] for n, one in self.settings.items() if isinstance(one, Tensor)}
         return replace(self, **numbers)  # type: ignore[type-var]
 
@@ -142,7 +141,7 @@ class Noise(ABC):
 
 @dataclass(frozen=True)
 class _NoNoise(Noise):
-    """Counts as they are expected, y = r."""
+    """No noise: counts are the rates, y = r."""
 
     name = "none"
     draws_rails = of_light = False
@@ -192,9 +191,9 @@ class Gaussian(Noise):
 class _MlGauss(Noise):
     """The smooth stand-in for photon noise that masks train under, y = r + √r ε.
 
-    Its mean and variance are those of photons, and it has a gradient in the rate. For the
-    difference of two rails one ε serves both, of the variance r⁺ + r⁻. Source: MLGauss of the
-    paper, arXiv 2508.01981.
+    It has the mean and the variance of photon counts, and a gradient in the rate. The difference
+    of two rails takes one ε, with the variance r⁺ + r⁻. Source: MLGauss of the paper, arXiv
+    2508.01981.
     """
 
     name = "ml_gauss"
@@ -222,8 +221,8 @@ class Poisson(Noise):
     """Photon noise, exact: y ~ Poisson(r).
 
     Mean and variance are the rate. Above `POISSON_LIMIT` it is the rounded Gaussian limit. Counts
-    have no gradient; `gradient` gives them that of their mean and variance. Source: PN of the
-    paper, arXiv 2508.01981, and docs/notebook/gradients.md.
+    have no gradient; `gradient` attaches one. Source: PN of the paper, arXiv 2508.01981, and
+    docs/notebook/gradients.md.
     """
 
     name = "poisson"
@@ -242,10 +241,9 @@ class Poisson(Noise):
 class _CameraNoise(Noise):
     """Photons, dark counts and read noise, y ~ Poisson(r + d) − d + σ ε.
 
-    Dark counts are known from frames with the light off, and what is expected of them, d, is
-    subtracted. One detector has D of them in a whole exposure, and a frame its share d = D t of
-    these by its time t. The variance of a readout is r + d + σ². Source: the linear camera of the
-    standard EMVA 1288, in units of counts.
+    Frames with the light off give the expected dark counts, which are subtracted. A detector has D
+    of them in a whole exposure, and d = D t in a frame that takes the share t of it. The variance
+    of a readout is r + d + σ². Source: the linear camera of the standard EMVA 1288, in counts.
     """
 
     sigma: float | Tensor = 1.0  # σ, counts rms per readout
@@ -272,10 +270,10 @@ class _CameraNoise(Noise):
 class Click(Noise):
     """A detector that fires at most once in each gate, y ~ Binomial(G, 1 − exp(−r / G)).
 
-    The photons of a gate are Poisson counts of r / G, and it clicks unless there are none. So
-    clicks are no photons: their mean G p, with p = 1 − exp(−r / G), is less than the rate, their
-    variance is G p (1 − p), and a frame gives G of them at most. Source: A. Kirmani et al.,
-    First-photon imaging, Science 343, 58 (2014).
+    A gate has a Poisson number of photons with the mean r / G, and clicks unless it has none. So a
+    frame gives at most G clicks, with the mean G p, below the rate, and the variance G p (1 − p),
+    where p = 1 − exp(−r / G). Source: A. Kirmani et al., First-photon imaging, Science 343, 58
+    (2014).
     """
 
     gates: int = 1  # G, gates of a frame
@@ -284,9 +282,9 @@ class Click(Noise):
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """Clicks, with the gradient of `attach_gradient`."""
-        # With the mean G p and the variance G p (1 − p) that is f′(k) [k / p + (G − k) / (1 − p)]
-        # / 2, the trapezoid rule for what is exact, ∂ E f / ∂p = G E[f(k + 1) − f(k)] of G − 1
-        # gates: no error where f is at most quadratic
+        # With the mean G p and the variance G p (1 − p) this gradient is
+        # f′(k) [k / p + (G − k) / (1 − p)] / 2, the trapezoid rule for the exact one,
+        # ∂ E f / ∂p = G E[f(k + 1) − f(k)] over G − 1 gates: no error if f is at most quadratic
         chance = -torch.expm1(-rates / self.gates)
         fixed = chance.detach()
         if self.gates == 1:
@@ -302,7 +300,7 @@ class Click(Noise):
         return -self.gates * torch.expm1(-rates / self.gates)
 
     def variance(self, light: Expectation) -> Tensor:
-        """G p (1 − p) of each rail."""
+        """Sum of G p (1 − p) over the rails."""
         rails = [light.total + light.mean, light.total - light.mean]
         rates = (light.gain / 2 * rail for rail in rails)
         plus, minus = (self.mean(rate) * torch.exp(-rate / self.gates) for rate in rates)
@@ -313,8 +311,8 @@ class Click(Noise):
 class _CustomNoise(Noise):
     """A user's own noise: a function from expected counts and a generator to counts.
 
-    Masks train through it where its draws have a gradient in the rates. Nothing is known of its
-    mean and variance.
+    Masks train through it if its draws have a gradient in the rates. Its mean and variance are
+    unknown.
     """
 
     function: NoiseFunction  # counts of expected counts (..., m), drawn with a generator
@@ -360,10 +358,10 @@ class _CustomNoise(Noise):
 class Fluctuation(Noise):
     """Light that is brighter in one frame and dimmer in the next, before another noise.
 
-    The rates of a frame are r (1 + ε), with an ε of the mean 0 and the standard deviation σ, alike
-    for all detectors, and for both rails where two arms see them at once: then a feature has the
-    variance of the other noise and σ² (r⁺ − r⁻)²; of frames one after another, σ² (r⁺² + r⁻²).
-    1 + ε is log-normal, so that no light is negative. Source: DeepFSI, docs/notebook/flicker.md.
+    The rates of a frame are r (1 + ε), where ε has the mean 0 and the standard deviation σ. All
+    detectors share it, and so do two arms that see one frame: this adds σ² (r⁺ − r⁻)² to the
+    variance of the inner noise. Two frames, one after the other, add σ² (r⁺² + r⁻²). 1 + ε is
+    log-normal, so that no light is negative. Source: docs/notebook/flicker.md.
     """
 
     inner: Noise  # of the counts that this light gives
@@ -376,12 +374,12 @@ class Fluctuation(Noise):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Name of the other noise."""
+        """Name of the inner noise."""
         return self.inner.name
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """As the other noise is."""
+        """Whether the inner noise is."""
         return self.inner.unbiased
 
     @property
@@ -390,7 +388,7 @@ class Fluctuation(Noise):
         return {**self.inner.settings, "fluctuation": self.fluctuation}
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
-        """Counts of rails that are each in a frame of their own."""
+        """Counts of rails, each in its own frame."""
         return self.inner.draw(rates * self.brightness(rates, random), random, dark)
 
     def sample(
@@ -401,40 +399,40 @@ class Fluctuation(Noise):
         random: Random = None,
         rails: int = -2,
     ) -> Tensor:
-        """Counts of rails; those of one frame see the same light."""
+        """Counts of rails; one frame has one brightness."""
         shape = rates.movedim(rails, -2).shape
-        every = rates.new_empty(*shape[:-2], 2 * shape[-1])  # of no more frames than that
+        every = rates.new_empty(*shape[:-2], 2 * shape[-1])  # room for each frame
         frame = read.frame.movedim(rails, -2).expand(shape).flatten(-2)
         light = self.brightness(every, random).gather(-1, frame)
         factor = light.unflatten(-1, shape[-2:]).movedim(-2, rails)
         return self.inner.sample(rates * factor, read, dark=dark, random=random, rails=rails)
 
     def dark_counts(self, time: Tensor | float) -> Tensor | float:
-        """Of the other noise: light in the dark does not fluctuate."""
+        """Dark counts of the inner noise: they do not fluctuate."""
         return self.inner.dark_counts(time)
 
     def mean(self, rates: Tensor) -> Tensor:
-        """Of the other noise."""
+        """Mean of the inner noise."""
         return self.inner.mean(rates)
 
     def variance(self, light: Expectation) -> Tensor:
-        """σ² (r⁺² + r⁻²), or σ² (r⁺ − r⁻)² at once, beside that of the other noise."""
+        """Variance of the inner noise plus σ² (r⁺² + r⁻²), or σ² (r⁺ − r⁻)² in one frame."""
         apart = (light.total.square() + light.mean.square()) / 2
         at_once = light.read.frame[0] == light.read.frame[-1]
         bright = torch.where(at_once, light.mean.square(), apart)
         return self.inner.variance(light) + self.fluctuation**2 * light.gain * bright
 
     def check(self, learning: bool) -> None:
-        """Raise `InputError` unless masks can learn under the other noise."""
+        """Raise `InputError` unless masks can learn under the inner noise."""
         self.inner.check(learning)
 
     def of_jobs(self, jobs: int | slice) -> Self:
-        """The noise of some of the trainings side by side, whose light fluctuates alike."""
+        """Noise of some of the trainings side by side; all have the same σ."""
         return replace(self, inner=self.inner.of_jobs(jobs))
 
     @classmethod
     def side_by_side(cls, noises: Sequence[Noise], device: torch.device) -> Noise:
-        """One noise with the numbers of R trainings, whose light fluctuates alike."""
+        """One noise with the numbers of R trainings; all have the same σ."""
         inner = [noise.inner for noise in noises if isinstance(noise, Fluctuation)]
         return replace(noises[0], inner=type(inner[0]).side_by_side(inner, device))  # type: ignore[type-var]
 
@@ -481,13 +479,13 @@ def noise_of(camera: Camera, noise: str | NoiseFunction | None = None) -> Noise:
 
 
 def attach_gradient(counts: Tensor, mean: Tensor, total: Tensor) -> Tensor:
-    """Let counts (..., m) follow what their mean and variance depend on, as those of `ml_gauss` do.
+    """Counts (..., m), unchanged, with the gradient of μ + √L ε at the ε that gives them.
 
-    These are the derivatives of μ + √L ε at the ε that gives y. The gradient of the mean of any
-    f(y) is right where f is at most quadratic.
+    μ is their mean and L their variance. The gradient of E f(y) is exact if f is at most
+    quadratic.
     """
-    # For one rail, where it is f′(k) (1 + k/r) / 2, its mean is that of [f′(k) + f′(k + 1)] / 2,
-    # because E[k g(k)] = r E[g(k + 1)]: the trapezoid rule for what is exact,
+    # For a single rail the gradient is f′(k) (1 + k/r) / 2. Since E[k g(k)] = r E[g(k + 1)], its
+    # mean is E[f′(k) + f′(k + 1)] / 2: the trapezoid rule for the exact
     # ∂ E f / ∂r = E[f(k + 1) − f(k)] = E ∫₀¹ f′(k + t) dt
     fixed = total.detach()
     pull = torch.where(fixed > 0, (counts - mean.detach()) / (2 * fixed), 0.0)
@@ -495,7 +493,7 @@ def attach_gradient(counts: Tensor, mean: Tensor, total: Tensor) -> Tensor:
 
 
 def root(rate: Tensor) -> Tensor:
-    """Square root whose gradient is 0, not infinite, where the rate (...) is 0 (a dark rail)."""
+    """Square root of rates (...); its gradient at 0, a dark rail, is 0 and not infinite."""
     return _Root.apply(rate)  # type: ignore[no-untyped-call]
 
 
@@ -519,12 +517,12 @@ def _normal(like: Tensor, random: Random) -> Tensor:
 
 
 MOST_CLICKS = 0.95
-"""Share of gates that click above which one is told: with r photons in a gate the information on
-log r is r² e⁻ʳ / (1 − e⁻ʳ), highest at a share of 0.80, and 0.73 of that at 0.95."""
+"""Share of clicking gates above which the user is warned. With r photons a gate, the information on
+log r is r² e⁻ʳ / (1 − e⁻ʳ): highest at a share of 0.80, and at 0.95 only 0.73 of its maximum."""
 
 
 def full_gates(share: float, photons: float) -> str | None:
-    """Remark on clicks in nearly all gates."""
+    """Warning if nearly all gates click, else None."""
     if share <= MOST_CLICKS:
         return None
     return (
@@ -536,19 +534,19 @@ def full_gates(share: float, photons: float) -> str | None:
 def to_training_light(
     ratio: Tensor | float, mean: Tensor, photons: Tensor, gates: int
 ) -> tuple[Tensor, Tensor]:
-    """Gain and offset (..., k) that make of clicks those at the light of the training.
+    """Gain and offset (..., k) that turn clicks into clicks at the light of the training.
 
-    Clicks are not in proportion to the light. A readout of G gates with r⁺ and r⁻ expected photons
-    a gate on its two rails has, at q times the light of the training, the mean and the noise
+    Clicks are not proportional to the light. A readout with G gates and r± expected photons a gate
+    on its two rails has, at q times the light of the training, the mean and the variance
 
         μ(q) = G (e^(−q r⁻) − e^(−q r⁺)),    ν(q) = G Σ± e^(−q r±) (1 − e^(−q r±)) .
 
-    So the clicks y are read as μ(1) + (y − μ(q)) √(ν(1) / ν(q)). The photons r± are those of the
-    mean scene: of the mean M of y / G and the mean S of all photons a gate, both over training
-    scenes, r⁺ − r⁻ = 2 arsinh(M e^(S/2) / 2).
+    The network reads clicks y as μ(1) + (y − μ(q)) √(ν(1) / ν(q)). The photons r± are the mean
+    scene's: over training scenes, y / G has the mean M and all photons a gate have the mean S, so
+    r⁺ − r⁻ = 2 arsinh(M e^(S/2) / 2).
 
-    `ratio` (..., 1) is the light over that of the training; `mean` (k,) and `photons` (k,) are
-    clicks and photons in the mean over training scenes.
+    `ratio` (..., 1) is q; `mean` (k,) and `photons` (k,) are clicks and photons, averaged over
+    training scenes.
     """
     both = photons / gates
     apart = 2 * torch.asinh(mean / gates * (both / 2).exp() / 2)
@@ -556,14 +554,14 @@ def to_training_light(
 
     def moments(q: Tensor | float) -> tuple[Tensor, Tensor]:
         parts = [q * rate for rate in rates]
-        # 1 - e^(-x) to all digits, of what an ONNX graph knows
+        # 1 - e^(-x) to all digits, in functions that ONNX has
         halves = [(part / 2).tanh() for part in parts]
         plus, minus = (2 * half / (1 + half) for half in halves)
         noise = plus * (-parts[0]).exp() + minus * (-parts[1]).exp()
-        return gates * (plus - minus), noise.clamp(min=1e-30)  # that of a readout that is dark
+        return gates * (plus - minus), noise.clamp(min=1e-30)  # dark readouts have none
 
     trained, noise = moments(1.0)
     now, noise_now = moments(ratio)
-    # clicks of nearly every gate, or none, tell nothing
+    # where nearly all gates click, or none, clicks tell nothing
     gain = (noise / noise_now).sqrt().clamp(max=100.0)
     return gain, trained - now * gain

@@ -15,25 +15,25 @@ from deepfsi.physics.noise import Expectation, NoiseFunction, make_noise
 class Scanner(nn.Module):
     """Masks, detectors and their noise: (..., N) photons → (..., k) feature counts y⁺ − y⁻.
 
-    An ordinary module: put it in front of any network and train both. Images (..., H, W) of as many
-    pixels as the masks have are flattened.
+    An ordinary module: put it in front of any network and train both. Images (..., H, W) are
+    flattened.
 
     Parameters
     ----------
     masks : FixedMasks or LearnedMasks
-        Gives the rails of masks ([replicas,] m, N).
+        Module whose rails are ([replicas,] m, N).
     noise : {"poisson", "gaussian", "ml_gauss", "camera", "click", "none"}, Noise or callable
-        Under photon noise `poisson` to test, and either it or `ml_gauss` to train; `camera` adds
-        dark counts and read noise to it; `click` is of detectors that fire at most once, and
-        `Click(gates)` of several gates a frame. Or a noise of your own: a function from expected
-        counts of rails and a generator to counts, or its import path.
+        `poisson` is photon noise; train under it or under its smooth stand-in `ml_gauss`, and test
+        under `poisson`. `camera` adds dark counts and read noise. `click` is for detectors that
+        fire at most once a frame, `Click(gates)` once in each of several gates. Your own noise is a
+        function from expected counts and a generator to counts, or its import path.
     sigma : float
         Read noise in counts rms per readout, for gaussian and camera noise.
     dark : float
-        Expected dark counts of one detector in the whole exposure, for camera noise.
+        Expected dark counts of a detector in the whole exposure, for camera noise.
     detection : Detection, optional
-        Several detectors, and what is read of two rails. One detector and the difference unless
-        given, for which k = m.
+        Detectors, and how two rails become features. Default: one detector, which reads the
+        difference, so that k = m.
 
     Examples
     --------
@@ -77,30 +77,30 @@ class Scanner(nn.Module):
         Parameters
         ----------
         rails : tensor, shape (2 or 1, m, N)
-            Share of the light of each pixel that each readout counts.
+            Share of each pixel's light that each readout counts.
         noise : str or callable
             A name such as ``"poisson"``, an import path, or a function of rates and a generator.
         sigma : float
-            Read noise of ``"gaussian"`` and ``"camera"`` noise, counts rms per readout.
+            Read noise in counts rms per readout, for gaussian and camera noise.
         dark : float
-            Dark counts of a detector in a whole exposure, of ``"camera"`` noise.
+            Expected dark counts of a detector in the whole exposure, for camera noise.
         detection : Detection, optional
-            Detectors; one unless given, which reads the difference of two rails.
+            Detectors. Default: one, which reads the difference of two rails.
         """
         return cls(FixedMasks(rails), noise, sigma, dark, detection)
 
     def forward(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Noisy features (..., [replicas,] k) of photons (..., N) or (..., H, W), in counts.
 
-        Differentiable in the masks. Under gaussian noise and `ml_gauss` the two rails' noise is
-        drawn at once, which is the same in distribution.
+        Differentiable in the masks. Gaussian noise and `ml_gauss` are drawn once for both rails,
+        which has the same distribution.
         """
         noise = self.noise
         seen = self.detection
         if noise.draws_rails:
             rates = self.rates(photons)
             counts = seen.features(self.read(rates, generator))
-            if not noise.unbiased:  # the draws have their own gradient
+            if not noise.unbiased:  # its draws bring a gradient
                 return counts
             read = seen.readouts(self._arranged())
             light = Expectation(seen.features(rates), seen.totals(rates), read)
@@ -108,34 +108,31 @@ class Scanner(nn.Module):
         arranged = self._arranged()
         masks = seen.read_of(arranged)
         if not noise.of_light:
-            masks = Rails(masks.difference)  # their total is not needed
+            masks = Rails(masks.difference)  # spares the product with the total
         mean, total = project_rails(self._light(photons), masks, seen.count)
         light = Expectation(mean, total, seen.readouts(arranged))
         return noise.features(light, generator)
 
     def counts(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Noisy counts (..., [replicas,] rails, m · D) of photons (..., N), as detectors report.
+        """Noisy counts (..., [replicas,] rails, m · D) of photons (..., N).
 
-        Those of D detectors follow one another for each mask. A rail that is dark by construction
-        reads 0.
+        The last axis has the D detectors of the first mask, then of the next. A rail that is dark
+        by construction counts 0.
         """
         return self.read(self.rates(photons), generator)
 
     def read(self, rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Noisy counts of rails whose expected counts are known; shapes as `counts`."""
+        """Noisy counts of rails from their expected counts; shapes as `counts`."""
         read = self._readouts(rates.shape[-2])
         return self.noise.sample(rates, read, self.noise.dark_counts(read.time), generator)
 
     def dark_counts(self, rails: int) -> Tensor:
-        """Expected dark counts (rails, m · D) of the readouts of an exposure of 1 or 2 rails.
-
-        A rail that is dark by construction is not read out, and has none.
-        """
+        """Expected dark counts (rails, m · D) of one exposure; a dark rail is not read out."""
         read = self._readouts(rails)
         return torch.where(read.active, self.noise.dark_counts(read.time), 0.0)
 
     def moments(self, rates: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and variance (..., k) of features of rails of expected photons, as from `rates`."""
+        """Mean and variance (..., k) of features whose expected counts are `rates`."""
         read = self._readouts(rates.shape[-2])
         alone = Readouts(*(tensor.unsqueeze(0) for tensor in read))  # each rail is a feature
         power = self.noise.variance(Expectation(rates, rates, alone))
@@ -143,7 +140,7 @@ class Scanner(nn.Module):
         return self.detection.features(self.noise.mean(rates)), self.detection.totals(power)
 
     def _readouts(self, rails: int) -> Readouts:
-        """Readouts (..., rails, m · D): which rails are not dark by construction, and how long."""
+        """Readouts (..., rails, m · D): which rails are read out, and for how long."""
         every = Detection(count=self.detection.count).readouts(self._arranged())
         read = Readouts(*(tensor.movedim(0, -2)[..., :rails, :] for tensor in every))
         return read._replace(time=read.time.detach())
@@ -159,12 +156,12 @@ class Scanner(nn.Module):
         return rails.map(self.detection.arrange)
 
     def _light(self, photons: Tensor) -> Tensor:
-        """Photons with the pixels of each detector together, checked."""
+        """Photons, checked and arranged by detector."""
         return self.detection.arrange(_flat(photons, self.masks().difference.shape[-1]))
 
 
 def _flat(photons: Any, pixels: int) -> Tensor:
-    """Photons (..., N) of scenes of so many pixels, which may be images (..., H, W)."""
+    """Photons (..., N) of scenes (..., N) or images (..., H, W)."""
     if not isinstance(photons, Tensor):
         raise InputError(
             f"photons were given as {type(photons).__name__}: give a tensor, such as "
@@ -178,14 +175,14 @@ def _flat(photons: Any, pixels: int) -> Tensor:
         return photons.flatten(-2)
     raise InputError(
         f"photons of shape {tuple(photons.shape)} do not fit masks of {pixels} pixels: give "
-        f"(..., {pixels}), or images of so many"
+        f"(..., {pixels}), or images of {pixels} pixels"
     )
 
 
 def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
     """Product of scenes (..., N) with masks (*lead, m, N): (..., *lead, m · parts).
 
-    It is multiplied in the type of the scenes, and has the wider of theirs and the masks'.
+    It is computed in the type of the scenes and returned in the wider of the two types.
     """
     low = masks.flatten(0, -2).to(photons.dtype)
     if parts == 1:
@@ -198,7 +195,7 @@ def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
 
 
 def project_rails(photons: Tensor, rails: Rails, parts: int = 1) -> tuple[Tensor, Tensor]:
-    """Products of scenes with difference and total of rails, which of one rail are one tensor."""
+    """Products of scenes with difference and total; a single rail has one product for both."""
     if rails.count == 1:
         mean = project(photons, rails.difference, parts)
         return mean, mean

@@ -1,4 +1,4 @@
-"""Torch and NumPy as they are after their import, whatever the program around the package set."""
+"""Defaults of torch and NumPy, whatever the surrounding program set, and the device."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -12,17 +12,16 @@ from deepfsi.base.errors import InputError
 
 @contextmanager
 def library_defaults(grad: bool | None = None) -> Iterator[None]:
-    """Context, or decorator, of what users call: what they set in torch changes no result.
+    """Context, or decorator, in which a user's torch settings change no result.
 
-    That is their autocast, types, devices and errors. What stays as the program set it: threads,
-    deterministic algorithms, flushing of denormals, and the state of the global generator, which
-    nothing here draws from.
+    It resets autocast, default types and devices, and error modes. It keeps threads, deterministic
+    algorithms, flushing of denormals, and the global generator, from which nothing here draws.
     """
     with ExitStack() as stack:
         stack.enter_context(np.errstate(divide="warn", over="warn", under="ignore", invalid="warn"))
         recorded = torch.is_grad_enabled() if grad is None else grad
         if torch.is_inference_mode_enabled():
-            stack.enter_context(torch.inference_mode(False))  # which records gradients again
+            stack.enter_context(torch.inference_mode(False))  # this records gradients again
         if torch.is_grad_enabled() != recorded:
             stack.enter_context(torch.set_grad_enabled(recorded))
         for device in ("cpu", "cuda", "mps"):

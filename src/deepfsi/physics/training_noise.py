@@ -1,7 +1,7 @@
-"""Noise and draws of trainings side by side, in units of the scene.
+"""Noise and random draws of trainings side by side, in units of the scene.
 
-The unit is one fully reflecting pixel, which gives Φ / s counts, the gain: budgets then differ in
-their noise alone, and products of scenes and masks serve all of them.
+The unit is a fully reflecting pixel, which gives Φ / s counts, the gain. Budgets then differ only
+in their noise, and share the products of scenes and masks.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,17 +19,17 @@ from deepfsi.physics.noise import Expectation, Noise
 from deepfsi.physics.scanner import project, project_rails
 
 Normal = Callable[[int], Tensor]
-"""From a number of features k to standard normal numbers (B, 1, k), the same for all trainings."""
+"""Function from k to standard normal numbers (B, 1, k), the same for all trainings."""
 
 
 @dataclass
 class TrainingNoise:
     """Noise of the features x D of R trainings."""
 
-    kind: Noise  # with numbers (R, 1) of each training
-    gain: Tensor  # (R, 1), counts of one fully reflecting pixel, Φ / s
+    kind: Noise  # its numbers are (R, 1)
+    gain: Tensor  # (R, 1), counts Φ / s of a fully reflecting pixel
     generators: list[torch.Generator]
-    unit: Tensor = field(init=False)  # (R, 1), standard deviation of photon noise where x S is 1
+    unit: Tensor = field(init=False)  # (R, 1), standard deviation of photon noise at x S = 1
 
     def __post_init__(self) -> None:
         self.unit = self.gain.rsqrt()
@@ -43,14 +43,14 @@ class TrainingNoise:
         seeds: Sequence[int],
         device: torch.device,
     ) -> "TrainingNoise":
-        """Noise of R trainings that differ in its numbers alone, of the gain and seed of each."""
-        # The Poisson draws of a seed are others than those of a generator of the same seed
+        """Noise of R trainings of one kind, from the noise, gain and seed of each."""
+        # Bit 31 keeps these draws apart from the stream that shuffles scenes
         gain = torch.tensor(gains, device=device).unsqueeze(1)
         generators = [torch.Generator(device).manual_seed(seed ^ 2**31) for seed in seeds]
         return cls(type(noises[0]).side_by_side(noises, device), gain, generators)
 
     def of_jobs(self, jobs: slice) -> "TrainingNoise":
-        """Noise of some of the trainings, which draw from the same generators."""
+        """Noise of some of the trainings, with the same generators."""
         return replace(
             self,
             kind=self.kind.of_jobs(jobs),
@@ -83,17 +83,16 @@ class TrainingNoise:
     def learn(
         self, scenes: Tensor, masks: LearnedMasks, detection: Detection, draws: "Draws"
     ) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
-        """Centred features (B, R, k) of a step's scenes behind masks that learn, and their light.
+        """Centred features (B, R, k) of a step's scenes behind learned masks, and their light.
 
-        Scenes (n + 1, N) are centred, with their mean as the last row, arranged as the masks are.
-        The light is the products x D and x S (B, R_i, k) of each seed, under a noise that counts.
+        Scenes (n + 1, N) are centred and arranged; their mean is the last row. The light is, for
+        each seed, the products x D and x S (B, R_i, k); a noise that does not count has none.
         """
         parts = detection.count
         features: list[Tensor] = []
         light: list[tuple[Tensor, Tensor]] = []
         if self.kind.draws_rails:
-            # one of a user's own may have another mean than the rates: its features are centred in
-            # their batch
+            # The mean of a biased noise is not the rate: centre its features in their batch
             rails = masks()
             read = detection.readouts(rails)
             frames = detection.read_of(rails)
@@ -124,15 +123,15 @@ class TrainingNoise:
         return side_by_side(features), light
 
     def expected(self, mean: Tensor, total: Tensor) -> Tensor:
-        """Counts (R,) of an exposure, in the mean over noise and scenes, of products (B, R, k)."""
+        """Mean counts (R,) of an exposure, over noise and scenes, from products (B, R, k)."""
         return self.kind.mean(self._rates(mean, total)).sum(dim=(0, 3)).mean(dim=0)
 
     def deviation(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
-        """Standard deviation of features (..., R, k) of a noise that does not count."""
+        """Standard deviation of features (..., R, k), for a noise that does not count."""
         return self.kind.deviation(Expectation(mean, total, read, self.gain))
 
     def variance(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
-        """Variance of features (..., R, k), but of a user's own noise."""
+        """Variance of features (..., R, k); a user's noise has none."""
         return self.kind.variance(Expectation(mean, total, read, self.gain)) / self.gain
 
     def _rates(self, mean: Tensor, total: Tensor) -> Tensor:
@@ -141,16 +140,16 @@ class TrainingNoise:
 
 
 class SeedStream:
-    """Draws of the jobs of one seed, the same for all of them; labels (n,) or (n, q)."""
+    """Draws that all jobs of one seed share; labels are (n,) or (n, q)."""
 
     order: Tensor
-    """Places (steps, B) of an epoch's scenes."""
+    """Indices (steps, B) of an epoch's scenes."""
 
     rows: Tensor
-    """Those of a step, (B,)."""
+    """Indices (B,) of a step's scenes."""
 
     with_mean: Tensor
-    """The same and n, the place of the mean scene, (B + 1,)."""
+    """The same (B + 1,), and n, the index of the mean scene."""
 
     def __init__(
         self, seed: int, replicas: slice, noise: TrainingNoise, labels: Tensor, batch: int
@@ -168,13 +167,13 @@ class SeedStream:
         self.follow(order[: count // self.batch * self.batch].view(-1, self.batch))
 
     def follow(self, rows: Tensor) -> None:
-        """Take an epoch's scenes from places (steps, B)."""
+        """Take an epoch's scenes in the order of indices (steps, B)."""
         self.order = rows.to(self._labels.device)
         self._with_mean = functional.pad(self.order, (0, 1), value=len(self._labels))
         self._ordered = self._labels[self.order]
 
     def gather(self, step: int) -> Tensor:
-        """Go to the scenes of a step: their labels (B, R)."""
+        """Move to the scenes of a step; return their labels (B, R)."""
         self.rows = self.order[step]
         self.with_mean = self._with_mean[step]
         return self.repeated(self._ordered[step].unsqueeze(1))
@@ -186,34 +185,34 @@ class SeedStream:
         )
 
     def budgets(self, span: float, masks: int) -> Tensor:
-        """Draw budgets (B, 1, 1), over the lowest, and numbers of masks, of which all are shown."""
+        """Draw budgets (B, 1, 1), as multiples of the lowest."""
         uniform = torch.rand(self.batch, 1, 1, generator=self.generator, device=self._labels.device)
         last = torch.eye(masks, device=self._labels.device)[-1]
-        torch.multinomial(last, self.batch, True, generator=self.generator)  # as ever
+        torch.multinomial(last, self.batch, True, generator=self.generator)  # keeps the stream
         return span**uniform
 
     def repeated(self, shared: Tensor) -> Tensor:
-        """Tensor (B, R, …) of what is the same for all jobs, (B, 1, …)."""
+        """Tensor (B, 1, …) repeated for all jobs, (B, R, …)."""
         return shared.expand(-1, self.replicas.stop - self.replicas.start, *shared.shape[2:])
 
     def of_jobs(self, every: Tensor, axis: int = 0) -> Tensor:
-        """Part of these jobs in a tensor of all, which has R or 1 of them along an axis."""
+        """Slice of a tensor for these jobs; its axis has all jobs, or 1 shared entry."""
         count = self.replicas.stop - self.replicas.start
         if every.shape[axis] in (1, count):
             return every
         return every.narrow(axis, self.replicas.start, count)
 
     def readouts(self, every: Readouts) -> Readouts:
-        """Readouts of the masks of these jobs among those of all, (2, R or 1, m)."""
+        """Readouts (2, R_i or 1, m) of these jobs, from all (2, R or 1, m)."""
         return Readouts(*(self.of_jobs(one, 1) for one in every))
 
     def products(self, every: Tensor) -> Tensor:
-        """The step's part of products of all scenes and jobs, (n, R or 1, m)."""
+        """Products (B, R_i or 1, m) of a step and these jobs, from all (n, R or 1, m)."""
         return self.of_jobs(every, 1).index_select(0, self.rows)
 
 
 class Draws:
-    """Scenes and random numbers of steps of R jobs, shared by those of a seed."""
+    """Scenes and random numbers of R jobs; jobs of one seed share them."""
 
     def __init__(
         self, seeds: Sequence[int], noise: TrainingNoise, labels: Tensor, batch: int
@@ -230,21 +229,21 @@ class Draws:
             first = jobs.stop
 
     def shuffle(self) -> None:
-        """Draw the order of an epoch's scenes, for each seed."""
+        """Draw the order of an epoch's scenes for each seed."""
         for stream in self.streams:
             stream.shuffle()
 
     def gather(self, step: int) -> Tensor:
-        """Go to the scenes of a step of the epoch: their labels (B, R) or values (B, R, q)."""
+        """Move to the scenes of a step; return their labels (B, R) or values (B, R, q)."""
         return self.side_by_side(lambda stream: stream.gather(step))
 
     def side_by_side(self, of_seed: Callable[[SeedStream], Tensor]) -> Tensor:
-        """Tensor (B, R, …) of all jobs, of those (B, R_i, …) of each seed."""
+        """Tensor (B, R, …) of all jobs, from a function that gives (B, R_i, …) for a seed."""
         return side_by_side([of_seed(stream) for stream in self.streams])
 
 
 def side_by_side(parts: list[Tensor]) -> Tensor:
-    """Replicas (B, R_i, …) of several seeds as one (B, R, …)."""
+    """Join replicas (B, R_i, …) of several seeds: (B, R, …)."""
     return torch.cat(parts, dim=1) if len(parts) > 1 else parts[0]
 
 
@@ -253,8 +252,8 @@ def ml_gauss_features(
 ) -> Tensor:
     """Features (B, *lead, k) of centred scenes under MLGauss noise, in a step of training.
 
-    With x̄ the mean scene and x_c = x − x̄ these are x_c D + √(x S) ε: what `Scanner` gives, less
-    the constant x̄ D. Scenes (B + 1, N) are x_c, with x̄ as the last row; masks (*lead, m, N) or
+    They are x_c D + √(x S) ε, where x̄ is the mean scene and x_c = x − x̄: the features of `Scanner`
+    less the constant x̄ D. Scenes (B + 1, N) are x_c, then x̄; masks (*lead, m, N) or
     (2, *lead, m, N); ε (B, *lead, k).
     """
     form = disjoint, parts
@@ -262,7 +261,7 @@ def ml_gauss_features(
 
 
 class _MlGaussFeatures(torch.autograd.Function):
-    """Written out because autograd's own graph of it takes twice the time of its products."""
+    """Written by hand because autograd takes twice the time of the products."""
 
     @staticmethod
     def forward(
@@ -284,7 +283,7 @@ class _MlGaussFeatures(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor, Tensor | None, None]:
         scenes, epsilon, deviation = ctx.saved_tensors
-        # 0, not infinite, where a mask is dark; passes over booleans take many times longer
+        # 0, not infinite, where a mask is dark; a boolean mask would take many times longer
         by_counts = (epsilon / deviation).nan_to_num_(0, 0, 0).mul_(gradient).mul_(0.5)
         back = gradient.new_zeros(len(scenes), *ctx.shape[:-2], gradient.shape[-1])
         mean, counts = (back, back) if back.ndim == epsilon.ndim else back.unbind(1)
