@@ -42,7 +42,7 @@ LINES = {
     "report": 1740,
     "report.playground": 207,
     "sweeps": 2790,
-    "training": 1764,
+    "training": 1763,
 }
 """Lines of each room, which may only fall: lower the number with them."""
 

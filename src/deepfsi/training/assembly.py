@@ -1,4 +1,4 @@
-"""Designs from masks and classifiers that a training loop has made, this one or a user's own."""
+"""Designs from the masks and classifiers of a training loop, ours or a user's."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -39,24 +39,24 @@ def design_of(
     *,
     light: LightLawName = "column",
 ) -> Design:
-    """Make a design of a scanner and a network that you have trained together.
+    """Make a design from a scanner and a network that you have trained together.
 
-    Counts at another budget are scaled to that of the training. Raises `InputError` if scanner,
-    classifier and data do not fit together, or the masks break their constraint.
+    The design scales counts of another budget to the budget of the training. Raises `InputError`
+    if scanner, classifier and data do not fit together, or the masks break their law.
 
     Parameters
     ----------
     scanner : Scanner
-        Its masks, without replicas, and its detectors.
+        Masks, without replicas, and detectors.
     classifier : nn.Module
-        From (batch, k) counts of the scanner, m differences y⁺ − y⁻ unless its `detection` says
-        otherwise, to (batch, C) logits or (batch, q) standardised values. Copied.
+        Maps features (batch, k) of the scanner, by default m differences y⁺ − y⁻, to logits
+        (batch, C) or standardised values (batch, q). It is copied.
     data : Dataset, str, path or tuple of arrays
-        That the training was on: its training scenes give the mean light, its classes their names.
+        Data of the training: its training scenes give the mean light, and it names the classes.
     photons : float
-        Budget Φ of the training: photons were ``photons_per_pixel(x, photons, s)``.
+        Budget Φ of the training, whose light was ``photons_per_pixel(x, photons, s)``.
     light : str
-        Light law that masks obey, one of `LIGHT_LAWS`; that of `LearnedMasks` is their own.
+        Light law of the masks, from `LIGHT_LAWS`; `LearnedMasks` bring theirs.
 
     Examples
     --------
@@ -97,13 +97,13 @@ def design_of(
         values=Values.of(scenes),
         training_scenes=TrainingScenes.of(scenes),
     )
-    del design.info["job"]["training"], design.info["seconds"]  # not known of a training elsewhere
+    del design.info["job"]["training"], design.info["seconds"]  # unknown for a training elsewhere
     characterise(TrainingSet(scenes, rails.device), [job], [design])
     return design
 
 
 def designs_of(exposure: ExposureTraining, classifiers: Sequence[nn.Module]) -> list[Design]:
-    """Designs of jobs that train side by side, of masks that are fixed."""
+    """Designs of jobs that trained side by side, whose masks are fixed now."""
     training_set = exposure.training_set
     with torch.no_grad():
         trained = exposure.finish()
@@ -120,7 +120,7 @@ def designs_of(exposure: ExposureTraining, classifiers: Sequence[nn.Module]) -> 
 
 
 def _job(scanner: Scanner, rails: Rails, photons: float, light: LightLawName) -> Job:
-    """Job of a training elsewhere, as far as it is known."""
+    """The known settings of a training elsewhere."""
     detection = scanner.detection
     noise = scanner.noise.facts.stands_for or scanner.noise.name
     optics: dict[str, Any] = {"light": light, "noise": noise, **scanner.noise.settings}
@@ -145,7 +145,7 @@ def _rails(scanner: Scanner, data: Dataset, light: LightLawName) -> Rails:
 
 
 def _copy(classifier: nn.Module, features: int, classes: int) -> OwnClassifier:
-    """Copy of a user's module, with the import path that it has."""
+    """Copy of a user's module with its import path."""
     if not isinstance(classifier, OwnClassifier):
         return make_custom(classifier, {}, features, classes)
     if classifier.module is None:

@@ -1,6 +1,7 @@
-"""Characterisation of trained designs: light that they count, readouts, confidence, provenance.
+"""Characterise trained designs: their light, readouts, confidence and provenance.
 
-Few training scenes are left out in folds, which calibrate a design that leaves no scenes out.
+A small training set is split into folds. Designs trained without a fold calibrate the design that
+is trained on all scenes.
 """
 
 from collections.abc import Sequence
@@ -40,13 +41,13 @@ from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import FEW_SCENES, Job
 
 FOLDS = 10
-"""Parts of the training scenes, each to be left out of a training of its own."""
+"""Parts of the training scenes; each is left out of one training."""
 
 LEFT_OUT = 150
-"""Scenes that are to be left out in all, where there are so many: then no more folds are."""
+"""Scenes that suffice for calibration: no fold is added beyond them."""
 
 DOUBT = 1.0
-"""Scenes of any class that are added to those left out."""
+"""Weight, in scenes, of a scene of unknown class added to the scenes left out."""
 
 
 def characterise(
@@ -55,11 +56,11 @@ def characterise(
     designs: Sequence[Design],
     left_out: Sequence[tuple[Dataset, Sequence[Design]]] = (),
 ) -> None:
-    """Give designs that were trained together what simulated exposures tell of them."""
+    """Give trained designs what simulated exposures tell: distribution, view, temperatures."""
     first = designs[0]
     scenes = training_set.full
     for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
-        # a distribution depends on the masks alone, which designs may share
+        # it depends only on the masks, which designs may share
         if design is first or not torch.equal(first.rails.stacked, design.rails.stacked):
             design.distribution = _distribution(design, scenes, training_set.data.groups)
         else:
@@ -81,10 +82,10 @@ def characterise(
 def find_temperatures(
     design: Design, job: Job, data: Dataset, left_out: Sequence[tuple[Dataset, Design]] = ()
 ) -> tuple[Temperatures, LeftOutTest | None]:
-    """Temperatures of a trained design, by scenes that were left out where there are any.
+    """Temperatures of a trained design, and their test.
 
-    Those are the scenes that the data holds out; else those of folds that designs of the same job
-    were trained without; else scenes of the training, which give no test.
+    They come from scenes that the data holds out; else from folds; else from training scenes, which
+    allow no test.
     """
     budgets = calibration_budgets(job.photons, job.exposure.highest(job.photons))
     scenes = _calibration_scenes(design, job, data, left_out)
@@ -104,7 +105,7 @@ def _calibration_scenes(
             Exposed(made, made.front_end(job.camera), fold.x_test, fold.y_test)
             for fold, made in left_out
         ]
-        # exposures in all, about
+        # about 1000 exposures in all
         draws = max(1, 1000 // sum(len(fold.x_test) for fold, _ in left_out))
         return CalibrationScenes(parts, 1, draws, doubt=DOUBT)
     held = data.held_out > 0
@@ -116,12 +117,12 @@ def _calibration_scenes(
 
 
 def _compared(design: Design) -> bool:
-    """True of designs whose counts are tested: the tests know no clicks."""
+    """Whether the counts of a design are tested; clicks are not."""
     return design.exposure.comparable and design.gates is None
 
 
 def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> ReadoutDistribution | None:
-    """Distribution of the readouts of scenes (n, N) of classes (n,), if it can be had."""
+    """Distribution of the readouts of scenes (n, N) of classes (n,); None for clicks."""
     if not _compared(design):
         return None
     rows = sample_scenes(len(scenes), prod(design.counts_shape))
@@ -146,7 +147,7 @@ class _PosteriorScenes(CalibrationScenes):
         return self.answers.labels.numpy()
 
     def logits(self, photons: float, seed: int, places: Sequence[int]) -> np.ndarray:
-        """Log odds (len(places), S, C) after some looks."""
+        """Log odds (len(places), S, C) after the steps `places`."""
         budget = self.answers.budgets.tolist().index(photons)
         return self.answers.odds[budget, list(places)].numpy()
 
@@ -157,9 +158,10 @@ def fold_answers(
     job: Job,
     dictionary: MaskDictionary | None,
 ) -> LeftOutAnswers:
-    """Answers to few scenes in folds, each by a prior that was made without its fold.
+    """Answers to the scenes of folds, each by a prior made without its fold.
 
-    A scene taken out of a prior of few leaves its trace in the components, which tell its class.
+    To remove a scene from a finished prior would not do: the components of a small set still tell
+    its class.
     """
     parts = []
     for fold in folds:
@@ -177,16 +179,15 @@ def fold_answers(
 def calibrate_posterior(
     made: AdaptiveExposure, answers: LeftOutAnswers, data: Dataset, job: Job
 ) -> tuple[AdaptiveExposure, dict[str, Any]]:
-    """The exposure with calibrated probabilities, and the test of its answers.
+    """The exposure with calibrated probabilities, and their test.
 
-    Answers at the end of exposures give one temperature; those after each look one for each look
-    and budget.
+    Each step and budget with answers has its own temperature.
     """
     shares = made.prior.class_shares.double().numpy()
     looks = answers.odds.shape[1]
     scenes = _PosteriorScenes((), looks, shares=shares, doubt=DOUBT, answers=answers)
     fitted = fit_temperatures(scenes, answers.budgets, trained_on=False, seed=job.seed)
-    # beyond the light that is measured as at its ends
+    # beyond the measured light, the temperatures of its ends hold
     logs = np.pad(fitted.logs, ((0, made.count - looks), (1, 1)), mode="edge")
     ends = job.photons / CALIBRATION_REACH, job.photons * CALIBRATION_REACH
     temperatures = Temperatures(logs, np.array([ends[0], *answers.budgets, ends[1]]))
@@ -196,11 +197,10 @@ def calibrate_posterior(
 
 
 def folds_of(data: Dataset) -> list[Dataset]:
-    """Few training scenes in folds: in each its test part is left out of its training part.
+    """Folds of a small training set: the test part of each is left out of its training part.
 
-    All classes have their share in each fold, whose test part is in the order of classes. Scenes
-    that are alone in their class are never left out. There are no folds of many scenes, and of
-    scenes with values.
+    Each fold has all classes in proportion; its test part is sorted by class. The only scene of a
+    class is never left out. Large sets and scenes with values have no folds.
     """
     n = len(data.x_train)
     if not data.classes or n >= FEW_SCENES:
@@ -215,7 +215,7 @@ def folds_of(data: Dataset) -> list[Dataset]:
 
 
 def _without(data: Dataset, rows: np.ndarray) -> Dataset:
-    """Data with some training scenes as the test part in place of it."""
+    """Data whose test part is some of the training scenes."""
     kept = np.setdiff1d(np.arange(len(data.x_train)), rows)
     return replace(
         data,
@@ -233,7 +233,7 @@ def _guess(data: Dataset) -> np.ndarray:
 
 
 def provenance(job: BaseModel, data: Dataset, device: torch.device) -> dict[str, Any]:
-    """Provenance of a design for `Design.info`, from parameters of its training."""
+    """Provenance of a design for `Design.info`."""
     return {
         "job": job.model_dump(mode="json"),
         "data": TrainedOn.of(data).model_dump(mode="json"),
@@ -242,16 +242,16 @@ def provenance(job: BaseModel, data: Dataset, device: torch.device) -> dict[str,
         "deepfsi": version("deepfsi"),
         "torch": torch.__version__,
         "device": device.type,
-        "seconds": 0.0,  # until its end is measured
+        "seconds": 0.0,  # the end of the training sets it
     }
 
 
 def brightness(x: np.ndarray, labels: np.ndarray) -> dict[str, float] | None:
-    """By how much scenes (n, N) differ in summed reflectance; None where a class is all dark.
+    """Spread of the summed reflectance of scenes (n, N); None if a class is dark.
 
-    `low` and `high` are the dimmest and the brightest scene over the mean one; `between`, the
-    brightest class over the dimmest; `within`, the largest standard deviation of a class over its
-    mean.
+    `low` and `high` are the dimmest and the brightest scene, relative to the mean; `between` is the
+    brightest class relative to the dimmest; `within` is the largest relative standard deviation
+    within a class.
     """
     sums = x.sum(axis=1, dtype=np.float64)
     groups = [sums[labels == label] for label in np.unique(labels)]
@@ -269,11 +269,11 @@ def brightness(x: np.ndarray, labels: np.ndarray) -> dict[str, float] | None:
 def detector_shares(
     x: np.ndarray, labels: np.ndarray, detectors: np.ndarray
 ) -> dict[str, list[Any]] | None:
-    """Share of each detector in the light of each class; None where a class is all dark.
+    """Share of each detector in the light of each class; None if a class is dark.
 
-    `shares` (C, D) of classes, and `spread` (D,), the standard deviation of single scenes about
-    them, in the class where it is largest. Of scenes (n, N), labels (n,), and the detector (N,) of
-    each pixel.
+    Scenes are (n, N), labels (n,), `detectors` (N,) has the detector of each pixel. Returns
+    `shares` (C, D), and `spread` (D,): the standard deviation of single scenes about them, in the
+    class where it is largest.
     """
     light = np.stack(
         [x[:, detectors == d].sum(axis=1, dtype=np.float64) for d in range(detectors.max() + 1)], 1

@@ -1,8 +1,8 @@
-"""Checkpoints: the state of a training in a file, from which it is resumed to the same bits.
+"""Checkpoints: the state of a training in a file, from which it resumes to the same bits.
 
-A file holds the trainings of one design, or of several side by side, in the order of their loops:
-one loop for most, two for a control group, one more for each fold. Of those that are done it keeps
-networks, masks and generators, of the one under way all that its steps change.
+A file holds the loops of one training in order: usually one, two for a control group, one more for
+each fold. For a finished loop it keeps networks, masks and generators; for the running loop, all
+that its steps change.
 """
 
 import hashlib
@@ -33,10 +33,10 @@ from deepfsi.physics.training_noise import Draws
 from deepfsi.training.losses import CountsCost
 
 CHECKPOINT_SECONDS = 120.0
-"""Time between two states of a training that are written, s."""
+"""Seconds between two writes."""
 
 STOP_SECONDS = 10.0
-"""Time of a training from which its state is written when it is stopped, s."""
+"""Seconds since the last write after which Ctrl-C writes the state once more."""
 
 SCHEMA: Literal[1] = 1
 """Number of the file's schema."""
@@ -56,16 +56,16 @@ class LoopState:
     optimiser: torch.optim.Optimizer
     schedule: torch.optim.lr_scheduler.LRScheduler
     draws: Draws
-    generators: Sequence[torch.Generator]  # besides those of the draws
-    total: int  # steps in all
+    generators: Sequence[torch.Generator]  # in addition to the draws' generators
+    total: int  # number of steps
     cost: CountsCost | None = None
-    step: int = 0  # steps that were done
+    step: int = 0  # steps done
 
     def __post_init__(self) -> None:
         self.generators = [*(stream.generator for stream in self.draws.streams), *self.generators]
 
     def learned(self) -> dict[str, Tensor]:
-        """Parameters and buffers of the modules, as they are now."""
+        """Current parameters and buffers of the modules."""
         return {
             f"module.{place}.{name}": tensor.detach()
             for place, module in enumerate(self.modules)
@@ -73,7 +73,7 @@ class LoopState:
         }
 
     def arrays(self) -> Arrays:
-        """State of a loop, of which a step at least was done."""
+        """State of a loop after its first step or later."""
         tensors = self.learned()
         for index, generator in enumerate(self.generators):
             tensors[f"generator.{index}"] = generator.get_state()
@@ -89,8 +89,8 @@ class LoopState:
         return {name: _array(tensor) for name, tensor in tensors.items()}
 
     def restore(self, step: int, arrays: Mapping[str, np.ndarray]) -> None:
-        """Go to a step of the loop, whose state this is."""
-        if "rows.0" not in arrays:  # it ended there
+        """Return the loop to a step and its state."""
+        if "rows.0" not in arrays:  # the loop ended there
             self.total = step
         for name, tensor in self.learned().items():
             tensor.copy_(_tensor(arrays[name], tensor))
@@ -111,7 +111,7 @@ class LoopState:
                 moments.setdefault(int(place), {})[part] = tensor
         groups = self.optimiser.state_dict()["param_groups"]
         self.optimiser.load_state_dict({"state": moments, "param_groups": groups})
-        # a rate of the cycle follows from the number of the step alone
+        # the learning rate follows from the step alone
         before = {"last_epoch": step - 1, "_step_count": step + 1}
         self.schedule.load_state_dict({**self.schedule.state_dict(), **before})
         self.schedule.step()
@@ -124,15 +124,15 @@ class _Header(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid")
 
     schema_number: Literal[1] = SCHEMA
-    key: str  # hash of all that the bits depend on
+    key: str  # hash of everything that the bits depend on
     title: str
-    steps: list[int] = Field(min_length=1)  # of each loop
-    seconds: FiniteFloat = Field(ge=0)  # that the training took so far
+    steps: list[int] = Field(min_length=1)  # steps done in each loop
+    seconds: FiniteFloat = Field(ge=0)  # duration so far
     content: str  # hash of the arrays
 
 
 class Checkpoint:
-    """Where a training keeps its state while it runs, a file or nowhere."""
+    """File for the state of a training while it runs; without a path it keeps nothing."""
 
     def __init__(self, path: Path | None = None, key: str = "", title: str = "") -> None:
         self.path = path
@@ -140,8 +140,8 @@ class Checkpoint:
         self.title = title
         self.seconds = 0.0
         self.words = f"{path} holds the training so far, from which it can be resumed"
-        self._loops: list[tuple[int, Arrays]] = []  # of this run, those that are done
-        self._before: list[tuple[int, Arrays]] = []  # that were read
+        self._loops: list[tuple[int, Arrays]] = []  # finished in this run
+        self._before: list[tuple[int, Arrays]] = []  # read from the file
         self._began = self._written = time.monotonic()
         self._stop = PostponedSignals()
 
@@ -155,7 +155,7 @@ class Checkpoint:
         counts: float | None = None,
         start: np.ndarray | None = None,
     ) -> "Checkpoint":
-        """Checkpoint of jobs that train together, read if its file is there."""
+        """Checkpoint of jobs that train together; an existing file is read."""
         if path is None:
             return cls()
         job = jobs[0]
@@ -168,7 +168,7 @@ class Checkpoint:
         return checkpoint
 
     def _read(self) -> None:
-        """Read the file, or raise `InputError` where it is damaged or of another training."""
+        """Read the file; `InputError` if it is damaged or of another training."""
         assert self.path is not None
         advice = "give the path of a checkpoint, or of a file to be"
         try:
@@ -197,7 +197,7 @@ class Checkpoint:
 
     @contextmanager
     def of_loop(self, loop: LoopState) -> Iterator[None]:
-        """Set a loop to the state that was written of it, and keep its state in `keep`."""
+        """Restore a loop from the file, and let `keep` store it."""
         if self.path is None:
             yield
             return
@@ -212,7 +212,7 @@ class Checkpoint:
         self._loops.append((loop.step, loop.arrays()))
 
     def keep(self, loop: LoopState) -> None:
-        """Write the state of a loop after a step, where it is time to or a signal has come."""
+        """Write the state of a loop after a step if it is time or a signal has come."""
         if self.path is None:
             return
         since = time.monotonic() - self._written
@@ -237,14 +237,14 @@ class Checkpoint:
         )
         try:
             write_atomically(self.path, to_bytes(arrays, {HEADER: header.model_dump_json()}))
-        except InputError as error:  # the next one may have room again
+        except InputError as error:  # the next write may have room again
             warnings.warn(f"{error}; the training goes on", stacklevel=2)
         else:
             note_saved_work(self.words)
         self._written = time.monotonic()
 
     def remove(self) -> None:
-        """Remove the file of a training that has ended."""
+        """Remove the file of a finished training."""
         if self.path is not None:
             with suppress(FileNotFoundError):
                 self.path.unlink()
@@ -260,7 +260,7 @@ def _key(
     masks: Mapping[str, np.ndarray | None],
     counts: float | None,
 ) -> str:
-    """Hash of all that the bits of a training depend on."""
+    """Hash of everything that the bits of a training depend on."""
     names = custom_parts(jobs[0])
     if UNNAMED_PLUGIN in names:
         raise InputError(
@@ -296,13 +296,13 @@ def _content(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def _array(tensor: Tensor) -> np.ndarray:
-    """A copy of a tensor in NumPy, bfloat16 as the integers of its bits."""
+    """Copy of a tensor in NumPy; bfloat16 becomes the integers of its bits."""
     whole = tensor.detach().to("cpu", copy=True).contiguous()
     return (whole.view(torch.int16) if whole.dtype == torch.bfloat16 else whole).numpy()
 
 
 def _tensor(array: np.ndarray, like: Tensor) -> Tensor:
-    """The tensor of an array, as a certain other one is laid out in memory."""
+    """Tensor of an array, laid out in memory like another."""
     tensor = torch.from_numpy(array)
     tensor = tensor.view(torch.bfloat16) if like.dtype == torch.bfloat16 else tensor
     if (tensor.shape, tensor.dtype) != (like.shape, like.dtype):

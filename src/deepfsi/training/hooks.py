@@ -1,8 +1,8 @@
-"""Hooks of a user in the loop of a training: who hears of epochs, where it ends, how it steps.
+"""A user's hooks in the training loop: callback, patience, optimiser and schedule.
 
-Held-out scenes (`Dataset.hold_out`) are answered after each epoch by the designs as they would be
-if the training ended there. Their exposures have a generator of their own, and the generators of
-the training are set back, so that no bit of a training depends on who looks on.
+After each epoch the designs, as if the training ended there, classify the held-out scenes
+(`Dataset.hold_out`). This draws from a separate generator, and the generators of the training are
+set back, so that hooks change no bit of it.
 """
 
 import copy
@@ -31,15 +31,15 @@ class Epoch:
     """One epoch of a training."""
 
     epoch: int  # from 1
-    epochs: int  # that were asked for
-    # Mean over the scenes of the epoch, under noise and while weights change: of the answer at the
-    # end of an exposure, without the cost of counts
+    epochs: int  # number asked for
+    # Mean over the scenes of the epoch, under noise and changing weights, without the cost of
+    # counts
     loss: float
     lr: float  # learning rate of the classifier in the last step
-    design: str  # what is trained: of a control group its masks first, "deepfsi"
-    photons: float  # budget of the training, the lowest of a range
+    design: str  # a control group trains its masks first, as "deepfsi"
+    photons: float  # budget of the training; the lowest of a range
     seed: int
-    # Of held-out scenes under the camera's noise, at the middle budget of a range; None without
+    # For held-out scenes under the camera's noise, at the middle budget of a range; None without
     # such scenes. Values have no accuracy
     validation_loss: float | None = None
     validation_accuracy: float | None = None
@@ -47,15 +47,15 @@ class Epoch:
 
 @dataclass
 class LoopHooks:
-    """Hooks of a user in the loops of a training."""
+    """A user's hooks in the loops of a training."""
 
     callback: Callable[[Epoch], bool | None] | None = None
     patience: int | None = None
     optimiser: Callable[[list[dict[str, Any]]], torch.optim.Optimizer] | None = None
     schedule: Callable[[torch.optim.Optimizer, int], LRScheduler] | None = None
-    lengths: list[int] = field(default_factory=list)  # epochs of each loop that has ended
-    history: list[list[Epoch]] = field(default_factory=list)  # of the last loop, for each design
-    _most: tuple[int, ...] = ()  # epochs of each loop at most
+    lengths: list[int] = field(default_factory=list)  # epochs of each finished loop
+    history: list[list[Epoch]] = field(default_factory=list)  # last loop, for each design
+    _most: tuple[int, ...] = ()  # largest number of epochs of each loop
 
     def __post_init__(self) -> None:
         for name in ("callback", "optimiser", "schedule"):
@@ -70,16 +70,16 @@ class LoopHooks:
 
     @property
     def watched(self) -> bool:
-        """True if somebody asks for epochs."""
+        """Whether a hook needs epochs."""
         return self.callback is not None or self.patience is not None
 
     def for_fold(self) -> "LoopHooks":
-        """Hooks of the same training on other scenes: as long as this one, and nobody is told."""
+        """Hooks for a fold: it takes as many epochs and tells nobody."""
         most = tuple(self.lengths) if self.watched else ()
         return LoopHooks(optimiser=self.optimiser, schedule=self.schedule, _most=most)
 
     def info(self, place: int) -> dict[str, Any]:
-        """Entries of `Design.info` of a design of the last loop; JSON types only."""
+        """JSON entries of `Design.info` for a design of the last loop."""
         entry: dict[str, Any] = {}
         if self.watched:
             entry["history"] = [asdict(epoch) for epoch in self.history[place]]
@@ -92,7 +92,7 @@ class LoopHooks:
     def of_loop(
         self, exposure: ExposureTraining, state: LoopState, loss: SceneLoss, networks: Sequence[Any]
     ) -> Iterator["_LoopWatch"]:
-        """Watch a loop, which goes back to its best epoch at the end where there is patience."""
+        """Watch a loop; with patience, its end restores the best epoch."""
         most = self._most[len(self.lengths)] if self._most else None
         watch = _LoopWatch(self, exposure, state=state, loss=loss, networks=networks, most=most)
         yield watch
@@ -104,7 +104,7 @@ class LoopHooks:
 
 
 class _LoopWatch:
-    """Epochs of one loop, in which R designs are trained side by side."""
+    """Epochs of one loop, which trains R designs side by side."""
 
     def __init__(
         self,
@@ -133,14 +133,14 @@ class _LoopWatch:
         self._fixed: list[Design] | None = None
 
     def take(self, losses: Tensor) -> None:
-        """Note losses (B · R,) of a step, before its weights change."""
+        """Note losses (B · R,) of a step."""
         if self.hooks.watched:
-            # on the device: they are read once an epoch
+            # they stay on the device, and are read once an epoch
             self._losses.append(losses.detach().view(-1, len(self.exposure.jobs)).mean(dim=0))
             self._lr = self.state.optimiser.param_groups[0]["lr"]
 
     def ends(self) -> bool:
-        """True if the loop ends after this step, which may end an epoch."""
+        """Whether the loop ends after this step."""
         if self.state.step % self.steps:
             return False
         self.number = self.state.step // self.steps
@@ -168,7 +168,7 @@ class _LoopWatch:
         return self._out_of_patience() or stop
 
     def _out_of_patience(self) -> bool:
-        """Keep weights that are the best so far; true if none have been for too long."""
+        """Keep the best weights so far; true once patience is over."""
         if self.hooks.patience is None:
             return False
         loss = float(np.mean([epochs[-1].validation_loss for epochs in self.history]))
@@ -203,10 +203,10 @@ class _LoopWatch:
         return tests
 
     def _designs(self) -> list[Design]:
-        """Designs as they would be if the training ended here."""
+        """Designs as if the training ended here."""
         if self._fixed is not None:
             return self._fixed
-        exposure = copy.copy(self.exposure)  # which keeps masks that learn
+        exposure = copy.copy(self.exposure)  # the original goes on learning
         exposure.fix()
         designs = designs_of(exposure, self.networks[: len(exposure.jobs)])
         for job, design in zip(exposure.jobs, designs, strict=True):
@@ -216,7 +216,7 @@ class _LoopWatch:
         return designs
 
     def _tested(self, job: Any, design: Design) -> dict[str, float]:
-        """Loss and accuracy of a design, of one exposure of each held-out scene."""
+        """Loss and accuracy of a design in one exposure of each held-out scene."""
         training_set = self.exposure.training_set
         device = training_set.device
         photons = (job.photons * job.exposure.highest(job.photons)) ** 0.5
@@ -229,7 +229,7 @@ class _LoopWatch:
         for x, answers in zip(scenes.split(CHUNK), truth.split(CHUNK), strict=True):
             seen = design.exposure.expose(front, design.rates(front, x), photons, generator)
             logits = design.logits_of(seen, photons)
-            with torch.enable_grad():  # a loss of a user's own must follow its outputs
+            with torch.enable_grad():  # the check of a user's loss needs a gradient
                 losses.append(self.loss(logits.requires_grad_(), answers).detach())
             if design.values is None:
                 right.append(logits.argmax(dim=-1) == answers)

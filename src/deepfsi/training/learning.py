@@ -1,10 +1,10 @@
-"""Learn masks and classifier together, one design or several that share a shape.
+"""Learn masks and classifier together, for one design or several of one shape.
 
-A budget may follow from counts that are asked for: a design with the shares p_i counts Φ Σ p_i
-photons in the mean over training scenes. The shares of named designs and of one's own matrix are
-known before any training. Those of learned masks follow from it, and hardly change with Φ: it is
-trained at the budget that the shares of its start ask for, then at the one that its own shares ask
-for, until these are the same.
+A user may ask for counts instead of a budget. A design with the shares p_i counts Φ Σ p_i photons,
+averaged over training scenes. The shares of named designs and of a user's matrix are known before
+training. The shares of learned masks follow from training, and hardly change with Φ: so the design
+is trained at the budget that its start needs, then at the budget that the result needs, until the
+two agree.
 """
 
 import os
@@ -54,10 +54,10 @@ from deepfsi.training.hooks import Epoch, LoopHooks
 from deepfsi.training.loop import batch_of, optimise
 
 NEAR = 0.02
-"""Relative difference between the counts asked for and those in the mean that is taken for none."""
+"""Relative difference between mean counts and wanted counts that ends the search."""
 
 MOST_TRAININGS = 6
-"""Trainings after which the last design is taken, whatever it counts."""
+"""Largest number of trainings in this search; the last design is then taken as it is."""
 
 
 class Diverged(InputError):
@@ -92,55 +92,57 @@ def learn(
     Parameters
     ----------
     data : Dataset, str, path or tuple of arrays
-        Or whatever `load_dataset` makes one of: a name, a path, ``(x, y)``.
+        A data set, or a source for `load_dataset`: a name, a path or ``(x, y)``.
     design : str
-        Which design: ``"deepfsi"``, whose masks are learned, ``"pca"``, ``"adaptive"``, … .
+        ``"deepfsi"`` learns its masks; ``"pca"``, ``"hadamard"``, … have fixed masks;
+        ``"adaptive"`` chooses each mask from the counts so far.
     masks : int, optional
-        Number of masks, m; needed unless the exposure has them.
+        Number of masks, m. Only an exposure that brings its masks needs none.
     photons : float, optional
-        Budget Φ; flux times exposure of the camera unless given.
+        Budget Φ: expected photons on the device in one exposure. Default: flux times exposure time
+        of the camera.
     camera : Camera, str, path or mapping, optional
-        The camera, a preset's name, a TOML file or fields; ``"dmd"`` unless given.
+        A camera, a preset's name, a TOML file or fields. Default: ``"dmd"``.
     exposure : Exposure or mapping, optional
-        `Range` or its fields; `Fixed` unless given.
+        `Range` trains one design for several budgets. Default: `Fixed`.
     training : Training or mapping, optional
-        Settings of the training; those tuned for the design unless given.
+        Settings of the training. Default: the settings tuned for the design.
     seed : int
-        Of the random numbers: the same one repeats the result exactly on one device.
+        Seed of all random numbers: it repeats a result bit for bit on one device.
     counts : float, optional
-        What the detectors are to count, in the mean over training scenes. Instead of `photons`:
-        learned masks are trained again until that holds. With `photons`: masks learn to count no
-        more of that budget, see `training.losses`.
+        Photons to be counted in an exposure, averaged over training scenes. Without `photons`,
+        learned masks are trained again until they count this many. With `photons`, they learn to
+        count no more than this of the budget (`training.losses`).
     matrix : array, shape (m, N), optional
-        Your own sensing matrix, for ``design="custom"``.
+        Your sensing matrix, for ``design="custom"``.
     device : str or torch.device
-        Such as ``"cuda:1"`` (`physics.torch_device`).
+        Torch device such as ``"cuda:1"``; ``"auto"`` takes a GPU if there is one.
     report : Report, optional
-        Where to say how far the training is; a bar where a terminal is attached unless given.
+        Receives the progress. Default: a bar if a terminal is attached.
     checkpoint : path, optional
-        File of the training's state, written every two minutes and at Ctrl-C, removed at the end.
-        If it is there, the training is resumed from it, to the same bits. Parts of your own are
-        given by their import paths then; modules keep their state in parameters and buffers.
+        File for the state of the training, written every two minutes and at Ctrl-C, removed at the
+        end. A training that finds it there resumes, to the same bits. Give your own parts by import
+        path then; your modules must keep their state in parameters and buffers.
     start : Design or array, shape (m, N), optional
-        Whose masks learned masks start from; those of `training.start` unless given.
+        Masks that learned masks start from. Default: `training.start`.
     callback : callable, optional
-        Called after each epoch with an `Epoch`: its number, loss, learning rate, and loss and
-        accuracy of held-out scenes, which ``data.hold_out()`` has. If it returns true, the training
-        ends there. No bit of a training depends on it. `Design.info` keeps the ``history``.
+        Called with an `Epoch` after each epoch: loss, learning rate, and loss and accuracy of the
+        scenes that ``data.hold_out()`` holds out. The training ends if it returns true, and does
+        not otherwise depend on it. `Design.info` keeps the ``history``.
     patience : int, optional
-        Epochs without a lower loss of held-out scenes after which the training ends. The weights
-        of the best epoch are kept, also where it lasts all its epochs.
+        The training ends after this many epochs without a lower loss of held-out scenes. The
+        design has the weights of its best epoch.
     optimiser : callable, optional
-        Gives a torch optimiser of groups of parameters, which have their ``lr`` and
-        ``weight_decay``, such as ``torch.optim.SGD``; AdamW unless given.
+        Makes a torch optimiser from groups of parameters with ``lr`` and ``weight_decay``, such as
+        ``torch.optim.SGD``. Default: AdamW.
     schedule : callable, optional
-        Gives a torch schedule of the optimiser and the number of all steps, and is stepped in each;
-        ``OneCycleLR`` unless given.
+        Makes a torch schedule from the optimiser and the number of steps; each step advances it.
+        Default: ``OneCycleLR``.
 
     Raises
     ------
     InputError
-        For any setting that is not allowed; for a checkpoint of another training.
+        For a setting that is not allowed, or a checkpoint of another training.
 
     Examples
     --------
@@ -202,7 +204,7 @@ def train(
     start: np.ndarray | None = None,
     hooks: LoopHooks | None = None,
 ) -> Sequence[Design]:
-    """Train designs side by side that differ in budget, sigma and seed only, in their order.
+    """Train designs side by side that differ only in budget, sigma and seed.
 
     Shapes: matrix (m, N); start (m, N).
     """
@@ -246,9 +248,7 @@ def train(
 def train_for_counts(
     counts: float, share: float, train: Callable[[float, Progress], Design], report: Progress
 ) -> Design:
-    """Design that counts a number of photons in the mean over training scenes, to within `NEAR`."""
-    # Where that is not reached after `MOST_TRAININGS`, the last one: its own counts are the budget
-    # of its training times the sum of its shares
+    """Design that counts this many photons, averaged over training scenes, to within `NEAR`."""
     for number in range(MOST_TRAININGS):
         photons = counts / share
         design = train(photons, report.between(1 - 2.0**-number, 1 - 2.0 ** -(number + 1)))
@@ -259,8 +259,8 @@ def train_for_counts(
 
 
 def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
-    """Key that jobs trained together share: all but budget, sigma and seed."""
-    # a module of a user's own may draw from torch's global generator: one after another
+    """Key that jobs trained together share: all settings but budget, sigma and seed."""
+    # a user's module may draw from torch's global generator: train such jobs one by one
     alone = job.training.is_custom or not job.exposure.side_by_side
     apart: Any = set() if alone else {"photons": True, "seed": True, "camera": {"sigma"}}
     types = product_dtype(job.mask_job(), device), network_dtype(job, device)
@@ -273,7 +273,7 @@ def _check(
     matrix: np.ndarray | None,
     start: np.ndarray | None,
 ) -> None:
-    """Raise an error unless jobs can train together on the data, in the memory that is free."""
+    """Raise `InputError` unless jobs can train together on the data in the free memory."""
     for job in jobs:
         job.check(training_set.data, matrix)
         if start is not None:
@@ -282,7 +282,7 @@ def _check(
 
 
 def _start_matrix(start: Design | np.ndarray) -> np.ndarray:
-    """Matrix (m, N) of a design or a user's own."""
+    """Matrix (m, N) of a start."""
     matrix = np.asarray(start.matrix if isinstance(start, Design) else start)
     if matrix.ndim != 2 or matrix.dtype.kind not in "biuf" or not np.isfinite(matrix).all():
         raise InputError(
@@ -293,7 +293,7 @@ def _start_matrix(start: Design | np.ndarray) -> np.ndarray:
 
 
 def _check_start(start: np.ndarray, job: Job, training_set: TrainingSet) -> None:
-    """Raise `InputError` unless the masks of a job learn, and can start from such a matrix."""
+    """Raise `InputError` unless the masks of a job learn and can start from this matrix."""
     if not job.mask_job().code.learned:
         raise InputError(f"masks of {job.design} do not learn: leave `start` out")
     if not job.exposure.takes_start:
@@ -306,7 +306,7 @@ def _check_start(start: np.ndarray, job: Job, training_set: TrainingSet) -> None
 
 
 def _check_hooks(hooks: LoopHooks, job: Job, data: Dataset, resumable: bool) -> None:
-    """Raise `InputError` where a training cannot have what a user adds to its loop."""
+    """Raise `InputError` if a training cannot use these hooks."""
     extra = [
         name
         for name in ("callback", "patience", "optimiser", "schedule")
@@ -333,8 +333,7 @@ def _designs(
     """Designs of jobs that train side by side."""
     jobs = group.jobs
     if jobs[0].code.learned_under:
-        # those of the control group are learned before, under gaussian noise and with a network of
-        # their own
+        # the control group first learns masks under gaussian noise, with a network of their own
         before, report = report.split(2)
         teachers = JobGroup.of(
             group.training_set, [job.mask_job() for job in jobs], start=group.start
@@ -347,7 +346,7 @@ def _designs(
 def _optimised(
     group: JobGroup, report: Progress, *, checkpoint: Checkpoint, hooks: LoopHooks
 ) -> tuple[ExposureTraining, list[Classifier]]:
-    """Masks, which are fixed from here on, and networks after training."""
+    """Masks, fixed from here on, and networks after training."""
     exposure = build_training(group)
     classifiers = optimise(exposure, report, checkpoint, hooks)
     exposure.fix()
@@ -366,10 +365,10 @@ def _optimised(
 def _first_share(
     training_set: TrainingSet, job: Job, matrix: np.ndarray | None, start: np.ndarray | None
 ) -> float:
-    """Share of the budget that the masks count before training; parameters as for `train`."""
+    """Share of the budget that the masks count before training."""
     _check(training_set, [job], matrix, start)
     if job.code.adaptive:
-        return 0.5  # nearly: half of the mirrors are ON
+        return 0.5  # nearly half of the mirrors are ON
     exposure = build_training(JobGroup.of(training_set, [job], matrix=matrix, start=start))
     exposure.fix()
     light = exposure.masks().total[0] @ exposure.scenes.full.mean(dim=0)
@@ -379,7 +378,7 @@ def _first_share(
 def _adaptive_designs(
     training_set: TrainingSet, jobs: Sequence[Job], report: Progress
 ) -> list[Design]:
-    """Designs of jobs whose masks learn by no steps, of one prior of scenes."""
+    """Adaptive designs of jobs, which share one prior of scenes and take no steps."""
     began = time.perf_counter()
     data = training_set.data
     first = jobs[0]
@@ -424,7 +423,7 @@ def _counting_exposure(
     info: dict[str, Any],
     report: Progress,
 ) -> AdaptiveExposure:
-    """Exposure of a job with a detector that counts; its provenance gets what was measured."""
+    """Exposure of a job whose detector counts; `info` receives the measurements."""
     data = training.data
     folds = folds_of(data)
     if folds:
@@ -437,13 +436,13 @@ def _counting_exposure(
     if not folds:
         made, info["left_out"] = calibrate_posterior(made, answers, data, job)
     if made.settings.until < 1:
-        made = longest.shared(made)  # the same light, by the probabilities that it states
+        made = longest.shared(made)  # the same light, now by calibrated probabilities
         info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
     return made
 
 
 def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 1) -> None:
-    """Raise `InputError` where training jobs together would take more memory than is free."""
+    """Raise `InputError` if training jobs together takes more memory than is free."""
     scenes, pixels = training_set.full.shape
     held = training_set.memory
     check_memory(
@@ -455,7 +454,7 @@ def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 
 
 
 def memory_for(device: torch.device) -> float:
-    """Bytes that this process may take on a device."""
+    """Bytes free for this process on a device."""
     if device.type != "cuda":
         return free_memory()
     kept = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
@@ -463,7 +462,7 @@ def memory_for(device: torch.device) -> float:
 
 
 def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
-    """Bytes that training jobs together takes at most, scenes included, by the tensors alive."""
+    """Upper bound in bytes on the tensors of jobs that train together, scenes included."""
     job = jobs[0]
     scene = training_set.full.shape[1]
     count = len(training_set.labels)
@@ -471,11 +470,11 @@ def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     masks = replicas * job.masks
     batch = batch_of(job.training, count)
     levels = job.optics.mask_levels(training_set.data.image_shape)
-    # of masks: weights, gradients, moments, their stages and products; rounded ones besides
+    # masks: weights, gradients, moments, stages and products; rounded masks add theirs
     copies = 16 + (10 if levels else 0)
     learned = copies * masks * scene if job.mask_job().code.learned else 0
     own = replicas if job.code.learned_under else len(matrix_seeds(jobs))
     products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
-    # copies of features and hidden units
+    # features and hidden units
     step = 12 * batch * (masks + replicas * sum(job.training.hidden))
     return 3 * training_set.memory + 4.0 * (learned + products_of_all + step)

@@ -1,12 +1,12 @@
-"""The loop of training: steps that train R networks side by side, and masks where they learn.
+"""The training loop: its steps train R networks side by side, and their masks if these learn.
 
-One step, for B scenes and m masks: gather scenes, multiply them with all masks at once, draw noise,
-standardise, classify, descend. The scenes stay on the device, nothing is read back within an epoch,
-and the products of designs that do not learn are taken once before the first.
+A step gathers B scenes, multiplies them with all m masks at once, draws noise, standardises,
+classifies and descends. Scenes stay on the device, and nothing is read back within an epoch. Fixed
+masks are multiplied with all scenes once, before the first step.
 
 A seed fixes the order of scenes, the initial weights, the noise and the dropout. Replicas of one
-seed take the same draws, so that a difference between two budgets is not blurred by chance, and up
-to rounding a design does not depend on which others it was trained with.
+seed share their draws, so that chance does not blur a difference between two budgets. Up to
+rounding, a design does not depend on its companions.
 """
 
 import time
@@ -32,13 +32,13 @@ from deepfsi.training.hooks import LoopHooks
 from deepfsi.training.losses import CountsCost, find_loss
 
 REPORT_SECONDS = 1.0
-"""Time after which a training says how far it is, within an epoch, too."""
+"""Seconds between two reports of progress."""
 
 
 def optimise(
     exposure: ExposureTraining, report: Progress, checkpoint: Checkpoint, hooks: LoopHooks
 ) -> list[Classifier]:
-    """Train classifiers of jobs side by side, with masks that learn."""
+    """Train the classifiers of jobs side by side, and their masks if these learn."""
     job = exposure.job
     settings = job.training
     device = exposure.training_set.device
@@ -109,7 +109,7 @@ def optimise(
 
 
 def _check_made(name: str, made: Any, kind: type[Any]) -> Any:
-    """Object that a user's function has made, or `InputError` unless it is of its kind."""
+    """Object that a user's function made, or `InputError` for one of a wrong kind."""
     if not isinstance(made, kind):
         raise InputError(f"{name} gives {made!r}: give a function that makes a torch {name}")
     return made
@@ -121,7 +121,7 @@ def batch_of(settings: Training, count: int) -> int:
 
 
 def _one_cycle(optimiser: torch.optim.Optimizer, steps: int) -> LRScheduler:
-    """One cycle of so many steps up to the rates of the groups."""
+    """One cycle that peaks at the learning rates of the groups."""
     rates = [group["lr"] for group in optimiser.param_groups]
     return OneCycleLR(optimiser, rates, total_steps=steps)
 
@@ -171,9 +171,9 @@ def _classifiers(exposure: ExposureTraining) -> list[Classifier]:
 
 @contextmanager
 def _threads(elements: int) -> Iterator[None]:
-    """Use one thread where a step is too small for several: they would wait for one another."""
+    """Use one thread for small steps, in which several would wait for one another."""
     threads = torch.get_num_threads()
-    torch.set_num_threads(threads if elements >= 2**15 else 1)  # as torch itself does
+    torch.set_num_threads(threads if elements >= 2**15 else 1)  # torch's own limit
     try:
         yield
     finally:

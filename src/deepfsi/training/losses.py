@@ -1,14 +1,14 @@
-"""Losses of a training: what it costs a network to answer as it does.
+"""Losses of a training.
 
 A loss takes outputs (n, C) of a network and the truth, classes (n,) or standardised values (n, q),
-and gives a number for each scene, (n,): cross entropy of classes, the mean squared error of values,
-or a function of the user's own.
+and gives a number for each scene, (n,): cross entropy of classes, mean squared error of values, or
+a user's function.
 
-Few counts within a budget have a cost beside it, which is μ max(0, c / C − 1), of the mean counts c
-of a step and the counts C that are asked for. The cost grows from 0 over the first third of the
-training, while masks learn from more light; then its weight follows the counts,
-d log μ = κ log(c / C) in a whole training. Masks start with `Training.start_counts` times the
-counts, but not so bright that nearly all gates click: such readouts teach nothing.
+If the user limits the counts to C, a cost μ max(0, c / C − 1) joins the loss, where c are the mean
+counts of a step. It grows from 0 over the first third of the training, while masks learn from more
+light. Then its weight follows the counts: d log μ = κ log(c / C) over a whole training. Masks start
+at `Training.start_counts` times C, but dim enough that not nearly all gates click: such readouts
+teach nothing.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ SceneLoss = Callable[[Tensor, Tensor], Tensor]
 
 
 def find_loss(settings: Training, training_set: TrainingSet, rows: bool) -> SceneLoss:
-    """Loss of a training; `rows` as of `_cross_entropy`."""
+    """Loss of a training; `rows` selects the layout of `_cross_entropy`."""
     custom = settings.loss
     if custom is not None:
         return _checked(load_plugin(custom) if isinstance(custom, str) else custom)
@@ -41,8 +41,8 @@ def find_loss(settings: Training, training_set: TrainingSet, rows: bool) -> Scen
 def _cross_entropy(
     logits: Tensor, labels: Tensor, weights: Tensor | None = None, rows: bool = True
 ) -> Tensor:
-    """Cross entropy (n,) of logits (n, C) and classes (n,), with weights (C,) if there are any."""
-    # Sums over few classes are many times faster along a leading axis, and rounded otherwise
+    """Cross entropy (n,) of logits (n, C) and classes (n,), weighted by (C,) if given."""
+    # Sums over few classes are many times faster along a leading axis, but round differently
     if rows:
         return functional.cross_entropy(logits, labels, weights, reduction="none")
     by_class = logits.T.contiguous()[None]
@@ -50,12 +50,12 @@ def _cross_entropy(
 
 
 def squared_error(outputs: Tensor, values: Tensor) -> Tensor:
-    """Squared error (n,) of outputs and standardised values (n, q), in the mean over values."""
+    """Squared error (n,) of outputs and standardised values (n, q), averaged over values."""
     return (outputs - values).square().mean(dim=-1)
 
 
 class CountsCost:
-    """Cost of the counts of trainings side by side, step by step."""
+    """Cost of counts above a limit, for trainings side by side."""
 
     def __init__(self, counts: float, steps: int) -> None:
         self._counts = counts
@@ -64,25 +64,25 @@ class CountsCost:
         self.weight = torch.tensor(0.4)  # μ, nats: few counts were found to cost 0.1 to 1
 
     def restore(self, step: int, weight: Tensor) -> None:
-        """Go to a step, at which μ was this."""
+        """Return to a step and its weight μ."""
         self._step = step
         self.weight = weight
 
     def __call__(self, expected: Tensor) -> Tensor:
-        """Cost (R,) of expected counts (R,) of a step, and one step of the weight."""
+        """Cost (R,) of expected counts (R,) in a step; the weight then takes a step."""
         ratio = expected / self._counts
         done = self._step / (1 / 3 * self._steps)
         self._step += 1
         if done < 1:
             return done * self.weight * (ratio - 1).clamp(min=0)
-        excess = ratio.detach().log().clamp(-0.3, 0.3)  # counts that are far off take time to fall
-        # κ is 12: the counts follow the weight within a tenth of a training or so
+        excess = ratio.detach().log().clamp(-0.3, 0.3)  # counts far off need time to fall
+        # κ = 12: counts follow the weight within about a tenth of a training
         self.weight = self.weight.to(excess) * (12.0 / self._steps * excess).exp()
         return self.weight * (ratio - 1).clamp(min=0)
 
 
 def _checked(own: Callable[[Tensor, Tensor], Any]) -> SceneLoss:
-    """A user's own loss, which says in one line what is wrong with what it gives."""
+    """A user's loss, whose faults become one-line errors."""
 
     def loss(outputs: Tensor, truth: Tensor) -> Tensor:
         try:
