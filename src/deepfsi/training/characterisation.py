@@ -47,7 +47,7 @@ LEFT_OUT = 150
 """Scenes that suffice for calibration: no fold is added beyond them."""
 
 DOUBT = 1.0
-"""Weight, in scenes, of a scene of unknown class added to the scenes left out."""
+"""Scenes of unknown class that calibration adds to the scenes left out."""
 
 
 def characterise(
