@@ -235,4 +235,4 @@ def test_the_live_page_classifies_a_run_again(run):
     assert len(found) == 60
     unsure = [line for line in found if "confidence" not in line]
     assert len(unsure) <= stats.binom.ppf(1 - 1e-4, 60, 0.018)
-    assert "a live run, replayed from its counts" in printed["camera classify"]
+    assert "a live run, as it was decided" in printed["camera classify"]

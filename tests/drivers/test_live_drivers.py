@@ -14,7 +14,7 @@ from deepfsi.hardware.virtual.setup import virtual_setup
 from deepfsi_drivers import file_tail, swabian, vialux
 from drivers import swabian_fake
 from drivers.vialux_fake import install
-from shared.live_samples import LOOKS, check_replay, live, make_patterns, planned, scenes_of
+from shared.live_samples import LOOKS, Counted, live, make_patterns, planned, scenes_of
 
 SCENES, FLUX = 3, 1e7
 
@@ -41,13 +41,14 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
 
     library.size, library.on_list, library.entries = (64, 48), on_list, entries
     devices = Setup(vialux.VialuxLooks(), Counter(), usual.display)
+    counted = Counted(monkeypatch)
     decided = list(run_live(folder, patterns, acquisition, devices, looks))
     optics.written.__exit__(None, None, None)
     assert len(decided) == SCENES * LOOKS
     assert library.calls.count("SeqAlloc") == 1
     assert not library.allocated
 
-    lists = [each for scene in frame_log.FrameLog.read(folder).scenes for each in scene.lists]
+    lists = [each for scene in frame_log.read_log(folder) for each in scene.lists]
     assert len(library.lists) == len(lists) == SCENES * (LOOKS + 2)
     for (pictures, us), each in zip(library.lists, lists, strict=True):
         assert len(pictures) <= entries
@@ -56,7 +57,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
         assert (held * 1000 >= np.array(each.gate_ns) + acquisition.settle_s * 1e9).all()
     assert (max(us for _, us in library.lists) > 44) == (entries == 100)
     assert max(max(each.markers) for each in lists) > 3
-    check_replay(folder, decided)
+    counted.check_file(folder)
 
 
 def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_path, monkeypatch):
@@ -69,10 +70,11 @@ def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_pa
     devices.projector._optics.written = device
     counter = swabian.TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=-4)
     devices = replace(devices, counter=counter)
+    counted = Counted(monkeypatch)
     decided = list(run_live(folder, patterns, acquisition, devices, looks))
     assert len(decided) == SCENES * LOOKS
     assert device.steps[-2:] == ["stop", "freeTimeTagger"]
-    check_replay(folder, decided)
+    counted.check_file(folder)
     usual = live(tmp_path / "usual", patterns, digits, SCENES, exposure_s=20e-3, flux=FLUX)
     chances = [each.decision.chances for each in decided]
     assert np.array_equal(chances, [each.decision.chances for each in usual])

@@ -102,7 +102,7 @@ def use_run(path: Path) -> None:
 
 
 def use_live(path: Path) -> None:
-    record.LiveCounts.count(path.parent)
+    record.read_log(path.parent)
 
 
 def use_photons(path: Path) -> None:

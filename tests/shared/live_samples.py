@@ -7,12 +7,14 @@ import numpy as np
 
 from deepfsi import learn
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene, read_run
+from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.live import run
 from deepfsi.hardware.live.observer import LookChooser
-from deepfsi.hardware.live.record import replay_run
+from deepfsi.hardware.live.record import read_log
 from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.photons.reader import count_windows, read_markers
 from deepfsi.hardware.virtual.camera import CAMERAS
 from deepfsi.hardware.virtual.setup import virtual_setup
 from deepfsi.lab.setup import design_rails, open_looks
@@ -49,18 +51,34 @@ def scenes_of(digits, count: int) -> tuple[np.ndarray, tuple[Scene, ...]]:
     return x, tuple(Scene(name=str(k), label=each) for k, each in enumerate(labels))
 
 
-def replay(folder: Path):
-    """Scenes of a run, decided again."""
-    return replay_run(folder, open_looks(folder / "patterns")).scenes
+class Counted:
+    """Counts of the lists of a run, as its counter gave them."""
 
+    def __init__(self, monkeypatch) -> None:
+        self.lists: list[FrameCounts] = []
+        usual = run._DeviceFrames.count
+        monkeypatch.setattr(
+            run._DeviceFrames,
+            "count",
+            lambda frames, asked: (counts := usual(frames, asked), self.lists.append(counts))[0],
+        )
 
-def check_replay(folder: Path, decided: list[run.LiveStep]) -> None:
-    """The replay of a run comes to the same decisions, bit for bit."""
-    again = [one for each in replay(folder) for one in each.decisions]
-    assert len(again) == len(decided)
-    for one, each in zip(again, decided, strict=True):
-        assert np.array_equal(one.chances, each.decision.chances)
-        assert (one.final, one.faults) == (each.decision.final, each.decision.faults)
+    def check_file(self, folder: Path) -> None:
+        """The photon file of the run has the same counts, by the gates of its log."""
+        shown = [each for scene in read_log(folder) for each in scene.lists]
+        recorded = read_run(folder)
+        photons, settings = recorded.open_photons(), recorded.acquisition
+        times, bits = read_markers(photons.path)
+        times = times[bits & settings.marker_bit != 0]
+        markers = np.concatenate([each.markers for each in shown])
+        first = np.cumsum(markers) - markers
+        gated = np.concatenate([[True] * len(each.frames) + [False] for each in shown])
+        starts = times[first[gated]] + round(settings.settle_s / photons.tick_s)
+        gates_s = np.concatenate([each.gate_ns for each in shown]) * 1e-9
+        stops = starts + np.rint(gates_s / photons.tick_s).astype(np.int64)
+        counts = count_windows(photons.path, starts, stops, settings.inputs)
+        given = np.concatenate([each.counts for each in self.lists])
+        np.testing.assert_array_equal(counts, given[: len(counts)])
 
 
 def live(folder: Path, patterns: Path, digits, count: int = 5, **settings) -> list[run.LiveStep]:

@@ -126,9 +126,9 @@ class CheckView(Command):
     """`deepfsi camera check`.
 
     Put reference.png of the folder of patterns in the place of the scenes, alone and on black,
-    record a pass and count it; a design of adaptive masks shows it with `camera live`. If
-    orientation, scale, shift or rotation differ from those of the masks, the target is blurred, or
-    the counts do not show them, the exit code is 1.
+    record a pass and count it; for adaptive masks, with patterns of `deepfsi dmd export hadamard`.
+    If orientation, scale, shift or rotation differ from those of the masks, the target is blurred,
+    or the counts do not show them, the exit code is 1.
 
     Example: deepfsi camera check run_reference
     """

@@ -412,16 +412,16 @@ class RunLive(_DeviceRun):
             else:
                 setup = self.wire(projector, acquisition, terminal)
             answers = []
-            decisions = []
+            view = None
             live = run_live(self.out, patterns, acquisition, setup, looks=looks)
             with closing(live) as steps:
                 for step in steps:
                     if step.answer is not None:
                         answers.append(step.answer)
-                        decisions.append(step.decision)
+                        view = (step.decision and step.decision.view) or view
                         for line in step.answer.lines(exposure_s):
                             terminal.say(line)
-        run = LiveAnswers.of(exposure_s, answers, decisions)
+        run = LiveAnswers(exposure_s, tuple(answers), view)
         run.check_classes(self.out)
         content = run.as_dict()
         del content["live"]  # as every run of this command is

@@ -78,7 +78,6 @@ class CountRun(Command):
         """Counts of the run."""
         from deepfsi.hardware.counting.acquisition import read_run
         from deepfsi.hardware.counting.count import CountSettings, count_run
-        from deepfsi.hardware.live.record import LiveCounts, is_live
         from deepfsi.lab.setup import camera_of, gains_of
 
         if self.folder.suffix.lower() == ".ptu":
@@ -87,10 +86,6 @@ class CountRun(Command):
                 "acquisition, or use `deepfsi camera transits` for scenes that pass a pattern"
             )
         options = self.model_dump(exclude={"folder", "settings", "flat"}, exclude_unset=True)
-        if is_live(self.folder, self.flat, *options.values(), *self.settings.values()):
-            with terminal.progress("counting") as report:
-                live = LiveCounts.count(self.folder, report)
-            return Outcome(live.as_dict(), live.lines())
         with terminal.progress("counting") as report:
             settings = CountSettings(
                 **options,

@@ -1,8 +1,7 @@
 """From counts to classes: the counts of a run, or of a table of any counter.
 
 Counts of an exposure, less the dark counts, and its budget go to the classifier of the design as it
-was shown. Before, all counts together are tested for what the design was trained for. A live run
-is decided again, from its own counts, as it was.
+was shown. Before, all counts together are tested for what the design was trained for.
 """
 
 import os
@@ -26,14 +25,14 @@ from deepfsi.camera.light import TOO_DIM, check_budget
 from deepfsi.designfile.distribution import ConsistencyResult
 from deepfsi.designfile.provenance import Score, was_trained_on
 from deepfsi.designfile.view_test import ViewResult
-from deepfsi.hardware.counting.acquisition import Scene, read_run
+from deepfsi.hardware.counting.acquisition import Run, Scene, read_run
 from deepfsi.hardware.counting.counts import Counts, read_counts
 from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.hardware.light.checks import Fault
-from deepfsi.hardware.live.record import LiveAnswers, is_live, replay_run
+from deepfsi.hardware.live.record import LOG, LiveAnswers, LiveScene, read_log
 from deepfsi.hardware.patterns.folder import Patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import Manifest
-from deepfsi.lab.setup import design_rails, open_looks
+from deepfsi.lab.setup import design_rails
 
 if TYPE_CHECKING:  # they import torch, which the command line loads late
     from deepfsi.design.design import Design, RunCounts
@@ -160,7 +159,7 @@ def classify_run(
 ) -> ClassifiedRun | LiveAnswers:
     """Classify each exposure of an acquisition that was counted.
 
-    A live run is decided again from its own counts.
+    A live run has the classes that were decided while it was recorded.
 
     Parameters
     ----------
@@ -194,12 +193,11 @@ def classify_run(
     ['0', '1']
     """
     path = Path(folder)
-    if is_live(path, photons):
-        _check_design(design, read_run(path).patterns.manifest)
-        return replay_run(path, open_looks(path / "patterns")).answers
+    recorded = read_run(path)
+    if recorded.acquisition.live and photons is None:
+        return _live_answers(_check_design(design, recorded.manifest), recorded, trust)
     if photons is not None:
         check_budget(photons)
-    recorded = read_run(path)
     counts = read_counts(recorded)
     counted = _CountedScenes.of(
         _opened(design, recorded.patterns, trust),
@@ -210,6 +208,25 @@ def classify_run(
         force=force,
     )
     return counted.classify()
+
+
+def _live_answers(design: Path, run: Run, trust: bool) -> LiveAnswers:
+    """Classes of a live run by its log, which must be of the design's classes."""
+    with require_extras():
+        from deepfsi.design.design import Design
+
+    made = Design.load(design, trust=trust)
+    log = read_log(run.folder)
+    scenes = run.acquisition.scenes[: len(log)]
+    sizes = {len(logged.chances) for logged in log}
+    if len(scenes) < len(log) or not sizes <= {0, len(made.classes)}:
+        raise InputError(f"{run.folder / LOG} does not fit the run's settings: it was changed")
+    trained = was_trained_on(made.training_scenes, [scene.hash for scene in scenes])
+    answers = (
+        LiveScene.of(scene, logged, made.classes, known)
+        for scene, logged, known in zip(scenes, log, trained, strict=True)
+    )
+    return LiveAnswers(run.acquisition.exposure_s, tuple(answers))
 
 
 @plain_keywords()

@@ -15,13 +15,8 @@ from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets.display import read_display
 from deepfsi.designfile.design_file import AdaptiveHeader, DesignFile
-from deepfsi.designfile.view_test import SceneReadouts
 from deepfsi.hardware.calibration.fit import calibrate_run
-from deepfsi.hardware.calibration.reference import (
-    ReferenceFit,
-    find_reference,
-    find_reference_of_masks,
-)
+from deepfsi.hardware.calibration.reference import ReferenceFit, find_reference
 from deepfsi.hardware.calibration.scans import (
     find_detectors,
     find_gains,
@@ -31,7 +26,6 @@ from deepfsi.hardware.calibration.scans import (
 from deepfsi.hardware.counting.acquisition import Calibration, read_run
 from deepfsi.hardware.counting.counts import Counts, read_counts
 from deepfsi.hardware.live.observer import LookChooser
-from deepfsi.hardware.live.record import is_live, replay_run
 from deepfsi.hardware.patterns.folder import Patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import DesignRails
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
@@ -105,16 +99,7 @@ def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, 
 
 def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
     """Place of scenes on the device, from a counted run of the reference target."""
-    if not is_live(folder):
-        return find_reference(_photons(folder), read_run(folder).patterns, report)
-    replayed = replay_run(folder, open_looks(folder / "patterns"), report)
-    lit = [scene.rows for scene in replayed.scenes if scene.rows is not None]
-    if not lit:
-        raise InputError(f"no scene of {folder} had light: record the reference again")
-    rows = SceneReadouts.join(lit)
-    variance = rows.counts.clip(min=0) + rows.noise
-    manifest = read_run(folder).patterns.manifest
-    return find_reference_of_masks(rows.masks, rows.counts, variance, manifest, report=report)
+    return find_reference(_photons(folder), read_run(folder).patterns, report)
 
 
 def gains_of(flat: Path) -> tuple[float, ...]:

@@ -11,11 +11,11 @@ from conftest import exposing
 from deepfsi import learn
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.live.record import LiveCounts
+from deepfsi.hardware.live.record import read_log
 from deepfsi.hardware.live.run import plan_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
 from deepfsi.lab.setup import design_rails, open_looks
-from shared.live_samples import DEVICE, OPTICS, live, make_patterns, scenes_of
+from shared.live_samples import DEVICE, OPTICS, Counted, live, make_patterns, scenes_of
 
 LOOKS, FLUX, EXPOSURE_S = 5, 1e7, 10e-3
 
@@ -40,14 +40,17 @@ def masks_of(shown) -> np.ndarray:
 
 
 @pytest.mark.parametrize("optics", OPTICS)
-def test_counts_are_those_of_the_masks_that_were_made(digits, tmp_path, optics):
+def test_counts_are_those_of_the_masks_that_were_made(digits, tmp_path, optics, monkeypatch):
     """Poisson, with the mean that the light through each mask has in its gate."""
     patterns, (x, _) = exported(tmp_path, digits, optics), scenes_of(digits, 12)
+    found = Counted(monkeypatch)
     run(tmp_path / "run", patterns, digits, count=12)
+    found.check_file(tmp_path / "run")
     manifest, z = read_patterns(patterns).manifest, []
     cells = np.array(manifest.detectors.cells if manifest.detectors else [0] * 64)
-    for shown, lists in LiveCounts.count(tmp_path / "run").by_scene:
-        counted = np.array([found.counts[0] for found in lists[1:-1]])
+    looks = [each.counts[0] for each in found.lists if len(each.counts) == 1]
+    for shown in read_log(tmp_path / "run"):
+        counted = np.array(looks[shown.scene * LOOKS :][:LOOKS])
         gates_s = np.array([each.gate_ns[0] for each in shown.lists[1:-1]]) * 1e-9
         light = masks_of(shown) * x[shown.scene].ravel()
         arms = [light, x[shown.scene].ravel() - light][: 2 if manifest.two_arm else 1]

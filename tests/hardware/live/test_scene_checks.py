@@ -10,7 +10,7 @@ from deepfsi.hardware.live.run import run_live
 from deepfsi.hardware.virtual.camera import CAMERAS, VirtualCamera
 from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
 from deepfsi.hardware.virtual.setup import VirtualOptics, virtual_setup
-from shared.live_samples import EXPOSURE_S, make_patterns, planned, replay, scenes_of
+from shared.live_samples import EXPOSURE_S, make_patterns, planned, scenes_of
 
 FLUX, SCENES = 1e7, 16
 PHOTONS = FLUX * EXPOSURE_S
@@ -54,7 +54,7 @@ class Wavering(VirtualOptics):
 
 
 def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **settings):
-    """Answers of a run; its replay must come to the same."""
+    """Answers of a run."""
     x, named = scenes_of(digits, scenes)
     acquisition, looks = planned(
         patterns, named, flux=FLUX, camera=lab.camera, **{"seed": 3, **settings}
@@ -68,9 +68,7 @@ def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **s
     if change:
         devices = replace(devices, display=change(setup) or setup.display)
     steps = run_live(folder, patterns, acquisition, devices, looks)
-    found = [step.answer for step in steps if step.answer]
-    assert [each.answer for each in replay(folder)] == found
-    return found
+    return [step.answer for step in steps if step.answer]
 
 
 def kinds(answer):

@@ -261,21 +261,6 @@ def find_reference(counts: Counts, patterns: Patterns, report: Progress = SILENT
     return _fit_place(_sound_readouts(counts, patterns), patterns.manifest, report)
 
 
-@np.errstate(under="ignore")
-def find_reference_of_masks(
-    masks: np.ndarray,
-    counts: np.ndarray,
-    variance: np.ndarray,
-    manifest: Manifest,
-    report: Progress = SILENT,
-) -> ReferenceFit:
-    """Place of the target behind masks that were made while it was shown."""
-    lit = masks.any(axis=1)
-    _check_readouts(manifest, len(np.unique(masks[lit] > 0, axis=0)))
-    readouts = _ReferenceReadouts.of(masks[lit], counts[lit], variance[lit])
-    return _fit_place(readouts, manifest, report)
-
-
 def _check_readouts(manifest: Manifest, count: int) -> None:
     """Raise `InputError` if so many readouts, or masks of one axis, do not tell where it lies."""
     if not _has_reference(manifest):

@@ -179,8 +179,8 @@ class Acquisition(StrictModel):
         """Raise `InputError` if it is a live run, of other frames for each scene."""
         if self.live:
             raise InputError(
-                f"{folder} is a live run, in which each scene had frames of its own: use `deepfsi "
-                "camera count` and `classify`"
+                f"{folder} is a live run, which is counted while it is recorded: use `deepfsi "
+                "camera classify`"
             )
 
     def keep_first(self, folder: Path, count: int) -> None:

@@ -76,8 +76,8 @@ class PassProjector(AbstractContextManager["PassProjector"], Protocol):
 class StreamingCounter(AbstractContextManager["StreamingCounter"], Protocol):
     """Photon-counting electronics that count frame by frame while they record.
 
-    Entering takes hold of the device; leaving stops the recording and lets go of the device. The
-    file that is recorded holds what was counted, so that a run can be replayed from it.
+    Entering takes hold of the device; leaving stops the recording and lets go of the device.
+    The file that is recorded holds what was counted.
     """
 
     def start(self, path: Path) -> None:

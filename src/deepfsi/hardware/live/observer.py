@@ -1,8 +1,5 @@
 """Decisions of a live run, from counts alone: the class of each scene, and what to show next.
 
-One code serves a run and its replay. It asks a source for the counts of a list of frames: devices
-show and count them, or the record of a run is looked up. A replay takes the looks that were shown.
-
 Each scene begins and ends with an all-ON and an all-OFF frame. A scene whose first all-ON frame is
 no brighter than the all-OFF ones has no light, and gets no class. The budget is the flux of the
 all-ON frames of all lit scenes since the lamp changed, as scenes differ in brightness and a dim one
@@ -17,7 +14,7 @@ A design chooses the mask of each look. A run hands counts to whatever keeps to 
 """
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
@@ -47,7 +44,7 @@ class FrameList:
 
 
 class _FrameSource(Protocol):
-    """Source of counts of frames: devices that show and count them, or the record of a run."""
+    """Source of counts of frames: devices that show and count them."""
 
     def count(self, asked: FrameList) -> FrameCounts:
         """Counts of the frames of a list."""
@@ -179,11 +176,6 @@ class SceneObserver:
     acquisition : Acquisition
         Settings of the run, as `plan_live` makes them.
 
-    Attributes
-    ----------
-    rows : SceneReadouts or None
-        Counts of the last scene that had light, behind its masks.
-
     Raises
     ------
     InputError
@@ -194,7 +186,6 @@ class SceneObserver:
         if acquisition.live is None or manifest.looks is None:
             raise InputError("this acquisition is no live run: make one with `deepfsi camera live`")
         self.looks = looks
-        self.rows: SceneReadouts | None = None
         self._manifest = manifest
         self._settings = acquisition.live
         self._exposure_ns = round(acquisition.exposure_s * 1e9)
@@ -204,12 +195,10 @@ class SceneObserver:
         self._view = ViewTest(model, manifest.image_shape) if model else None
         self._ends = _scene_ends(manifest, acquisition.settle_s)
 
-    def observe(
-        self, scene: int, source: _FrameSource, shown: Sequence[FrameList] | None = None
-    ) -> Iterator[Decision]:
+    def observe(self, scene: int, source: _FrameSource) -> Iterator[Decision]:
         """Decisions after each look at the next scene; none of one without light.
 
-        The last one has the faults of the scene. In a replay all looks that were `shown` are told.
+        The last one has the faults of the scene.
         """
         begin = self._arrivals(source, self._ends)
         lit, changes = self._light.begin(begin)
@@ -225,10 +214,10 @@ class SceneObserver:
         asked: list[FrameList] = []
         arrivals: list[Arrivals] = []
         light_ns = 0
-        last = len(self.looks.shares if shown is None else shown) - 1
-        rule = self._settings.rule if shown is None else None
+        last = len(self.looks.shares) - 1
+        rule = self._settings.rule
         for look in range(last + 1):
-            asked.append(exposure.ask(look) if shown is None else shown[look])
+            asked.append(exposure.ask(look))
             arrivals.append(self._arrivals(source, asked[-1]))
             chances = exposure.take(asked[-1], arrivals[-1])
             light_ns += int(asked[-1].gate_ns.sum())
@@ -251,11 +240,10 @@ class SceneObserver:
         doubts = self._checks.find_faults(
             scene, exposure.compare(on), self._light, measured=measured, on=on
         )
-        self.rows = self._readouts(state, asked, arrivals)
         view = None
         kinds = {fault.kind for fault in (*faults, *doubts)}
         if self._view and not kinds & WITHOUT_VIEW:
-            self._view.add(self.rows)
+            self._view.add(self._readouts(state, asked, arrivals))
             view = self._view.result
         if view is not None and view.refused:
             faults += (Fault(kind="view", scene=scene, detail=view.refusal),)

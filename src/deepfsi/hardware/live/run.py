@@ -23,6 +23,7 @@ from deepfsi.base.files import GrowingFile
 from deepfsi.base.interrupts import note_saved_work
 from deepfsi.base.progress import Progress, progress_bar
 from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects, LiveSettings, StopRule
+from deepfsi.designfile.provenance import was_trained_on
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
 from deepfsi.hardware.drivers.protocols import (
@@ -43,7 +44,7 @@ from deepfsi.hardware.live.observer import (
     SceneObserver,
     margin_ns,
 )
-from deepfsi.hardware.live.record import FrameLog, LiveScene, LoggedList, LoggedScene
+from deepfsi.hardware.live.record import LOG, LiveScene, LoggedList, LoggedScene
 from deepfsi.hardware.patterns.folder import read_patterns
 from deepfsi.hardware.patterns.manifest import Manifest
 
@@ -201,7 +202,7 @@ def run_live(
         setup.projector.load(patterns_folder)
         prepare_run(folder, patterns_folder, acquisition)
         setup.counter.start(folder / "photons.ptu")
-        log = stack.enter_context(GrowingFile(folder / FrameLog.NAME))
+        log = stack.enter_context(GrowingFile(folder / LOG))
         frames = _DeviceFrames(setup, manifest, acquisition.settle_s)
         for number, scene in enumerate(acquisition.scenes):
             frames.begin(number)
@@ -212,7 +213,9 @@ def run_live(
             logged = frames.logged(decision)
             log.write(logged.line)
             note_saved_work("finished scenes are kept")
-            answer = LiveScene.of(scene, decision, looks, clock_s=logged.clock_s)
+            [trained] = was_trained_on(looks.training_scenes, [scene.hash])
+            photons = decision.photons if decision else None
+            answer = LiveScene.of(scene, logged, looks.classes, trained, photons)
             yield LiveStep(number, decision, logged.clock_s, answer)
         setup.counter.stop()
 
