@@ -6,8 +6,6 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 
-from deepfsi.report import rendering
-
 
 def words_of(page):
     """Text that a reader sees, without styles and scripts."""
@@ -56,22 +54,6 @@ def assert_headed(page):
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(below <= above + 1 for above, below in itertools.pairwise(levels)), levels
-
-
-def assert_explained(page):
-    """Abbreviations are marked in words, and listed also where only a figure has them."""
-    body = page[page.index("<body") :]
-    words = re.sub(r"<(svg|script|abbr|pre|dl|select)\b.*?</\1>", " ", body, flags=re.DOTALL)
-    bare = set(re.findall(r"(?<![\w-])[A-Z]{2,}(?!\w)", re.sub(r"<[^>]*>", " ", words)))
-    assert not bare & set(rendering.ABBREVIATIONS), bare
-    figures = " ".join(re.findall(r"<text[^>]*>([^<]*)<", body))
-    drawn = {name for name in rendering.ABBREVIATIONS if re.search(rf"\b{name}\b", figures)}
-    marked = set(re.findall(r'<abbr title="[^"]{9,}">([^<]*)</abbr>', body))
-    assert marked <= set(rendering.ABBREVIATIONS)
-    for name in drawn | marked:
-        assert body.count(f'id="term-{name}"') == 1
-    for name in marked:
-        assert f'href="#term-{name}"' in body
 
 
 def run_without_torch(code, folder):

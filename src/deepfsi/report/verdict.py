@@ -16,19 +16,6 @@ from deepfsi.sweeps.results import Point, Results
 _SUBJECTS = {"deepfsi": "learned masks (DeepFSI)", "adaptive": "adaptive masks"}
 """Designs whose names in a sentence are masks."""
 
-_UNEVEN = 0.02
-"""Difference of an accuracy from the balanced one, each class counting alike, that is said."""
-
-
-def uneven_point(points: Sequence[Point]) -> Point | None:
-    """Point whose accuracy differs most from the balanced one; None where all are near it."""
-
-    def unevenness(point: Point) -> float:
-        return 0.0 if point.balanced is None else abs(point.accuracy - point.balanced)
-
-    uneven = max(points, key=unevenness)
-    return uneven if unevenness(uneven) >= _UNEVEN else None
-
 
 @dataclass(frozen=True)
 class ComparisonVerdict:

@@ -43,7 +43,7 @@ def _packed(text: str) -> str:
     return text
 
 
-PackedValues = Annotated[str, AfterValidator(_packed)]
+_PackedValues = Annotated[str, AfterValidator(_packed)]
 """Values of test images, as `pack_values` packs them."""
 
 
@@ -143,7 +143,7 @@ class Point(_Stored):
     )
     seconds: FiniteFloat = Field(description="mean time of a training")
     accuracies: tuple[_Score, ...] = Field(description="measure of each trial")
-    terms: tuple[PackedValues, ...] = Field(
+    terms: tuple[_PackedValues, ...] = Field(
         (),
         description="at a chosen mask count: of each trial, values of the test scenes whose mean "
         "is its measure, such as the share of noise draws that are right; 32-bit floats, zlib, "
@@ -260,6 +260,9 @@ class Results(_Stored):
         names = self.data.classes or self.data.values
         if any(point.worst_class >= len(names) for point in self.points):
             raise ValueError("the worst class of a point is none of the data's")
+        sizes = {len(row) for point in self.points for row in (point.confusion, *point.confusion)}
+        if sizes - {0, len(self.data.classes)}:
+            raise ValueError("a confusion matrix is not of the data's classes")
         return self
 
     @property
