@@ -60,17 +60,11 @@ REFUSED = {
         --designs pca --masks 2 --matrix negative.npy --rails single | matrix
         --designs pca --photons 1e4 --masks 3 --detectors 9x9 | do not divide
         --epochs 10000000000000000000000 | 10000000000000000000000
-        --designs pca,deepfsi --masks 3 --cap 2 | --cap is of exposures that may end early
-        --designs pca --masks 3 --start random | no masks of pca learn: leave --start out
-        --designs adaptive --masks 3 --epochs 3 | learn by no steps: leave --epochs out
-        --designs adaptive --masks 3 --levels 16 | of 2 levels: leave --levels out
-        --designs impulse --light two-arm | shows no masks: leave --light out
     """,
     "compare --designs adaptive --masks 4 --photons 1e3": """
         --cap 2 --data small.npz | training scenes say too little of the mean light
     """,
     "sweep": """
-        capped.toml | --cap is of exposures that may end early
         nosuch | no recipe at nosuch
         vast-pca.toml | 1000000000 trials
         split.toml | digits: a split was given; only a hyperspectral image takes one

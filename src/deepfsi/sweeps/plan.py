@@ -1,14 +1,10 @@
-"""Trials of a recipe on its data: each is one training and its tests; and what speaks against them.
+"""Trials of a recipe on its data, each one training and its tests, and what speaks against them."""
 
-Every mistake of a recipe is named at once, before any work.
-"""
-
-import contextlib
 import functools
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -16,7 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base.errors import InputError
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.models.strict import StrictModel
 from deepfsi.base.plugins import source_hash
 from deepfsi.camera.detectors import ONE_DETECTOR
@@ -24,14 +20,8 @@ from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.jobs.exposures import Exposure
-from deepfsi.jobs.job import REVISION, Job, custom_parts, find_table
-from deepfsi.jobs.training import MASK_SETTINGS, PRIOR_SETTINGS, Training
-from deepfsi.sweeps.recipe import (
-    CameraVariant,
-    Recipe,
-    TestNoise,
-    draft_recipe,
-)
+from deepfsi.jobs.job import REVISION, Job, custom_parts
+from deepfsi.sweeps.recipe import CameraVariant, Recipe, TestNoise
 
 MOST_TRIALS = 100_000
 """Trials of one recipe: months of training, and records that still fit the memory."""
@@ -42,21 +32,11 @@ ADAPTIVE_SCENES = 5000
 KEY_SCHEMA = 6
 """Version of what the keys of trials are hashes of."""
 
-_SOURCE_FIELDS = {"data", "size", "skip_bad", "images", "split"}
-"""Fields that say which data to load."""
-
-_OPTICS_FIELDS = {"designs", "camera"}
-"""Fields whose defaults would make mistakes of their own in place of those that are lost."""
-
 _NAMING_FIELDS = {"data", "trained_under", "variant", "detectors"}
 """Fields of a trial that only name what other fields hold."""
 
 _TEST_FIELDS = {"draws", "test_photons", "test_noise", "test_levels"}
 """Fields of a trial that its training does not depend on."""
-
-
-ONE_DEVICE_OPTIONS = {"light", "detectors", "device", "shortest_dwell"}
-"""Settings of the camera that a detector for each pixel has no use for."""
 
 
 class Trial(StrictModel):
@@ -103,7 +83,7 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
     Shapes: matrix (m, N).
     """
     plan = _Plan(recipe, data, matrix)
-    if faults := [*_scene_faults(recipe, data), *plan.faults(), *_cap_faults(recipe)]:
+    if faults := plan.faults():
         raise InputError("; ".join(faults))
     trials: dict[str, Trial] = {}
     hash_of_file = functools.cache(source_hash)
@@ -136,60 +116,29 @@ def check_settings(
     matrix: np.ndarray | None = None,
 ) -> tuple[Recipe, Dataset]:
     """Recipe of settings, and its data; `matrix` (m, N) holds one's own masks."""
-    draft = draft_recipe(settings)
-    recipe = draft.recipe
-    faults = draft.faults
+    with as_input_error():
+        recipe = Recipe.model_validate(settings)
     if matrix is not None and "custom" not in recipe.designs:
         recipe = recipe.model_copy(update={"designs": (*recipe.designs, "custom")})
-    data = None
-    if not draft.lost & _SOURCE_FIELDS:
-        try:
-            data = load(recipe)
-        except InputError as error:
-            faults.append(error.message)
-            if recipe.size is not None or recipe.split is not None:  # without, for other faults
-                with contextlib.suppress(InputError):
-                    data = load(recipe.model_copy(update={"size": None, "split": None}))
-    if data is not None:
-        faults += _fold_faults(recipe, data)
-        faults += [] if draft.lost & _OPTICS_FIELDS else _Plan(recipe, data, matrix).faults()
-    if faults or data is None:
+    data = load(recipe)
+    plans = [_Plan(recipe, fold, matrix) for fold in recipe.parts(data)]
+    if faults := dict.fromkeys(fault for plan in plans for fault in plan.faults()):
         raise InputError("; ".join(faults))
     return recipe, data
 
 
-def with_adaptive(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> Recipe:
+def with_adaptive(recipe: Recipe, data: Dataset) -> Recipe:
     """The recipe with adaptive masks too, where they can be had and do not take long."""
     scenes = len(data.x_train) + len(data.x_test)
-    if data.measure != "accuracy" or scenes > ADAPTIVE_SCENES or recipe.test_noise:
+    alone = recipe.model_copy(update={"designs": ("adaptive",)})
+    if (
+        data.measure != "accuracy"
+        or scenes > ADAPTIVE_SCENES
+        or recipe.test_noise
+        or _Plan(alone, data).faults()
+    ):
         return recipe
-    more = _Plan(recipe.model_copy(update={"designs": (*recipe.designs, "adaptive")}), data, matrix)
-    are_had = more.count() > _Plan(recipe, data, matrix).count()
-    return more.recipe if are_had and not more.faults() else recipe
-
-
-def _fold_faults(recipe: Recipe, data: Dataset) -> list[str]:
-    """Folds that the data cannot have, or what the first that has any lacks."""
-    try:
-        every = [_scene_faults(recipe, fold) for fold in recipe.parts(data)]
-    except InputError as error:
-        return [error.message, *_scene_faults(recipe, data)]
-    return next((faults for faults in every if faults), [])
-
-
-def _scene_faults(recipe: Recipe, data: Dataset) -> list[str]:
-    """Numbers of masks, and of scenes to choose on, that the data does not have."""
-    faults = [
-        f"{count} masks are not allowed on {data.name}: give 1 to {data.pixels}"
-        for count in recipe.masks
-        if count > data.pixels
-    ]
-    if recipe.held_out(data):
-        try:
-            data.hold_out(recipe.held_out(data))
-        except InputError as error:
-            faults.append(error.message)
-    return faults
+    return recipe.model_copy(update={"designs": (*recipe.designs, "adaptive")})
 
 
 @dataclass(frozen=True)
@@ -243,9 +192,13 @@ class _Plan:
 
     def faults(self) -> list[str]:
         """Everything that trials ask and that cannot be had, each once."""
+        pixels = self.data.pixels
+        if (most := max(self.recipe.masks, default=1)) > pixels:
+            return [f"{most} masks are not allowed on {self.data.name}: give 1 to {pixels}"]
         try:
+            training = self._training_data
             count = self.count()
-        except InputError as error:  # scenes that an exposure cannot see so
+        except InputError as error:  # too few scenes, or such that an exposure cannot see
             return [error.message]
         if count > MOST_TRIALS:
             return [
@@ -262,7 +215,6 @@ class _Plan:
             ]
         faults: dict[str, None] = {}
         custom: dict[str, None] = {}
-        training = self._training_data
         for _, _, job in self.jobs():
             masks = self.matrix if job.code.is_custom else None
             job_faults = job.faults(training, masks)
@@ -279,11 +231,9 @@ class _Plan:
 
     @property
     def _training_data(self) -> Dataset:
-        """The data as trainings see them: without those to choose on, if there are so many."""
-        with contextlib.suppress(InputError):
-            count = self.recipe.held_out(self.data)
-            return self.data.hold_out(count) if count else self.data
-        return self.data
+        """The data as trainings see them: without those to choose on."""
+        count = self.recipe.held_out(self.data)
+        return self.data.hold_out(count) if count else self.data
 
     def _pairs(self) -> Iterator[tuple[CameraVariant, str]]:
         """Yield every camera with every design that it can have."""
@@ -312,55 +262,6 @@ class _Plan:
         one = code.every_pixel
         detectors = ONE_DETECTOR if one else named.camera.detector_map(scene.image_shape)
         return self.recipe.mask_counts(design, scene, detectors)
-
-
-def check_used(recipe: Recipe, options: Iterable[str]) -> None:
-    """Raise `InputError` where an option says nothing of any design of a recipe."""
-    codes = [DESIGNS[design] for design in recipe.designs]
-    adaptive = all(code.adaptive for code in codes)
-    grey = any(str(levels) != "2" for levels in recipe.camera.get("levels", ()))
-    reasons = [
-        (
-            adaptive,
-            Training.model_fields.keys() - PRIOR_SETTINGS,
-            "adaptive masks learn by no steps",
-        ),
-        (adaptive and grey, {"levels"}, "adaptive masks are ON and OFF, of 2 levels"),
-        (
-            not any(code.learns_masks for code in codes),
-            {*MASK_SETTINGS},
-            f"no masks of {', '.join(recipe.designs)} learn",
-        ),
-        (
-            all(code.every_pixel for code in codes),
-            ONE_DEVICE_OPTIONS,
-            "impulse imaging has a detector for each pixel and shows no masks",
-        ),
-    ]
-    faults = _cap_faults(recipe)
-    for option in options:
-        _, name = find_table(option)
-        reason = next((text for holds, names, text in reasons if holds and name in names), None)
-        if reason is not None:
-            faults.append(f"{reason}: leave `{option}` out, or add other designs")
-    if faults:
-        raise InputError("; ".join(faults))
-
-
-def _cap_faults(recipe: Recipe) -> list[str]:
-    """A cap where no design has exposures that may end early."""
-    if not recipe.shares_light or any(
-        exposure.most_light > 1
-        for design in recipe.designs
-        for _, exposure in recipe.exposures(design)
-    ):
-        return []
-    return [
-        (
-            "`cap` is of exposures that may end early, and none of these designs has such: leave "
-            "it out, or add adaptive to the `designs`"
-        )
-    ]
 
 
 def _light_faults(job: Job, matrix: np.ndarray) -> list[str]:

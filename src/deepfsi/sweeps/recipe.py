@@ -8,20 +8,14 @@ every part. `[parts.NAME]` overrides them in one part, `[quick]` in the coarse v
 `[parts.NAME.quick]` in the coarse version of one part. Tables are merged.
 """
 
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import product
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from deepfsi.base.errors import (
-    InputError,
-    as_input_error,
-    closest_choice,
-    field_errors,
-)
+from deepfsi.base.errors import InputError, as_input_error, closest_choice
 from deepfsi.base.models.strict import Count, UserModel
 from deepfsi.camera.camera import Camera, Levels
 from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
@@ -42,11 +36,6 @@ Settings = dict[str, Any]
 
 _Axes = dict[str, tuple[Any, ...]]
 """Values of each setting."""
-
-_RATIOS_OR_MASKS = "give ratios or masks, not both"
-
-_TABLES = ("camera", "exposure", "training")
-"""Fields that are tables of axes."""
 
 _MLP_SETTINGS = find_classifier(MLP).settings
 """Settings of the training that only the usual classifier has."""
@@ -82,28 +71,21 @@ def _read_axes(table: Any, make: Callable[[Settings], Any]) -> _Axes:
     if not isinstance(table, Mapping):
         raise ValueError(f"{table!r} is no table of settings")
     axes: _Axes = {}
-    faults: list[str] = []
     for name, given in table.items():
         several = isinstance(given, (list, tuple))
         if name == "hidden":  # widths of layers are a list themselves
             several = several and any(isinstance(widths, (list, tuple)) for widths in given)
+        if several and not given:
+            raise InputError(f"{name} is empty: give one value or more")
         values = []
         for value in given if several else [given]:
-            try:
-                with as_input_error():
-                    read = getattr(make({name: value}), name, value)
-            except InputError as error:
-                faults.append(error.message)
-                continue
+            with as_input_error():
+                read = getattr(make({name: value}), name, value)
             # numbers as the model reads them; other settings as they are given
             numbers = read if isinstance(read, tuple) and not isinstance(value, str) else (read,)
             is_number = all(isinstance(number, int | float) for number in numbers)
             values.append(read if is_number else value)
-        if several and not given:
-            faults.append(f"{name} is empty: give one value or more")
         axes[name] = tuple(values)
-    if faults:
-        raise InputError("; ".join(faults))
     return axes
 
 
@@ -157,16 +139,9 @@ _read_training = partial(_read_axes, make=Training.model_validate)
 
 
 def _read_tuned(given: Any) -> dict[str, _Axes]:
-    axes: dict[str, _Axes] = {}
-    faults: list[str] = []
-    for design, settings in given.items() if isinstance(given, Mapping) else ():
-        try:
-            axes[check_design(design)] = _read_training(settings)
-        except (InputError, ValueError) as error:
-            faults.append(f"{design}: {error}")
-    if faults:
-        raise InputError("; ".join(faults))
-    return axes
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{given!r} is no table of designs")
+    return {check_design(name): _read_training(settings) for name, settings in given.items()}
 
 
 DesignKind = Annotated[str, AfterValidator(check_design)]
@@ -258,7 +233,7 @@ class Recipe(UserModel):
     @model_validator(mode="after")
     def _one_or_the_other(self) -> "Recipe":
         if self.ratios and self.masks:
-            raise ValueError(_RATIOS_OR_MASKS)
+            raise ValueError("give ratios or masks, not both")
         return self
 
     def cameras(self) -> list[CameraVariant]:
@@ -287,13 +262,6 @@ class Recipe(UserModel):
                 names.append(f"(mean light, at most {exposure.most_light:g} Φ)")
             exposures[" ".join(filter(None, names))] = exposure
         return [*exposures.items()]
-
-    @property
-    def shares_light(self) -> bool:
-        """True if any cap is above 1."""
-        return any(
-            find_exposure({"cap": cap}).most_light > 1 for cap in self.exposure.get("cap", ())
-        )
 
     @property
     def noises(self) -> tuple[str, ...]:
@@ -366,69 +334,6 @@ class Recipe(UserModel):
     def held_out(self, data: Dataset) -> int:
         """Number of training scenes that are kept for validation."""
         return len(data.x_train) // 6 if self.validation is None else self.validation
-
-
-class _RecipeDraft(NamedTuple):
-    """Recipe of what is sound of settings."""
-
-    recipe: Recipe
-    faults: list[str]  # everything that is wrong
-    lost: set[str]  # fields that have their defaults because all that was given for them is wrong
-
-
-def draft_recipe(settings: Mapping[str, Any]) -> _RecipeDraft:
-    """Recipe of what is sound of settings, so that the rest of its mistakes can be named, too."""
-    try:
-        return _RecipeDraft(Recipe.model_validate(settings), [], set())
-    except ValidationError as error:
-        faults = field_errors(error)
-        sound = _sound(settings, error)
-    if settings.get("ratios") and settings.get("masks"):
-        faults = list(dict.fromkeys([*faults, _RATIOS_OR_MASKS]))
-        sound.pop("ratios", None)
-    try:
-        recipe = Recipe.model_validate(sound)
-    except ValidationError as error:  # what one value of a field cannot be without the other
-        wrong = {fault["loc"][0] for fault in error.errors()}
-        sound = {name: sound[name] for name in set(sound) - wrong}
-        recipe = Recipe.model_validate(sound)
-    return _RecipeDraft(recipe, faults, set(settings) - set(sound))
-
-
-def _sound(settings: Mapping[str, Any], error: ValidationError) -> Settings:
-    """Settings without the wrong ones: of lists their wrong items, else the whole field."""
-    wrong = defaultdict(list)
-    for fault in error.errors():
-        if fault["loc"]:
-            wrong[fault["loc"][0]].append(fault["loc"][1:])
-    sound = dict(settings)
-    for name, places in wrong.items():
-        value = sound.pop(str(name))
-        if name in _TABLES and isinstance(value, dict):
-            sound[name] = _sound_axes(name, value)
-        elif all(where and isinstance(where[0], int) for where in places):
-            bad = {where[0] for where in places}
-            left = [item for index, item in enumerate(_axis(value)) if index not in bad]
-            sound |= {str(name): left} if left else {}
-    return sound
-
-
-def _sound_axes(table: str, axes: Settings) -> Settings:
-    """Axes of a table without the values that are wrong by themselves."""
-
-    def reads(name: str, value: Any) -> bool:
-        try:
-            return bool(Recipe.model_validate({table: {name: value}}))
-        except ValidationError:
-            return False
-
-    sound = {}
-    for name, value in axes.items():
-        if reads(name, value):
-            sound[name] = value
-        elif left := [item for item in _axis(value) if reads(name, item)]:
-            sound[name] = left
-    return sound
 
 
 def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:
