@@ -20,7 +20,7 @@ LINES = {
     "base.models": 88,
     "base.numeric": 1283,
     "camera": 1437,
-    "cli": 3039,
+    "cli": 3038,
     "datasets": 3065,
     "design": 1007,
     "designfile": 1487,
@@ -39,9 +39,9 @@ LINES = {
     "measures": 630,
     "networks": 474,
     "physics": 1928,
-    "report": 1740,
-    "report.playground": 207,
-    "sweeps": 2790,
+    "report": 1448,
+    "report.playground": 51,
+    "sweeps": 2506,
     "training": 1763,
 }
 """Lines of each room, which may only fall: lower the number with them."""

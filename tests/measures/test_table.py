@@ -11,7 +11,7 @@ from deepfsi.report.comparison_page import write_report
 from deepfsi.sweeps.plan import plan_trials
 from deepfsi.sweeps.records import record_rows
 from deepfsi.sweeps.results import read_results, write_results
-from deepfsi.sweeps.summary import FoldRecords, summarise_records
+from deepfsi.sweeps.summary import summarise_records
 from shared.trials import small, train_trials
 
 
@@ -41,9 +41,7 @@ def test_a_new_measure_is_one_entry(digits, tmp_path, monkeypatch):
     records = train_trials(plan_trials(recipe, digits), digits, tmp_path / "runs")
     [row] = record_rows(records)
     assert row["validation_top_2"] > row["validation_accuracy"]
-    results = summarise_records(
-        recipe, digits, [FoldRecords(digits, records)], command="deepfsi", seconds=1.0
-    )
+    results = summarise_records(recipe, digits, [digits], [records], command="deepfsi", seconds=1.0)
     write_results(tmp_path / "results.json", results)
     [point] = read_results(tmp_path / "results.json").points
     assert point.further == {"top_2": row["top_2"]}

@@ -39,8 +39,6 @@ def alone(digits, tmp_path):
     "damage",
     [
         {"test": [{}]},
-        {"info": {}},
-        {"design": None},
         {"key": "0" * 24},
         {"schema": RESULTS_SCHEMA - 1, "test": []},
     ],

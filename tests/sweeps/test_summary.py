@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from deepfsi.base.numeric import intervals
-from deepfsi.sweeps.summary import FoldRecords, summarise_records
+from deepfsi.sweeps.summary import summarise_records
 from shared.trials import small
 
 PHOTONS = 1e3
-VALUES = [0.80, 0.83, 0.85, 0.79]
+TERMS = {"accuracy": intervals.pack_values(np.full(360, 0.5))}
 
 
 def record(accuracy=0.5, masks=3, seed=0, validation=0.8, noise="ml_gauss", camera=(), **test):
@@ -18,7 +17,7 @@ def record(accuracy=0.5, masks=3, seed=0, validation=0.8, noise="ml_gauss", came
         "noise": "poisson", "photons": PHOTONS, "throughput": 0.5, "low": 0.1, "high": 0.9,
         "covers": "test images", "counts": 500.0, "arriving": 500.0, "log_loss": 0.7,
         "levels": 0, "balanced": 0.4, "balanced_low": 0.2, "balanced_high": 0.6,
-        "rates": [0.4] * 10, "confusion": np.ones((10, 10)).tolist(), **test,
+        "rates": [0.4] * 10, "confusion": np.ones((10, 10)).tolist(), "terms": TERMS, **test,
     }  # fmt: skip
     usual = {"light": "column", "rails": "dual", "readout": "difference", "detectors": "1x1"}
     camera = {**usual, **dict(camera)}
@@ -35,8 +34,8 @@ def record(accuracy=0.5, masks=3, seed=0, validation=0.8, noise="ml_gauss", came
 
 
 def summarise(data, records, **changes):
-    folds = [FoldRecords(data, records)]
-    return summarise_records(small(**changes), data, folds, command="deepfsi", seconds=1.0)
+    recipe = small(**changes)
+    return summarise_records(recipe, data, [data], [records], command="deepfsi", seconds=1.0)
 
 
 def summary(data, records, **changes):
@@ -58,21 +57,6 @@ def test_a_balanced_training_is_chosen_by_balanced_accuracy(digits, balance):
     training = {"epochs": 2, "balance": balance}
     best = [p.masks for p in summary(digits, records, training=training) if p.best]
     assert best == [6 if balance else 3]
-
-
-@pytest.mark.parametrize("name", ["accuracy", "balanced"])
-def test_interval_over_trials_is_students_and_of_one_trial_that_of_its_images(digits, name):
-    records = [record(seed=k, **{name: value}) for k, value in enumerate(VALUES)]
-    fields = (name, *(("low", "high") if name == "accuracy" else ("balanced_low", "balanced_high")))
-    (point,) = summary(digits, records)
-    wanted = stats.t.interval(0.95, 3, loc=np.mean(VALUES), scale=stats.sem(VALUES))
-    found = [getattr(point, field) for field in fields]
-    assert found == pytest.approx([np.mean(VALUES), *wanted])
-    assert "4 trials" in point.covers
-    (alone,) = summary(digits, records[:1])
-    ends = (0.1, 0.9) if name == "accuracy" else (0.2, 0.6)
-    assert tuple(getattr(alone, field) for field in fields[1:]) == ends
-    assert "images" in alone.covers
 
 
 @pytest.mark.parametrize(
@@ -128,10 +112,7 @@ def test_a_design_that_answers_one_class_only_is_known_and_chance_is_that_class(
 
 
 def test_confusions_and_images_are_kept_of_the_chosen_masks_alone(digits):
-    right = {"terms": {"accuracy": intervals.pack_values(np.ones(len(digits.y_test)))}}
-    records = [
-        record(1.0, m, k, validation=v, **right) for m, v in ((3, 0.8), (6, 0.7)) for k in range(2)
-    ]
+    records = [record(1.0, m, k, validation=v) for m, v in ((3, 0.8), (6, 0.7)) for k in range(2)]
     chosen, other = summary(digits, records)
     assert (chosen.masks, chosen.best) == (3, True)
     assert np.array_equal(chosen.confusion, np.full((10, 10), 2))
@@ -162,19 +143,10 @@ def test_an_interval_over_trials_covers_images_and_seeds_where_records_keep_them
     np.testing.assert_allclose(terms, rows, atol=1e-6)
 
 
-def test_records_of_an_earlier_version_keep_the_old_rule_and_say_so(digits):
-    old = [record(value, seed=k) for k, value in enumerate(VALUES[:2])]
-    right = np.random.default_rng(0).binomial(3, 0.8, len(digits.y_test)) / 3
-    (point,) = summary(digits, [*old, with_images(right, 2)])
-    assert (point.low, point.high) == pytest.approx(intervals.student(point.accuracies))
-    assert "earlier version" in point.covers
-    assert point.terms == ()
-
-
 def test_lit_masks_are_those_that_get_light_in_the_mean_over_trials(digits):
     records = [record(seed=0, photons_per_mask=[3.0, 0.0, 1e-9]), record(seed=1)]
     (point,) = summary(digits, records)
-    assert point.lit is None  # a record of an earlier version does not say
+    assert point.lit is None  # of a trial that does not say
     records[1]["test"][0]["photons_per_mask"] = [1.0, 2.0, 3.0]
     (point,) = summary(digits, records)
     assert point.lit == 2.5

@@ -9,7 +9,7 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +23,7 @@ from deepfsi.sweeps.ray_cluster import run_on_ray
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import FinishedTrial, Record, Records
 from deepfsi.sweeps.results import Results, read_results
-from deepfsi.sweeps.summary import FoldRecords, summarise_records
+from deepfsi.sweeps.summary import summarise_records
 from deepfsi.sweeps.workers import THIS_PROCESS, Workers, default_count, processes, report_of_task
 
 if TYPE_CHECKING:
@@ -110,24 +110,21 @@ def compare(
         if len(scenes) > 1 and workers.ray is None:
             # trainings on few scenes take less than starting processes for each fold
             workers = replace(workers, count=workers.count or 1)
-        folds = [
-            FoldRecords(
+        records = [
+            run_trials(
+                plan_trials(recipe, fold, matrix),
                 fold,
-                run_trials(
-                    plan_trials(recipe, fold, matrix),
-                    fold,
-                    folder,
-                    matrix=matrix,
-                    device=device,
-                    workers=workers,
-                    report=span,
-                ),
+                folder,
+                matrix=matrix,
+                device=device,
+                workers=workers,
+                report=span,
             )
             for fold, span in zip(scenes, report.split(len(scenes)), strict=True)
         ]
         seconds = time.perf_counter() - began
-        results = summarise_records(recipe, data, folds, command=command, seconds=seconds)
-    return results, [record for fold in folds for record in fold.records]
+        results = summarise_records(recipe, data, scenes, records, command=command, seconds=seconds)
+    return results, [*chain(*records)]
 
 
 def run_trials(
@@ -245,7 +242,7 @@ class SweepRun:
                     gpus=workers.resources.gpus,
                 )
             ) as results:
-                yield from (finished for _, finished in results)
+                yield from results
         elif workers.count and workers.count > 1:
 
             def watch(shares: dict[int, float]) -> None:

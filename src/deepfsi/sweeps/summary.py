@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deepfsi.base.numeric.intervals import pack_values, student, unpack_values, worst_class
+from deepfsi.base.numeric.intervals import pack_values, unpack_values, worst_class
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.names import noise_text
 from deepfsi.datasets.dataset import Dataset
@@ -46,31 +46,26 @@ _ONE_TRAINING = "of one training"
 """Words of a test for what its interval covers, before those of folds or of values."""
 
 
-class FoldRecords(NamedTuple):
-    """Records of one fold of a data set, or of the whole where it has no folds."""
-
-    data: Dataset
-    records: Sequence[Record]  # of the same trials in the same order on each fold
-
-
 def summarise_records(
     recipe: Recipe,
     data: Dataset,
-    folds: Sequence[FoldRecords],
+    folds: Sequence[Dataset],
+    records: Sequence[Sequence[Record]],
     *,
     command: str,
     seconds: float,
 ) -> Results:
     """Results of a recipe: trials averaged, mask counts chosen on validation data.
 
-    Folds count as if one test had seen all scenes.
+    `records` are of the same trials in the same order on each fold. Folds count as if one test had
+    seen all scenes.
     """
-    held_out = recipe.held_out(folds[0].data)
-    scenes = _pooled(data, [fold.data for fold in folds])
-    labels = np.concatenate([_tested_labels(recipe, fold) for fold in folds])
-    records = [_of_all_folds(trial) for trial in zip(*(f.records for f in folds), strict=True)]
+    held_out = recipe.held_out(folds[0])
+    scenes = _pooled(data, folds)
+    labels = np.concatenate([_tested_labels(held_out, fold) for fold in folds])
+    trials = [_of_all_folds(trial) for trial in zip(*records, strict=True)]
     groups: dict[tuple[Any, ...], list[_Member]] = defaultdict(list)
-    for record in records:
+    for record in trials:
         trial = record["trial"]
         job = trial["job"]
         camera = job["camera"]
@@ -99,7 +94,7 @@ def summarise_records(
         command=command,
         recipe=recipe.model_dump(mode="json"),
         data=_facts(data, scenes, held_out, len(folds)),
-        provenance=provenance_of(records, seconds),
+        provenance=provenance_of(trials, seconds),
         chosen_on="validation" if held_out else "nothing",
         chosen_by=measure,
         points=tuple(_chosen(points) if held_out else points),
@@ -170,17 +165,8 @@ def _pooled(data: Dataset, folds: Sequence[Dataset]) -> Dataset:
     )
 
 
-def _tested_labels(recipe: Recipe, fold: FoldRecords) -> np.ndarray:
+def _tested_labels(held_out: int, data: Dataset) -> np.ndarray:
     """Classes or values of the tested scenes: test scenes of the training were left out."""
-    data = fold.data
-    sizes = {
-        len(unpack_values(text))
-        for record in fold.records[:1]
-        for text in record["test"][0].get("terms", {}).values()
-    }
-    if not sizes or sizes == {len(data.x_test)}:
-        return data.y_test
-    held_out = recipe.held_out(data)
     training = data.hold_out(held_out) if held_out else data
     return new_scenes(TrainingScenes.of(training), data)[0].y_test
 
@@ -214,7 +200,6 @@ def _test_of_all_folds(tests: Sequence[Record]) -> Record:
                     np.concatenate([unpack_values(terms[measure]) for terms in values])
                 )
                 for measure in value
-                if all(measure in terms for terms in values)
             }
         elif name in ("rmse", "bound") and None not in values:
             pooled[name] = np.sqrt(np.average(np.square(values), axis=0, weights=images)).tolist()
@@ -256,12 +241,10 @@ class _Setting:
 
     @cached_property
     def terms(self) -> Mapping[str, np.ndarray]:
-        """Values of the test images (trials, images) by measure, where all tests keep them."""
-        packed = [test.get("terms", {}) for test in self.tests]
+        """Values of the test images (trials, images) by measure."""
+        packed = [test["terms"] for test in self.tests]
         return {
-            name: np.stack([unpack_values(texts[name]) for texts in packed])
-            for name in packed[0]
-            if all(name in texts for texts in packed)
+            name: np.stack([unpack_values(texts[name]) for texts in packed]) for name in packed[0]
         }
 
     def point(self, data: Dataset, chosen_by: str) -> Point:
@@ -296,7 +279,7 @@ class _Setting:
             throughput=float(np.mean([test["throughput"] for test in tests])),
             seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
             accuracies=tuple(float(test[measure.key]) for test in tests),
-            terms=tuple(pack_values(row) for row in self.terms.get(measure.terms, ())),
+            terms=tuple(pack_values(row) for row in self.terms[measure.terms]),
             keys=tuple(
                 key for record, _ in members for key in record.get("designs", [record["design"]])
             ),
@@ -308,29 +291,15 @@ class _Setting:
         covers = str(self.tests[0]["covers"])
         if len(self.tests) == 1:
             return covers
-        if self.terms:
-            trainings = f"{len(self.tests)} trainings{covers.partition(_ONE_TRAINING)[2]}"
-            return f"test images, noise draws and training seeds ({trainings})"
-        return (
-            f"training seeds alone (Student's t over {len(self.tests)} trials, whose records of an "
-            "earlier version keep no images)"
-        )
+        trainings = f"{len(self.tests)} trainings{covers.partition(_ONE_TRAINING)[2]}"
+        return f"test images, noise draws and training seeds ({trainings})"
 
     def _measured(self, measure: Measure) -> tuple[float, ...]:
         """Mean of a measure, with both ends of its interval where it has one."""
-        values = [float(test[measure.key]) for test in self.tests]
-        mean = float(np.mean(values))
+        mean = float(np.mean([test[measure.key] for test in self.tests]))
         if measure.interval is None:
             return (mean,)
-        terms = self.terms.get(measure.terms)
-        if terms is None and len(self.tests) == 1:
-            low, high = (float(self.tests[0][end]) for end in measure.ends)
-        elif terms is None:
-            low, high = student(values)
-            least = min(0.0, *values)  # R² is below 0 where guessing the mean is better
-            low = max(low, least)
-        else:
-            _, low, high = measure.interval(terms, self.labels)
+        _, low, high = measure.interval(self.terms[measure.terms], self.labels)
         return mean, low, min(high, 1.0)
 
     def _averages(self) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from types import ModuleType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from pydantic import Field, field_validator
 
@@ -20,10 +20,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.interrupts import block_ctrl_c, saved_work_text
 from deepfsi.base.models.strict import StrictModel
 from deepfsi.base.progress import SILENT, Progress
-
-_Task = TypeVar("_Task")
-_Shared = TypeVar("_Shared")
-_Result = TypeVar("_Result")
 
 LOOK_SECONDS = 0.5
 """Time between two looks at how far the tasks are."""
@@ -80,12 +76,12 @@ def cores() -> int:
 
 
 def processes(
-    work: Callable[[_Shared, _Task], _Result],
-    shared: _Shared,
-    tasks: Iterable[_Task],
+    work: Callable[[Any, Any], Any],
+    shared: Any,
+    tasks: Iterable[Any],
     workers: int,
     watch: Callable[[dict[int, float]], None] = lambda shares: None,
-) -> Generator[_Result, None, None]:
+) -> Generator[Any, None, None]:
     """Results of tasks as they finish, each done by one of several processes."""
     others = set(multiprocessing.active_children())
     spawn = multiprocessing.get_context("spawn")
@@ -99,7 +95,7 @@ def processes(
     resource_tracker.ensure_running()  # which would let Ctrl-C through, were it started later
     waiting = enumerate(tasks)
     free = list(range(workers))  # places of `shares`
-    running: dict[Future[_Result], _Running] = {}
+    running: dict[Future[Any], _Running] = {}
     try:
         while True:
             while free and (next_task := next(waiting, None)):
@@ -171,7 +167,7 @@ def _die_with_parent() -> None:
     os._exit(1)
 
 
-def _run(work: Callable[[Any, _Task], _Result], task: _Task, slot: int) -> _Result:
+def _run(work: Callable[[Any, Any], Any], task: Any, slot: int) -> Any:
     global _slot
     _slot = slot
     return work(_shared, task)
