@@ -19,11 +19,10 @@ from scipy.linalg import lstsq
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
-from deepfsi.hardware.calibration.fit import fit_calibration, spot_scenes
-from deepfsi.hardware.calibration.scans import SCAN_NAMES, scan_rails
 from deepfsi.hardware.counting.acquisition import Calibration
 from deepfsi.hardware.patterns.folder import FrameSettings, GatePlan, Patterns, export_patterns
-from deepfsi.hardware.virtual.camera import arrival_rates
+from deepfsi.lab.calibration import SCAN_NAMES, fit_calibration, scan_rails, spot_scenes
+from deepfsi.lab.virtual_optics import arrival_rates
 from deepfsi_paper.camera.gate_counts import draw_counts
 from deepfsi_paper.camera.laboratory import LAB
 

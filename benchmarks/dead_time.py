@@ -25,8 +25,8 @@ from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
 from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
-from deepfsi.hardware.virtual.detector import Detector
-from deepfsi.lab.setup import design_rails
+from deepfsi.lab.design_data import design_rails
+from deepfsi.lab.virtual_detector import Detector
 from deepfsi.training.learning import learn
 from deepfsi_paper.camera.gate_counts import draw
 

@@ -22,19 +22,20 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.drivers.protocols import Setup
-from deepfsi.hardware.live.record import LiveScene
-from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.virtual.camera import MirrorLight, VirtualCamera, arrival_rates
-from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
-from deepfsi.hardware.virtual.setup import (
+from deepfsi.lab.adaptive_looks import open_looks
+from deepfsi.lab.design_data import design_rails
+from deepfsi.lab.devices import (
     LATENCIES,
+    Setup,
     VirtualCounter,
     VirtualOptics,
     VirtualProjector,
 )
-from deepfsi.lab.setup import design_rails, open_looks
+from deepfsi.lab.live import plan_live, run_live
+from deepfsi.lab.results import LiveScene
+from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
+from deepfsi.lab.virtual_optics import MirrorLight, VirtualCamera, arrival_rates
 
 FLUX, EXPOSURE_S, PHOTONS = 1e7, 10e-3, 1e5
 SURE = 0.9

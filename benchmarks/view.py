@@ -21,11 +21,12 @@ import deepfsi
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.tables import TableSettings
-from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.hardware.virtual.setup import virtual_setup
-from deepfsi.lab.setup import design_rails, open_looks
+from deepfsi.lab.adaptive_looks import open_looks
+from deepfsi.lab.design_data import design_rails
+from deepfsi.lab.devices import virtual_setup
+from deepfsi.lab.live import plan_live, run_live
+from deepfsi.lab.virtual_optics import VirtualCamera, arrival_rates
 
 SCENES, PHOTONS, EXPOSURE_S = 40, 1e4, 10e-3
 

@@ -13,7 +13,7 @@ from deepfsi.camera.device import Device
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
 from deepfsi.hardware.patterns.manifest import DesignRails
-from deepfsi.hardware.virtual.camera import RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.lab.virtual_optics import RecordingSettings, VirtualCamera, record_scenes
 from deepfsi.physics.laws import light_law
 
 PAGE = (Path(__file__).parents[1] / "docs/do/pictures.md").read_text()

@@ -9,13 +9,13 @@ from deepfsi.camera.dead_time import CounterEffects, DeadTime
 from deepfsi.hardware.counting.count import CountSettings, count_run
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.counting.tables import TableSettings, count_table
-from deepfsi.hardware.virtual.camera import (
+from deepfsi.lab.virtual_detector import Detector
+from deepfsi.lab.virtual_optics import (
     RecordingSettings,
     VirtualCamera,
     arrival_rates,
     record_scenes,
 )
-from deepfsi.hardware.virtual.detector import Detector
 from deepfsi_paper.camera import gate_counts
 from hardware.counting.recording_samples import SHAPE, patterns_of
 

@@ -14,11 +14,10 @@ from deepfsi import Design, InputError, evaluate
 from deepfsi.cli import app
 from deepfsi.cli import terminal as terminal_module
 from deepfsi.datasets.display import read_display, write_pictures
-from deepfsi.hardware.calibration.fit import calibrate_run
-from deepfsi.hardware.calibration.scans import reconstruct
 from deepfsi.hardware.counting.acquisition import read_run
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.lab.calibration import calibrate_run, reconstruct
 
 LIGHT = ["--flux", 1e7, "--exposure", "5ms", "--virtual", "ideal"]
 

@@ -15,8 +15,8 @@ from conftest import quick
 from deepfsi.camera.device import find_device
 from deepfsi.datasets.display import write_pictures
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
-from deepfsi.lab.setup import design_rails
+from deepfsi.lab.design_data import design_rails
+from deepfsi.lab.virtual_optics import VirtualCamera, arrival_rates
 
 FLUX, SCENES, DWELL = 1e6, 60, 1e-3
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.drivers.protocols import StreamingCounter
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
 from deepfsi.hardware.patterns.manifest import DesignRails
 from deepfsi.hardware.photons.reader import count_windows, read_markers
+from deepfsi.lab.devices import StreamingCounter
 
 
 def make_patterns(folder, device, masks, light="free-dwell", format="npy", dwell=1e-3, least=0.1):

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.hardware.drivers.protocols import Setup
-from deepfsi.hardware.live import record as frame_log
-from deepfsi.hardware.live.run import run_live
 from deepfsi.hardware.photons.ptu import PtuWriter
-from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S
-from deepfsi.hardware.virtual.setup import virtual_setup
+from deepfsi.lab import results as frame_log
+from deepfsi.lab.devices import Setup, virtual_setup
+from deepfsi.lab.live import run_live
+from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
 from deepfsi_drivers import file_tail, swabian, vialux
 from drivers import swabian_fake
 from drivers.vialux_fake import install

@@ -27,13 +27,12 @@ from deepfsi.hardware.counting import tables
 from deepfsi.hardware.counting.acquisition import Calibration, read_run
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.live import record
 from deepfsi.hardware.patterns import folder as patterns
 from deepfsi.hardware.photons import reader as photons
-from deepfsi.hardware.virtual.camera import VirtualCamera
 from deepfsi.jobs.mask_files import read_matrix
-from deepfsi.lab.design_data import read_scenes
-from deepfsi.lab.setup import camera_of, design_rails
+from deepfsi.lab import results as record
+from deepfsi.lab.design_data import camera_of, design_rails, read_scenes
+from deepfsi.lab.virtual_optics import VirtualCamera
 from deepfsi.report.comparison_page import write_report
 from deepfsi.sweeps.plan import check_settings
 from deepfsi.sweeps.recipe import only

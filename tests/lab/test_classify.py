@@ -13,7 +13,7 @@ from deepfsi.hardware.counting.acquisition import read_run
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import read_counts
 from deepfsi.hardware.patterns.folder import read_patterns
-from deepfsi.hardware.virtual.camera import (
+from deepfsi.lab.virtual_optics import (
     CAMERAS,
     RecordingSettings,
     VirtualCamera,

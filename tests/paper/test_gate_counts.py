@@ -8,7 +8,7 @@ import pytest
 from scipy.special import gammainc
 from scipy.stats import chi2
 
-from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S, Detector, Stream, divide
+from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Detector, Stream, divide
 from deepfsi_paper.camera import gate_counts
 
 TAU = 5e-8

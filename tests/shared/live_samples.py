@@ -9,15 +9,16 @@ from deepfsi import learn
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import Acquisition, Scene, read_run
 from deepfsi.hardware.counting.streaming import FrameCounts
-from deepfsi.hardware.live import run
-from deepfsi.hardware.live.observer import LookChooser
-from deepfsi.hardware.live.record import read_log
-from deepfsi.hardware.live.run import plan_live, run_live
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
 from deepfsi.hardware.photons.reader import count_windows, read_markers
-from deepfsi.hardware.virtual.camera import CAMERAS
-from deepfsi.hardware.virtual.setup import virtual_setup
-from deepfsi.lab.setup import design_rails, open_looks
+from deepfsi.lab import live as run
+from deepfsi.lab.adaptive_looks import open_looks
+from deepfsi.lab.design_data import design_rails
+from deepfsi.lab.devices import virtual_setup
+from deepfsi.lab.live import plan_live, run_live
+from deepfsi.lab.observer import LookChooser
+from deepfsi.lab.results import read_log
+from deepfsi.lab.virtual_optics import CAMERAS
 
 LOOKS, FLUX, EXPOSURE_S = 3, 1e6, 10e-3
 OPTICS = {"one detector": "dmd", "two arms": "two-arm", "detectors": "dmd-2x2"}

@@ -14,11 +14,11 @@ import numpy as np
 
 import deepfsi
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.calibration.scans import reconstruct
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-from deepfsi.hardware.virtual.camera import CAMERAS, RecordingSettings, record_scenes
-from deepfsi.lab.setup import design_rails
+from deepfsi.lab.calibration import reconstruct
+from deepfsi.lab.design_data import design_rails
+from deepfsi.lab.virtual_optics import CAMERAS, RecordingSettings, record_scenes
 
 # %%
 # Twenty non-negative masks are learned for one device and one detector, which is the camera unless

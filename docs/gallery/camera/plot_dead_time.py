@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from deepfsi.camera.dead_time import DeadTime
-from deepfsi.hardware.virtual.detector import Detector
+from deepfsi.lab.virtual_detector import Detector
 from deepfsi_paper.camera.gate_counts import draw
 
 # %%

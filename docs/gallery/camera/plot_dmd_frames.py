@@ -15,7 +15,7 @@ import deepfsi
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_frames
 from deepfsi.hardware.patterns.frames import unpack
-from deepfsi.lab.setup import design_rails
+from deepfsi.lab.design_data import design_rails
 
 # %%
 # Four non-negative masks of 8 × 8 pixels become frames of a DLP7000 with 1024 × 768 mirrors. Each

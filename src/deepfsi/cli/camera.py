@@ -43,7 +43,7 @@ class DescribeCamera(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The camera, or a file to describe one in."""
-        from deepfsi.lab.setup import camera_of
+        from deepfsi.lab.design_data import camera_of
 
         if self.template is not None:
             write_atomically(self.template, Camera.template().encode())
@@ -82,7 +82,7 @@ class WriteSpots(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Pictures that were written."""
-        from deepfsi.hardware.calibration.fit import write_spots
+        from deepfsi.lab.calibration import write_spots
 
         return _pictures_written(write_spots(self.out, self.size, self.side), self.out)
 
@@ -103,7 +103,7 @@ class CalibrateCamera(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """View of the camera, in its file."""
-        from deepfsi.lab.setup import calibrate
+        from deepfsi.lab.calibration import calibrate
 
         fields.check_free(self.out / "calibration.json", self.force)
         calibration, file, detectors = calibrate(self.folder, self.spots, self.out)
@@ -137,7 +137,7 @@ class CheckView(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Place of the scenes on the device."""
-        from deepfsi.lab.setup import check_view
+        from deepfsi.lab.registration import check_view
 
         with terminal.progress("reference") as report:
             fit = check_view(self.folder, report)
@@ -200,10 +200,10 @@ class ExportPatterns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns that were written, on which device and for how long."""
-        from deepfsi.hardware.calibration.reference import write_reference
-        from deepfsi.hardware.calibration.scans import SCAN_NAMES, scan_rails
         from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-        from deepfsi.lab.setup import camera_of, design_rails
+        from deepfsi.lab.calibration import SCAN_NAMES, scan_rails
+        from deepfsi.lab.design_data import camera_of, design_rails
+        from deepfsi.lab.registration import write_reference
 
         if str(self.file) in SCAN_NAMES:
             source = self.file
@@ -237,7 +237,7 @@ class ExportPatterns(Command):
 
     def _check_of_design(self) -> None:
         """Raise `InputError` for options of a scan, which a design decides."""
-        from deepfsi.hardware.calibration.scans import SCAN_NAMES
+        from deepfsi.lab.calibration import SCAN_NAMES
 
         for option, words in (("size", "cells"), ("detectors", "detectors")):
             if getattr(self, option) is not None:

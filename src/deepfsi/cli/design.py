@@ -54,7 +54,7 @@ class LearnDesign(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Train, save and test."""
-        from deepfsi.hardware.calibration.view import view_dataset
+        from deepfsi.lab.design_data import view_dataset
 
         # one of the same settings may be replaced
         fields.check_file(self.out, DESIGN_ENDINGS, force=True)

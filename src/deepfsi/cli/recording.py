@@ -21,7 +21,7 @@ from deepfsi.cli.terminal import Outcome, Terminal
 
 if TYPE_CHECKING:
     from deepfsi.hardware.counting.acquisition import Acquisition
-    from deepfsi.hardware.drivers.protocols import Setup
+    from deepfsi.lab.devices import Setup
 
 
 MOST_EVENTS = 1e8
@@ -75,8 +75,7 @@ class PrepareRun(Command):
         from deepfsi.hardware.counting.acquisition import Acquisition, prepare_run
         from deepfsi.hardware.light.curves import name_inputs
         from deepfsi.hardware.patterns.folder import read_patterns
-        from deepfsi.lab.design_data import listed_scenes
-        from deepfsi.lab.setup import camera_of
+        from deepfsi.lab.design_data import camera_of, listed_scenes
 
         manifest = read_patterns(self.patterns).manifest
         camera = camera_of(self.patterns, self.settings)
@@ -125,13 +124,13 @@ class SimulateRun(Command):
     def run(self, terminal: Terminal) -> Outcome:
         """Run as it was recorded."""
         from deepfsi.hardware.patterns.folder import read_patterns
-        from deepfsi.hardware.virtual.camera import (
+        from deepfsi.lab.design_data import camera_of, displayed, picture_hashes
+        from deepfsi.lab.virtual_optics import (
             RecordingSettings,
             expected_events,
             record_scenes,
+            virtual_camera,
         )
-        from deepfsi.lab.design_data import displayed, picture_hashes
-        from deepfsi.lab.setup import camera_of, virtual_camera
 
         camera = camera_of(self.patterns, self.settings)
         virtual = virtual_camera(self.virtual, self.patterns, self.settings)
@@ -239,7 +238,7 @@ class _DeviceRun(Command):
 
     def wire(self, projector: Any, acquisition: "Acquisition", terminal: Terminal) -> "Setup[Any]":
         """Real devices of a run: someone shows the scenes, whose names are asked for."""
-        from deepfsi.hardware.drivers.protocols import Setup
+        from deepfsi.lab.devices import Setup
 
         wiring = {"inputs": acquisition.inputs, "marker_bit": acquisition.marker_bit}
         counter = installed().open_device("counter", self.counter, **wiring)
@@ -279,13 +278,11 @@ class RecordRun(_DeviceRun):
         """Counts of the run."""
         from deepfsi.hardware.counting.acquisition import Acquisition, read_run
         from deepfsi.hardware.counting.count import CountSettings, count_run
-        from deepfsi.hardware.drivers.protocols import PassProjector, Setup
-        from deepfsi.hardware.live.run import record_run
         from deepfsi.hardware.patterns.folder import read_patterns
-        from deepfsi.hardware.virtual.camera import expected_events
-        from deepfsi.hardware.virtual.setup import virtual_setup
-        from deepfsi.lab.design_data import displayed, listed_scenes, scenes_of
-        from deepfsi.lab.setup import camera_of, virtual_camera
+        from deepfsi.lab.design_data import camera_of, displayed, listed_scenes, scenes_of
+        from deepfsi.lab.devices import PassProjector, Setup, virtual_setup
+        from deepfsi.lab.live import record_run
+        from deepfsi.lab.virtual_optics import expected_events, virtual_camera
 
         self.check_devices()
         patterns = read_patterns(self.patterns)
@@ -357,14 +354,13 @@ class RunLive(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the scenes, each said as it is decided."""
-        from deepfsi.hardware.drivers.protocols import Setup, StreamingProjector
-        from deepfsi.hardware.live.record import LiveAnswers
-        from deepfsi.hardware.live.run import plan_live, run_live
         from deepfsi.hardware.patterns.folder import read_patterns
-        from deepfsi.hardware.virtual.camera import expected_events
-        from deepfsi.hardware.virtual.setup import virtual_setup
-        from deepfsi.lab.design_data import displayed, scenes_of
-        from deepfsi.lab.setup import camera_of, open_looks, virtual_camera
+        from deepfsi.lab.adaptive_looks import open_looks
+        from deepfsi.lab.design_data import camera_of, displayed, scenes_of
+        from deepfsi.lab.devices import Setup, StreamingProjector, virtual_setup
+        from deepfsi.lab.live import plan_live, run_live
+        from deepfsi.lab.results import LiveAnswers
+        from deepfsi.lab.virtual_optics import expected_events, virtual_camera
 
         self.check_devices()
         projector = None
@@ -439,7 +435,7 @@ class RunLive(_DeviceRun):
     def _patterns(self, terminal: Terminal) -> Iterator[Path]:
         """Folder of patterns, or those of a design file for the moment."""
         from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-        from deepfsi.lab.setup import design_rails
+        from deepfsi.lab.design_data import design_rails
 
         if self.source.is_dir():
             yield self.source

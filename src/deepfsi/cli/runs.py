@@ -78,7 +78,8 @@ class CountRun(Command):
         """Counts of the run."""
         from deepfsi.hardware.counting.acquisition import read_run
         from deepfsi.hardware.counting.count import CountSettings, count_run
-        from deepfsi.lab.setup import camera_of, gains_of
+        from deepfsi.lab.calibration import gains_of
+        from deepfsi.lab.design_data import camera_of
 
         if self.folder.suffix.lower() == ".ptu":
             raise InputError(
@@ -192,8 +193,8 @@ class ReconstructScenes(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of each scene."""
-        from deepfsi.hardware.calibration.scans import reconstruct
         from deepfsi.hardware.counting.acquisition import read_run
+        from deepfsi.lab.calibration import reconstruct
         from deepfsi.report.masks import pictures_figure
         from deepfsi.report.style import write_figure
 

@@ -1,1 +1,1 @@
-"""Design and camera together: counts to classes, data of a design, calibration, looks."""
+"""Design and camera together: runs, live runs, classes, calibration, a virtual camera."""

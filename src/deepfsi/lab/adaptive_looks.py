@@ -22,9 +22,9 @@ from deepfsi.camera.dead_time import StopRule
 from deepfsi.design.design import Design
 from deepfsi.designfile.distribution import UNSURE
 from deepfsi.hardware.light.curves import Arrivals
-from deepfsi.hardware.live.observer import AllOnCounts, ExposureState, FrameList, SceneComparison
-from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.folder import Patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import Brightness, DesignRails, LookPlan, Manifest
+from deepfsi.lab.observer import AllOnCounts, ExposureState, FrameList, SceneComparison
 from deepfsi.physics.surroundings import library_defaults
 
 ADAPTIVE_DECISION_S = 4e-3
@@ -70,16 +70,6 @@ class AdaptiveLooks:
         self._tabled: LookOptics | None = None
         self.training_scenes = design.training_scenes
         self.scene_model = exposure.prior.model
-
-    @classmethod
-    def read(cls, folder: Path, manifest: Manifest) -> "AdaptiveLooks":
-        """Looks of a folder of patterns of a first mask, or of a dictionary, and its design."""
-        if hash_file(folder / Patterns.DESIGN) != manifest.design_sha256:
-            raise InputError(
-                f"{folder / Patterns.DESIGN} is not the design whose masks are beside it: "
-                "export the patterns again"
-            )
-        return cls(Design.load(folder / Patterns.DESIGN), manifest)
 
     def expose(self, scene: int, state: ExposureState) -> "_AdaptiveLiveExposure":
         """Begin an exposure of a scene; a run begins with scene 0."""
@@ -240,3 +230,19 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
             dictionary=stored is not None,
         ),
     )
+
+
+def open_looks(folder: Path) -> AdaptiveLooks:
+    """Looks of a folder of patterns of a first mask, or of a dictionary, and its design."""
+    manifest = read_patterns(folder).manifest
+    if manifest.looks is None:
+        raise InputError(
+            f"{folder} has the patterns of a design whose masks are known before: learn one of "
+            '`design="adaptive"` masks, or record it with `deepfsi camera simulate` or `prepare`'
+        )
+    if hash_file(folder / Patterns.DESIGN) != manifest.design_sha256:
+        raise InputError(
+            f"{folder / Patterns.DESIGN} is not the design whose masks are beside it: "
+            "export the patterns again"
+        )
+    return AdaptiveLooks(Design.load(folder / Patterns.DESIGN), manifest)

@@ -29,10 +29,10 @@ from deepfsi.hardware.counting.acquisition import Run, Scene, read_run
 from deepfsi.hardware.counting.counts import Counts, read_counts
 from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.hardware.light.checks import Fault
-from deepfsi.hardware.live.record import LOG, LiveAnswers, LiveScene, read_log
 from deepfsi.hardware.patterns.folder import Patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import Manifest
-from deepfsi.lab.setup import design_rails
+from deepfsi.lab.design_data import design_rails
+from deepfsi.lab.results import LOG, LiveAnswers, LiveScene, read_log
 
 if TYPE_CHECKING:  # they import torch, which the command line loads late
     from deepfsi.design.design import Design, RunCounts

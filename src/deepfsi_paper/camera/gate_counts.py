@@ -4,8 +4,8 @@ import numpy as np
 
 from deepfsi.hardware.patterns.folder import GatePlan
 from deepfsi.hardware.patterns.manifest import Manifest
-from deepfsi.hardware.virtual.camera import VirtualCamera
-from deepfsi.hardware.virtual.detector import DETECTOR_TICK_S, Detector, Stream, divide
+from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Detector, Stream, divide
+from deepfsi.lab.virtual_optics import VirtualCamera
 
 GATES_AT_ONCE = 2**18
 """Gates whose counts are drawn at once."""

@@ -25,14 +25,13 @@ from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
-from deepfsi.hardware.calibration.fit import expected_background, fit_calibration, spot_scenes
-from deepfsi.hardware.calibration.scans import scan_rails
-from deepfsi.hardware.calibration.view import view_dataset
 from deepfsi.hardware.counting.acquisition import Calibration, read_run
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.patterns.folder import FrameSettings, GatePlan, Patterns, export_patterns
 from deepfsi.hardware.patterns.manifest import DesignRails
-from deepfsi.hardware.virtual.camera import (
+from deepfsi.lab.calibration import expected_background, fit_calibration, scan_rails, spot_scenes
+from deepfsi.lab.design_data import view_dataset
+from deepfsi.lab.virtual_optics import (
     CAMERAS,
     RecordingSettings,
     VirtualCamera,

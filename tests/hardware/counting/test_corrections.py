@@ -11,7 +11,7 @@ from deepfsi.hardware.counting import corrections
 from deepfsi.hardware.counting.count import CountSettings, count_run
 from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
 from deepfsi.hardware.patterns.manifest import DesignRails
-from deepfsi.hardware.virtual.camera import (
+from deepfsi.lab.virtual_optics import (
     RecordingSettings,
     VirtualCamera,
     arrival_rates,

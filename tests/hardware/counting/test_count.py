@@ -8,9 +8,9 @@ import recording_samples
 from recording_samples import DWELL, train
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.calibration.scans import reconstruct
 from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.lab.calibration import reconstruct
 
 run, whole = recording_samples.run, recording_samples.whole
 

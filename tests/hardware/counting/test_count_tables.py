@@ -8,9 +8,9 @@ from deepfsi.base.numeric.tables import NumberTable
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.counting import tables
 from deepfsi.hardware.counting.tables import TableSettings, count_table
-from deepfsi.hardware.virtual.camera import VirtualCamera, arrival_rates
+from deepfsi.lab.virtual_optics import VirtualCamera, arrival_rates
 from deepfsi.physics.detection import Detection
-from hardware.virtual.virtual_samples import (
+from lab.virtual_samples import (
     SUMMED_REFLECTANCE,
     every_optics,
     expected,

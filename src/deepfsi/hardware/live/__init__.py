@@ -1,1 +1,0 @@
-"""Live and recorded runs: devices show and count; a live run decides what is shown next."""

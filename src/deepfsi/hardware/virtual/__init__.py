@@ -1,1 +1,0 @@
-"""A virtual camera and virtual devices: optics, detectors and electronics simulated."""

@@ -1,0 +1,657 @@
+"""Calibrations fitted to pictures of spots, of uniform white and of uniform black.
+
+Show the scenes of `spot_scenes`, one of uniform white and one of uniform black, take a picture of
+each (`reconstruct`) and give them to `fit_calibration`.
+
+The centre of one spot in a picture is biased where a spot is smaller than a cell, and lost where it
+is faint. So the centres give a first homography alone. Then each picture is compared with what the
+view would show of its spot, light averaged over the cells, and all of them share one homography and
+one blur; the brightness of each is its own. Cells weigh by their noise, which grows with the light
+where a picture is of raster patterns.
+"""
+
+import io
+import math
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepfsi.base.errors import InputError, check_choice
+from deepfsi.base.files import write_atomically
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.camera.layout import DmdGrid
+from deepfsi.datasets.display import read_display, write_pictures
+from deepfsi.hardware.counting.acquisition import Calibration, read_run
+from deepfsi.hardware.counting.counts import Counts, read_counts
+from deepfsi.hardware.light.checks import SPOILING
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.lab.design_data import geometry_matrix
+
+WHITE = "white.png"
+BLACK = "black.png"
+"""Names of the pictures of uniform white and black."""
+
+POINTS = 4
+"""Points of a displayed pixel in each direction that stand for its light."""
+
+OUTLIER_CELLS = 0.5
+"""Distance beyond which a spot is left out of the fit, cells."""
+
+STEP_CELLS = 0.02
+"""Step of the derivatives by a spot's place, cells."""
+
+
+def spot_scenes(
+    image_shape: tuple[int, int], count: tuple[int, int] = (5, 5), side: int = 2
+) -> np.ndarray:
+    """Scenes (spots, h, w) of one bright square each, on a regular grid over the display."""
+    room = np.array(image_shape) - np.array(count) * side
+    if min(count) < 2 or side < 1 or room.min() < 0:
+        raise InputError(
+            f"{count[0]} x {count[1]} spots of {side} pixels do not fit a display of "
+            f"{image_shape[0]} x {image_shape[1]}: give 2 x 2 or more that fit side by side"
+        )
+    tops, lefts = (
+        np.round((np.arange(n) + 0.5) * s / n - side / 2).astype(int)
+        for n, s in zip(count, image_shape, strict=True)
+    )
+    scenes = np.zeros((count[0] * count[1], *image_shape), dtype=np.float32)
+    for scene, (top, left) in zip(scenes, np.ndindex(count), strict=True):
+        scene[tops[top] : tops[top] + side, lefts[left] : lefts[left] + side] = 1
+    return scenes
+
+
+def write_spots(folder: Path, shape: tuple[int, int] = (32, 32), side: int = 2) -> list[Path]:
+    """Write the pictures that calibrate a camera: spots, uniform white and uniform black."""
+    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape, side=side))}
+    return write_pictures({**pictures, WHITE: np.ones(shape), BLACK: np.zeros(shape)}, folder)
+
+
+@np.errstate(under="ignore")
+def fit_calibration(
+    scenes: np.ndarray,
+    pictures: np.ndarray,
+    grid: DmdGrid,
+    *,
+    white: np.ndarray | None = None,
+    black: np.ndarray | None = None,
+    dark: float = 0.0,
+    ambient: float = 0.0,
+) -> Calibration:
+    """Fit a calibration to pictures of spots, and of uniform scenes if they are there."""
+    scenes = np.asarray(scenes, dtype=float)
+    pictures = np.asarray(pictures, dtype=float)
+    cells = (grid.down, grid.across)
+    floor = 0.0 if black is None else np.asarray(black, dtype=float)
+    pictures = pictures - floor
+    first, agreed = find_homography(_centroids(scenes), _find_spots(pictures), cells)
+    view = _fit_view(scenes, pictures, grid, matrix=first, agreed=agreed)
+    flat = (
+        None
+        if white is None
+        else _find_flat(white - floor, scenes.shape[1:], view.matrix, view.blur)
+    )
+    return Calibration(
+        homography=view.matrix.tolist(),
+        residual=view.residual,
+        error=view.error,
+        spots=int(view.used.sum()),
+        shown=len(scenes),
+        blur=view.blur,
+        flat=((1.0,),) if flat is None else tuple(map(tuple, flat.tolist())),
+        dark=dark,
+        ambient=ambient,
+    )
+
+
+def calibrate_run(
+    shown: Mapping[str, np.ndarray],
+    names: Sequence[str],
+    pictures: np.ndarray,
+    counts: Counts,
+    patterns: Patterns,
+) -> Calibration:
+    """Calibrate from one acquisition of spots, a white and a black picture."""
+    others = sorted(set(names) - set(shown))
+    if others:
+        raise InputError(
+            f"the run has a scene {others[0]} that is none of the displayed pictures: give the "
+            "folder that `deepfsi camera spots` wrote"
+        )
+    counted = np.any(counts.valid, axis=1)
+    measured = dict(zip(names, pictures, strict=True))
+    for name in (WHITE, BLACK):
+        if name in measured and not counted[list(names).index(name)]:
+            raise InputError(
+                f"no exposure of {name} was counted: record the run again, or leave "
+                "that picture out of it"
+            )
+    spots = [name for name in names if name not in (WHITE, BLACK)]
+    dark = float(counts.dark_rate[counted].mean())
+    ambient = 0.0
+    if BLACK in measured:
+        place = list(names).index(BLACK)
+        exposures = counts.signal()[place][counts.valid[place]]
+        mean = exposures.sum() / max(len(exposures), 1)
+        lit = expected_background(patterns, counts.exposure_s, dark=0.0, ambient=1.0).sum()
+        ambient = max(0.0, float(mean / lit))
+    fitted = fit_calibration(
+        np.array([shown[name] for name in spots]),
+        np.array([measured[name] for name in spots]),
+        patterns.manifest.grid,
+        white=measured.get(WHITE),
+        black=measured.get(BLACK),
+        dark=dark,
+        ambient=ambient,
+    )
+    dead_time = counts.effects.dead_time if counts.effects.dead_time.seconds else None
+    return fitted.model_copy(update={"dead_time": dead_time})
+
+
+def _find_spots(pictures: np.ndarray) -> np.ndarray:
+    """Places (n, 2) of the spots in pictures (n, down, across), NaN where none is seen."""
+    # (across, down) in the unit square. A spot is seen where it stands out of the noise
+    from scipy import ndimage
+
+    pictures = np.asarray(pictures, dtype=float)
+    down, across = np.indices(pictures.shape[1:])
+    out = np.full((len(pictures), 2), np.nan)
+    for place, picture in enumerate(pictures):
+        excess = picture - np.median(picture)
+        smooth = ndimage.gaussian_filter(excess, 1.0, mode="constant")
+        noise = 1.4826 * np.median(np.abs(smooth - np.median(smooth)))
+        top = np.unravel_index(smooth.argmax(), smooth.shape)
+        # A spot is seen where its peak is this many standard deviations of the noise
+        if not smooth[top] > 6.0 * noise:
+            continue
+        spot = np.array(top, dtype=float)
+        for _ in range(50):  # a Gaussian window follows the spot, which undoes its own pull
+            offset = np.array([down - spot[0], across - spot[1]])
+            # Standard deviation of the window in which a spot is centred, cells
+            weight = excess * np.exp(-(offset**2).sum(axis=0) / (2 * 1.5**2))
+            step = 2 * (weight * offset).sum(axis=(1, 2)) / max(weight.sum(), 1e-300)
+            spot += np.clip(step, -1, 1)
+            if np.abs(step).max() < 1e-6:
+                break
+        if (spot > -0.5).all() and (spot < np.array(smooth.shape) - 0.5).all():
+            out[place] = (spot[::-1] + 0.5) / smooth.shape[::-1]
+    return out
+
+
+def find_homography(
+    display: np.ndarray, device: np.ndarray, cells: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Homography (3, 3) from display to device in unit squares, and the spots (n,) it rests on."""
+    # Spots that lie more than a cell from what the others say are left out (RANSAC). display,
+    # device (n, 2)
+    found = np.isfinite(device).all(axis=1)
+    scale = np.array(cells[::-1], dtype=float)
+    source = np.asarray(display)[found]
+    target = np.asarray(device)[found] * scale
+    trouble = (
+        f"{found.sum()} of {len(found)} spots are seen, or too few agree on one perspective: four "
+        "that do not lie on a line are needed; show larger spots, expose longer or aim the camera"
+    )
+    if found.sum() < 4:
+        raise InputError(trouble)
+    from skimage import measure, transform
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "No inliers found")
+        _, inliers = measure.ransac(
+            (source, target),
+            transform.ProjectiveTransform,
+            min_samples=4,
+            # Distance beyond which a spot is left out of the first homography, cells
+            residual_threshold=1.0,
+            max_trials=500,
+            stop_probability=0.9999,
+            rng=0,
+        )
+    if inliers is None or inliers.sum() < 4 or _on_a_line(source[inliers]):
+        raise InputError(trouble)
+    model = transform.estimate_transform("projective", source[inliers], target[inliers])
+    if not model or not np.isfinite(model.params).all():
+        raise InputError(trouble)
+    matrix = np.diag([*(1 / scale), 1.0]) @ model.params
+    agreed = np.zeros(len(found), dtype=bool)
+    agreed[np.flatnonzero(found)[inliers]] = True
+    return matrix / matrix[2, 2], agreed
+
+
+def _find_flat(
+    white: np.ndarray,
+    image_shape: tuple[int, ...],
+    homography: Any,
+    blur: tuple[float, float] = (0.0, 0.0),
+) -> np.ndarray:
+    """Flat field of a picture of a uniform white scene."""
+    # A polynomial of the place, of degree 4 at most, so that the noise of the picture's cells does
+    # not become part of the view; it follows what a lens does, but no dust. Cells that the display
+    # fills less than half have the value of the nearest cell that it fills. The picture's shape is
+    # (down, across), as the flat field's, which is relative to its largest value. Other parameters
+    # as for `geometry_matrix`
+    from scipy import ndimage
+
+    white = np.asarray(white, dtype=float)
+    view = geometry_matrix(image_shape, white.shape, homography, blur)
+    filled = view.sum(axis=1).reshape(white.shape)
+    # Share of a cell that the display fills where the flat field is fitted, not continued
+    lit = filled > 0.5
+    if not (lit.any() and white[lit].mean() > 0):
+        raise InputError(
+            "the picture of the white scene is dark, or the camera does not look at the display: "
+            "take it again with a longer exposure"
+        )
+    # Degree of the flat field's polynomial, at most
+    terms = [(i, n - i) for n in range(5) for i in range(n + 1)]
+    # Cells that each term of the polynomial needs
+    terms = terms[: max(1, int(lit.sum()) // 4)]
+    down, across = (2 * (np.arange(n) + 0.5) / n - 1 for n in white.shape)
+    basis = np.stack([np.outer(down**i, across**j) for i, j in terms])
+    scaled = (basis * filled)[:, lit].T
+    weights, *_ = np.linalg.lstsq(scaled, white[lit], rcond=None)
+    flat = np.tensordot(weights, basis, 1).clip(0)
+    nearest = ndimage.distance_transform_edt(~lit, return_distances=False, return_indices=True)
+    flat = flat[tuple(nearest)]
+    return np.asarray(flat / flat.max())
+
+
+def _on_a_line(places: np.ndarray) -> bool:
+    """True if places (n, 2) in the unit square lie on one line."""
+    return bool(np.linalg.matrix_rank(places - places.mean(axis=0), tol=1e-9) < 2)
+
+
+def _centroids(scenes: np.ndarray) -> np.ndarray:
+    """Centroid (across, down) of each scene, in the unit square."""
+    bright = scenes - scenes.min(axis=(1, 2), keepdims=True)
+    total = bright.sum(axis=(1, 2))
+    if not (total > 0).all():
+        raise InputError("a displayed scene is uniform: show one bright spot in each")
+    places = [(np.arange(size) + 0.5) / size for size in scenes.shape[:0:-1]]
+    across = bright.sum(axis=1) @ places[0]
+    down = bright.sum(axis=2) @ places[1]
+    return np.stack([across, down], axis=1) / total[:, None]
+
+
+@dataclass(frozen=True)
+class _FittedView:
+    """Homography and blur fitted to pictures of spots."""
+
+    matrix: np.ndarray  # (3, 3): Display → device in unit squares
+    blur: tuple[float, float]  # standard deviation down and across, in the device's unit square
+    used: np.ndarray  # (spots,): Spots that it rests on
+    residual: float  # root mean square distance of those from it, cells
+    error: float  # standard error of the place of the display's worst corner, cells
+
+
+class DisplayedScenes:
+    """Displayed scenes, and what cells see of them through a view (8 of its homography, blur)."""
+
+    def __init__(self, scenes: np.ndarray, grid: DmdGrid) -> None:
+        self.grid = grid
+        self.cells = np.array([grid.down, grid.across])
+        self.side = np.sqrt(grid.mirrors) / np.array([grid.height, grid.width])
+        shape = np.array(scenes.shape[1:])
+        inside = (np.indices((POINTS, POINTS)).reshape(2, -1).T + 0.5) / POINTS
+        self.points: list[np.ndarray] = []
+        self.light: list[np.ndarray] = []
+        for scene in scenes:
+            pixels = np.argwhere(scene > 0)
+            places = (pixels[:, None] + inside).reshape(-1, 2) / shape
+            self.points.append(places[:, ::-1])
+            self.light.append(scene[tuple(pixels.T)].repeat(len(inside)))
+        self.spacing = self.cells / (shape * POINTS * np.sqrt(12))
+
+    def images(self, view: np.ndarray, shift: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+        """Pictures (spots, down, across), all of brightness 1; shifted by cells down and across."""
+        from scipy import special
+
+        matrix = np.append(view[:8], 1).reshape(3, 3)
+        width = np.hypot(view[8] * self.side, self.spacing)
+        out = np.empty((len(self.points), *self.cells))
+        for image, points, light in zip(out, self.points, self.light, strict=True):
+            x, y, scale = matrix @ np.stack([*points.T, np.ones(len(points))])
+            down, across = (
+                np.diff(special.ndtr((np.arange(n + 1) - place[:, None]) / std), axis=1)
+                for n, place, std in zip(
+                    self.cells,
+                    (y / scale * self.cells[0] + shift[0], x / scale * self.cells[1] + shift[1]),
+                    width,
+                    strict=True,
+                )
+            )
+            image[:] = (down * light[:, None]).T @ across
+        return out
+
+
+def _fit_view(
+    scenes: np.ndarray, pictures: np.ndarray, grid: DmdGrid, matrix: np.ndarray, agreed: np.ndarray
+) -> _FittedView:
+    """Fit homography and blur to pictures of spots, from a first homography."""
+    # scenes (spots, h, w); pictures (spots, down, across); matrix (3, 3); agreed (spots,)
+    spots = DisplayedScenes(scenes, grid)
+    used = agreed
+    view = np.append((matrix / matrix[2, 2]).ravel()[:8], 0.3)
+    for _ in range(3):
+        view, jacobian, noise = _solve(DisplayedScenes(scenes[used], grid), pictures[used], view)
+        shifts, bright = _shifts(spots, pictures, view)
+        near = bright & (np.hypot(*shifts.T) < OUTLIER_CELLS)
+        if near.sum() < 4 or (near == used).all():
+            break
+        used = near
+    across = view[8] * spots.side / spots.cells
+    return _FittedView(
+        matrix=np.append(view[:8], 1).reshape(3, 3),
+        blur=(float(across[0]), float(across[1])),
+        used=used,
+        residual=float(np.sqrt((shifts[used] ** 2).sum(axis=1).mean())),
+        error=_corner_error(spots, view, jacobian, noise),
+    )
+
+
+def _solve(
+    spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Least-squares view, the Jacobian of its weighted misfit, and the misfit's variance."""
+    from scipy import optimize
+
+    weight = np.ones_like(pictures)
+
+    def fitted(view: np.ndarray) -> np.ndarray:
+        images = spots.images(view)
+        power = (weight**2 * images**2).sum(axis=(1, 2))
+        match = (weight**2 * images * pictures).sum(axis=(1, 2))
+        brightness = np.divide(match, power, out=np.zeros_like(power), where=power > 1e-12)
+        return np.asarray(brightness.clip(0)[:, None, None] * images)
+
+    def misfit(view: np.ndarray) -> np.ndarray:
+        return (weight * (pictures - fitted(view))).ravel()
+
+    for weighted in (False, True):
+        if weighted:
+            weight = _weights(pictures, fitted(view))
+        found = optimize.least_squares(
+            misfit,
+            view,
+            # Largest blur that is looked for, cells
+            bounds=([-np.inf] * 8 + [0.0], [np.inf] * 8 + [2.0]),
+            x_scale=[0.01] * 8 + [0.1],
+            xtol=1e-6,
+            ftol=1e-6,
+        )
+        view = found.x
+    free = max(pictures.size - len(view) - len(pictures), 1)
+    return view, found.jac, float(2 * found.cost / free)
+
+
+def _weights(pictures: np.ndarray, model: np.ndarray) -> np.ndarray:
+    """One over the noise of each cell: a variance of its own for darkness, and more with light."""
+    from scipy import optimize
+
+    squares = (pictures - model).ravel() ** 2
+    (dark, light), _ = optimize.nnls(np.stack([np.ones(model.size), model.ravel()], 1), squares)
+    variance = dark + light * model.ravel()
+    most = variance.max()
+    if most <= 0:
+        return np.ones_like(pictures)
+    # Least variance of a cell, of the largest: a cell without photons is not known exactly
+    return np.asarray(1 / np.sqrt(variance / most + 1e-3)).reshape(pictures.shape)
+
+
+def _shifts(
+    spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of spots from where the view shows them, cells (spots, 2), and which are bright."""
+    # A distance that a picture does not tell, since the spot lies within one cell or is faint, is
+    # taken to be small beside `OUTLIER_CELLS`
+    centre = spots.images(view)
+    slopes = [
+        (spots.images(view, step) - spots.images(view, (-step[0], -step[1]))) / (2 * STEP_CELLS)
+        for step in ((STEP_CELLS, 0.0), (0.0, STEP_CELLS))
+    ]
+    shifts = np.zeros((len(pictures), 2))
+    bright = np.zeros(len(pictures), dtype=bool)
+    for k, picture in enumerate(pictures):
+        power = (centre[k] ** 2).sum()
+        if not (np.isfinite(picture).all() and power > 1e-12):
+            continue
+        brightness = (centre[k] * picture).sum() / power
+        rest = picture - brightness * centre[k]
+        variance = (rest**2).mean() + 1e-300
+        # A spot is part of the fit where its brightness is this many of its standard errors
+        bright[k] = brightness > 5.0 * np.sqrt(variance / power)
+        slope = brightness * np.stack([each[k].ravel() for each in slopes], axis=1)
+        prior = variance / OUTLIER_CELLS**2 * np.eye(2)
+        shifts[k] = np.linalg.solve(slope.T @ slope + prior, slope.T @ rest.ravel())
+    return shifts, bright
+
+
+def _corner_error(
+    spots: DisplayedScenes, view: np.ndarray, jacobian: np.ndarray, noise: float
+) -> float:
+    """Standard error, cells, of the place on the device of the display's worst corner."""
+    spread = np.linalg.pinv(jacobian.T @ jacobian)[:8, :8] * noise
+    worst = 0.0
+    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        place = np.array([*corner, 1.0])
+        x, y, scale = np.append(view[:8], 1).reshape(3, 3) @ place
+        slopes = np.zeros((2, 8))
+        slopes[0, :3] = slopes[1, 3:6] = place / scale
+        slopes[:, 6:] = -np.outer([x, y], place[:2]) / scale**2
+        slopes *= spots.cells[::-1, None]
+        worst = max(worst, float(np.trace(slopes @ spread @ slopes.T)))
+    return float(np.sqrt(worst))
+
+
+def expected_background(
+    patterns: Patterns,
+    exposure_s: float,
+    dark: float | np.ndarray,
+    ambient: float | np.ndarray = 0.0,
+) -> np.ndarray:
+    """Expected counts of each readout, (rails, m), that do not come from the scene.
+
+    The dark rate counts during every gate; ambient light as far as the frame's mirrors are ON,
+    spread evenly over the cells.
+    """
+    manifest = patterns.manifest
+    dark, ambient = (np.broadcast_to(rate, manifest.rails) for rate in (dark, ambient))
+    opened = patterns.fractions.mean(axis=1)
+    lit = np.stack([opened, 1 - opened])
+    gates = manifest.shares * exposure_s
+    rail, mask, column, arm = manifest.read
+    out = np.zeros((manifest.rails, manifest.masks))
+    out[rail, mask] = gates[column] * (dark[rail] + ambient[rail] * lit[arm, column])
+    return out
+
+
+SCAN_NAMES = ("raster", "hadamard")
+"""Scans by name: one cell after another, or Hadamard masks of two frames each."""
+
+MOST_CELLS = 64 * 64
+"""Cells of a scan at most: a calibration with larger cells serves masks with smaller ones."""
+
+WORST_GAIN = 0.01
+"""Standard error of a detector's efficiency at most, a share."""
+
+
+def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignRails:
+    """Rails of a scan with equal dwells; its mean scene is one of uniform white.
+
+    Hadamard masks of sides that are no power of two are those of the next larger one, cut to size.
+    """
+    from scipy.linalg import hadamard
+
+    check_choice("scan", name, SCAN_NAMES)
+    down, across = cells
+    pixels = down * across
+    if not 2 <= pixels <= MOST_CELLS:
+        raise InputError(
+            f"a scan of {down} x {across} cells is not allowed: give 2 to {MOST_CELLS} cells, such "
+            "as 32x32; a calibration with larger cells serves masks with smaller ones"
+        )
+    if name == "raster":
+        rails = np.eye(pixels)[None] / pixels
+    else:
+        axes = [hadamard(1 << (side - 1).bit_length())[:, :side] for side in cells]
+        masks = np.kron(*axes)
+        rails = np.stack([masks > 0, masks < 0]) / (2 * len(masks) - 1)
+    several = DetectorMap(count=detectors) if detectors > 1 else None
+    return DesignRails(rails, "equal-dwell", cells, float(math.prod(cells)), detectors=several)
+
+
+def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
+    """Detector of each cell: the one that counts most of its light, in all scenes together."""
+    from scipy.linalg import solve
+
+    shape = patterns.manifest.image_shape
+    read = counts.lengths_s > 0
+    usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
+    signal = counts.signal().sum(axis=(0, 1), where=usable)[read]
+    background = (counts.background * usable.sum(axis=1)).sum(axis=0)[read]
+    photons = counts.counts.sum(axis=(0, 1), where=usable)[read]
+    masks = patterns.rails[read]
+    inverse = solve(masks.T @ masks, masks.T, assume_a="pos")
+    light = inverse @ signal
+    variance = inverse**2 @ (photons + background + 1)  # that of the background is no larger
+    second, best = np.argsort(light, axis=1)[:, -2:].T
+    cell = np.arange(len(light))
+    lead = light[cell, best] - light[cell, second]
+    # Standard errors by which a detector must count more of a cell's light than any other does
+    clear = lead > 5.0 * np.sqrt(variance[cell, best] + variance[cell, second])
+    if not clear.all():
+        place = int(np.flatnonzero(~clear)[0])
+        where = " and ".join(str(axis + 1) for axis in np.unravel_index(place, shape))
+        raise InputError(
+            f"{np.count_nonzero(~clear)} of {len(cell)} cells are seen clearly by no detector, "
+            f"first that at row and column {where}, where input "
+            f"{counts.inputs[best[place]] + 1} counts {lead[place]:.3g} more than input "
+            f"{counts.inputs[second[place]] + 1}: show white that fills the device, and expose "
+            "longer"
+        )
+    idle = set(range(light.shape[1])) - set(best.tolist())
+    if idle:
+        raise InputError(
+            f"input {counts.inputs[min(idle)] + 1} counts most in no cell: wire its detector, or "
+            "export the scan for fewer `detectors`"
+        )
+    return best.astype(np.int64).reshape(shape)
+
+
+def find_gains(counts: Counts, patterns: Patterns) -> tuple[float, ...]:
+    """Efficiency of each detector over their mean, from a run of a uniform white scene.
+
+    It is what each counts in all masks together, over what its cells of the masks send it.
+    """
+    manifest = patterns.manifest
+    rails = patterns.rails
+    several = manifest.detectors
+    count = manifest.detector_count
+    spoilt = [each.kind for each in counts.faults if each.kind in SPOILING and each.kind != "gain"]
+    if counts.gains or spoilt:
+        raise InputError(
+            "the flat field's light is not what it should be, or it was corrected itself: record "
+            "uniform white, and count it without a flat field"
+        )
+    if several is None and not manifest.two_arm:
+        raise InputError("one detector has no other to be compared with: leave the flat field out")
+    if several is not None and several.cells is None:
+        raise InputError("nothing says which cells each detector sees: give patterns of a design")
+    labels = np.zeros(rails.shape[-1], int) if several is None else np.array(several.cells)
+    usable = counts.by_readout(counts.valid)
+
+    def by_input(values: np.ndarray) -> np.ndarray:
+        """Sums of readouts (rails, m, D) that each input counts, (arms, D)."""
+        each = values.reshape(manifest.rails, -1, count).sum(axis=1)
+        return each if manifest.two_arm else each.sum(axis=0, keepdims=True)
+
+    found = by_input(counts.signal().sum(axis=(0, 1), where=usable))
+    noise = by_input(counts.variance.sum(axis=(0, 1), where=usable))
+    lit = by_input(np.stack([rails[..., labels == d].sum(axis=-1) for d in range(count)], axis=-1))
+    if not (np.sqrt(noise) < WORST_GAIN * found).all():
+        raise InputError(
+            f"the flat field does not tell each detector's share to {WORST_GAIN:.1%}: record it "
+            "longer, or with more light"
+        )
+    gains = (found / lit).ravel()
+    return tuple((gains / gains.mean()).tolist())
+
+
+def save_detectors(labels: np.ndarray, folder: Path) -> Path:
+    """Write `detectors.npy` into a folder, which is made if need be."""
+    file = io.BytesIO()
+    np.save(file, labels)
+    return write_atomically(folder / "detectors.npy", file.getvalue())
+
+
+def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
+    """Least-squares picture of each scene from its counts, less background."""
+    # The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
+    # Directions that the masks hardly see are left out (singular values below 1e-3 of the largest)
+    run = read_run(folder)
+    patterns = run.patterns
+    counts = read_counts(run).check_photons(folder)
+    stated = run.acquisition.flux
+    flux = np.nanmean(counts.flux) if stated is None else stated
+    budget = float(flux * counts.exposure_s)
+    if not budget > 0:
+        raise InputError(f"{folder} has no light: its all-ON frames are not brighter than the dark")
+    valid = np.asarray(counts.valid.any(axis=1))
+    weights = counts.valid / np.maximum(counts.valid.sum(axis=1, keepdims=True), 1)
+    mean = np.einsum("sr,sr...->s...", weights, counts.signal())[valid]
+    read = counts.lengths_s > 0
+    out = np.full((len(valid), patterns.on.shape[1]), np.nan)
+    found = _pictures(patterns.rails[read], mean[:, read], patterns.manifest.detectors)
+    out[valid] = found * (patterns.manifest.summed_reflectance / budget)
+    return out.reshape(len(valid), *patterns.manifest.image_shape)
+
+
+def _pictures(masks: np.ndarray, counts: np.ndarray, detectors: DetectorMap | None) -> np.ndarray:
+    """Pictures (S, N) of counts (S, k[, D]) behind masks (k, N): each detector's of its cells."""
+    from scipy.linalg import lstsq
+
+    if detectors is not None and detectors.cells is not None:
+        out = np.empty((len(counts), masks.shape[1]))
+        labels = np.array(detectors.cells)
+        for place in range(detectors.count):
+            own = labels == place
+            out[:, own] = _pictures(masks[:, own], counts[..., place], None)
+        return out
+    every = counts if detectors is None else counts.sum(axis=-1)
+    # Least singular value that a picture is made from, of the sensing matrix's largest
+    return np.asarray(lstsq(masks, every.T, cond=1e-3)[0].T)
+
+
+def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
+    """Fit the camera's view to a counted run of the spots, and write it to a folder."""
+    run = read_run(folder)
+    display = read_display(spots)
+    counts = _photons(folder)
+    fitted = calibrate_run(
+        dict(zip(display.names, display.x, strict=True)),
+        [scene.name for scene in run.acquisition.scenes],
+        pictures=reconstruct(folder),
+        counts=counts,
+        patterns=run.patterns,
+    )
+    several = run.patterns.manifest.detectors
+    labels = find_detectors(counts, run.patterns) if several and several.cells is None else None
+    file = fitted.save(out)
+    return fitted, file, None if labels is None else save_detectors(labels, out)
+
+
+def gains_of(flat: Path) -> tuple[float, ...]:
+    """Relative efficiency of each detector, from a counted run of a uniform white scene."""
+    return find_gains(_photons(flat), read_run(flat).patterns)
+
+
+def _photons(folder: Path) -> Counts:
+    """Counts of a run, or `InputError` if they are clicks."""
+    return read_counts(folder).check_photons(folder)

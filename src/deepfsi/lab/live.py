@@ -1,0 +1,396 @@
+"""Runs: a projector shows, and a counter counts, scene after scene, until all are shown.
+
+A live run decides on what is shown next. Each of its lists of frames ends with the all-OFF frame,
+which stays while the next list is chosen: its marker ends the last gate, and the detector rests.
+
+A recorded run shows a pass of all frames for each scene. Its photon file is counted afterwards, as
+any. While it is written frames are counted, too, so that a missing marker or a scene without light
+is said at once, and not when all scenes are shown.
+"""
+
+import math
+import time
+from collections.abc import Generator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import GrowingFile
+from deepfsi.base.interrupts import note_saved_work
+from deepfsi.base.progress import Progress, progress_bar
+from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects, LiveSettings, StopRule
+from deepfsi.designfile.provenance import was_trained_on
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
+from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
+from deepfsi.hardware.light.checks import NO_LIGHT
+from deepfsi.hardware.light.curves import excess_chance
+from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.lab.devices import (
+    PATIENCE_S,
+    PassProjector,
+    Setup,
+    StreamingCounter,
+    StreamingProjector,
+)
+from deepfsi.lab.observer import (
+    MARGIN_NS,
+    OFF,
+    Decision,
+    FrameList,
+    LookChooser,
+    SceneObserver,
+    margin_ns,
+)
+from deepfsi.lab.results import LOG, LiveScene, LoggedList, LoggedScene
+
+
+def plan_live(
+    patterns_folder: Path,
+    scenes: tuple[Scene, ...],
+    exposure_s: float,
+    shortest_s: float | None = None,
+    *,
+    looks: LookChooser,
+    photons: float | None = None,
+    until: float | None = None,
+    effects: CounterEffects = NO_EFFECTS,
+    **others: object,
+) -> Acquisition:
+    """Settings of a live run of the patterns in a folder.
+
+    Parameters
+    ----------
+    patterns_folder : path
+        Patterns of a design of adaptive masks.
+    scenes : tuple of Scene
+        In their order.
+    exposure_s : float
+        Time of all looks at a scene, seconds.
+    shortest_s : float, optional
+        Shortest time for which a frame is counted, seconds; that of the device unless given.
+    looks : LookChooser
+        Looks of the design.
+    photons : float, optional
+        Budget of an exposure, counts; measured by the all-ON frames unless given.
+    until : float, optional
+        Confidence above which an exposure stops; that of the design's rule unless given.
+    effects : CounterEffects
+        To be corrected.
+    **others
+        Fields of the `Acquisition`.
+
+    Raises
+    ------
+    InputError
+        If the patterns are of no such design, or the device cannot show its looks so.
+    """
+    patterns = read_patterns(patterns_folder)
+    manifest = patterns.manifest
+    if not (math.isfinite(exposure_s) and exposure_s > 0):
+        raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
+    if photons is not None and not (math.isfinite(photons) and photons > 0):
+        raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
+    rule = looks.rule
+    if until is not None:
+        if not 0 < until < 1:
+            raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
+        rule = StopRule(threshold=until)
+    looks_s = exposure_s * np.array(looks.shares)
+    shortest_ns = _shortest_gate(manifest, looks_s, shortest_s)
+    with as_input_error():
+        return Acquisition(
+            scenes=scenes,
+            exposure_s=exposure_s,
+            settle_s=manifest.device.settle_us * 1e-6,
+            repeats=1,
+            live=LiveSettings(
+                shortest_ns=shortest_ns,
+                photons=photons,
+                rule=rule,
+                **dict(effects),
+            ),
+            **{"inputs": tuple(range(manifest.inputs)), **others},
+        )
+
+
+def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | None) -> int:
+    """Shortest gate of a run, ns, for looks of some lengths (K,)."""
+    device = manifest.device
+    if device.video_us is not None:
+        raise InputError(
+            f"{device.name} shows all frames for one time, and a live run chooses theirs: export "
+            "for a device that stores frames, such as dlp7000"
+        )
+    look_s = float(looks_s.min())
+    look_ns = np.array(looks_s.max() * 1e9)
+    longest_us = float(look_ns + margin_ns(look_ns)) * 1e-3 + device.settle_us
+    if longest_us > device.longest_us:
+        raise InputError(
+            f"a look may show one mask for {longest_us:.4g} µs, and {device.name} holds a picture "
+            f"for {device.longest_us} at most: give a shorter `exposure`"
+        )
+    least_ns = device.shortest_us * 1000 - round(device.settle_us * 1000) - MARGIN_NS
+    if shortest_s is not None and not shortest_s >= 0:
+        raise InputError(f"a shortest dwell of {shortest_s!r} is not allowed: give 0 or more")
+    shortest_ns = max(least_ns, round((shortest_s or 0.0) * 1e9), 1)
+    if look_s * 1e9 < shortest_ns:
+        raise InputError(
+            f"a look of {look_s:.3g} s is shorter than the shortest dwell, {shortest_ns / 1e3:g} "
+            "µs: give a longer `exposure`, or a shorter `shortest_dwell`"
+        )
+    return shortest_ns
+
+
+@dataclass(frozen=True)
+class LiveStep:
+    """A decision of a live run, and when it fell."""
+
+    scene: int  # from 0
+    decision: Decision | None  # None where a scene had no light
+    clock_s: float  # after the scene's first command, seconds
+    answer: LiveScene | None = None  # class of the scene, after its last look
+
+
+def run_live(
+    folder: Path,
+    patterns_folder: Path,
+    acquisition: Acquisition,
+    setup: Setup[StreamingProjector],
+    looks: LookChooser,
+) -> Generator[LiveStep]:
+    """Show, count and decide; gives each decision as it falls.
+
+    Parameters
+    ----------
+    folder : path
+        Of the run, new. Scenes that are finished are kept whenever the run is stopped: their lines
+        are in its `shown.jsonl` before their last decision is given.
+    patterns_folder : path
+        Patterns that are shown.
+    acquisition : Acquisition
+        Settings of the run, as `plan_live` makes them.
+    setup : Setup
+        Devices; taken hold of, and let go at the end.
+    looks : LookChooser
+        Looks of the design.
+
+    Yields
+    ------
+    LiveStep
+        After each look at a scene; the last one, or the only one of a scene without light, has its
+        `answer`.
+
+    Raises
+    ------
+    InputError
+        If files do not fit, or a device fails.
+    """
+    assert acquisition.live is not None
+    live = acquisition.live.model_copy(update={"latencies": setup.latencies})
+    acquisition = acquisition.model_copy(update={"live": live})
+    patterns = read_patterns(patterns_folder)
+    manifest = patterns.manifest
+    observer = SceneObserver(looks, manifest, acquisition)
+    with ExitStack() as stack:
+        stack.enter_context(setup.projector)
+        stack.enter_context(setup.counter)
+        setup.projector.load(patterns_folder)
+        prepare_run(folder, patterns_folder, acquisition)
+        setup.counter.start(folder / "photons.ptu")
+        log = stack.enter_context(GrowingFile(folder / LOG))
+        frames = _DeviceFrames(setup, manifest, acquisition.settle_s)
+        for number, scene in enumerate(acquisition.scenes):
+            frames.begin(number)
+            decision: Decision | None = None
+            for decision in observer.observe(number, frames):
+                if not decision.final:
+                    yield LiveStep(number, decision, frames.clock_s)
+            logged = frames.logged(decision)
+            log.write(logged.line)
+            note_saved_work("finished scenes are kept")
+            [trained] = was_trained_on(looks.training_scenes, [scene.hash])
+            photons = decision.photons if decision else None
+            answer = LiveScene.of(scene, logged, looks.classes, trained, photons)
+            yield LiveStep(number, decision, logged.clock_s, answer)
+        setup.counter.stop()
+
+
+class _DeviceFrames:
+    """Frames of a live run, shown and counted by devices list after list, scene after scene."""
+
+    def __init__(
+        self, setup: Setup[StreamingProjector], manifest: Manifest, settle_s: float
+    ) -> None:
+        self._setup = setup
+        self._manifest = manifest
+        self._settle_s = settle_s
+        self._counted = _CountedFrames(setup.counter, manifest.inputs)
+        self._markers = 0  # of all lists so far
+
+    def begin(self, scene: int) -> None:
+        """Show a scene: lists from here on are its own."""
+        self._setup.display(scene)
+        self._scene = scene
+        self._lists: list[LoggedList] = []
+        self._first_marker = self._markers
+        self._start_s = self._setup.clock()
+
+    @property
+    def clock_s(self) -> float:
+        """Time since the scene's first command, seconds."""
+        return self._setup.clock() - self._start_s
+
+    def logged(self, decision: Decision | None) -> LoggedScene:
+        """The scene as it was shown, and its last decision; none where it had no light."""
+        return LoggedScene(
+            scene=self._scene,
+            first_marker=self._first_marker,
+            lists=tuple(self._lists),
+            chances=tuple(decision.chances.tolist()) if decision else (),
+            faults=decision.faults if decision else (),
+            light_s=decision.light_s if decision else 0.0,
+            clock_s=self.clock_s,
+        )
+
+    def count(self, asked: FrameList) -> FrameCounts:
+        """Counts of the frames of a list, which are shown."""
+        projector = self._setup.projector
+        if asked.masks is not None:
+            manifest = self._manifest
+            for frame, mask in zip(asked.frames, asked.masks, strict=True):
+                projector.replace(int(frame), manifest.lit_frame(mask))
+        frames = np.append(asked.frames, OFF)
+        gates_s = np.append(asked.gate_ns, 0) * 1e-9
+        pictures_s = self._pictures_s(asked)
+        markers, markers_s = projector.pictures(pictures_s)
+        offsets_s = np.full(len(frames), self._settle_s)
+        self._setup.counter.expect(FrameGates(offsets_s, gates_s, markers, markers_s))
+        projector.show(frames, pictures_s)
+        limit_s = float(pictures_s.sum()) + PATIENCE_S
+        counts = self._counted.take(len(asked.frames), limit_s)
+        self._lists.append(LoggedList.of(asked, markers))
+        self._markers += int(markers.sum())
+        return counts
+
+    def _pictures_s(self, asked: FrameList) -> np.ndarray:
+        """Times for which frames, and the all-OFF one after them, are held, whole µs in seconds."""
+        device = self._manifest.device
+        us = np.ceil((asked.gate_ns + margin_ns(asked.gate_ns)) * 1e-3 + device.settle_us)
+        if asked.look < 0:
+            us = np.array([self._manifest.frames[index].picture_us for index in asked.frames])
+        return np.append(np.maximum(us, device.shortest_us), device.shortest_us) * 1e-6
+
+
+class _CountedFrames:
+    """Counts of frames as a counter gives them, list after list.
+
+    The frame after a list's own, which ends the last gate, is left out: its count may come late.
+    """
+
+    def __init__(self, counter: StreamingCounter, inputs: int) -> None:
+        self._counter = counter
+        self._inputs = inputs
+        self._late = 0  # frames of earlier lists whose counts are still to come
+
+    def take(self, wanted: int, limit_s: float, since: str = "") -> FrameCounts:
+        """Counts of the next frames, within a time; `since` says in a fault when it begins."""
+        until = time.monotonic() + limit_s
+        parts = []
+        count = -self._late
+        while count < wanted:
+            left = until - time.monotonic()
+            if left <= 0:
+                raise InputError(
+                    f"counts of {wanted - max(count, 0)} of {wanted} frames did not come within "
+                    f"{limit_s:.3g} s{since}: check that the device's trigger is wired to the "
+                    "counter and that it records"
+                )
+            counts = self._counter.counts_since_marker(left)
+            parts.append(counts[max(-count, 0) :])
+            count += len(counts.starts_s)
+        self._late = wanted + 1 - count
+        return FrameCounts.join(parts, self._inputs)[:wanted]
+
+
+@dataclass(frozen=True)
+class _RecordedScene:
+    """A scene as its pass was counted while it was recorded, counts/s."""
+
+    scene: Scene
+    on_rate: float
+    off_rate: float
+    masks_rate: float  # in the masks' frames, of all detectors
+    lit: bool  # True if all-ON frames are brighter than the all-OFF one, by more than chance
+
+    def __str__(self) -> str:
+        return (
+            f"{self.scene.name}: {self.masks_rate:.4g} counts/s in the masks' frames, all ON "
+            f"{self.on_rate:.4g}, all OFF {self.off_rate:.4g}{'' if self.lit else ': NO LIGHT'}"
+        )
+
+    @classmethod
+    def of(cls, scene: Scene, counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> Self:
+        """Scene by counts (F, inputs) of its pass's frames but the last, and their times (F,)."""
+        arm = counts[:, manifest.arm]
+        on = arm[[0, -1]].sum()
+        on_s = times[[0, -1]].sum()
+        off = arm[OFF].sum()
+        off_s = times[OFF]
+        masks = manifest.shown
+        return cls(
+            scene=scene,
+            on_rate=float(on / on_s),
+            off_rate=float(off / off_s),
+            masks_rate=float(counts[masks].sum() / times[masks].sum()),
+            lit=bool(excess_chance(on, on_s, off, off_s) < NO_LIGHT),
+        )
+
+
+def record_run(
+    folder: Path,
+    patterns_folder: Path,
+    acquisition: Acquisition,
+    setup: Setup[PassProjector],
+    report: Progress | None = None,
+) -> Generator[_RecordedScene]:
+    """Show and record scene after scene; gives each when its pass has ended."""
+    acquisition.check_fixed(folder)
+    manifest = read_patterns(patterns_folder).manifest
+    room = manifest.picture_s - acquisition.settle_s
+    lengths = np.maximum(room - margin_ns(room * 1e9) * 1e-9, 0)
+    lengths[-1] = 0  # nothing ends the gate of the last frame before the next pass
+    gates = FrameGates(
+        np.full(len(lengths), acquisition.settle_s),
+        lengths,
+        np.ones(len(lengths), np.int64),
+        manifest.picture_s,
+    )
+    done = 0
+    with ExitStack() as stack:
+        stack.enter_context(setup.projector)
+        stack.enter_context(setup.counter)
+        with progress_bar(report, "loading the frames") as loading:
+            setup.projector.load(patterns_folder, loading)
+        prepared = prepare_run(folder, patterns_folder, acquisition)
+        setup.counter.start(folder / "photons.ptu")
+        frames = _CountedFrames(setup.counter, manifest.inputs)
+        try:
+            for index, scene in enumerate(acquisition.scenes):
+                setup.display(index)
+                setup.counter.expect(gates)
+                setup.projector.run()
+                setup.projector.wait()
+                counts = frames.take(len(gates) - 1, PATIENCE_S, " of their pass").counts
+                recorded = _RecordedScene.of(scene, counts, gates.lengths_s[:-1], manifest)
+                done = index + 1
+                note_saved_work("finished scenes are kept")
+                yield recorded
+            setup.counter.stop()
+        finally:
+            if 0 < done < len(acquisition.scenes):
+                prepared.keep_first(folder, done)

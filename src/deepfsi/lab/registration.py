@@ -1,0 +1,350 @@
+"""A reference target, and how a camera shows it: orientation, scale, shift and rotation.
+
+The target is a picture without symmetry. What it counts behind the masks of an export is known for
+every place that it may have on the device. So a recording of it tells how scenes lie there, before
+any data are taken: a similarity in one of eight orientations is fitted to the counts.
+"""
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import write_atomically
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.camera.layout import DmdLayout
+from deepfsi.hardware.counting.acquisition import read_run
+from deepfsi.hardware.counting.counts import Counts, read_counts
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.lab.calibration import DisplayedScenes
+
+REFERENCE = "reference.png"
+EXPECTED = "reference.csv"
+"""Files of the target, and of what it is expected to count, in a folder of patterns."""
+
+TARGET = np.array(
+    [
+        [float(each == "#") for each in row]
+        for row in (
+            "........",
+            ".#####..",
+            ".#####..",
+            ".##.....",
+            ".####...",
+            ".##...#.",
+            ".##.....",
+            "........",
+        )
+    ]
+)
+"""The target: white blocks on black, unlike itself in all other orientations."""
+
+LEAST_READOUTS = 8
+"""Readouts that a fit needs: of five unknowns, and the light of target and surroundings."""
+
+STARTS = (0.5, 0.7, 1.0, 1.4), (-0.2, 0.0, 0.2)
+"""Scales and shifts from which a fit begins."""
+
+
+class _WellPlaced:
+    """Departures that are well.
+
+    On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each costs 1 to 4 points
+    of accuracy, and twice as much 3 to 15.
+    """
+
+    SCALE = 0.05  # share of 1
+    SHIFT = 0.02  # share of the region's side
+    ROTATION = 3.0  # degrees
+    BLUR = 0.5  # cells
+
+
+def _reference_picture(image_shape: tuple[int, ...]) -> np.ndarray:
+    """The target as a picture in the proportions of scenes (h, w)."""
+    # Pixels of a block's side in the picture
+    down, across = (max(1, round(64 * n / max(image_shape))) for n in image_shape)
+    return np.kron(TARGET, np.ones((down, across)))
+
+
+@np.errstate(under="ignore")
+def _expected_shares(patterns: Patterns) -> np.ndarray:
+    """Light of the target in each frame that shows masks, of that of all mirrors ON, (f,)."""
+    model = _Model(patterns.manifest)
+    image = model.image(model.exported, np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
+    return np.asarray(patterns.fractions @ image / image.sum())
+
+
+def write_reference(patterns: Patterns, folder: Path) -> list[Path]:
+    """Write the target, and what each frame is expected to count of it, to a folder of patterns."""
+    from PIL import Image
+
+    if not _has_reference(patterns.manifest):
+        return []
+    picture = io.BytesIO()
+    grey = np.rint(255 * _reference_picture(patterns.manifest.image_shape)).astype(np.uint8)
+    Image.fromarray(grey).save(picture, format="PNG")
+    shares = dict(zip(patterns.manifest.shown.tolist(), _expected_shares(patterns), strict=True))
+    rows = ["frame,shows,counts of those of all ON in the same time"]
+    for place, frame in enumerate(patterns.manifest.frames):
+        share = shares.get(place, float(frame.role == "on"))
+        rows.append(f'{place},"{frame}",{share:.5f}')
+    files = {REFERENCE: picture.getvalue(), EXPECTED: ("\n".join(rows) + "\n").encode()}
+    return [write_atomically(folder / name, content) for name, content in files.items()]
+
+
+def _has_reference(manifest: Manifest) -> bool:
+    """True if the masks have two axes: others have no orientation in a plane."""
+    return len(manifest.image_shape) == 2
+
+
+@dataclass(frozen=True)
+class ReferenceFit:
+    """Place of the reference target on the device, as a camera shows it."""
+
+    exported: DmdLayout
+    layout: DmdLayout  # that masks need to lie on the device as scenes do
+    scale: float  # of the target's image, over that of the region
+    shift: tuple[float, float]  # of its middle, down and across, shares of the region's sides
+    rotation: float  # beyond the orientation's, degrees clockwise
+    blur: float
+    blur_error: float
+    errors: tuple[float, float, float, float]  # standard errors of scale, shifts and rotation
+    chance: float  # of a misfit as large
+    clear: float  # difference of the squared misfits from the next best orientation
+
+    @property
+    def doubt(self) -> str | None:
+        """Reason why what was found is not certain; None where it is."""
+        # Chance of the counts' misfit below which no place of the target explains them
+        if self.chance < 1e-6:
+            return (
+                "no place of the reference explains these counts: show it alone, on black, and "
+                "give the patterns that were shown"
+            )
+        well = _WellPlaced
+        limits = well.SCALE, well.SHIFT, well.SHIFT, well.ROTATION
+        more = max(error / most for error, most in zip(self.errors, limits, strict=True)) ** 2
+        # Difference of the squared misfits by which one orientation must fit better than all others
+        more = max(more, 25.0 / max(self.clear, 1e-3))
+        if more <= 1:
+            return None
+        return f"too little light to be certain: record the reference with {more:.2g} times as much"
+
+    @property
+    def fits(self) -> bool:
+        """True if the target certainly lies as the masks do."""
+        return self.doubt is None and not any(departs for _, _, departs in self.findings)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        layouts = {"exported": self.exported, "found": self.layout}
+        return {
+            "fits": self.fits,
+            "doubt": self.doubt,
+            "orientation": {
+                name: {"flip": layout.flip, "rotate": layout.rotate}
+                for name, layout in layouts.items()
+            },
+            "scale": self.scale,
+            "shift": list(self.shift),
+            "rotation": self.rotation,
+            "blur": self.blur,
+            "blur_error": self.blur_error,
+            "errors": list(self.errors),
+        }
+
+    def lines(self) -> Iterator[str]:
+        """Say how scenes lie, and whether as the masks do."""
+        for what, words, departs in self.findings:
+            far = ": too far" if departs and what != "orientation" else ""
+            yield f"{what}: {words}{far}"
+        fits = "the scenes lie as the masks do" if self.fits else "the scenes do not fit the masks"
+        yield self.doubt or fits
+
+    @property
+    def findings(self) -> list[tuple[str, str, bool]]:
+        """Findings by name, in words, and whether each departs from what was exported."""
+        scale, down, across, turn = self.errors
+        turned = self.layout != self.exported
+        words = "as exported"
+        if turned:
+            given = ["--flip"] * self.layout.flip
+            given += [f"--rotate {self.layout.rotate}"] * bool(self.layout.rotate)
+            again = " ".join(given) or "neither --flip nor --rotate"
+            words = f"not that of the masks: export again with {again}"
+        off = max(abs(each) for each in self.shift)
+        return [
+            ("orientation", words, turned),
+            ("scale", f"{self.scale:.3f} ± {scale:.3f}", abs(self.scale - 1) > _WellPlaced.SCALE),
+            (
+                "shift",
+                f"{self.shift[0]:+.1%} ± {down:.1%} down, {self.shift[1]:+.1%} ± {across:.1%} "
+                "across, of the region",
+                off > _WellPlaced.SHIFT,
+            ),
+            (
+                "rotation",
+                f"{self.rotation:+.1f} ± {turn:.1f} degrees clockwise",
+                abs(self.rotation) > _WellPlaced.ROTATION,
+            ),
+            (
+                "blur",
+                f"{self.blur:.2f} ± {self.blur_error:.2f} cells (standard deviation)",
+                # Standard errors by which the blur must exceed what is well: it is known less than
+                # the place
+                self.blur - 2.0 * self.blur_error > _WellPlaced.BLUR,
+            ),
+        ]
+
+
+class _Model:
+    """Light of the target on the cells of a mask."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self.grid = manifest.grid
+        self.exported = manifest.layout
+        self.scene = DisplayedScenes(TARGET[None], self.grid)
+        self.wide = self.grid.across * self.grid.aspect / self.grid.down
+
+    def image(self, layout: DmdLayout, place: np.ndarray) -> np.ndarray:
+        """Light of a mask's pixels (N,) from scale, rotation, shifts and blur of the target."""
+        scale, turn, down, across, blur = place
+        sides = [self.wide, 1.0]
+        if self.exported.rotate in (90, 270):
+            sides.reverse()
+        rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        linear = scale * rotation @ np.array(layout.orientation) * sides
+        linear = linear / np.array([[self.wide], [1.0]])
+        start = 0.5 + np.array([across, down]) - linear.sum(axis=1) / 2
+        view = np.array([*linear[0], start[0], *linear[1], start[1], 0.0, 0.0, abs(blur)])
+        seen = self.scene.images(view)[0]
+        out = np.empty(seen.size)
+        out[self.grid.pixels] = seen
+        return out
+
+
+@dataclass(frozen=True)
+class _ReferenceReadouts:
+    """Counts of the target behind masks."""
+
+    masks: np.ndarray  # (k, N)
+    counts: np.ndarray  # (k,)
+    noise: np.ndarray  # (k,): standard deviation
+
+    @classmethod
+    def of(cls, masks: np.ndarray, counts: np.ndarray, variance: np.ndarray) -> Self:
+        """Readouts with the error of the model beside their noise."""
+        # Error of a readout beside its noise, of the largest: mirrors, edges and print are not
+        # exact
+        least = np.maximum(variance, 1) + (0.003 * counts.max()) ** 2
+        return cls(masks, counts, np.sqrt(least))
+
+    def misfit(self, image: np.ndarray) -> np.ndarray:
+        """Counts less those of an image and of light spread evenly, over their noise (k,)."""
+        from scipy import optimize
+
+        model = self.masks @ np.stack([image, np.ones_like(image)], axis=1) / self.noise[:, None]
+        size = np.maximum(np.linalg.norm(model, axis=0), 1e-300)
+        wanted = self.counts / self.noise
+        parts, _ = optimize.nnls(model / size, wanted)
+        return np.asarray(wanted - (model / size) @ parts)
+
+
+@np.errstate(under="ignore")
+def find_reference(counts: Counts, patterns: Patterns, report: Progress = SILENT) -> ReferenceFit:
+    """Place of the target in a recording of it alone, all passes and exposures together."""
+    return _fit_place(_sound_readouts(counts, patterns), patterns.manifest, report)
+
+
+def _check_readouts(manifest: Manifest, count: int) -> None:
+    """Raise `InputError` if so many readouts, or masks of one axis, do not tell where it lies."""
+    if not _has_reference(manifest):
+        raise InputError("masks of one axis have no orientation: there is no reference for them")
+    if count < LEAST_READOUTS:
+        raise InputError(
+            f"{count} readouts do not tell where the reference lies, and {LEAST_READOUTS} "
+            "are needed: record it with the patterns of `deepfsi dmd export hadamard --size 8x8`"
+        )
+
+
+def _fit_place(
+    readouts: _ReferenceReadouts, manifest: Manifest, report: Progress = SILENT
+) -> ReferenceFit:
+    """Place of the target that explains its counts behind masks best."""
+    from scipy import optimize
+    from scipy.stats import chi2
+
+    model = _Model(manifest)
+    fits = []
+    orientations = model.exported.orientations()
+    for done, layout in enumerate(orientations):
+        report(done / len(orientations))
+        starts = [
+            np.array([scale, 0.0, down, across, 0.3])
+            for scale, down, across in product(STARTS[0], STARTS[1], STARTS[1])
+        ]
+
+        def misfit(place: np.ndarray, layout: DmdLayout = layout) -> np.ndarray:
+            return readouts.misfit(model.image(layout, place))
+
+        starts.sort(key=lambda place: float((misfit(place) ** 2).sum()))
+        # Starts of each orientation that are followed
+        for start in starts[:2]:
+            limits = [0.2, -0.8, -0.6, -0.6, 0.0], [4.0, 0.8, 0.6, 0.6, 2.0]
+            step = optimize.least_squares(
+                misfit,
+                start,
+                bounds=limits,
+                x_scale=[0.1, 0.1, 0.1, 0.1, 0.3],
+                ftol=1e-6,
+                xtol=1e-5,
+                # Steps of a fit at most: a right one takes some twenty, and only wrong ones creep
+                # on
+                max_nfev=50,
+            )
+            fits.append((2 * step.cost, layout, step))
+    fits.sort(key=lambda fit: fit[0])
+    cost, layout, best = fits[0]
+    spread = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac)))
+    others = [fit[0] for fit in fits if fit[1] != layout]
+    scale, turn, down, across, blur = best.x.tolist()
+    return ReferenceFit(
+        exported=model.exported,
+        layout=layout,
+        scale=scale,
+        shift=(down, across),
+        rotation=float(np.degrees(turn)),
+        blur=blur,
+        blur_error=float(spread[4]),
+        errors=(spread[0], spread[2], spread[3], float(np.degrees(spread[1]))),
+        chance=float(chi2.sf(cost, max(len(readouts.counts) - 7, 1))),
+        clear=min(others) - cost,
+    )
+
+
+def _sound_readouts(counts: Counts, patterns: Patterns) -> _ReferenceReadouts:
+    """Readouts of sound exposures together, or `InputError` if they are too few."""
+    manifest = patterns.manifest
+    read = counts.lengths_s > 0
+    _check_readouts(manifest, int(read.sum()))
+    usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
+    if not usable.any():
+        raise InputError("no exposure of the reference was counted: record it again")
+    signal = counts.signal().sum(axis=(0, 1), where=usable)
+    noise = counts.variance.sum(axis=(0, 1), where=usable)
+    if manifest.several:
+        signal = signal.sum(axis=-1)
+        noise = noise.sum(axis=-1)
+    return _ReferenceReadouts.of(patterns.rails[read], signal[read], noise[read])
+
+
+def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
+    """Place of scenes on the device, from a counted run of the reference target."""
+    counts = read_counts(folder).check_photons(folder)
+    return find_reference(counts, read_run(folder).patterns, report)

@@ -1,0 +1,535 @@
+"""Virtual camera: scenes on a monitor to a photon file, as the laboratory would write it.
+
+    scene -> perspective -> blur -> vignetting -> mirrors -> detectors (`detector`) -> file
+
+Places are (across, down) in a unit square each: the displayed image, and the area of the device
+that the cells of a mask fill. A display is an area of given brightness, so what moves or enlarges
+its image on the device does not change the light on a mirror that still sees it. A stop hides the
+mirrors beyond the cells. One arm sees those that are ON; on two arms a second detector sees the
+others.
+
+It shares nothing with `physics.noise` and the scanner, so that each checks the other: with the
+ideal camera a gate's counts are Poisson, with the scanner's mean.
+"""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, FiniteFloat, field_validator
+
+from deepfsi.base.errors import InputError, as_input_error, closest_choice
+from deepfsi.base.files import check_disk_space, new_folder, read_toml
+from deepfsi.base.models.strict import WholeNumber
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.camera.camera import Camera
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import DmdGrid
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
+from deepfsi.hardware.patterns.folder import GatePlan, Patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.frames import unpack
+from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.lab.design_data import camera_of
+from deepfsi.lab.virtual_detector import (
+    DETECTOR_TICK_S,
+    Detector,
+    LightLevels,
+    Shutter,
+    Stream,
+    divide,
+)
+
+Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+"""Row of a homography."""
+
+FRAME_MARKER = 1
+"""Bits of the marker at the start of each frame."""
+
+MOST_FLUX = 1e12
+"""Most photons/s on the device."""
+
+SCENES_AT_ONCE = 64
+"""Scenes whose light on the mirrors is held in memory."""
+
+DetectorRows = tuple[tuple[WholeNumber, ...], ...]
+"""Detector of each part of an area that these rows, equally long, divide evenly."""
+
+
+class VirtualCamera(Detector):
+    """Optics and detector; the default is ideal. The attributes of `Detector` are its too."""
+
+    # Homography display -> device in unit squares, (across, down, 1)
+    view: tuple[Row, Row, Row] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    # Standard deviation of a Gaussian on the device, mirrors
+    blur: float = Field(0.0, ge=0, le=1000)
+    # Share of the light that the corners of the area lose; it grows with the squared distance from
+    # the centre
+    vignetting: float = Field(0.0, ge=0, le=1)
+    # Stray light spread evenly over the whole device, photons/s
+    ambient: float = Field(0.0, ge=0, le=1e12)
+    # Relative standard deviation of the light from picture to picture
+    fluctuation: float = Field(0.0, ge=0, le=10)
+    # Time over which the light keeps its level, seconds; 0 if each picture has a level of its own
+    fluctuation_s: float = Field(0.0, ge=0, le=1e6)
+    # Efficiency of each detector, of those that see mirrors ON first, over `efficiency`
+    gains: tuple[Annotated[float, Field(gt=0, le=1)], ...] | None = None
+    # True of a device that turns mirrors ON where the files have a 0
+    inverted: bool = False
+    # Detector of each part of the area of the cells, which these rows divide evenly. None for the
+    # parts that the patterns name
+    detectors: DetectorRows | None = None
+
+    @field_validator("view")
+    @classmethod
+    def _invertible(cls, view: tuple[Row, Row, Row]) -> tuple[Row, Row, Row]:
+        if abs(np.linalg.det(np.array(view))) < 1e-9:
+            raise ValueError("the view cannot be inverted")
+        return view
+
+    @field_validator("detectors")
+    @classmethod
+    def _detector_rows(cls, rows: DetectorRows | None) -> DetectorRows | None:
+        if rows is None:
+            return None
+        if len({len(row) for row in rows}) != 1 or not rows[0]:
+            raise ValueError("the rows of the detectors differ in length")
+        labels = {label for row in rows for label in row}
+        if labels != set(range(len(labels))):
+            raise ValueError("the detectors are not numbered from 0 without a gap")
+        return rows
+
+    @classmethod
+    def load(cls, source: str) -> "VirtualCamera":
+        """One of `CAMERAS` by its name, or of a TOML file; `InputError` if it is neither."""
+        if source in CAMERAS:
+            return CAMERAS[source]
+        if not source.lower().endswith(".toml"):
+            raise InputError(
+                f"unknown camera {source!r}: {closest_choice(source, CAMERAS)}; or give a TOML file"
+            )
+        with as_input_error():
+            return cls.model_validate(read_toml(source))
+
+    @classmethod
+    def of(cls, camera: Camera) -> "VirtualCamera":
+        """One with the dark counts, dead time and fluctuating light of a laboratory's camera."""
+        # Its flux is of counts: the efficiency of the detector is in it
+        dead = camera.counter_dead_time
+        return cls(
+            dark=camera.dark,
+            dead_time_s=dead.seconds,
+            paralysable=dead.paralysable,
+            fluctuation=camera.fluctuation,
+        )
+
+    def fluctuate(
+        self, rates: np.ndarray, starts_s: np.ndarray, light: LightLevels | None
+    ) -> np.ndarray:
+        """Arrivals/s (p, inputs) of pictures that start at these times, dark counts as they are."""
+        if light is None:
+            return rates
+        return np.asarray((rates - self.dark) * light.factors(starts_s)[:, None] + self.dark)
+
+    def light(self, rng: np.random.Generator) -> LightLevels | None:
+        """Light that fluctuates; None if it is steady, so that nothing is drawn for it."""
+        if not self.fluctuation:
+            return None
+        return LightLevels(self.fluctuation, self.fluctuation_s, rng)
+
+
+CAMERAS = {
+    "ideal": VirtualCamera(),
+    "pmt": VirtualCamera(
+        efficiency=0.2,
+        dark=100.0,
+        dead_time_s=20e-9,
+        paralysable=True,
+        afterpulse_probability=0.01,
+        afterpulse_s=500e-9,
+        jitter_s=85e-12,
+    ),
+    "spad": VirtualCamera(
+        efficiency=0.73,
+        dark=500.0,
+        dead_time_s=28.5e-9,
+        afterpulse_probability=0.01,
+        afterpulse_s=50e-9,
+        jitter_s=64e-12,
+    ),
+}
+"""Cameras by name. Optics are ideal in all of them; put in those of your own.
+
+pmt
+    A photomultiplier as the paper's (PicoQuant PMA series). Its data sheet was not at hand, and
+    all values are typical ones, assumed: photocathode in the blue-green 0.2, 100 dark counts/s,
+    200 ps of jitter (full width at half maximum), 1 % of afterpulses within microseconds (ions).
+    The dead time is of the order that PicoQuant's MultiHarp 150 manual (version 3.1, section 2.1)
+    gives for detector and electronics together, "some tens of nanoseconds". The same manual
+    (2.3.4) says of hybrid detectors (PMA Hybrid) that they have virtually no afterpulses.
+spad
+    A silicon avalanche diode: peak efficiency 0.73 at 560 nm and 150 ps of jitter (full width)
+    from M. Stipčević et al., J. Lightwave Technol. 31 (2013) 3591, doi:10.1109/JLT.2013.2286422;
+    dead time 28.5 ns, the shortest of the module of M. Chen et al., Electronics 9 (2020) 1131.
+    500 dark counts/s and 1 % of afterpulses within 50 ns are typical values, assumed.
+"""
+
+
+def irradiance(
+    scenes: np.ndarray, camera: VirtualCamera, device: Device, grid: DmdGrid
+) -> np.ndarray:
+    """Relative irradiance of each mirror."""
+    # scenes (S, h, w)
+    from scipy.fft import irfft2, rfft2
+    from scipy.ndimage import fourier_gaussian
+
+    height, width = grid.lattice_shape
+    blur = camera.blur * (math.sqrt(2) if grid.diamond else 1)  # half diagonals, or mirrors
+    edge = math.ceil(4 * blur)
+    down = (np.arange(-edge, height + edge) + 0.5) / height
+    across = (np.arange(-edge, width + edge) + 0.5) / width
+    place, inside = _find_pixels(camera, down, across, scenes.shape[1:])
+    kept = slice(edge, edge + height), slice(edge, edge + width)
+    x = across[kept[1]] - 0.5
+    y = down[kept[0]] - 0.5
+    corner = 2 * (x**2 + y[:, None] ** 2)  # 1 in the corners
+    share = ((1 - camera.vignetting * corner) / grid.mirrors).astype(np.float32)
+    out = np.zeros((len(scenes), device.rows, device.columns), dtype=np.float32)
+    for scene, mirrors in zip(scenes, out, strict=True):
+        image = np.where(inside, scene.ravel()[place], 0).astype(np.float32)
+        if blur:
+            spectrum = fourier_gaussian(rfft2(image), blur, n=image.shape[1])
+            image = np.maximum(irfft2(spectrum, image.shape), 0)
+        mirrors[grid.window] = grid.at_mirrors(image[kept] * share)
+    return out
+
+
+def _find_pixels(
+    camera: VirtualCamera, down: np.ndarray, across: np.ndarray, shape: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixel of a scene that each place (down, across) sees, and where it sees the scene."""
+    back = np.linalg.inv(np.array(camera.view))
+    x, y, depth = (row[0] * across + row[1] * down[:, None] + row[2] for row in back)
+    ahead = depth * np.sign(back[2] @ [0.5, 0.5, 1.0]) > 0  # of the camera, not behind it
+    depth = np.where(ahead, depth, np.inf)
+    column = np.floor(x / depth * shape[1])
+    row = np.floor(y / depth * shape[0])
+    inside = ahead & (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+    return np.where(inside, row * shape[1] + column, 0).astype(np.intp), inside
+
+
+def _mirrors_of_arm(manifest: Manifest, rows: DetectorRows | None) -> list[np.ndarray | slice]:
+    """Mirrors of a device, in a row, that each detector of an arm sees."""
+    # By the camera's rows of parts, or by the cells that the manifest names where it has none
+    if manifest.detectors is None and rows is None:
+        return [slice(None)]
+    count = manifest.detector_count
+    cells = None if manifest.detectors is None else manifest.detectors.labels
+    if rows is not None:
+        labels = np.array(rows)
+    elif cells is not None:
+        labels = cells[manifest.grid.pixels]
+    else:
+        raise InputError(
+            f"these patterns are for {count} detectors, and nothing says which part of the device "
+            "each sees: give a `camera` with them, such as detectors = [[0, 1], [2, 3]]"
+        )
+    if labels.max() + 1 != count:
+        raise InputError(
+            f"the camera has {labels.max() + 1} detectors, and the patterns are for {count}: give "
+            "one with as many, or export the patterns for it"
+        )
+    grid = manifest.grid
+    area = (grid.down * grid.height, grid.across * grid.width)
+    rows_at, columns_at = (
+        np.arange(mirrors) * parts // mirrors
+        for parts, mirrors in zip(labels.shape, area, strict=True)
+    )
+    of_mirrors = np.full((manifest.device.rows, manifest.device.columns), -1)
+    of_mirrors[grid.window] = labels[np.ix_(rows_at, columns_at)]
+    return [np.flatnonzero(of_mirrors == detector) for detector in range(count)]
+
+
+class MirrorLight:
+    """Light of scenes on the mirrors, and what a frame sends of it to the detectors."""
+
+    def __init__(
+        self, manifest: Manifest, scenes: np.ndarray, camera: VirtualCamera, flux: float
+    ) -> None:
+        self._camera = camera
+        self._arms = manifest.arms
+        self._device = device = manifest.device
+        self._mirrors = _mirrors_of_arm(manifest, camera.detectors)
+        image = irradiance(scenes, camera, device, manifest.grid).reshape(len(scenes), -1)
+        self._light = [image[:, places] for places in self._mirrors]
+        cells = np.zeros((device.rows, device.columns), np.float32)
+        cells[manifest.grid.window] = 1
+        self._inside = cells.ravel()
+        self._flux = flux / manifest.summed_reflectance
+        self._stray = camera.ambient / (device.rows * device.columns)
+        if camera.gains is not None and len(camera.gains) != manifest.inputs:
+            raise InputError(
+                f"the camera has {len(camera.gains)} gains, and the patterns are for "
+                f"{manifest.inputs} detectors: give one for each"
+            )
+        self._gains = camera.efficiency * np.array(camera.gains or 1.0)
+
+    def rates(self, frames: Sequence[np.ndarray]) -> np.ndarray:
+        """Arrivals/s (S, F, inputs) at each detector behind packed frames, before dead time."""
+        lit = np.stack([unpack(frame, self._device).ravel() for frame in frames])
+        on = (lit ^ self._camera.inverted).astype(np.float32)
+        out = []
+        for arm in range(self._arms):
+            for places, light in zip(self._mirrors, self._light, strict=True):
+                seen = on[:, places] if arm == 0 else 1 - on[:, places]
+                photons = (seen @ light.T).astype(np.float64) * self._flux
+                out.append(photons + (seen @ self._inside[places])[:, None] * self._stray)
+        return np.stack(out).transpose(2, 1, 0) * self._gains + self._camera.dark
+
+
+def arrival_rates(
+    patterns_folder: str | os.PathLike[str],
+    scenes: np.ndarray,
+    camera: VirtualCamera,
+    flux: float,
+    report: Progress = SILENT,
+) -> np.ndarray:
+    """Arrivals/s (S, F, inputs) at each detector while each frame is shown, before dead time."""
+    manifest = read_patterns(patterns_folder).manifest
+    images = check_scenes(scenes, manifest, flux)
+    frames = len(manifest.frames)
+    out = np.empty((len(images), frames, manifest.inputs))
+    for first in range(0, len(images), SCENES_AT_ONCE):
+        part = images[first : first + SCENES_AT_ONCE]
+        light = MirrorLight(manifest, part, camera, flux)
+        done = 0
+        unread = read_frames(patterns_folder)
+        # Frames that are unpacked in memory
+        while some := list(islice(unread, 16)):
+            out[first : first + len(part), done : done + len(some)] = light.rates(some)
+            done += len(some)
+            report((first * frames + done * len(part)) / (len(images) * frames))
+    return out
+
+
+def expected_events(
+    patterns: Patterns, scenes: np.ndarray, camera: VirtualCamera, flux: float
+) -> float:
+    """Photons and dark counts that a recording is expected to hold, at most, without dead time.
+
+    As if the camera saw each scene whole: in the frames of the masks and the sentinels, in gates
+    and between them. Parameters as of `arrival_rates`, but for the patterns, which were read.
+    """
+    manifest = patterns.manifest
+    grid = manifest.grid
+    images = check_scenes(scenes, manifest, flux)
+    opened = np.array([frame.role == "on" for frame in manifest.frames], dtype=float)
+    opened[manifest.shown] = patterns.fractions.mean(axis=1)
+    lit_s = manifest.pass_s if manifest.two_arm else float(manifest.picture_s @ opened)
+    white = flux * grid.down * grid.across / manifest.summed_reflectance
+    light = white * images.mean(axis=(1, 2)).sum() + camera.ambient * manifest.used * len(images)
+    dark = camera.dark * manifest.inputs * len(images)
+    return float(camera.efficiency * light * lit_s + dark * manifest.pass_s)
+
+
+def check_scenes(scenes: np.ndarray, manifest: Manifest, flux: float) -> np.ndarray:
+    """Images (S, h, w) of scenes, or `InputError` where they or their flux cannot be simulated."""
+    if not 0 <= flux <= MOST_FLUX:
+        raise InputError(f"a flux of {flux!r} is not allowed: give 0 to {MOST_FLUX:g} photons/s")
+    images = np.asarray(scenes)
+    if images.ndim == 2 and len(manifest.image_shape) == 1:  # spectra
+        images = images[:, None, :]
+    if images.ndim != 3 or not images.size:
+        raise InputError(f"scenes of shape {np.shape(scenes)} are no images: give (S, h, w)")
+    if images.dtype.kind not in "fiub" or not np.isfinite(images).all() or images.min() < 0:
+        raise InputError("scenes hold what is no reflectance: give finite numbers, 0 or more")
+    return images
+
+
+@dataclass(frozen=True)
+class RecordingSettings:
+    """Settings of a virtual recording.
+
+    Parameters
+    ----------
+    camera : VirtualCamera
+    flux : float
+        Photons/s on the device, of a scene of mean brightness.
+    exposure_s : float
+        Of a scene, seconds.
+    settle_s : float, optional
+        After which mirrors have settled, seconds; that of the device unless given.
+    repeats : int, optional
+        Exposures of a pass.
+    seed : int
+    inputs : tuple of int, optional
+        Of the counter, from 0.
+    """
+
+    camera: VirtualCamera
+    flux: float
+    exposure_s: float
+    settle_s: float | None = None
+    repeats: int | None = None
+    seed: int = 0
+    inputs: tuple[int, ...] | None = None
+
+
+def record_scenes(
+    patterns_folder: str | os.PathLike[str],
+    scenes: np.ndarray,
+    names: Sequence[str],
+    labels: Sequence[str] | None,
+    out: str | os.PathLike[str],
+    settings: RecordingSettings,
+    report: Progress = SILENT,
+    hashes: Sequence[str] | None = None,
+) -> Acquisition:
+    """Write the folder of an acquisition in which the virtual camera looks at scenes in turn.
+
+    Parameters
+    ----------
+    patterns_folder : str or path
+    scenes : array (S, h, w) or (S, N)
+    names, labels : sequences of str
+        Of the scenes; None where classes are not known.
+    out : str or path
+        Folder, new.
+    settings : RecordingSettings
+    report : Progress
+        Told of the share that is done.
+    hashes : sequence of str, optional
+        Of the scenes' pictures as the design sees them.
+
+    Raises
+    ------
+    InputError
+        If the scenes or the camera do not fit, or there is no room for the file.
+    """
+    target = Path(out)
+    camera = settings.camera
+    manifest = read_patterns(patterns_folder).manifest
+    scenes = check_scenes(scenes, manifest, settings.flux)
+    if target.exists():
+        raise InputError(f"'{target}' exists: name a folder that does not")
+    if len(names) != len(scenes) or (labels is not None and len(labels) != len(scenes)):
+        raise InputError(
+            f"{len(scenes)} scenes, {len(names)} names and "
+            f"{'no' if labels is None else len(labels)} labels: give one of each for every scene"
+        )
+    given: Sequence[str | None] = labels or [None] * len(names)
+    known: Sequence[str | None] = hashes or [None] * len(names)
+    shown = (Scene(name=n, label=x, hash=h) for n, x, h in zip(names, given, known, strict=True))
+    wanted = Acquisition.plan(
+        manifest,
+        tuple(shown),
+        exposure_s=settings.exposure_s,
+        settle_s=settings.settle_s,
+        repeats=settings.repeats,
+        marker_bit=FRAME_MARKER,
+        **({} if settings.inputs is None else {"inputs": settings.inputs}),
+        flux=settings.flux or None,
+        camera=camera.model_dump(mode="json"),
+        seed=settings.seed,
+    )
+    with new_folder(target) as draft:
+        acquisition = prepare_run(draft, patterns_folder, wanted)
+        flow = arrival_rates(
+            patterns_folder, scenes, camera, settings.flux, report=report.between(0, 0.5)
+        )
+        if not camera.gates:
+            events = float(np.einsum("sfd,f->", camera.registered(flow), manifest.picture_s))
+            hint = "give less `flux` or a shorter `exposure`"
+            check_disk_space(target, 4 * events, hint)
+        rng = np.random.default_rng(settings.seed)
+        path = draft / "photons.ptu"
+        clicks = None
+        if camera.gates:
+            clicks = acquisition.gates(manifest).with_clicks(manifest, camera.gates)
+        write_photons(
+            path,
+            manifest,
+            flow,
+            camera,
+            rng=rng,
+            inputs=acquisition.inputs,
+            report=report.between(0.5, 1),
+            gates=clicks,
+        )
+    return acquisition
+
+
+def check_file_inputs(inputs: Sequence[int]) -> None:
+    """Raise `InputError` if the file of a virtual recording has no such inputs."""
+    if max(inputs) >= PtuWriter.inputs:
+        raise InputError(
+            f"input {max(inputs) + 1} is none of a {PtuWriter.record_type} file, which has "
+            f"{PtuWriter.inputs}: use fewer `detectors`"
+        )
+
+
+def write_photons(
+    path: Path,
+    manifest: Manifest,
+    rates: np.ndarray,
+    camera: VirtualCamera,
+    rng: np.random.Generator,
+    inputs: Sequence[int] | None = None,
+    report: Progress = SILENT,
+    gates: GatePlan | None = None,
+) -> None:
+    """Write the photons and markers of one pass for each scene, one right after another."""
+    # rates (S, F, inputs); gates: of a detector that is gated
+    wired = range(rates.shape[2]) if inputs is None else inputs
+    check_file_inputs(wired)
+    picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
+    durations = np.tile(picture * round(1e-6 / DETECTOR_TICK_S), len(rates))
+    ends = np.cumsum(durations)
+    marks = ends - durations
+    streams = [
+        Stream(camera, rng, None if gates is None else Shutter(marks, gates))
+        for _ in range(rates.shape[2])
+    ]
+    times = np.empty(0, np.int64)
+    codes = np.empty(0, np.int16)
+    start = 0
+    every = camera.fluctuate(
+        rates.reshape(len(durations), -1), marks * DETECTOR_TICK_S, camera.light(rng)
+    )
+    with PtuWriter(path, tick_s=DETECTOR_TICK_S) as writer:
+        for pieces, flow in divide(durations, every):
+            end = start + int(pieces.sum())
+            marked = marks[slice(*np.searchsorted(marks, [start, end]))]
+            events = [
+                stream.events(start, pieces, flow[:, place]) for place, stream in enumerate(streams)
+            ]
+            kinds = [np.full(len(marked), -FRAME_MARKER), codes]
+            kinds += [np.full(len(some), each) for each, some in zip(wired, events, strict=True)]
+            times = np.maximum(np.concatenate([marked, times, *events]), 0)
+            order = np.argsort(times, kind="stable")
+            times = times[order]
+            codes = np.concatenate(kinds).astype(np.int16)[order]
+            last = end == ends[-1]
+            ready = np.searchsorted(times, end if last else end - streams[0].reach)
+            writer.write(times[:ready], codes[:ready])
+            times = times[ready:]
+            codes = codes[ready:]
+            start = end
+            report(end / int(ends[-1]))
+
+
+def virtual_camera(
+    name: str | None, source: Path, settings: Mapping[str, Any] = MappingProxyType({})
+) -> VirtualCamera:
+    """Virtual camera of a run of a design."""
+    if name is not None:
+        return VirtualCamera.load(name)
+    camera = camera_of(source, {"camera": settings.get("camera")})
+    described = camera.exposure is not None or camera.clicks is not None or camera.fluctuation > 0
+    return VirtualCamera.of(camera_of(source, settings)) if described else CAMERAS["pmt"]

@@ -1,0 +1,163 @@
+"""Laws of a live run on virtual devices, and of its log."""
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepfsi import classify_run
+from deepfsi.base.errors import InputError
+from deepfsi.lab import live as runs
+from deepfsi.lab import results as frame_log
+from deepfsi.lab.adaptive_looks import open_looks
+from deepfsi.lab.devices import virtual_setup
+from shared.live_samples import (
+    DEVICE,
+    EXPOSURE_S,
+    LOOKS,
+    live,
+    make_patterns,
+    planned,
+    scenes_of,
+)
+
+
+@pytest.fixture(scope="module")
+def patterns(digits, tmp_path_factory):
+    return make_patterns(tmp_path_factory.mktemp("live"), digits)
+
+
+@pytest.fixture(scope="module")
+def run(digits, patterns, tmp_path_factory):
+    """A run of twelve scenes; do not change it."""
+    folder = tmp_path_factory.mktemp("run") / "run"
+    live(folder, patterns, digits, count=12)
+    return folder
+
+
+@pytest.fixture
+def copied(run, tmp_path):
+    return shutil.copytree(run, tmp_path / "run")
+
+
+def test_the_clock_adds_up(digits, patterns, tmp_path):
+    """A scene takes its pictures and, for each list, command, block, transfer and decision."""
+    slow = {"display": 0.5, "block": 0.1, "transfer": 0.003}
+    x, scenes = scenes_of(digits, 3)
+    acquisition, looks = planned(patterns, scenes)
+    devices = virtual_setup(patterns, x, acquisition, latency_s=0.01, decision_s=0.002)
+    devices.projector._optics.latencies |= slow
+    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices, looks))
+    times = {}
+    for each in decided:
+        times.setdefault(each.scene, []).append(each.clock_s)
+    for scene in frame_log.read_log(tmp_path / "run"):
+        assert scene.clock_s == times[scene.scene][-1]
+        assert np.diff(times[scene.scene]).min() >= 0.01
+        lists = 2 + LOOKS
+        # Each list ends with a block of the counter: 0.1 s, as lists take less.
+        assert 0.1 * (lists - 1) < scene.clock_s <= 0.1 * lists + 0.0051
+
+
+def test_exposures_that_share_light_end_when_sure_and_take_the_cap_at_most(digits, tmp_path):
+    """Of 3 looks each takes 2/3 of the exposure, which is the mean, less what the clock rounds."""
+    patterns = make_patterns(tmp_path, digits, exposure={"cap": 2})
+    decided = live(tmp_path / "run", patterns, digits, count=20)
+    threshold = open_looks(patterns).rule.threshold
+    for each in decided:
+        decision = each.decision
+        assert decision.light_s == pytest.approx(2 / LOOKS * (decision.look + 1) * EXPOSURE_S, 1e-3)
+        ends = decision.look == LOOKS - 1 or decision.chances.max() > threshold
+        assert decision.final == ends
+    assert len({each.decision.look for each in decided if each.decision.final}) > 1
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, InputError("the device refuses")])
+def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_path, stop):
+    x, scenes = scenes_of(digits, 6)
+    acquisition, looks = planned(patterns, scenes)
+    devices = virtual_setup(patterns, x, acquisition)
+    folder, done = tmp_path / "run", []
+    whole = devices.projector.show
+
+    def show(frames, dwells_s):
+        if len(done) == 2 * LOOKS + 1:  # within the third scene
+            raise stop
+        whole(frames, dwells_s)
+
+    devices.projector.show = show
+    with pytest.raises(type(stop) if isinstance(stop, Exception) else stop):  # noqa: PT012
+        for each in runs.run_live(folder, patterns, acquisition, devices, looks):
+            done.append(each)
+    found = classify_run(patterns, folder).scenes
+    assert [each.predicted for each in found] == [
+        each.answer.predicted for each in done[: 2 * LOOKS] if each.answer
+    ]
+
+
+def test_a_line_that_a_killed_run_left_is_no_scene(copied):
+    path = copied / frame_log.LOG
+    path.write_bytes(path.read_bytes()[:-20])
+    assert len(frame_log.read_log(copied)) == 11
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda old: old[: old.index(b"\n") + 1].replace(b"[0.", b"[0.5,0."), "does not fit"),
+        (lambda old: old[old.index(b"\n") + 1 :], "do not follow each other"),
+        (lambda old: old.replace(b"chances", b"odds"), "is damaged"),
+    ],
+)
+def test_a_log_that_was_changed_is_refused(patterns, copied, change, words):
+    path = copied / frame_log.LOG
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(InputError, match=words):
+        classify_run(patterns, copied)
+
+
+def test_settings_that_cannot_be_are_refused(digits, patterns, tmp_path):
+    with pytest.raises(InputError, match="between 0 and 1"):
+        live(tmp_path / "run", patterns, digits, until=1.0)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [({"video_us": 8333}, "for one time"), ({"longest_us": 3000}, "for 3000 at most")],
+)
+def test_devices_that_cannot_show_a_look_are_refused(digits, tmp_path, limits, words):
+    device = DEVICE.model_copy(update=limits)
+    patterns = make_patterns(tmp_path, digits, device=device)
+    with pytest.raises(InputError, match=words):
+        live(tmp_path / "run", patterns, digits)
+
+
+def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, capsys):
+    """The program of the page, word for word, on a laboratory of two scenes."""
+    page = (Path(__file__).parents[2] / "docs/do/live.md").read_text()
+    [loop] = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
+    monkeypatch.chdir(tmp_path)
+    Path("adaptive").symlink_to(patterns)
+    x, scenes = scenes_of(digits, 2)
+    acquisition, _ = planned(patterns, scenes)
+    devices = virtual_setup(patterns, x, acquisition)
+    names = {f"my_{name}": getattr(devices, name) for name in ("projector", "counter", "display")}
+    exec(loop, names)
+    decided = capsys.readouterr().out.splitlines()
+    assert len(decided) == 2
+
+
+def test_long_gates_end_within_their_pictures_where_clocks_differ(digits, patterns, tmp_path):
+    """A device whose clock is fast by 10⁻⁴ shortens a picture of 1 s by more than it settles."""
+    x, scenes = scenes_of(digits, 2)
+    acquisition, looks = planned(patterns, scenes, 3.0 * LOOKS, flux=1e4)
+    devices = virtual_setup(patterns, x, acquisition)
+    whole = devices.projector.show
+    devices.projector.show = lambda frames, dwells_s: whole(frames, dwells_s * (1 - 1e-4))
+    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices, looks))
+    assert len(decided) == 2 * LOOKS
+    shown = frame_log.read_log(tmp_path / "run")
+    assert max(max(one.gate_ns) for each in shown for one in each.lists[1:-1]) > 0.2e9

@@ -1,0 +1,162 @@
+"""The virtual camera: light where it should be, and counts that agree with the scanner's."""
+
+import numpy as np
+import pytest
+from virtual_samples import (
+    DEVICE,
+    OPTICS,
+    SHAPE,
+    SUMMED_REFLECTANCE,
+    expected,
+    patterns,
+    record,
+    scenes,
+)
+
+from deepfsi.base.errors import InputError
+from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.photons.reader import summarise
+from deepfsi.lab import virtual_detector as detector
+from deepfsi.lab import virtual_optics as module
+from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera, arrival_rates, expected_events
+
+GRID = find_grid(DEVICE, SHAPE, DmdLayout(stretch=True))
+MIRRORS = GRID.mirrors
+AREA = slice(GRID.top, GRID.top + 24), slice(GRID.left, GRID.left + 36)
+IDEAL = CAMERAS["ideal"]
+every_optics = pytest.mark.parametrize(
+    ("light", "rails"), [*OPTICS, ("free-dwell", "dual"), ("column", "dual")]
+)
+
+
+def assert_poisson(counts: np.ndarray, mean: np.ndarray) -> None:
+    """Mean and variance of samples (n, ...), all places together and one by one, to five sigma."""
+    n, lit = len(counts), mean > 0
+    assert (counts[:, ~lit] == 0).all()
+    counts, mean = counts[:, lit].astype(float), mean[lit]
+    off = (counts.mean(axis=0) - mean) / np.sqrt(mean / n)
+    assert np.all(abs(off) <= 5)
+    power = (counts.var(axis=0, ddof=1) - mean) / np.sqrt((2 * mean**2 + mean) / n)
+    assert np.all(abs(power) <= 6)  # not yet normal for few samples
+    for all_places in (off, power):
+        assert abs(all_places.sum()) <= 5 * len(mean) ** 0.5
+
+
+# Light on the mirrors
+
+
+def light(x, device=DEVICE, grid=GRID, **camera) -> np.ndarray:
+    """What the mirrors of the device see of scenes (S, rows, columns) by such a camera."""
+    return module.irradiance(x, VirtualCamera(**camera), device, grid).astype(float)
+
+
+@pytest.mark.parametrize("shape", [SHAPE, (6, 12), (24, 36)])
+def test_the_ideal_camera_gives_each_mirror_its_share_of_its_cell(shape):
+    x = scenes(2, shape)
+    seen = light(x)
+    assert seen.shape == (2, 26, 36)
+    wide = np.repeat(np.repeat(x, 24 // shape[0], axis=1), 36 // shape[1], axis=2)
+    assert seen[:, *AREA] == pytest.approx(wide / MIRRORS, rel=1e-6)
+    seen[:, *AREA] = 0
+    assert (seen == 0).all()
+
+
+def test_nothing_is_seen_behind_the_camera():
+    """Of a display that crosses the horizon only one side is seen, that of the area's centre."""
+    view = ((-0.8, -0.6, 0.6), (-0.7, -0.6, 0.6), (1, -0.7, -0.2))
+    seen = light(np.ones((1, 3, 4)), view=view)[0][AREA]
+    x, y = np.meshgrid((np.arange(36) + 0.5) / 36, (np.arange(24) + 0.5) / 24)
+    back = np.linalg.inv(view)
+    across, down, depth = (row[0] * x + row[1] * y + row[2] for row in back)
+    on_display = (abs(across / depth - 0.5) < 0.5) & (abs(down / depth - 0.5) < 0.5)
+    front = depth * (back[2] @ [0.5, 0.5, 1]) > 0
+    assert (on_display & front).sum() > 100
+    assert (on_display & ~front).sum() > 100
+    assert np.array_equal(seen > 0, on_display & front)
+
+
+# Rates
+
+
+@every_optics
+def test_rates_of_the_ideal_camera_are_those_of_the_realised_masks(tmp_path, light, rails):
+    shown, x, flux = patterns(tmp_path / "p", light, rails), scenes(), 1e6
+    manifest = shown.manifest
+    flow = arrival_rates(tmp_path / "p", x, IDEAL, flux)
+    assert flow.shape == (3, len(manifest.frames), 2 if light == "two-arm" else 1)
+    part = flux / SUMMED_REFLECTANCE * x.reshape(3, -1) @ shown.fractions.T
+    whole = flux / SUMMED_REFLECTANCE * x.sum(axis=(1, 2))
+    assert flow[:, manifest.shown, 0] == pytest.approx(part, rel=1e-5)
+    on, off = ([frame.role for frame in manifest.frames].index(role) for role in ("on", "off"))
+    assert flow[:, on, 0] == pytest.approx(whole, rel=1e-5)  # the budget
+    assert (flow[:, off, 0] == 0).all()
+    if light == "two-arm":
+        assert flow.sum(axis=-1) == pytest.approx(np.tile(whole[:, None], flow.shape[1]), rel=1e-5)
+
+
+@pytest.mark.parametrize(("light", "rails"), [("free-dwell", "dual"), ("two-arm", "dual")])
+def test_photons_of_a_recording_are_forecast(tmp_path, light, rails):
+    shown = patterns(tmp_path / "p", light, rails)
+    camera = VirtualCamera(efficiency=0.3, dark=1e3, ambient=2e4)
+    grey = np.full((2, *SHAPE), 0.4)
+    rates = arrival_rates(tmp_path / "p", grey, camera, 1e5)
+    events = (rates.sum(axis=2) * shown.manifest.picture_s).sum()
+    assert expected_events(shown, grey, camera, 1e5) == pytest.approx(events, rel=1e-4)
+
+
+@pytest.mark.parametrize("light", ["equal-dwell", "two-arm"])
+def test_dark_counts_and_ambient_light_add_to_the_signal(tmp_path, light):
+    shown, x = patterns(tmp_path / "p", light), scenes()
+    camera = VirtualCamera(ambient=4e5, dark=123.0, efficiency=0.4)
+    signal = arrival_rates(tmp_path / "p", x, IDEAL, 1e6)
+    stray = arrival_rates(tmp_path / "p", x, camera, 1e6) - 0.4 * signal
+    part = shown.fractions.mean(axis=1) * 24 * 36 / (26 * 36)  # of the whole device
+    places = shown.manifest.shown
+    assert stray[0, places, 0] == pytest.approx(123 + 0.4 * 4e5 * part, rel=1e-4)
+    if light == "two-arm":
+        rest = 24 * 36 / (26 * 36) - part
+        assert stray[0, places, 1] == pytest.approx(123 + 0.4 * 4e5 * rest, rel=1e-4)
+    assert arrival_rates(tmp_path / "p", x, camera, 0.0)[:, 1, 0] == pytest.approx(123)
+
+
+@pytest.mark.parametrize(
+    ("given", "flux", "message"),
+    [
+        (np.ones((3, 12)), 1e6, "no images"),
+        (np.full((1, 3, 4), np.nan), 1e6, "no reflectance"),
+        (scenes(), 1e13, "flux"),
+    ],
+)
+def test_scenes_and_fluxes_that_are_none_are_refused(tmp_path, given, flux, message):
+    patterns(tmp_path / "p")
+    with pytest.raises(InputError, match=message):
+        arrival_rates(tmp_path / "p", given, IDEAL, flux)
+
+
+# Files
+
+
+@every_optics
+def test_law_counts_from_a_file_are_poisson_with_the_scanners_mean(tmp_path, light, rails):
+    shown = patterns(tmp_path / "p", light, rails, dwell=2e-2)
+    exposure, flux, x = 2e-4, 5e6, scenes()
+    counted = count_run(record(tmp_path, x, camera=IDEAL, flux=flux, exposure_s=exposure, seed=7))
+    assert counted.valid.all()
+    assert counted.faults == ()
+    assert counted.counts.shape[1] >= 50
+    for drawn, mean in zip(counted.counts, expected(shown, x, flux * exposure), strict=True):
+        assert_poisson(drawn, mean)
+
+
+def test_events_stay_in_order_where_jitter_reaches_over_chunks(tmp_path, monkeypatch):
+    """The writer refuses times that run back."""
+    monkeypatch.setattr(detector, "EVENTS_AT_ONCE", 10)
+    shown = patterns(tmp_path / "p", "two-arm", dwell=1e-4)
+    camera = VirtualCamera(jitter_s=1e-6, afterpulse_probability=0.3, afterpulse_s=1e-5)
+    flow = arrival_rates(tmp_path / "p", scenes(), camera, 1e6)
+    module.write_photons(tmp_path / "a.ptu", shown.manifest, flow, camera, np.random.default_rng(0))
+    contents = summarise(tmp_path / "a.ptu")
+    expected = (flow.sum(axis=2) * shown.manifest.picture_s).sum() * 1.3
+    assert abs(sum(contents.photons.values()) - expected) <= 6 * np.sqrt(expected * 1.3)
+    assert contents.markers == {1: 3 * len(shown.manifest.frames)}

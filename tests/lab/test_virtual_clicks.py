@@ -1,0 +1,90 @@
+"""Clicks of recordings: by the closed form, and the same of a gated and of a free detector."""
+
+import numpy as np
+import pytest
+from virtual_samples import SUMMED_REFLECTANCE, every_optics, expected, patterns, record, scenes
+
+from deepfsi.base.errors import InputError
+from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.hardware.counting.count import CountSettings, count_run
+from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.lab.calibration import gains_of, reconstruct
+from deepfsi.lab.registration import check_view
+from deepfsi.lab.virtual_optics import VirtualCamera
+
+GATES = 4
+EXPOSURE = 4e-3
+FLUX = 1.5e4
+"""Photons/s: about one in a gate."""
+
+LIGHT = {"flux": FLUX, "exposure_s": EXPOSURE}
+
+
+@every_optics
+def test_clicks_of_each_readout_are_binomial(tmp_path, light, rails):
+    """Mean and variance of all exposures of two scenes, to five standard errors."""
+    shown, x = patterns(tmp_path / "p", light, rails), scenes(2)
+    gated = record(tmp_path, x.repeat(150, axis=0), camera=VirtualCamera(gates=GATES), **LIGHT)
+    counts = count_run(gated, CountSettings(clicks=GATES))
+    assert counts.valid.all()
+    assert counts.gates == read_counts(gated).gates == GATES
+    found = counts.signal().reshape(2, -1, *counts.counts.shape[2:])
+    n, p = found.shape[1], -np.expm1(-expected(shown, x, FLUX * EXPOSURE) / GATES)
+    assert (found[:, :, p[0] == 0] == 0).all()
+    lit = p > 0
+    found, p = found.swapaxes(0, 1)[:, lit], p[lit]
+    assert p.max() > 0.3
+    spread = GATES * p * (1 - p)
+    assert abs((found.mean(axis=0) - GATES * p) / np.sqrt(spread / n)).max() < 5
+    fourth = spread * (1 + 3 * (GATES - 2) * p * (1 - p))  # central moment
+    off = found.var(axis=0) - spread
+    assert abs(off.sum()) < 5 * np.sqrt(((fourth - spread**2) / n).sum())
+
+
+@every_optics
+def test_a_gated_and_a_free_detector_give_the_same_clicks(tmp_path, light, rails):
+    """Of one seed, photon by photon; a second count of gated photons changes nothing."""
+    patterns(tmp_path / "p", light, rails)
+    settings = {"seed": 3, "repeats": 1, **LIGHT}
+    runs = [
+        record(tmp_path, scenes(20), name, camera=VirtualCamera(gates=gates), **settings)
+        for name, gates in (("gated", GATES), ("free", None))
+    ]
+    gated, free = (count_run(run, CountSettings(clicks=GATES)) for run in runs)
+    photons = count_run(runs[1])
+    assert np.array_equal(gated.counts, free.counts)
+    assert gated.counts.max() == GATES
+    assert photons.counts.max() > GATES
+    assert (photons.counts >= free.counts).all()
+    assert (gated.variance <= gated.counts).all()
+
+
+@pytest.mark.parametrize(("gates", "flux"), [(None, FLUX), (None, 30 * FLUX), (40, FLUX)])
+def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, flux):
+    """Clicks where gates hold few photons, and the photons of a free detector where many."""
+    patterns(tmp_path / "p")
+    x = scenes(1).repeat(40, axis=0)
+    camera = VirtualCamera(gates=gates)
+    run = record(tmp_path, x, camera=camera, flux=flux, exposure_s=EXPOSURE, repeats=1)
+    counts, number = count_run(run, CountSettings(clicks=gates or GATES)), 80 * (gates or GATES)
+    wanted = flux * float(x[0].sum()) / SUMMED_REFLECTANCE
+    mean = wanted * 2e-3 / (gates or GATES)  # photons in a gate, about
+    variance = mean if mean > 1 else np.expm1(mean)
+    error = np.sqrt(variance / number) / mean
+    assert counts.flux == pytest.approx(np.full(40, wanted), rel=5 * error)
+    assert error < 0.1
+
+
+def test_what_is_of_photons_refuses_clicks(tmp_path):
+    patterns(tmp_path / "p")
+    gated = record(tmp_path, scenes(), camera=VirtualCamera(gates=GATES), **LIGHT, repeats=1)
+    dead = CounterEffects(dead_time=DeadTime(seconds=2e-8))
+    with pytest.raises(InputError, match="dead time is of photon counts"):
+        count_run(gated, CountSettings(clicks=GATES, effects=dead))
+    with pytest.raises(InputError, match="first photons alone of 4 gates"):
+        count_run(gated, CountSettings(clicks=2))
+    assert not (gated / "counts.npz").exists()
+    count_run(gated, CountSettings(clicks=GATES))
+    for use in (reconstruct, check_view, gains_of):
+        with pytest.raises(InputError, match="was counted in clicks, which are not in proportion"):
+            use(gated)
