@@ -34,7 +34,7 @@ from deepfsi.networks.classifiers import Mlp, Replicas
 from deepfsi.sweeps.plan import plan_trials
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
 from deepfsi.sweeps.run import run_trials
-from deepfsi.sweeps.workers import Workers, default_count
+from deepfsi.sweeps.workers import default_count
 from deepfsi.training.learning import train
 from moments import Moments
 
@@ -68,9 +68,7 @@ def sweep(
     trials = plan_trials(recipe, data)
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        done = run_trials(
-            trials, data, out or Path(folder), device=device, workers=Workers(workers)
-        )
+        done = run_trials(trials, data, out or Path(folder), device=device, workers=workers)
         seconds = time.perf_counter() - began
     accuracy = np.mean([record["test"][0]["accuracy"] for record in done])
     print(

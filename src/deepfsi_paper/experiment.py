@@ -25,7 +25,6 @@ from deepfsi.sweeps.records import write_table
 from deepfsi.sweeps.results import Point, Results, read_results, write_results
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.summary import provenance_of
-from deepfsi.sweeps.workers import Workers
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
 
 Measure = Callable[[Results, Dataset, Path, int | None, Progress], dict[str, Any]]
@@ -108,7 +107,8 @@ class Experiment:
                 folder,
                 command=command,
                 device=device,
-                workers=Workers(workers, ray),
+                workers=workers,
+                ray=ray,
                 report=span,
             )
             compared.append(part)

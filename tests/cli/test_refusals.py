@@ -205,7 +205,7 @@ def no_training(monkeypatch):
     def train(*_, **__):
         raise AssertionError("trained before all was checked")
 
-    monkeypatch.setattr("deepfsi.sweeps.run.SweepRun.finish", train)
+    monkeypatch.setattr("deepfsi.sweeps.run.run_trials", train)
     monkeypatch.setattr(learning, "optimise", train)
 
 

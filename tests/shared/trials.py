@@ -11,7 +11,6 @@ from deepfsi.jobs.job import find_table
 from deepfsi.sweeps.plan import Trial, plan_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import run_trials
-from deepfsi.sweeps.workers import Workers
 
 
 def train_trials(
@@ -22,10 +21,8 @@ def train_trials(
     device: str = "auto",
     **workers: Any,
 ) -> list[dict[str, Any]]:
-    """Records of trials of one data set, by `Workers(**workers)`."""
-    return run_trials(
-        trials, data, folder, matrix=matrix, device=device, workers=Workers(**workers)
-    )
+    """Records of trials of one data set."""
+    return run_trials(trials, data, folder, matrix=matrix, device=device, **workers)
 
 
 def small(**changes: Any) -> Recipe:

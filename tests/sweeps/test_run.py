@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
+import polars
 import pytest
 
 from deepfsi import Design, evaluate
@@ -14,7 +15,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.numeric.intervals import unpack_values
 from deepfsi.sweeps import batch
 from deepfsi.sweeps.plan import Trial
-from deepfsi.sweeps.records import record_rows
+from deepfsi.sweeps.records import write_table
 from deepfsi.sweeps.run import compare
 from shared.trials import planned, small, train_trials
 
@@ -39,9 +40,10 @@ def test_levels_are_an_axis_and_a_column(digits, tmp_path):
     assert set(levels) == {0, 2, 769}
     read = [Trial.model_validate_json(trial.model_dump_json()) for trial in trials]
     assert [trial.key for trial in read] == [trial.key for trial in trials]
-    table = record_rows(train_trials(trials, digits, tmp_path))
-    assert [row["training_levels"] for row in table] == levels
-    assert {row["levels"] for row in table} == {0}
+    records = train_trials(trials, digits, tmp_path)
+    table = polars.read_csv(write_table(records, tmp_path / "a.csv"))
+    assert table["training_levels"].to_list() == levels
+    assert {*table["levels"]} == {0}
 
 
 def test_a_test_scene_that_was_trained_on_is_in_no_interval(digits, tmp_path):
@@ -121,7 +123,7 @@ def test_processes_give_what_one_gives_and_leave_those_of_the_caller_alone(digit
     mine.start()
     try:
         with pytest.raises(InputError, match=r"diverged and the others are done: pca, 6 masks;"):
-            train_trials([*trials, *wild], digits, tmp_path / "two", count=2)
+            train_trials([*trials, *wild], digits, tmp_path / "two", workers=2)
         assert mine.is_alive()
     finally:
         mine.kill()

@@ -90,7 +90,6 @@ class CompareDesigns(Command):
         from deepfsi.sweeps.recipe import only
         from deepfsi.sweeps.run import check_kept, compare
         from deepfsi.sweeps.target import check_target
-        from deepfsi.sweeps.workers import Workers
 
         matrix = None if self.matrix is None else read_matrix(self.matrix)
         if self.recipe:
@@ -117,7 +116,7 @@ class CompareDesigns(Command):
                 command=terminal.command_line,
                 matrix=matrix,
                 device=self.device,
-                workers=Workers(self.workers),
+                workers=self.workers,
                 report=report,
             )
         return _results_outcome(results, self.out, self.target)
@@ -157,12 +156,10 @@ class SweepRecipe(Command):
         from deepfsi.sweeps.recipe import only
         from deepfsi.sweeps.records import write_table
         from deepfsi.sweeps.run import check_kept, compare
-        from deepfsi.sweeps.workers import Workers
 
         recipe, scenes = _checked(
             {**only(file, self.part_name, self.quick), **self.explicit(("camera", "folds"))}
         )
-        workers = Workers(self.workers, self.ray)
         if not self.force:
             check_kept(self.out, recipe, scenes)
         with terminal.progress("sweep") as report:
@@ -172,7 +169,8 @@ class SweepRecipe(Command):
                 self.out,
                 command=terminal.command_line,
                 device=self.device,
-                workers=workers,
+                workers=self.workers,
+                ray=self.ray,
                 report=report,
             )
         outcome = _results_outcome(results, self.out)

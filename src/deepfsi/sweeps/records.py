@@ -17,7 +17,7 @@ are kept would be trained alone, and a sum of numbers in another order rounds ot
 import io
 import json
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -163,54 +163,50 @@ class Records:
         return self.folder / "designs" / f"{trial.design_key}.safetensors"
 
 
-def record_rows(records: Sequence[Record]) -> list[dict[str, Any]]:
-    """Records as the rows of one table: settings of the trial, then one test."""
-    rows = []
-    columns = {key: measure for key, measure in MEASURES.items() if measure.chooses}
-    main = [key for key, measure in columns.items() if isinstance(measure, MainMeasure)]
-    others = [key for key in columns if key not in main]
-    tested = (*main, "low", "high", *others, "counts", "arriving", "throughput")
-    for record in records:
-        trial = record["trial"]
-        job = trial["job"]
-        settings = {**job, **job["camera"], **job["exposure"], **job["training"]}
-        settings["training_noise"] = trial["trained_under"]
-        settings["device"] = (job["camera"]["device"] or {}).get("name")
-        settings["time"] = job["camera"]["exposure"]
-        settings["training_levels"] = settings.pop("levels")
-        settings["hidden"] = "-".join(map(str, settings["hidden"]))
-        settings["classifier_arguments"] = json.dumps(settings["classifier_arguments"])
-        settings["detectors"] = trial["detectors"]
-        for table in ("camera", "exposure", "training", "noise"):
-            del settings[table]
-        for index, test in enumerate(record["test"]):
-            validation = record["validation"][index] if record["validation"] else {}
-            rows.append(
-                {
-                    "key": record["key"],
-                    "data": trial["data"],
-                    "variant": trial["variant"],
-                    **settings,
-                    "test_noise": test["noise"],
-                    "test_photons": test["photons"],
-                    "levels": test["levels"],
-                    **{f"validation_{key}": validation.get(key) for key in columns if key in test},
-                    **{name: test[name] for name in tested if name in test},
-                    "seconds": record["info"]["seconds"],
-                }
-            )
-    return rows
-
-
 def write_table(records: Sequence[Record], path: Path) -> Path:
-    """Write records as one table."""
+    """Write records as one table, a row for each test of a trial."""
     import polars
 
     check_ending(path, (".csv", ".parquet"))
-    table = polars.DataFrame(record_rows(records), infer_schema_length=None)
+    rows = [row for record in records for row in _rows(record)]
+    table = polars.DataFrame(rows, infer_schema_length=None)
     content = io.BytesIO()
     if path.suffix.lower() == ".csv":
         table.write_csv(content)
     else:
         table.write_parquet(content)
     return write_atomically(path, content.getvalue())
+
+
+def _rows(record: Record) -> Iterator[dict[str, Any]]:
+    """Yield settings of a trial beside each of its tests."""
+    columns = {key: measure for key, measure in MEASURES.items() if measure.chooses}
+    main = [key for key, measure in columns.items() if isinstance(measure, MainMeasure)]
+    others = [key for key in columns if key not in main]
+    tested = (*main, "low", "high", *others, "counts", "arriving", "throughput")
+    trial = record["trial"]
+    job = trial["job"]
+    settings = {**job, **job["camera"], **job["exposure"], **job["training"]}
+    settings["training_noise"] = trial["trained_under"]
+    settings["device"] = (job["camera"]["device"] or {}).get("name")
+    settings["time"] = job["camera"]["exposure"]
+    settings["training_levels"] = settings.pop("levels")
+    settings["hidden"] = "-".join(map(str, settings["hidden"]))
+    settings["classifier_arguments"] = json.dumps(settings["classifier_arguments"])
+    settings["detectors"] = trial["detectors"]
+    for table in ("camera", "exposure", "training", "noise"):
+        del settings[table]
+    for index, test in enumerate(record["test"]):
+        validation = record["validation"][index] if record["validation"] else {}
+        yield {
+            "key": record["key"],
+            "data": trial["data"],
+            "variant": trial["variant"],
+            **settings,
+            "test_noise": test["noise"],
+            "test_photons": test["photons"],
+            "levels": test["levels"],
+            **{f"validation_{key}": validation.get(key) for key in columns if key in test},
+            **{name: test[name] for name in tested if name in test},
+            "seconds": record["info"]["seconds"],
+        }

@@ -7,7 +7,7 @@ stopped goes on where it was, and several processes may work on one folder.
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain, product
 from pathlib import Path
@@ -24,12 +24,15 @@ from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import FinishedTrial, Record, Records
 from deepfsi.sweeps.results import Results, read_results
 from deepfsi.sweeps.summary import summarise_records
-from deepfsi.sweeps.workers import THIS_PROCESS, Workers, default_count, processes, report_of_task
+from deepfsi.sweeps.workers import Resources, cores, processes, report_of_task
 
 if TYPE_CHECKING:
     import torch
 
     from deepfsi.sweeps.batch import Batch, BatchTrainer
+
+
+_ONE_PROCESSOR = Resources()
 
 
 def check_kept(
@@ -68,7 +71,8 @@ def compare(
     command: str,
     matrix: np.ndarray | None = None,
     device: "str | torch.device" = "auto",
-    workers: Workers = THIS_PROCESS,
+    workers: int | None = 1,
+    ray: str | None = None,
     report: Progress = SILENT,
 ) -> tuple[Results, list[Record]]:
     """Results of a recipe, and their records.
@@ -86,8 +90,10 @@ def compare(
     matrix : array, shape (m, N), optional
         One's own masks, of the design "custom".
     device : {"auto", "cpu", "cuda"} or torch.device
-    workers : Workers
-        Processes, or a Ray cluster, that train.
+    workers : int, optional
+        Processes that train; None for one on each core, or one on a GPU.
+    ray : str, optional
+        Address of a Ray cluster that trains in their place, or "auto".
     report : Progress
 
     Returns
@@ -106,10 +112,9 @@ def compare(
     with library_defaults(grad=True):
         began = time.perf_counter()
         scenes = recipe.parts(data)
-        workers = replace(workers, resources=recipe.resources)
-        if len(scenes) > 1 and workers.ray is None:
+        if len(scenes) > 1 and ray is None:
             # trainings on few scenes take less than starting processes for each fold
-            workers = replace(workers, count=workers.count or 1)
+            workers = workers or 1
         records = [
             run_trials(
                 plan_trials(recipe, fold, matrix),
@@ -118,6 +123,8 @@ def compare(
                 matrix=matrix,
                 device=device,
                 workers=workers,
+                ray=ray,
+                resources=recipe.resources,
                 report=span,
             )
             for fold, span in zip(scenes, report.split(len(scenes)), strict=True)
@@ -134,89 +141,96 @@ def run_trials(
     *,
     matrix: np.ndarray | None = None,
     device: "str | torch.device" = "auto",
-    workers: Workers = THIS_PROCESS,
+    workers: int | None = 1,
+    ray: str | None = None,
+    resources: Resources = _ONE_PROCESSOR,
     report: Progress = SILENT,
 ) -> list[Record]:
-    """Train and test what a folder does not hold yet of trials."""
+    """Records of trials of one data set, in a folder that other processes may share.
+
+    Those that the folder does not hold yet are trained and tested.
+    """
     from deepfsi.sweeps.batch import BatchTrainer
 
     trainer = BatchTrainer(data, trials[0].validation, device, matrix)
-    return SweepRun(trainer, folder, workers).finish(trials, report)
+    workers = workers or (1 if trainer.processor.type == "cuda" else cores())
+    work = _Work(trainer, Records(folder), workers, ray, resources, report)
+    try:
+        diverged = work.finish(trials)
+    finally:
+        work.records.release_all()
+    if lost := {trainer.title([t]) for t in trials if t.design_key in diverged}:
+        raise InputError(
+            f"training diverged and the others are done: {', '.join(sorted(lost))}; lower lr "
+            "and mask_lr"
+        )
+    # a record is found by what it depends on; its words are those of who asks
+    return [
+        {**record, "trial": trial.model_dump(mode="json")}
+        for trial in trials
+        if (record := work.records.read(trial))
+    ]
 
 
 @dataclass(frozen=True)
-class SweepRun:
-    """Work on trials of one data set, in a folder that other processes may share."""
+class _Work:
+    """Work on trials of one data set."""
 
     trainer: "BatchTrainer"
-    folder: Path
-    workers: Workers = THIS_PROCESS
+    records: Records
+    workers: int
+    ray: str | None
+    resources: Resources
+    report: Progress
 
-    def finish(self, trials: Sequence[Trial], report: Progress = SILENT) -> list[Record]:
-        """Records of trials, of which those that are not there are trained and tested."""
-        records = Records(self.folder)
-        diverged: set[str] = set()  # keys of designs
+    def finish(self, trials: Sequence[Trial]) -> set[str]:
+        """Train and test what has no record yet; return the keys of designs that diverged."""
+        diverged: set[str] = set()
         before = 0
-        try:
-            while missing := [
-                trial
-                for trial in trials
-                if trial.design_key not in diverged and not records.read(trial)
-            ]:
-                if len(missing) == before:
-                    time.sleep(1)  # another process tests them
-                before = len(missing)
-                untrained = self._test_trained(missing, records, report)
-                if untrained:
-                    first_of_each = {trial.design_key: trial for trial in untrained}
-                    diverged |= self._train(list(first_of_each.values()), records, report)
-                    report(1.0, "done")
-        finally:
-            records.release_all()
-        if lost := {self.trainer.title([t]) for t in trials if t.design_key in diverged}:
-            raise InputError(
-                f"training diverged and the others are done: {', '.join(sorted(lost))}; lower lr "
-                "and mask_lr"
-            )
-        # a record is found by what it depends on; its words are those of who asks
-        return [
-            {**record, "trial": trial.model_dump(mode="json")}
+        while missing := [
+            trial
             for trial in trials
-            if (record := records.read(trial))
-        ]
+            if trial.design_key not in diverged and not self.records.read(trial)
+        ]:
+            if len(missing) == before:
+                time.sleep(1)  # another process tests them
+            before = len(missing)
+            untrained = self._test_trained(missing)
+            if untrained:
+                first_of_each = {trial.design_key: trial for trial in untrained}
+                diverged |= self._train(list(first_of_each.values()))
+                self.report(1.0, "done")
+        return diverged
 
-    def _test_trained(
-        self, trials: Sequence[Trial], records: Records, report: Progress
-    ) -> list[Trial]:
+    def _test_trained(self, trials: Sequence[Trial]) -> list[Trial]:
         """Test designs that are there already, from other tests; return the other trials."""
         others = []
         for index, trial in enumerate(trials):
-            design = records.design(trial)
-            if design is None or not records.lock([trial]):
+            design = self.records.design(trial)
+            if design is None or not self.records.lock([trial]):
                 others.append(trial)
                 continue
-            report(index / len(trials), f"testing {design.name} again")
+            self.report(index / len(trials), f"testing {design.name} again")
             record = self.trainer.record(trial, design.to(self.trainer.processor))
-            records.write([FinishedTrial(trial, record, None)])
+            self.records.write([FinishedTrial(trial, record, None)])
         return others
 
-    def _train(self, trials: Sequence[Trial], records: Records, report: Progress) -> set[str]:
+    def _train(self, trials: Sequence[Trial]) -> set[str]:
         """Train and record trials of different designs; return the keys of those that diverged."""
         trainer = self.trainer
-        count = self.workers.count or default_count(trainer.processor.type)
-        todo = trainer.batches(trials, count)
-        workers = replace(self.workers, count=min(count, len(todo)))
-        if workers.ray is not None or workers.count != 1:
-            report(0.0, "matrices that all share")
+        todo = trainer.batches(trials, self.workers)
+        count = min(self.workers, len(todo))
+        if self.ray is not None or count > 1:
+            self.report(0.0, "matrices that all share")
             trainer.prepare(trials)
-        bar = _EffortBar(trainer, todo, report)
+        bar = _EffortBar(trainer, todo, self.report)
         diverged: set[str] = set()
         while todo:
             bar.say(f"{len(todo)} batches")
-            claims = _Claims(records, todo)
-            with closing(self._results(claims, workers, bar)) as arriving:
+            claims = _Claims(self.records, todo)
+            with closing(self._results(claims, count, bar)) as arriving:
                 for finished in arriving:
-                    records.write(finished)
+                    self.records.write(finished)
                     diverged |= {done.trial.design_key for done in finished if not done.record}
                     bar.finish([done.trial for done in finished])
             todo = claims.postponed
@@ -226,30 +240,30 @@ class SweepRun:
         return diverged
 
     def _results(
-        self, claims: "_Claims", workers: Workers, bar: "_EffortBar"
+        self, claims: "_Claims", count: int, bar: "_EffortBar"
     ) -> Generator[list[FinishedTrial], None, None]:
         """Yield what batches give, as they finish."""
-        checkpoints = claims.records.checkpoints
-        if workers.ray is not None:
+        checkpoints = self.records.checkpoints
+        if self.ray is not None:
             # a node may see another disk: no checkpoints there
             with closing(
                 run_on_ray(
                     _train_there,
                     self.trainer,
                     claims,
-                    address=workers.ray,
-                    cpus=workers.resources.cpus,
-                    gpus=workers.resources.gpus,
+                    address=self.ray,
+                    cpus=self.resources.cpus,
+                    gpus=self.resources.gpus,
                 )
             ) as results:
                 yield from results
-        elif workers.count and workers.count > 1:
+        elif count > 1:
 
             def watch(shares: dict[int, float]) -> None:
                 bar.watch([(claims.started[index], share) for index, share in shares.items()])
 
             work = partial(_train_there, checkpoints=checkpoints)
-            yield from processes(work, self.trainer, claims, workers.count, watch=watch)
+            yield from processes(work, self.trainer, claims, count, watch=watch)
         else:
             for batch in claims:
                 yield self.trainer.train(batch, bar.span(batch), checkpoints)

@@ -9,7 +9,6 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -43,29 +42,11 @@ class Resources(StrictModel):
         return gpus
 
 
-@dataclass(frozen=True)
-class Workers:
-    """Processes that train."""
-
-    count: int | None = 1  # processes on this machine
-    ray: str | None = None  # address of a Ray cluster in place of them, or "auto"
-    resources: Resources = field(default_factory=Resources)
-
-
-THIS_PROCESS = Workers()
-"""This process alone."""
-
-
 class _Running(NamedTuple):
     """Place of a task among all, and of `shares` where its process says how far it is."""
 
     place: int
     slot: int
-
-
-def default_count(device: str) -> int:
-    """Number of processes that are fastest on a device: on a processor one for each core."""
-    return 1 if device == "cuda" else cores()
 
 
 def cores() -> int:
