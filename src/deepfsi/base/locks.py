@@ -9,7 +9,6 @@ import contextlib
 import os
 import re
 import threading
-import time
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -115,10 +114,12 @@ class Locks:
     def __init__(self, folder: Path) -> None:
         self.folder = folder / "locks"
         self._owned: dict[str, Path] = {}
-        self._seen: dict[Path, tuple[int, float]] = {}
-        self._end = threading.Event()
-        self._beating: threading.Thread | None = None
-        self._remove_old()
+        self._end: threading.Event | None = None  # of the thread that shows that this one lives
+        for key in list_folder(self.folder):  # of processes that are gone
+            for lock in list_folder(key):
+                _over(lock)
+            _remove_empty(key)
+        _remove_empty(self.folder)
 
     def take(self, key: str) -> bool:
         """Lock a key; False where it is locked, here or elsewhere, or wanted at this moment."""
@@ -126,11 +127,14 @@ class Locks:
             return False
         mine = self.folder / key / str(this_process())
         self._owned[key] = mine
-        self._make(mine)
-        if any(other != mine and not self._over(other) for other in list_folder(mine.parent)):
+        _make(mine)
+        now = mine.stat().st_mtime  # by the clock of the folder, as that of other locks
+        if any(other != mine and not _over(other, now) for other in list_folder(mine.parent)):
             self.give_up(key)
             return False
-        self._beat()
+        if self._end is None:
+            self._end = threading.Event()
+            threading.Thread(target=self._show_life, args=(self._end,), daemon=True).start()
         return True
 
     def give_up(self, key: str) -> None:
@@ -143,63 +147,43 @@ class Locks:
         """Let others have every key of this process."""
         for key in list(self._owned):
             self.give_up(key)
-        self._end.set()
-        self._beating = None
+        if self._end is not None:
+            self._end.set()
+            self._end = None
         _remove_empty(self.folder)
-
-    def _make(self, mine: Path) -> None:
-        """Make the file of a lock; its folder may be taken away meanwhile, by one that ends."""
-        while True:
-            try:
-                mine.parent.mkdir(parents=True, exist_ok=True)
-                mine.touch()
-                return
-            except (FileNotFoundError, FileExistsError):
-                if mine.parent.is_file():
-                    raise
-
-    def _over(self, lock: Path) -> bool:
-        """Take a lock's file away if its process is gone; True if nothing is left of it."""
-        owner = parse_process(lock.name)
-        if owner is None:
-            return True
-        if owner.is_gone if owner.is_here else self._silent(lock):
-            lock.unlink(missing_ok=True)
-            return True
-        return False
-
-    def _silent(self, lock: Path) -> bool:
-        """True if a file has not changed for long since it was first seen so."""
-        try:
-            changed = lock.stat().st_mtime_ns
-        except FileNotFoundError:
-            return True
-        before, since = self._seen.get(lock, (None, 0.0))
-        if changed != before:
-            self._seen[lock] = (changed, time.monotonic())
-            return False
-        return time.monotonic() - since > SILENT_SECONDS
-
-    def _remove_old(self) -> None:
-        """Take away what processes left that are gone."""
-        for key in list_folder(self.folder):
-            for lock in list_folder(key):
-                self._over(lock)
-            _remove_empty(key)
-        _remove_empty(self.folder)
-
-    def _beat(self) -> None:
-        """Show that this process lives, from now until all locks are given up."""
-        if self._beating is None:
-            self._end = threading.Event()
-            self._beating = threading.Thread(target=self._show_life, args=(self._end,), daemon=True)
-            self._beating.start()
 
     def _show_life(self, end: threading.Event) -> None:
         while not end.wait(BEAT_SECONDS):
             for mine in list(self._owned.values()):
                 with contextlib.suppress(OSError):
                     os.utime(mine)
+
+
+def _make(mine: Path) -> None:
+    """Make the file of a lock; its folder may be taken away meanwhile, by one that ends."""
+    while True:
+        try:
+            mine.parent.mkdir(parents=True, exist_ok=True)
+            mine.touch()
+            return
+        except (FileNotFoundError, FileExistsError):
+            if mine.parent.is_file():
+                raise
+
+
+def _over(lock: Path, now: float = 0.0) -> bool:
+    """Take a lock's file away if its process is gone; True if nothing is left of it."""
+    owner = parse_process(lock.name)
+    try:
+        silent = now - lock.stat().st_mtime > SILENT_SECONDS
+    except FileNotFoundError:
+        return True
+    if owner is None:
+        return True
+    if owner.is_gone if owner.is_here else silent:
+        lock.unlink(missing_ok=True)
+        return True
+    return False
 
 
 def list_folder(folder: Path) -> Iterator[Path]:
