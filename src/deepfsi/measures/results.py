@@ -14,9 +14,18 @@ from deepfsi.measures.table import MEASURES, Answers, ClassAnswers, Measure, Val
 class _AnswerTest:
     """A test of answers of either kind, with all measures of `MEASURES` that are of that kind."""
 
+    kind: ClassVar[type[Answers]]
     photons: float  # budget Φ
     noise: str
-    kind: ClassVar[type[Answers]]
+    low: float  # interval of the measure that data are judged by
+    high: float
+    covers: str  # what the intervals cover
+    images: int
+    draws: int
+    counts: float
+    arriving: float
+    throughput: float
+    photons_per_mask: list[float]
     further: dict[str, float | None] = field(default_factory=dict, repr=False, kw_only=True)
     image_terms: dict[str, list[float]] = field(default_factory=dict, repr=False, kw_only=True)
 
@@ -130,11 +139,6 @@ class Result(_AnswerTest):
 
     kind = ClassAnswers
     accuracy: float
-    low: float
-    high: float
-    covers: str
-    images: int
-    draws: int
     balanced: float
     balanced_low: float
     balanced_high: float
@@ -142,10 +146,6 @@ class Result(_AnswerTest):
     confusion: list[list[int]]
     calibration_error: float
     log_loss: float
-    counts: float
-    arriving: float
-    throughput: float
-    photons_per_mask: list[float]
 
     @classmethod
     def of(cls, answers: ClassAnswers) -> Self:
@@ -173,21 +173,12 @@ class Estimates(_AnswerTest):
 
     kind = ValueAnswers
     r2: float
-    low: float
-    high: float
-    covers: str  # what the intervals cover
-    images: int
-    draws: int
     values: list[str]  # names of the values
     r2_each: list[float]  # R² of each value
     rmse: list[float]
     rmse_low: list[float]
     rmse_high: list[float]
     bound: list[float] | None
-    counts: float
-    arriving: float
-    throughput: float
-    photons_per_mask: list[float]
 
     @classmethod
     def of(cls, answers: ValueAnswers) -> Self:

@@ -168,7 +168,6 @@ class MainMeasure(Measure):
     axis: str
     meaning: str  # what it is, with its unit
     guessing: str  # what guessing gives
-    task: str  # what a network does with the photon counts of scenes, with a place for these
 
 
 def _explained_interval(terms: np.ndarray, truth: np.ndarray) -> Interval:
@@ -193,8 +192,6 @@ MEASURES: dict[str, Measure] = {
             axis="accuracy (share correct)",
             meaning="share of test scenes classified correctly",
             guessing="the share of the commonest class",
-            task="the share of {scenes} that a trained network classifies correctly from the "
-            "photon counts",
         ),
         Measure(
             key="balanced",
@@ -249,8 +246,6 @@ MEASURES: dict[str, Measure] = {
             meaning="share of the variance of the values that the estimates explain (R², in the "
             "mean over values)",
             guessing="that of answering the mean of all scenes",
-            task="how well a trained network estimates values from the photon counts, on {scenes}: "
-            "R², the share of their variance that the estimates explain, in the mean over values",
         ),
     )
 }
