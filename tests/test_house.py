@@ -16,11 +16,11 @@ SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
     "adaptive": 1572,
-    "base": 1440,
+    "base": 1424,
     "base.models": 88,
     "base.numeric": 1283,
     "camera": 1437,
-    "cli": 3038,
+    "cli": 3033,
     "datasets": 3065,
     "design": 1007,
     "designfile": 1487,
@@ -32,12 +32,12 @@ LINES = {
     "hardware.photons": 1335,
     "jobs": 1680,
     "lab": 4556,
-    "measures": 630,
+    "measures": 616,
     "networks": 474,
     "physics": 1928,
     "report": 1448,
     "report.playground": 51,
-    "sweeps": 2506,
+    "sweeps": 2497,
     "training": 1763,
 }
 """Lines of each room, which may only fall: lower the number with them."""
