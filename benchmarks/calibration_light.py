@@ -20,7 +20,8 @@ from scipy.linalg import lstsq
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
 from deepfsi.hardware.counting.acquisition import Calibration
-from deepfsi.hardware.patterns.folder import FrameSettings, GatePlan, Patterns, export_patterns
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.manifest import GatePlan
 from deepfsi.lab.calibration import SCAN_NAMES, fit_calibration, scan_rails, spot_scenes
 from deepfsi.lab.virtual_optics import arrival_rates
 from deepfsi_paper.camera.gate_counts import draw_counts
@@ -66,8 +67,9 @@ def main(words: list[str] | None = None) -> None:
     for name in SCAN_NAMES:
         scan = scan_rails(name, cells)
         with tempfile.TemporaryDirectory() as folder:
-            settings = FrameSettings(DEVICE, 1.1 * EXPOSURE_S * float(scan.rails.max()))
-            patterns = export_patterns(scan, settings, Path(folder) / "scan")
+            patterns = Patterns.from_rails(
+                scan, DEVICE, 1.1 * EXPOSURE_S * float(scan.rails.max())
+            ).write(Path(folder) / "scan")
             rates = arrival_rates(Path(folder) / "scan", scenes, CAMERA, 1.0)
         for photons in arguments.photons:
             flux = photons / EXPOSURE_S * 32 * 32 / spots[0].sum()

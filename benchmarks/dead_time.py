@@ -24,7 +24,7 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
 from deepfsi.hardware.counting.tables import TableSettings, count_table
-from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.virtual_detector import Detector
 from deepfsi.training.learning import learn
@@ -61,11 +61,11 @@ def show(design: Design, data: Dataset, scenes: int) -> Shown:
     masks = design.masks * design.rails.count
     with TemporaryDirectory() as folder:
         design.save(Path(folder) / "design.safetensors")
-        patterns = export_patterns(
+        patterns = Patterns.from_rails(
             design_rails(Path(folder) / "design.safetensors"),
-            FrameSettings(find_device("dlp7000"), EXPOSURE_S / masks),
-            Path(folder) / "patterns",
-        )
+            find_device("dlp7000"),
+            EXPOSURE_S / masks,
+        ).write(Path(folder) / "patterns")
     manifest, x = patterns.manifest, data.x_test[:scenes].astype(float)
     flux = RATE / manifest.summed_reflectance
     lit = np.zeros((len(manifest.frames), x.shape[1]))

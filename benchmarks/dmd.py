@@ -35,9 +35,9 @@ from sklearn.datasets import load_sample_image
 
 from deepfsi.camera.device import DEVICES
 from deepfsi.camera.layout import DmdLayout, find_grid
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.frames import make_frames, unpack
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.jobs.designs import hadamard_masks
 
 DEVICE = DEVICES["dlp7000"]
@@ -116,11 +116,13 @@ def rate(make: Callable[[np.ndarray], Iterator[np.ndarray]], on: np.ndarray) -> 
 def export(rails: np.ndarray, form: str) -> int:
     """Write a folder; its number of frames."""
     with tempfile.TemporaryDirectory() as folder:
-        patterns = export_patterns(
+        patterns = Patterns.from_rails(
             DesignRails(rails, "equal-dwell", SHAPE, summed_reflectance=1.0),
-            FrameSettings(DEVICE, 1e-3, format=form, layout=LAYOUT),
-            Path(folder) / "patterns",
-        )
+            DEVICE,
+            1e-3,
+            format=form,
+            layout=LAYOUT,
+        ).write(Path(folder) / "patterns")
     return len(patterns.manifest.frames)
 
 

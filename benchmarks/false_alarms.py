@@ -25,7 +25,7 @@ from deepfsi.camera.device import DEVICES
 from deepfsi.designfile.distribution import REFUSED, UNSURE, ReadoutDistribution
 from deepfsi.evaluation.confidence import find_distribution
 from deepfsi.hardware.light.checks import LightMonitor, check_light, find_lateness
-from deepfsi.hardware.light.curves import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
+from deepfsi.hardware.light.flux import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
 from deepfsi.hardware.patterns.manifest import Brightness, Frame, Manifest
 
 PASSES, MASKS, FRAME_S = 20, 10, 1e-3

@@ -22,7 +22,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.adaptive_looks import open_looks
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import (
@@ -117,7 +117,7 @@ def run(
     stray = arrival_rates(patterns, dark, ambient, FLUX)
     share = case.ambient * FLUX / stray[0, 0].sum()
     rates = (rates + share * stray) * lamp[:, None, None]
-    manifest = read_patterns(patterns).manifest
+    manifest = Patterns.read(patterns).manifest
 
     def made(scene: int, packed: np.ndarray) -> np.ndarray:
         seen = MirrorLight(manifest, x[scene][None], camera, FLUX).rates([packed])
@@ -170,7 +170,7 @@ def main() -> None:
         words = {"design": "adaptive", "masks": given.looks, "seed": given.seed}
         learn(data, camera="dmd", photons=PHOTONS, **words).save(design)
         device = find_device("64x48").model_copy(update={"load_us": 1000})
-        export_patterns(design_rails(design), FrameSettings(device, 1e-3), patterns)
+        Patterns.from_rails(design_rails(design), device, 1e-3).write(patterns)
     print("| what is wrong | accuracy | no class | wrong and sure | faults of scenes |")
     print("| --- | --- | --- | --- | --- |")
     places = np.random.default_rng(given.seed).permutation(len(data.x_test))[: given.scenes]

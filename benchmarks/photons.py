@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 import ptufile
 
-from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.events import PtuWriter
 from deepfsi.hardware.photons.reader import PtuFile, count_windows, read_markers, summarise
 
 FLUX, FRAMES, TICK_S = 1e7, 2048, 1e-12

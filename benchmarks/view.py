@@ -21,7 +21,7 @@ import deepfsi
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.tables import TableSettings
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.adaptive_looks import open_looks
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import virtual_setup
@@ -65,14 +65,15 @@ def learned(words: dict, folder: Path, epochs: int) -> Path:
     data = deepfsi.load_dataset("digits")
     more = {} if "design" in words else {"training": deepfsi.Training(epochs=epochs)}
     file = deepfsi.learn(data, photons=PHOTONS, **words, **more).save(folder / "one.safetensors")
-    settings = FrameSettings(find_device("dlp7000"), 1.5e-3)
-    export_patterns(design_rails(file), settings, folder / "patterns")
+    Patterns.from_rails(design_rails(file), find_device("dlp7000"), 1.5e-3).write(
+        folder / "patterns"
+    )
     return folder / "patterns"
 
 
 def camera_with(fault: str, patterns: Path, flux: float) -> VirtualCamera:
     """Virtual camera with a fault of its optics."""
-    manifest = read_patterns(patterns).manifest
+    manifest = Patterns.read(patterns).manifest
     side = min(manifest.grid.width, manifest.grid.height)
     optics = {
         "mirrored left to right": {"view": ((-1, 0, 1), (0, 1, 0), (0, 0, 1))},
@@ -91,7 +92,7 @@ def recorded(patterns: Path, camera: VirtualCamera, flux: float, seed: int) -> R
     data, rng = deepfsi.load_dataset("digits"), np.random.default_rng([seed, 44])
     chosen = rng.permutation(len(data.x_test))[:SCENES]
     scenes = data.x_test[chosen].reshape(-1, *data.image_shape)
-    manifest = read_patterns(patterns).manifest
+    manifest = Patterns.read(patterns).manifest
     rates = arrival_rates(patterns, scenes, camera, flux)
     gates = manifest.picture_s.copy()
     gates[manifest.shown] = manifest.shares * EXPOSURE_S

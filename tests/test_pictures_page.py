@@ -10,9 +10,9 @@ import torch
 from scipy.optimize import nnls
 
 from deepfsi.camera.device import Device
-from deepfsi.hardware.counting.count import count_run
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.virtual_optics import RecordingSettings, VirtualCamera, record_scenes
 from deepfsi.physics.laws import light_law
 
@@ -28,15 +28,15 @@ SCENES = np.random.default_rng(4).uniform(0.1, 1, (3, *SHAPE))
 def test_readouts_are_the_matrix_times_the_scene(tmp_path, light, rails):
     wild = np.random.default_rng(3).random((20, 8)) - (0.5 if rails == "dual" else 0)
     fitted = light_law(light).fit(torch.from_numpy(wild), rails).numpy()
-    export_patterns(
+    Patterns.from_rails(
         DesignRails(fitted, light, SHAPE, 5.0),
-        FrameSettings(Device(name="small", columns=40, rows=20, shortest_us=10), 1e-3),
-        tmp_path / "patterns",
-    )
+        Device(name="small", columns=40, rows=20, shortest_us=10),
+        1e-3,
+    ).write(tmp_path / "patterns")
     settings = RecordingSettings(VirtualCamera(dark=1e6), 5e7, 5e-3, repeats=2)
     run = tmp_path / "run"
     record_scenes(tmp_path / "patterns", SCENES, ("a", "b", "c"), None, run, settings)
-    count_run(run)
+    Recording.read(run).count()
     names: dict[str, Any] = {}
     exec(CODE, names)
     y, variance, matrix = names["linear_model"](run)

@@ -13,8 +13,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.frames import unpack
 
 # %%
@@ -62,9 +62,9 @@ os.system("deepfsi dmd export for-my-lab.safetensors -o frames")
 # shares sum to 1. The figure shows the frames of the eight masks with their shares; white mirrors
 # are ON.
 
-patterns = read_patterns("frames")
+patterns = Patterns.read("frames")
 manifest = patterns.manifest
-frames = [unpack(frame, manifest.device) for frame in read_frames("frames")]
+frames = [unpack(frame, manifest.device) for frame in Patterns.read("frames").frames()]
 figure, axes = plt.subplots(2, 4, figsize=(4.8, 2.4), layout="constrained")
 for ax, place, share in zip(axes.flat, manifest.shown, manifest.shares, strict=True):
     ax.imshow(frames[place], cmap="gray", interpolation="antialiased")
@@ -94,7 +94,7 @@ os.system("deepfsi camera classify for-my-lab.safetensors run_0001")
 #
 # The figure shows the counts of one scene of each of three classes, with their standard deviations.
 
-counts = read_counts("run_0001")
+counts = Recording.read("run_0001").read_counts()
 signal, spread = counts.signal()[:, 0, 0], np.sqrt(counts.variance[:, 0, 0])
 figure, ax = plt.subplots(layout="constrained")
 for number, (scene, marker) in enumerate(zip((0, 2, 14), "os^", strict=True)):

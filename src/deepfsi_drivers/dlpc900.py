@@ -36,8 +36,8 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.device import BIT_PLANES, DEVICES, Device
-from deepfsi.hardware.patterns.controllers import Dlpc900
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.frames import PLANES_FORMAT
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi_drivers.device_errors import let_go, refusals
 
@@ -64,9 +64,13 @@ class _CommandCode:
     HARDWARE = 0x0206
     HARDWARE_STATUS = 0x1A0A
     MAIN_STATUS = 0x1A0C
+    DISPLAY_MODE = 0x1A1B
+    ON_THE_FLY = b"\3"
     START_STOP = 0x1A24
     STOP = b"\0"
     START = b"\2"
+    CONFIGURE_TABLE = 0x1A31
+    DEFINE_PATTERN = 0x1A34
     # Beginning and data of a picture, for the first controller and the second
     LOADS = (0x1A2A, 0x1A2B), (0x1A2C, 0x1A2D)
 
@@ -214,15 +218,19 @@ class Dlpc900Projector:
     def load(self, folder: Path, report: Progress = SILENT) -> None:
         """Send the frames of a folder of any format to the board, in place of earlier ones."""
         link, device, controllers = self._open()
-        manifest = _for_board(read_patterns(folder).manifest, folder, device)
+        manifest = _for_board(Patterns.read(folder).manifest, folder, device)
         self.halt()
         self._pass_s = 0.0
         pictures = _encoded(folder, manifest, controllers, report.between(0.0, ENCODING))
         with _refusals("load frames"):
-            for command, data in Dlpc900.commands(manifest):
-                link.write(command, data)
-                if command == Dlpc900.DISPLAY_MODE:
-                    _wait_for_mode(link)
+            link.write(_CommandCode.DISPLAY_MODE, _CommandCode.ON_THE_FLY)
+            _wait_for_mode(link)
+            for entry in _table(manifest):
+                link.write(_CommandCode.DEFINE_PATTERN, entry)
+            # A start shows each pattern of the table once
+            total = len(manifest.frames)
+            size = total.to_bytes(2, "little") + total.to_bytes(4, "little")
+            link.write(_CommandCode.CONFIGURE_TABLE, size)
             _load(link, pictures, report.between(ENCODING, 1.0))
         self._pass_s = manifest.pass_s
 
@@ -305,6 +313,20 @@ def _for_board(manifest: Manifest, folder: Path, device: Device) -> Manifest:
     return manifest
 
 
+def _table(manifest: Manifest) -> Iterator[bytes]:
+    """Entries of the board's table of patterns, one for each frame."""
+    for pattern, frame in enumerate(manifest.frames):
+        image, bit = divmod(pattern, BIT_PLANES)
+        yield (
+            pattern.to_bytes(2, "little")
+            + frame.picture_us.to_bytes(3, "little")
+            + b"\0"  # do not clear, 1 bit, no lamp of the board, no trigger in
+            + bytes(3)  # no dark time
+            + b"\0"  # trigger out 2 marks its start
+            + (image | bit << 11).to_bytes(2, "little")
+        )
+
+
 def _encoded(
     folder: Path, manifest: Manifest, controllers: int, report: Progress
 ) -> list[tuple[bytes, ...]]:
@@ -312,7 +334,8 @@ def _encoded(
     total = len(manifest.frames)
     width = manifest.device.columns // controllers
     out = []
-    for picture in Dlpc900.pictures(read_frames(folder), manifest):
+    frames = Patterns.read(folder).frames()
+    for picture in PLANES_FORMAT.pictures(frames, total, manifest.device):
         halves = (picture[:, k * width : (k + 1) * width] for k in range(controllers))
         out.append(tuple(encode_picture(half) for half in halves))
         report(min(len(out) * BIT_PLANES / total, 1.0))
@@ -337,7 +360,7 @@ def _load(link: _Link, pictures: list[tuple[bytes, ...]], report: Progress) -> N
 def _wait_for_mode(link: _Link) -> None:
     """Return when the board loads patterns on the fly."""
     until = time.monotonic() + LATEST_S
-    while link.read(Dlpc900.DISPLAY_MODE) & 3 != Dlpc900.ON_THE_FLY:
+    while link.read(_CommandCode.DISPLAY_MODE) & 3 != _CommandCode.ON_THE_FLY[0]:
         if time.monotonic() > until:
             raise InputError("the DLPC900 does not load patterns on the fly: update its firmware")
         time.sleep(DLPC900_POLL_S)

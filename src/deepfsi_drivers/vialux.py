@@ -33,7 +33,7 @@ from pydantic import validate_call
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi_drivers.device_errors import let_go, refusals
 
@@ -135,13 +135,13 @@ class _Board(ABC):
 
     def load(self, folder: Path, report: Progress = SILENT) -> None:
         """Send the frames of a folder of any format to the device, in place of earlier ones."""
-        manifest = read_patterns(folder).manifest
+        manifest = Patterns.read(folder).manifest
         self.halt()
         self._unload()
         self._check(manifest, folder)
         try:
             with _refusals("load frames"):
-                self._send(manifest, read_frames(folder), report)
+                self._send(manifest, Patterns.read(folder).frames(), report)
         except BaseException:
             with contextlib.suppress(InputError):
                 self._unload()

@@ -6,8 +6,7 @@ import pytest
 from deepfsi.base.errors import InputError
 from deepfsi.base.numeric.tables import NumberTable
 from deepfsi.camera.dead_time import CounterEffects, DeadTime
-from deepfsi.hardware.counting.count import CountSettings, count_run
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting.recording import CountSettings, Recording
 from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.lab.virtual_detector import Detector
 from deepfsi.lab.virtual_optics import (
@@ -89,7 +88,10 @@ def off_by(counts, shown, rates) -> np.ndarray:
 
 def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
     folder, shown, rates, dead = run
-    bare, counts = count_run(folder), count_run(folder, corrected(CountSettings, dead))
+    bare, counts = (
+        Recording.read(folder).count(),
+        Recording.read(folder).count(corrected(CountSettings, dead)),
+    )
     assert counts.faults == ()
     assert np.array_equal(bare.counts, counts.counts)
     assert np.array_equal(bare.arrivals, bare.counts)
@@ -101,7 +103,7 @@ def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
     error = 5 * np.sqrt(2 / (flux.mean() * seconds))
     assert counts.flux.mean() == pytest.approx(flux.mean(), rel=error)
     assert counts.dark_rate.mean() == pytest.approx(1e4, abs=5 * np.sqrt(1e4 / seconds))
-    again = read_counts(folder)
+    again = Recording.read(folder).read_counts()
     for name in ("counts", "arrivals", "variance"):
         assert np.array_equal(getattr(again, name), getattr(counts, name))
     assert again.effects.dead_time == dead
@@ -112,7 +114,7 @@ def test_a_counter_near_saturation_is_named(run):
     folder, shown, rates, dead = run
     slow = dead.model_copy(update={"seconds": 200e-9})
     with pytest.raises(InputError, match=r"counts/s on input 1 in all ON, .* dim the light"):
-        count_run(folder, corrected(CountSettings, slow))
+        Recording.read(folder).count(corrected(CountSettings, slow))
     values = NumberTable(np.rint(rates * shown.manifest.picture_s))
     with pytest.raises(InputError, match="all ON"):
         count_table(values, shown.manifest, corrected(TableSettings, slow))

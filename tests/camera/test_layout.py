@@ -7,7 +7,7 @@ import pytest
 
 from deepfsi.camera.device import DEVICES, find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
-from deepfsi.hardware.patterns.folder import check_patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.frames import unpack
 from hardware.patterns.pattern_samples import SMALL, export
 
@@ -57,22 +57,24 @@ def test_law_frames_show_the_masks_flipped_and_turned(tmp_path, layout, device, 
         selection=selection, format="npy",
     )  # fmt: skip
     grid = made.manifest.grid
-    frame = list(read_frames(tmp_path / "p"))[2]
+    frame = list(Patterns.read(tmp_path / "p").frames())[2]
     lit = unpack(frame, device)[grid.window]
     cells = lit.reshape(grid.down, grid.height, grid.across, grid.width).sum(axis=(1, 3))
     picture = made.on[0].reshape(3, 4)
     picture = picture[:, ::-1] if layout.flip else picture
     assert np.array_equal(cells, np.rot90(picture, -layout.rotate // 90))
-    assert check_patterns(tmp_path / "p").manifest.layout == layout
+    assert Patterns.read(tmp_path / "p").check().manifest.layout == layout
 
 
 def test_inverted_files_have_a_one_for_every_mirror_that_is_off(tmp_path):
     usual = export(tmp_path / "a")
     inverted = export(tmp_path / "b", layout=DmdLayout(stretch=True, invert=True))
-    pairs = zip(read_frames(tmp_path / "a"), read_frames(tmp_path / "b"), strict=True)
+    pairs = zip(
+        Patterns.read(tmp_path / "a").frames(), Patterns.read(tmp_path / "b").frames(), strict=True
+    )
     assert all(np.array_equal(unpack(a, SMALL), ~unpack(b, SMALL)) for a, b in pairs)
     assert np.array_equal(usual.on, inverted.on)
-    check_patterns(tmp_path / "b")
+    Patterns.read(tmp_path / "b").check()
 
 
 def test_a_manifest_that_says_no_layout_is_of_stretched_cells(tmp_path):
@@ -81,4 +83,4 @@ def test_a_manifest_that_says_no_layout_is_of_stretched_cells(tmp_path):
     content = json.loads(file.read_text())
     del content["layout"], content["sha256"]
     file.write_text(json.dumps(content))
-    assert read_patterns(tmp_path / "p").manifest.grid == made.manifest.grid
+    assert Patterns.read(tmp_path / "p").manifest.grid == made.manifest.grid

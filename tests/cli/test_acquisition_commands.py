@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from hardware.counting.recording_samples import DWELL, Run, patterns_of, shining, train
 
 
@@ -48,7 +48,7 @@ def test_two_arms_have_two_inputs(prepare, refuse, lab):
 
 def record(folder):
     """Record photons on input 3 and markers with bit 4, marker input 2."""
-    patterns = read_patterns(folder / "patterns")
+    patterns = Patterns.read(folder / "patterns")
     starts = train(patterns.manifest, 3)
     recorded = Run(folder, patterns, starts, shining(patterns, 3))
     recorded.record(starts, starts.ravel(), recorded.photons)

@@ -14,9 +14,8 @@ from deepfsi import Design, InputError, evaluate
 from deepfsi.cli import app
 from deepfsi.cli import terminal as terminal_module
 from deepfsi.datasets.display import read_display, write_pictures
-from deepfsi.hardware.counting.acquisition import read_run
-from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.calibration import calibrate_run, reconstruct
 
 LIGHT = ["--flux", 1e7, "--exposure", "5ms", "--virtual", "ideal"]
@@ -59,7 +58,7 @@ def run(acquire, tmp_path):
 
 def test_patterns_are_evaluated_as_they_are_realised(done, lab, digits):
     out = done("evaluate", lab / "p", "--photons", "1e4", "--json")
-    design = Design.load(lab / "design.safetensors").as_shown(*read_patterns(lab / "p").realised)
+    design = Design.load(lab / "design.safetensors").as_shown(*Patterns.read(lab / "p").realised)
     assert json.loads(out)["results"][0]["accuracy"] == evaluate(design, digits, 1e4)[0].accuracy
 
 
@@ -68,7 +67,7 @@ def test_a_dimmed_design_reads_its_own_counts(made, tmp_path, done):
     column, file = made("deepfsi", "column", "dual"), tmp_path / "column.safetensors"
     column.save(file)
     assert "cost" in done("dmd", "export", file, "--device", "64x48", "-o", tmp_path / "p")
-    patterns = read_patterns(tmp_path / "p")
+    patterns = Patterns.read(tmp_path / "p")
     dimmed, shown = patterns.manifest.dimmed, column.as_shown(*patterns.realised)
     counts = np.full((1, 2, column.masks), 30.0)
     np.testing.assert_allclose(
@@ -153,9 +152,13 @@ def test_a_camera_is_calibrated_by_files_alone(done, tmp_path):
 
 def lose_passes(run, found, spots):
     """Passes of spots that were not counted add noise only; the white one is needed."""
-    recorded = read_run(run)
+    recorded = Recording.read(run)
     names = [scene.name for scene in recorded.acquisition.scenes]
-    shown, counts, pictures = read_display(spots), read_counts(run), reconstruct(run)
+    shown, counts, pictures = (
+        read_display(spots),
+        recorded.read_counts(),
+        reconstruct(run),
+    )
     lost = [place for place, name in enumerate(names) if name.startswith("spot")][:7]
     counts.valid[lost], counts.dark_rate[lost], pictures[lost] = False, 0, np.nan
     displayed = dict(zip(shown.names, shown.x, strict=True))

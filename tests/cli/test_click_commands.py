@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from deepfsi.cli import app
-from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.counting.recording import Recording
 
 SCENES = 200
 PHOTONS = 1500.0
@@ -83,7 +83,7 @@ def test_a_free_detector_gives_clicks_and_its_budget(done, refuse, lab):
     classify = ["camera", "classify", lab / "p", lab / "free"]
     said = json.loads(done(*classify, "--json"))
     assert said["scenes"][0]["exposures"] == 2 * EXPOSURES
-    count_run(lab / "free")
+    Recording.read(lab / "free").count()
     assert f"counted in photons, and this design reads clicks of {GATES}" in refuse(*classify)
 
 

@@ -11,7 +11,7 @@ from conftest import quick
 from deepfsi import Design, evaluate
 from deepfsi.cli import app
 from deepfsi.datasets.display import write_pictures
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 
 SCENES = 120
 TRAINING = {"masks": 4, "photons": 1e4, "epochs": 8, "hidden": (32,), "detectors": "2x2"}
@@ -54,7 +54,7 @@ def test_an_acquisition_is_classified_as_the_design_was_tested(
     assert told["consistency"]["whole"] > told["consistency"]["false_alarms"]
     right = np.mean([each["class"] == each["label"] for each in told["scenes"]])
     design = Design.load(lab / f"{name}.safetensors")
-    design = design.as_shown(*read_patterns(lab / name).realised)
+    design = design.as_shown(*Patterns.read(lab / name).realised)
     same = replace(digits, x_test=digits.x_test[:SCENES], y_test=digits.y_test[:SCENES])
     [tested] = evaluate(design, same, TRAINING["photons"])
     assert tested.low <= right <= tested.high
@@ -86,7 +86,7 @@ def test_a_calibration_tells_a_design_which_detector_sees_what(done, refuse, tmp
     words += ["--epochs", 1, "--detectors", out / "detectors.npy"]
     done("design", "--data", "digits", *words, "-o", path)
     done("dmd", "export", path, "--device", "64x48", "-o", frames)
-    assert read_patterns(frames).manifest.detectors.cells == tuple(tiles.ravel().tolist())
+    assert Patterns.read(frames).manifest.detectors.cells == tuple(tiles.ravel().tolist())
     camera.write_text("detectors = [[0, 1, 2]]")
     given = ["--scene", spots, "--flux", 1e6, "--exposure", "1ms", "--virtual", camera]
     said = refuse("camera", "simulate", frames, *given, "-o", tmp_path / "other")

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from deepfsi.datasets.display import write_pictures
-from deepfsi.hardware.counting.acquisition import read_run
+from deepfsi.hardware.counting.recording import Recording
 from shared.live_samples import make_patterns
 
 LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--virtual", "ideal"]
@@ -47,7 +47,7 @@ def test_a_design_file_is_exported_for_the_moment(done, lab, tmp_path):
     scene = min((lab / "images").iterdir())
     words = [lab / "adaptive.safetensors", "--scene", scene, *LIGHT]
     done("camera", "live", *words, "-o", tmp_path / "run")
-    assert read_run(tmp_path / "run").patterns.manifest.device.name == "dlp7000"
+    assert Recording.read(tmp_path / "run").patterns.manifest.device.name == "dlp7000"
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 

@@ -14,7 +14,7 @@ from scipy.io import savemat
 from conftest import quick
 from deepfsi.camera.device import find_device
 from deepfsi.datasets.display import write_pictures
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.virtual_optics import VirtualCamera, arrival_rates
 
@@ -27,8 +27,9 @@ def lab(tmp_path_factory, digits):
     folder = tmp_path_factory.mktemp("lab")
     made = quick(digits, masks=8, epochs=15, hidden=(40, 128), light="free-dwell", rails="single")
     made.save(folder / "d.safetensors")
-    frames = FrameSettings(find_device("64x48"), DWELL)
-    export_patterns(design_rails(folder / "d.safetensors"), frames, folder / "patterns")
+    Patterns.from_rails(design_rails(folder / "d.safetensors"), find_device("64x48"), DWELL).write(
+        folder / "patterns"
+    )
     return folder
 
 
@@ -38,7 +39,7 @@ def values(lab, digits):
     images = digits.x_test[:SCENES].reshape(-1, 8, 8)
     rates = arrival_rates(lab / "patterns", images, VirtualCamera(dark=1e3), FLUX)[..., 0]
     return np.random.default_rng(1).poisson(
-        rates * read_patterns(lab / "patterns").manifest.picture_s
+        rates * Patterns.read(lab / "patterns").manifest.picture_s
     )
 
 
@@ -143,7 +144,7 @@ def test_read_noise_is_told_to_the_test_of_consistency(refuse, done, classify, v
 def test_dead_time_of_a_table_is_corrected(done, refuse, lab, classify, values):
     """The budget by the all-ON frames is what it was without losses."""
     slow = np.rint(
-        values / (1 + values / read_patterns(lab / "patterns").manifest.picture_s * 1e-7)
+        values / (1 + values / Patterns.read(lab / "patterns").manifest.picture_s * 1e-7)
     )
 
     def photons(*words):

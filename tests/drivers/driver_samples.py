@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.hardware.photons.reader import count_windows, read_markers
 from deepfsi.lab.devices import StreamingCounter
 
@@ -15,11 +15,9 @@ def make_patterns(folder, device, masks, light="free-dwell", format="npy", dwell
     rng = np.random.default_rng(3)
     rails = rng.random((1, masks, 32)) * rng.uniform(least, 1, (1, masks, 1))
     rails /= masks if light == "equal-dwell" else rails.max(axis=2).sum()
-    export_patterns(
-        DesignRails(rails, light, (4, 8), summed_reflectance=10.0),
-        FrameSettings(device, dwell, format=format),
-        folder,
-    )
+    Patterns.from_rails(
+        DesignRails(rails, light, (4, 8), summed_reflectance=10.0), device, dwell, format=format
+    ).write(folder)
     return folder
 
 

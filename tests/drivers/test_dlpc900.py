@@ -10,7 +10,7 @@ from driver_samples import make_patterns
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
 from deepfsi.camera.device import DEVICES, Device
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi_drivers import dlpc900
 
 SMALL = Device(name="small", columns=64, rows=24, shortest_us=105)
@@ -58,7 +58,7 @@ def test_a_pass_shows_every_frame_for_its_time(board, patterns, status, settings
     device = DEVICES["dlp6500"] if settings.get("format") == "planes" else SMALL
     folder = patterns(**settings, device=device)
     shares = show(folder, passes=2)
-    frames, wanted = read_patterns(folder).manifest.frames, list(read_frames(folder))
+    frames, wanted = Patterns.read(folder).manifest.frames, list(Patterns.read(folder).frames())
     assert len(board.shown) == 2
     for shown in board.shown:
         for (frame, _, _), packed in zip(shown, wanted, strict=True):
@@ -132,7 +132,7 @@ def test_a_pass_does_not_end_before_its_time(board, patterns):
         begun.append(time.monotonic())
 
     show(folder, while_it_runs=at_once)
-    assert time.monotonic() - begun[0] >= read_patterns(folder).manifest.pass_s
+    assert time.monotonic() - begun[0] >= Patterns.read(folder).manifest.pass_s
 
 
 def test_a_second_start_waits_for_the_first(board, patterns):

@@ -10,7 +10,7 @@ from driver_samples import collect
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameCounter, FrameGates
-from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.events import PtuWriter
 from deepfsi_drivers import file_tail as followed
 
 GATES = FrameGates.of(10e-6, [60e-6] * 20)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.events import PtuWriter
 from deepfsi.lab import results as frame_log
 from deepfsi.lab.devices import Setup, virtual_setup
 from deepfsi.lab.live import run_live

@@ -12,7 +12,7 @@ from driver_samples import check_counts, collect
 
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.counting.streaming import FrameGates
-from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.events import PtuWriter
 from deepfsi.hardware.photons.reader import PtuFile
 from deepfsi_drivers import picoquant
 

@@ -8,7 +8,7 @@ from vialux_fake import DEVICE, install
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
 from deepfsi.camera.device import Device
-from deepfsi.hardware.patterns.folder import read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi_drivers import vialux
 
 
@@ -49,11 +49,11 @@ def test_a_pass_shows_every_frame_for_its_time(library, patterns, light, format)
     assert shown == library.shown[len(shown) :]
     frames = [loaded[s]["frames"][place] for s in shown for place in range(loaded[s]["count"])]
     times = [loaded[s]["us"] for s in shown for _ in range(loaded[s]["count"])]
-    manifest = read_patterns(folder).manifest
+    manifest = Patterns.read(folder).manifest
     assert times == [frame.picture_us for frame in manifest.frames]
     assert len(set(times)) == (1 if light == "equal-dwell" else len(set(times[2:-2])) + 1)
     assert len(shown) == (1 if light == "equal-dwell" else len(manifest.frames) - 2)
-    for frame, wanted in zip(frames, read_frames(folder), strict=True):
+    for frame, wanted in zip(frames, Patterns.read(folder).frames(), strict=True):
         np.testing.assert_array_equal(frame, wanted.ravel())
     modes = {sequence["controls"][vialux.Alp.BIN_MODE] for sequence in loaded.values()}
     assert modes == {vialux.Alp.BIN_UNINTERRUPTED}
@@ -71,7 +71,7 @@ def test_rows_of_every_length_reach_the_mirrors(library, patterns, columns):
     with vialux.VialuxProjector() as projector:
         projector.load(folder)
         [sequence] = library.sequences.values()
-        for place, wanted in enumerate(read_frames(folder)):
+        for place, wanted in enumerate(Patterns.read(folder).frames()):
             np.testing.assert_array_equal(sequence["frames"][place], wanted.ravel())
 
 
@@ -191,7 +191,9 @@ def test_a_list_repeats_frames_that_were_loaded_once(library, patterns):
         projector.load(folder)
         (sequence,) = library.sequences.values()
         assert sequence["count"] == 13
-        for frame, wanted in zip(sequence["frames"].values(), read_frames(folder), strict=True):
+        for frame, wanted in zip(
+            sequence["frames"].values(), Patterns.read(folder).frames(), strict=True
+        ):
             np.testing.assert_array_equal(frame, wanted.ravel())
         sent = library.calls.count("SeqPut")
         for frames, dwells in looks:
@@ -211,13 +213,13 @@ def test_a_list_repeats_frames_that_were_loaded_once(library, patterns):
 
 def test_a_frame_is_replaced_between_two_lists(library, patterns):
     folder = patterns(masks=3)
-    other = np.flipud(list(read_frames(folder))[2])
+    other = np.flipud(list(Patterns.read(folder).frames())[2])
     with vialux.VialuxLooks() as projector:
         projector.load(folder)
         projector.show(np.array([2, 1]), np.array([1e-3, 44e-6]))
         projector.replace(2, other)
         (sequence,) = library.sequences.values()
-        for place, wanted in enumerate(read_frames(folder)):
+        for place, wanted in enumerate(Patterns.read(folder).frames()):
             kept = other if place == 2 else wanted
             np.testing.assert_array_equal(sequence["frames"][place], kept.ravel())
         projector.show(np.array([2, 1]), np.array([1e-3, 44e-6]))

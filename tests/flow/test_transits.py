@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.events import PtuWriter
 from deepfsi.hardware.photons.reader import read_photons, summarise
 from deepfsi_flow import transits
 

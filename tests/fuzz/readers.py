@@ -24,10 +24,9 @@ from deepfsi.camera.device import find_device
 from deepfsi.cli.studies import read_recipe
 from deepfsi.designfile.provenance import trained_on
 from deepfsi.hardware.counting import tables
-from deepfsi.hardware.counting.acquisition import Calibration, read_run
-from deepfsi.hardware.counting.count import count_run
-from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.patterns import folder as patterns
+from deepfsi.hardware.counting.acquisition import Calibration
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.photons import reader as photons
 from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.lab import results as record
@@ -85,19 +84,19 @@ def use_adaptive(path: Path) -> None:
 
 
 def use_patterns(path: Path) -> None:
-    exported = patterns.read_patterns(path.parent)
+    exported = Patterns.read(path.parent)
     assert np.isfinite(exported.rails).all()
     tables.column_names(exported.manifest)
 
 
 def check_patterns(path: Path) -> None:
     top = next(each for each in path.parents if (each / "manifest.json").is_file())
-    patterns.check_patterns(top)
+    Patterns.read(top).check()
 
 
 def use_run(path: Path) -> None:
-    read_run(path.parent)
-    read_counts(path.parent).signal()
+    Recording.read(path.parent)
+    Recording.read(path.parent).read_counts().signal()
 
 
 def use_live(path: Path) -> None:
@@ -159,7 +158,7 @@ READERS = {
     "table of planes": Reader("planes/patterns.csv", check_patterns, (mangled,), 1),
     "acquisition": Reader("both-rails/acquisition.json", use_run, JSON),
     "counted acquisition": Reader("both-rails/acquisition.json",
-                                  lambda path: count_run(path.parent), JSON, 2),
+                                  lambda path: Recording.read(path.parent).count(), JSON, 2),
     "counts": Reader("both-rails/counts.npz", use_run, ZIP),
     "photons": Reader("clicks/photons.ptu", use_photons, (mangled,), 8),
     "shown frames": Reader("live-adaptive/shown.jsonl", use_live, (changed_lines, mangled)),
@@ -263,12 +262,11 @@ def make_samples(folder: Path) -> None:
     for name, words in WORDS.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(words)
-    count_run(folder / "both-rails")
+    Recording.read(folder / "both-rails").count()
     device, rails = find_device("24x16"), design_rails(folder / "fixed.safetensors")
     packed = device.model_copy(update={"controller": "dlpc900"})
     for kind, shown in {"npy": device, "png": device, "bmp": device, "planes": packed}.items():
-        frames = patterns.FrameSettings(shown, 1e-3, format=kind)
-        patterns.export_patterns(rails, frames, folder / kind)
+        Patterns.from_rails(rails, shown, 1e-3, format=kind).write(folder / kind)
     points = [a_point(photons=photons, masks=4) for photons in (1e2, 1e4)]
     written = some_results(points, data={"image_shape": (4, 4)}).as_dict()
     (folder / "out" / "results.json").write_text(json.dumps(written))

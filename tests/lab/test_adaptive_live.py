@@ -11,7 +11,7 @@ from conftest import exposing
 from deepfsi import learn
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.adaptive_looks import open_looks
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.live import plan_live
@@ -47,7 +47,7 @@ def test_counts_are_those_of_the_masks_that_were_made(digits, tmp_path, optics, 
     found = Counted(monkeypatch)
     run(tmp_path / "run", patterns, digits, count=12)
     found.check_file(tmp_path / "run")
-    manifest, z = read_patterns(patterns).manifest, []
+    manifest, z = Patterns.read(patterns).manifest, []
     cells = np.array(manifest.detectors.cells if manifest.detectors else [0] * 64)
     looks = [each.counts[0] for each in found.lists if len(each.counts) == 1]
     for shown in read_log(tmp_path / "run"):
@@ -86,9 +86,10 @@ def test_decisions_are_those_of_the_design(digits, patterns, tmp_path):
 
 def test_a_device_that_loads_no_frame_while_it_runs_is_refused(patterns, tmp_path):
     rails = design_rails(patterns.parent / "adaptive.safetensors")
-    frames = FrameSettings(find_device("dlp6500"), 1e-3, format="planes")
     with pytest.raises(InputError, match="dlp6500 takes no frame then: use dlp7000"):
-        export_patterns(rails, frames, tmp_path / "other")
+        Patterns.from_rails(rails, find_device("dlp6500"), 1e-3, format="planes").write(
+            tmp_path / "other"
+        )
     assert not list(tmp_path.iterdir())
 
 
@@ -107,7 +108,7 @@ def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tm
     uneven = design.prior_exposure.settings.model_copy(update={"growth": growth})
     file = exposing(design, settings=uneven).save(tmp_path / "adaptive.safetensors")
     patterns, scenes = tmp_path / "patterns", scenes_of(digits, 1)[1]
-    export_patterns(design_rails(file), FrameSettings(DEVICE, 1e-3), patterns)
+    Patterns.from_rails(design_rails(file), DEVICE, 1e-3).write(patterns)
     shortest_s = EXPOSURE_S * min(uneven.shares)
     plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 0.99, looks=open_looks(patterns))
     with pytest.raises(InputError, match="shorter than the shortest dwell"):

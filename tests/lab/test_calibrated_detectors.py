@@ -5,9 +5,9 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
-from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import Counts
-from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.calibration import (
     SCAN_NAMES,
     find_detectors,
@@ -28,13 +28,13 @@ EYES = VirtualCamera(blur=1.0, vignetting=0.3, dark=300.0, ambient=1e4, detector
 def scanned(folder, scan="hadamard") -> tuple[Counts, Patterns]:
     """Counts of spots, of white and of black, wired in an order of their own."""
     rails = scan_rails(scan, CELLS, 4)
-    shown = export_patterns(rails, FrameSettings(DEVICE, 1e-3), folder / "patterns")
+    shown = Patterns.from_rails(rails, DEVICE, 1e-3).write(folder / "patterns")
     spots = spot_scenes((16, 12), (3, 3), 2)
     scenes = np.concatenate([spots, np.ones((1, 16, 12)), np.zeros((1, 16, 12))])
     names = [f"scene {k}" for k in range(len(scenes))]
     settings = RecordingSettings(EYES, 1e7, 0.02, inputs=(6, 1, 4, 3))
     record_scenes(folder / "patterns", scenes, names, None, folder / "run", settings)
-    return count_run(folder / "run"), shown
+    return Recording.read(folder / "run").count(), shown
 
 
 @pytest.mark.parametrize("scan", SCAN_NAMES)

@@ -16,8 +16,7 @@ from virtual_samples import (
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.hardware.counting.count import count_run
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.photons import ptu
 from deepfsi.lab import virtual_optics as camera_module
 from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera, arrival_rates
@@ -45,7 +44,7 @@ def test_each_detector_has_a_dead_time_of_its_own(tmp_path):
     manifest = export(tmp_path / "p", "free-dwell", "single").manifest
     slow, x = VirtualCamera(dead_time_s=2e-7), scenes(1).repeat(100, axis=0)
     run = record(tmp_path, x, camera=slow, flux=FLUX, exposure_s=EXPOSURE, repeats=1, seed=3)
-    counts = count_run(run)
+    counts = Recording.read(run).count()
     arriving = arrival_rates(tmp_path / "p", x[:1], slow, FLUX)[0, manifest.shown].T
     wanted, one = (slow.registered(rates) * counts.gate_s for rates in (arriving, arriving.sum(0)))
     counted = counts.counts[:, 0, 0].mean(axis=0).T
@@ -60,7 +59,9 @@ def test_a_recording_is_counted_input_by_input(tmp_path, light, rails):
     shown, x = export(tmp_path / "p", light, rails), scenes(4)
     inputs = tuple(reversed(range(3, 3 + shown.manifest.inputs)))
     settings = {"flux": FLUX, "exposure_s": EXPOSURE, "repeats": 1, "seed": 2, "inputs": inputs}
-    counts = count_run(record(tmp_path, x, camera=VirtualCamera(dark=2000.0), **settings))
+    counts = Recording.read(
+        record(tmp_path, x, camera=VirtualCamera(dark=2000.0), **settings)
+    ).count()
     assert counts.faults == ()
     assert counts.inputs == inputs
     mean = means(shown, x, FLUX * EXPOSURE)
@@ -73,7 +74,7 @@ def test_a_recording_is_counted_input_by_input(tmp_path, light, rails):
     assert np.abs(counts.dark_rate - 2000).max() < 5 * np.sqrt(2000 / on_s)
     bright = x.sum(axis=(1, 2)).mean() / SUMMED_REFLECTANCE
     assert counts.photons == pytest.approx(FLUX * EXPOSURE * bright, rel=5e-3)
-    again = read_counts(tmp_path / "run")
+    again = Recording.read(tmp_path / "run").read_counts()
     assert np.array_equal(again.signal(), counts.signal())
 
 
@@ -91,7 +92,7 @@ def test_stray_light_on_one_detector_is_found_where_all_together_hide_it(tmp_pat
     assert rates[scene, 4].sum() < rates[scene, 0].sum()
     rng = np.random.default_rng(5)
     camera_module.write_photons(run / "photons.ptu", manifest, rates, IDEAL, rng)
-    [fault] = count_run(run).faults
+    [fault] = Recording.read(run).count().faults
     assert (fault.kind, fault.scene, fault.frame) == ("brighter", scene, 4)
     assert f"on input {hit + 1}" in fault.detail
 
@@ -102,4 +103,4 @@ def test_a_counter_with_too_few_inputs_is_refused(tmp_path):
     kinds = [struct.pack("<q", kind.code) for kind in (ptu.GENERIC_T2, ptu.PICOHARP_T2)]
     path.write_bytes(path.read_bytes().replace(*kinds, 1))
     with pytest.raises(InputError, match=r"PicoHarp 300 T2.* has up to 5 inputs, .* need 8"):
-        count_run(tmp_path / "run")
+        Recording.read(tmp_path / "run").count()

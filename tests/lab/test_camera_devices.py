@@ -5,8 +5,8 @@ import pytest
 
 from deepfsi.camera.device import DEVICES
 from deepfsi.camera.layout import DmdLayout, find_grid
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab import virtual_optics as camera
 from deepfsi.lab.virtual_optics import CAMERAS, arrival_rates
 
@@ -21,8 +21,12 @@ def test_law_each_device_counts_its_realised_masks(tmp_path, name):
     device = DEVICES[name].model_copy(update=sides)
     x = np.random.default_rng(2).uniform(0.1, 1, (1, 2, 3))
     masks = np.random.default_rng(3).random((1, 2, 6)) / 2
-    settings = FrameSettings(device, 1e-3, format="planes" if device.packed else "npy")
-    shown = export_patterns(DesignRails(masks, "free-dwell", (2, 3), 3.0), settings, tmp_path / "p")
+    shown = Patterns.from_rails(
+        DesignRails(masks, "free-dwell", (2, 3), 3.0),
+        device,
+        1e-3,
+        format="planes" if device.packed else "npy",
+    ).write(tmp_path / "p")
     flow = arrival_rates(tmp_path / "p", x, IDEAL, 1e6)[0, :, 0] * 3e-6
     assert flow[[0, -2]] == pytest.approx(x.sum(), rel=1e-4)
     assert flow[1] == flow[-1] == 0

@@ -9,10 +9,8 @@ import pytest
 import deepfsi
 from conftest import quick
 from deepfsi.datasets.display import read_display, write_pictures
-from deepfsi.hardware.counting.acquisition import read_run
-from deepfsi.hardware.counting.count import count_run
-from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.virtual_optics import (
     CAMERAS,
     RecordingSettings,
@@ -44,9 +42,9 @@ def lab(tmp_path_factory, digits):
 
 
 def test_classes_are_those_of_the_design_as_it_was_shown(lab):
-    patterns = read_run(lab / RUN).patterns
+    patterns = Recording.read(lab / RUN).patterns
     shown = deepfsi.Design.load(lab / DESIGN).as_shown(*patterns.realised)
-    counts = read_counts(lab / RUN)
+    counts = Recording.read(lab / RUN).read_counts()
     wanted = shown.classify(shown.readouts(counts.signal()), counts.photons[:, None])
     found = deepfsi.classify_run(lab / DESIGN, lab / RUN).scenes
     assert [scene.probability for scene in found] == wanted.mean(axis=1).max(axis=-1).tolist()
@@ -64,7 +62,7 @@ def test_counts_that_are_not_of_the_training_are_refused_unless_forced(lab):
 
 def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path):
     """A table of two exposures at the training's light, and two at 2 % of it."""
-    manifest = read_patterns(lab / "frames").manifest
+    manifest = Patterns.read(lab / "frames").manifest
     x = read_display(lab / "images").x[:2]
     rates = arrival_rates(lab / "frames", x, CAMERAS["ideal"], 1e7)[..., 0]
     gate_s = np.full(len(manifest.frames), 10e-3 / len(manifest.shown))
@@ -88,7 +86,7 @@ def forty(lab, digits):
         camera = VirtualCamera.model_validate(optics or {})
         recording = RecordingSettings(camera, flux=flux, exposure_s=10e-3)
         record_scenes(lab / "frames", x[:scenes], names[:scenes], None, folder, recording)
-        count_run(folder)
+        Recording.read(folder).count()
         return deepfsi.classify_run(lab / DESIGN, folder)
 
     return classified

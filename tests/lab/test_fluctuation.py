@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from virtual_samples import patterns, record, scenes
 
-from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.counting.recording import Recording
 from deepfsi.lab import virtual_detector as detector
 from deepfsi.lab.virtual_optics import VirtualCamera
 
@@ -44,7 +44,9 @@ def test_law_counts_of_a_file_have_the_excess_of_the_light(tmp_path):
     patterns(tmp_path / "p")
     relative, x = 0.1, np.repeat(scenes(1), 300, axis=0)
     camera = VirtualCamera(fluctuation=relative)
-    found = count_run(record(tmp_path, x, camera=camera, flux=2e6, exposure_s=1e-3, seed=7))
+    found = Recording.read(
+        record(tmp_path, x, camera=camera, flux=2e6, exposure_s=1e-3, seed=7)
+    ).count()
     # of complete scenes: all ON of a few is too dark beside their masks
     counts = found.counts[found.valid.all(axis=1)].sum(axis=1)
     lit = counts[:, counts.mean(axis=0) > 50]

@@ -6,10 +6,9 @@ import pytest
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
-from deepfsi.hardware.counting.count import CountSettings, count_run
-from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.counting.recording import CountSettings, Recording
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.calibration import find_gains
 from deepfsi.lab.virtual_optics import RecordingSettings, VirtualCamera, record_scenes
 from deepfsi.training import characterisation
@@ -36,13 +35,13 @@ def export(folder, light="equal-dwell"):
         masks = np.concatenate([masks, 1 / 6 - masks])
     detectors = DetectorMap(count=4, cells=tuple(CELLS.ravel().tolist()), **shares)
     design = DesignRails(masks, light, (4, 4), 7.0, detectors=detectors)
-    return export_patterns(design, FrameSettings(DEVICE, 2e-3), folder / "p")
+    return Patterns.from_rails(design, DEVICE, 2e-3).write(folder / "p")
 
 
 def run(folder, x, camera_gains=None, name="run", **settings):
     camera, names = VirtualCamera(gains=camera_gains, dark=500.0), [str(k) for k in range(len(x))]
     record_scenes(folder / "p", x, names, None, folder / name, RecordingSettings(camera, 1e7, 0.01))
-    return count_run(folder / name, CountSettings(**settings))
+    return Recording.read(folder / name).count(CountSettings(**settings))
 
 
 @pytest.mark.parametrize("seed", range(1, 3))
@@ -66,7 +65,7 @@ def test_law_white_tells_each_gain_and_counts_are_corrected_to_two_percent(tmp_p
     x = np.repeat(scenes(1, 1)[0][:1], 20, axis=0)
     counts = run(tmp_path, x, gains, gains=tuple(found))
     assert counts.faults == ()
-    assert read_counts(tmp_path / "run").gains == counts.gains == tuple(found)
+    assert Recording.read(tmp_path / "run").read_counts().gains == counts.gains == tuple(found)
     usual = run(tmp_path, x, name="usual")
     mean, wanted = (each.signal().sum(axis=(0, 1)) for each in (counts, usual))
     sent = wanted * counts.photons[0] / usual.photons[0]  # the flux has the mean efficiency

@@ -9,8 +9,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import CounterEffects, DeadTime
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.streaming import FrameCounts
-from deepfsi.hardware.light.curves import PARTS_OF_FRAME
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.light.flux import PARTS_OF_FRAME
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab import adaptive_looks
 from deepfsi.lab.observer import ON, SceneObserver
 from deepfsi.lab.virtual_detector import Detector
@@ -26,7 +26,7 @@ def patterns(request, digits, tmp_path_factory):
 
 def light(patterns, scene, lists):
     """Counts/s (f, inputs) of a scene (N,) behind the frames of a list, without any noise."""
-    manifest = read_patterns(patterns).manifest
+    manifest = Patterns.read(patterns).manifest
     ends = np.stack([np.ones(scene.size), np.zeros(scene.size)])
     on = ends if lists.masks is None else lists.masks
     cells = np.array(manifest.detectors.cells if manifest.detectors else [0] * scene.size)
@@ -43,7 +43,7 @@ def observe(patterns, scenes, change=lambda rates, lists: rates, **settings):
     """Decisions on scenes (n, N) whose counts are their means, and the lists asked for."""
     named = tuple(Scene(name=str(k)) for k in range(len(scenes)))
     acquisition, looks = planned(patterns, named, **settings)
-    observer, asked = SceneObserver(looks, read_patterns(patterns).manifest, acquisition), []
+    observer, asked = SceneObserver(looks, Patterns.read(patterns).manifest, acquisition), []
 
     def source(number, scene):
         def counts(lists):
@@ -87,7 +87,7 @@ def test_dead_time_changes_no_decision_where_it_is_known(digits, patterns, paral
 def test_a_scene_is_judged_by_the_light_of_all_so_far(digits, patterns):
     scenes = digits.x_test[:3]
     decided, asked = observe(patterns, scenes)
-    flux = scenes.sum(axis=1) * FLUX / read_patterns(patterns).manifest.summed_reflectance
+    flux = scenes.sum(axis=1) * FLUX / Patterns.read(patterns).manifest.summed_reflectance
     for k, each in enumerate(decided, start=1):
         frames = np.full(k, 2.0)
         frames[-1] = 1  # the second all-ON frame of this scene follows its looks
@@ -119,7 +119,7 @@ def test_law_all_on_frames_have_the_noise_of_what_is_subtracted_and_of_a_dead_ti
     digits, patterns, monkeypatch, dead_s
 ):
     """Of n arrivals a second a non-paralysable counter gives the variance n (1 + nτ)."""
-    dead, seen, manifest = DeadTime(seconds=dead_s), [], read_patterns(patterns).manifest
+    dead, seen, manifest = DeadTime(seconds=dead_s), [], Patterns.read(patterns).manifest
     dark = FLUX * np.linspace(0.2, 0.4, manifest.inputs)
     exposure = adaptive_looks._AdaptiveLiveExposure
     usual = exposure.compare

@@ -7,9 +7,9 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene, read_run
-from deepfsi.hardware.counting.count import count_run
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab import live as record
 from deepfsi.lab.calibration import scan_rails
 from deepfsi.lab.devices import virtual_setup
@@ -21,8 +21,7 @@ from drivers import swabian_fake
 @pytest.fixture(scope="module")
 def patterns(tmp_path_factory):
     folder = tmp_path_factory.mktemp("record") / "patterns"
-    frames = FrameSettings(find_device("64x48"), 1e-3)
-    export_patterns(scan_rails("raster", (8, 8)), frames, folder)
+    Patterns.from_rails(scan_rails("raster", (8, 8)), find_device("64x48"), 1e-3).write(folder)
     return folder
 
 
@@ -30,7 +29,7 @@ def planned(patterns, digits, count):
     """Acquisition of some scenes, and its virtual bench."""
     shown = tuple(Scene(name=str(k)) for k in range(count))
     told = {"flux": 1e7, "camera": CAMERAS["ideal"].model_dump(mode="json"), "seed": 1}
-    manifest = read_patterns(patterns).manifest
+    manifest = Patterns.read(patterns).manifest
     acquisition = Acquisition.plan(manifest, shown, exposure_s=10e-3, repeats=1, **told)
     scenes = digits.x_test[:count].reshape(count, 8, 8)
     return acquisition, virtual_setup(patterns, scenes, acquisition)
@@ -58,7 +57,7 @@ def test_a_run_that_is_stopped_keeps_its_finished_scenes(
 
     def stopped() -> None:
         frames = np.arange(20)
-        bench.projector.show(frames, read_patterns(patterns).manifest.picture_s[frames])
+        bench.projector.show(frames, Patterns.read(patterns).manifest.picture_s[frames])
         raise KeyboardInterrupt
 
     def display(scene: int) -> None:
@@ -76,5 +75,8 @@ def test_a_run_that_is_stopped_keeps_its_finished_scenes(
         list(record.record_run(tmp_path / "run", patterns, acquisition, bench))
     assert ("overflowed" in str(end.value)) == (stop == "tags lost")
     assert stop != "tags lost" or device.steps[-2:] == ["stop", "freeTimeTagger"]
-    assert [scene.name for scene in read_run(tmp_path / "run").acquisition.scenes] == ["0", "1"]
-    assert count_run(tmp_path / "run").valid.tolist() == [[True], [True]]
+    assert [scene.name for scene in Recording.read(tmp_path / "run").acquisition.scenes] == [
+        "0",
+        "1",
+    ]
+    assert Recording.read(tmp_path / "run").count().valid.tolist() == [[True], [True]]

@@ -8,9 +8,9 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout
 from deepfsi.datasets.display import read_display
-from deepfsi.hardware.counting.count import count_run
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.registration import find_reference, write_reference
 from deepfsi.lab.virtual_optics import CAMERAS, RecordingSettings, VirtualCamera, record_scenes
 
@@ -28,7 +28,7 @@ def masks(number: int = 16) -> np.ndarray:
 
 def export(folder, layout=PLAIN, number=16):
     design = DesignRails(masks(number), "equal-dwell", (8, 8), 20.0)
-    shown = export_patterns(design, FrameSettings(DEVICE, 1e-3, layout=layout), folder)
+    shown = Patterns.from_rails(design, DEVICE, 1e-3, layout=layout).write(folder)
     write_reference(shown, folder)
     return shown
 
@@ -46,7 +46,7 @@ def found(tmp_path, shown, camera, flux=3e8, exposure=0.01):
     x = read_display(tmp_path / "p" / "reference.png").x
     settings = RecordingSettings(camera, flux, exposure)
     record_scenes(tmp_path / "p", x, ["reference"], None, tmp_path / "run", settings)
-    return find_reference(count_run(tmp_path / "run"), shown)
+    return find_reference(Recording.read(tmp_path / "run").count(), shown)
 
 
 @pytest.mark.parametrize(

@@ -148,5 +148,5 @@ def test_a_trigger_that_jitters_is_named(digits, patterns, tmp_path):
 
         setup._add = late
 
-    with pytest.raises(InputError, match="the trigger jitters"):
+    with pytest.raises(InputError, match="a trigger that jitters"):
         answers(tmp_path / "run", patterns, digits, change=jitter)

@@ -7,13 +7,8 @@ import pytest
 
 from deepfsi import evaluate, load_design
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.patterns.folder import (
-    FrameSettings,
-    export_patterns,
-    read_frames,
-    read_patterns,
-)
-from deepfsi.hardware.patterns.frames import unpack
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.frames import make_frame, unpack
 from deepfsi.lab import adaptive_looks
 from deepfsi.lab import results as frame_log
 from deepfsi.lab.design_data import design_rails
@@ -49,11 +44,11 @@ def design(patterns):
 def test_the_folder_holds_the_dictionary_once_mask_by_mask(design, patterns):
     """Frame p + 2 is the picture of mask p, each mirror of a cell ON or OFF with its pixel."""
     masks = design.prior_exposure.dictionary.masks.numpy().astype(bool)
-    read = read_patterns(patterns)
+    read = Patterns.read(patterns)
     manifest = read.manifest
     assert [manifest.frames[at].mask for at in manifest.shown] == list(range(MASKS))
     grid = manifest.grid
-    for frame, mask in zip(list(read_frames(patterns))[2:-2], masks, strict=True):
+    for frame, mask in zip(list(Patterns.read(patterns).frames())[2:-2], masks, strict=True):
         cells = unpack(frame, DEVICE)[grid.window].reshape(8, grid.height, 8, grid.width)
         assert (cells == mask.reshape(8, 1, 8, 1)).all()
     np.testing.assert_array_equal(read.fractions, masks)
@@ -80,8 +75,8 @@ def test_frames_that_are_shown_are_the_exported_ones_bit_for_bit(
     )
     projector.replace = None  # a load would fail
     list(run_live(tmp_path / "run", patterns, acquisition, devices, looks))
-    pictures = list(read_frames(patterns))
-    manifest = read_patterns(patterns).manifest
+    pictures = list(Patterns.read(patterns).frames())
+    manifest = Patterns.read(patterns).manifest
     asked = [frames for frames in shown if frames != [0, OFF, OFF]]
     for scene in frame_log.read_log(tmp_path / "run"):
         looked = scene.lists[1:-1]
@@ -93,7 +88,7 @@ def test_frames_that_are_shown_are_the_exported_ones_bit_for_bit(
             assert asked.pop(0) == [frame, OFF]
             assert chosen.pop(0) == frame - 2
             mask = looks.stored.masks[frame - 2].bool().numpy()
-            assert np.array_equal(pictures[frame], manifest.lit_frame(mask))
+            assert np.array_equal(pictures[frame], make_frame(mask, manifest.device, manifest.grid))
     assert not asked
 
 
@@ -121,5 +116,5 @@ def test_a_device_that_cannot_hold_the_masks_is_refused(patterns, tmp_path):
     rails = design_rails(patterns.parent / "adaptive.safetensors")
     device = DEVICE.model_copy(update={"patterns": MASKS + 3})
     with pytest.raises(InputError, match="`dictionary` of 299 at most"):
-        export_patterns(rails, FrameSettings(device, 1e-3), tmp_path / "other")
+        Patterns.from_rails(rails, device, 1e-3).write(tmp_path / "other")
     assert not list(tmp_path.iterdir())

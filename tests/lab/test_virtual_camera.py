@@ -15,7 +15,7 @@ from virtual_samples import (
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.layout import DmdLayout, find_grid
-from deepfsi.hardware.counting.count import count_run
+from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.photons.reader import summarise
 from deepfsi.lab import virtual_detector as detector
 from deepfsi.lab import virtual_optics as module
@@ -141,7 +141,9 @@ def test_scenes_and_fluxes_that_are_none_are_refused(tmp_path, given, flux, mess
 def test_law_counts_from_a_file_are_poisson_with_the_scanners_mean(tmp_path, light, rails):
     shown = patterns(tmp_path / "p", light, rails, dwell=2e-2)
     exposure, flux, x = 2e-4, 5e6, scenes()
-    counted = count_run(record(tmp_path, x, camera=IDEAL, flux=flux, exposure_s=exposure, seed=7))
+    counted = Recording.read(
+        record(tmp_path, x, camera=IDEAL, flux=flux, exposure_s=exposure, seed=7)
+    ).count()
     assert counted.valid.all()
     assert counted.faults == ()
     assert counted.counts.shape[1] >= 50

@@ -6,8 +6,7 @@ from virtual_samples import SUMMED_REFLECTANCE, every_optics, expected, patterns
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import CounterEffects, DeadTime
-from deepfsi.hardware.counting.count import CountSettings, count_run
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting.recording import CountSettings, Recording
 from deepfsi.lab.calibration import gains_of, reconstruct
 from deepfsi.lab.registration import check_view
 from deepfsi.lab.virtual_optics import VirtualCamera
@@ -25,9 +24,9 @@ def test_clicks_of_each_readout_are_binomial(tmp_path, light, rails):
     """Mean and variance of all exposures of two scenes, to five standard errors."""
     shown, x = patterns(tmp_path / "p", light, rails), scenes(2)
     gated = record(tmp_path, x.repeat(150, axis=0), camera=VirtualCamera(gates=GATES), **LIGHT)
-    counts = count_run(gated, CountSettings(clicks=GATES))
+    counts = Recording.read(gated).count(CountSettings(clicks=GATES))
     assert counts.valid.all()
-    assert counts.gates == read_counts(gated).gates == GATES
+    assert counts.gates == Recording.read(gated).read_counts().gates == GATES
     found = counts.signal().reshape(2, -1, *counts.counts.shape[2:])
     n, p = found.shape[1], -np.expm1(-expected(shown, x, FLUX * EXPOSURE) / GATES)
     assert (found[:, :, p[0] == 0] == 0).all()
@@ -50,8 +49,8 @@ def test_a_gated_and_a_free_detector_give_the_same_clicks(tmp_path, light, rails
         record(tmp_path, scenes(20), name, camera=VirtualCamera(gates=gates), **settings)
         for name, gates in (("gated", GATES), ("free", None))
     ]
-    gated, free = (count_run(run, CountSettings(clicks=GATES)) for run in runs)
-    photons = count_run(runs[1])
+    gated, free = (Recording.read(run).count(CountSettings(clicks=GATES)) for run in runs)
+    photons = Recording.read(runs[1]).count()
     assert np.array_equal(gated.counts, free.counts)
     assert gated.counts.max() == GATES
     assert photons.counts.max() > GATES
@@ -66,7 +65,10 @@ def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, 
     x = scenes(1).repeat(40, axis=0)
     camera = VirtualCamera(gates=gates)
     run = record(tmp_path, x, camera=camera, flux=flux, exposure_s=EXPOSURE, repeats=1)
-    counts, number = count_run(run, CountSettings(clicks=gates or GATES)), 80 * (gates or GATES)
+    counts, number = (
+        Recording.read(run).count(CountSettings(clicks=gates or GATES)),
+        80 * (gates or GATES),
+    )
     wanted = flux * float(x[0].sum()) / SUMMED_REFLECTANCE
     mean = wanted * 2e-3 / (gates or GATES)  # photons in a gate, about
     variance = mean if mean > 1 else np.expm1(mean)
@@ -80,11 +82,11 @@ def test_what_is_of_photons_refuses_clicks(tmp_path):
     gated = record(tmp_path, scenes(), camera=VirtualCamera(gates=GATES), **LIGHT, repeats=1)
     dead = CounterEffects(dead_time=DeadTime(seconds=2e-8))
     with pytest.raises(InputError, match="dead time is of photon counts"):
-        count_run(gated, CountSettings(clicks=GATES, effects=dead))
+        Recording.read(gated).count(CountSettings(clicks=GATES, effects=dead))
     with pytest.raises(InputError, match="first photons alone of 4 gates"):
-        count_run(gated, CountSettings(clicks=2))
+        Recording.read(gated).count(CountSettings(clicks=2))
     assert not (gated / "counts.npz").exists()
-    count_run(gated, CountSettings(clicks=GATES))
+    Recording.read(gated).count(CountSettings(clicks=GATES))
     for use in (reconstruct, check_view, gains_of):
         with pytest.raises(InputError, match="was counted in clicks, which are not in proportion"):
             use(gated)

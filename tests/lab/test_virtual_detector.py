@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.hardware.patterns.folder import GatePlan
+from deepfsi.hardware.patterns.manifest import GatePlan
 from deepfsi.lab import virtual_detector as module
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Detector, Stream, divide
 

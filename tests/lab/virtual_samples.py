@@ -11,8 +11,8 @@ from deepfsi.base.progress import SILENT
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout
-from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.virtual_optics import RecordingSettings, record_scenes
 from deepfsi.physics.laws import light_law
 
@@ -35,8 +35,7 @@ def patterns(folder: Path, light="equal-dwell", rails="dual", dwell=2e-3, cells=
     fitted = light_law(light).fit(torch.from_numpy(wild), rails).numpy()
     detectors = None if cells is None else DetectorMap(count=max(cells) + 1, cells=cells)
     design = DesignRails(fitted, light, SHAPE, SUMMED_REFLECTANCE, None, None, detectors)
-    settings = FrameSettings(DEVICE, dwell, layout=DmdLayout(stretch=True))
-    return export_patterns(design, settings, folder)
+    return Patterns.from_rails(design, DEVICE, dwell, layout=DmdLayout(stretch=True)).write(folder)
 
 
 def record(folder: Path, x: np.ndarray, name="run", labels=None, report=SILENT, **settings) -> Path:

@@ -7,9 +7,10 @@ import numpy as np
 
 from deepfsi import learn
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene, read_run
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene
+from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.counting.streaming import FrameCounts
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.photons.reader import count_windows, read_markers
 from deepfsi.lab import live as run
 from deepfsi.lab.adaptive_looks import open_looks
@@ -31,7 +32,7 @@ def make_patterns(
     """Folder of patterns of a design of adaptive masks, on a small device."""
     words = {"masks": LOOKS, "photons": 1e4, "camera": OPTICS[optics], **settings}
     path = learn(digits, design="adaptive", **words).save(folder / "adaptive.safetensors")
-    export_patterns(design_rails(path), FrameSettings(device, 1e-3), folder / "patterns")
+    Patterns.from_rails(design_rails(path), device, 1e-3).write(folder / "patterns")
     return folder / "patterns"
 
 
@@ -67,17 +68,17 @@ class Counted:
     def check_file(self, folder: Path) -> None:
         """The photon file of the run has the same counts, by the gates of its log."""
         shown = [each for scene in read_log(folder) for each in scene.lists]
-        recorded = read_run(folder)
+        recorded = Recording.read(folder)
         photons, settings = recorded.open_photons(), recorded.acquisition
-        times, bits = read_markers(photons.path)
+        times, bits = read_markers(photons.header.path)
         times = times[bits & settings.marker_bit != 0]
         markers = np.concatenate([each.markers for each in shown])
         first = np.cumsum(markers) - markers
         gated = np.concatenate([[True] * len(each.frames) + [False] for each in shown])
-        starts = times[first[gated]] + round(settings.settle_s / photons.tick_s)
+        starts = times[first[gated]] + round(settings.settle_s / photons.header.tick_s)
         gates_s = np.concatenate([each.gate_ns for each in shown]) * 1e-9
-        stops = starts + np.rint(gates_s / photons.tick_s).astype(np.int64)
-        counts = count_windows(photons.path, starts, stops, settings.inputs)
+        stops = starts + np.rint(gates_s / photons.header.tick_s).astype(np.int64)
+        counts = count_windows(photons.header.path, starts, stops, settings.inputs)
         given = np.concatenate([each.counts for each in self.lists])
         np.testing.assert_array_equal(counts, given[: len(counts)])
 

@@ -14,8 +14,8 @@ import numpy as np
 
 import deepfsi
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.counting.count import count_run
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.calibration import reconstruct
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.virtual_optics import CAMERAS, RecordingSettings, record_scenes
@@ -36,14 +36,12 @@ scenes, labels = digits.x_test[:4], digits.y_test[:4]
 with tempfile.TemporaryDirectory() as folder:
     file = design.save(Path(folder) / "design.safetensors")
     frames, run = Path(folder) / "frames", Path(folder) / "run"
-    patterns = export_patterns(
-        design_rails(file), FrameSettings(find_device("64x48"), 1e-3), frames
-    )
+    patterns = Patterns.from_rails(design_rails(file), find_device("64x48"), 1e-3).write(frames)
     camera = RecordingSettings(CAMERAS["ideal"], flux=1e7, exposure_s=10e-3, repeats=1)
     record_scenes(
         frames, scenes.reshape(-1, 8, 8), [f"digit {k}" for k in labels], None, run, camera
     )
-    counts = count_run(run)
+    counts = Recording.read(run).count()
     pictures = reconstruct(run)
 
 # %%

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 
 import deepfsi
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_frames
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.frames import unpack
 from deepfsi.lab.design_data import design_rails
 
@@ -27,8 +27,8 @@ device = find_device("dlp7000")
 with tempfile.TemporaryDirectory() as folder:
     file = design.save(Path(folder) / "design.safetensors")
     frames = Path(folder) / "frames"
-    patterns = export_patterns(design_rails(file), FrameSettings(device, 1e-3), frames)
-    mirrors = [unpack(frame, device) for frame in read_frames(frames)]
+    patterns = Patterns.from_rails(design_rails(file), device, 1e-3).write(frames)
+    mirrors = [unpack(frame, device) for frame in Patterns.read(frames).frames()]
 
 # %%
 # Frames with all mirrors ON and all OFF come first and last; they measure the light and the dark

@@ -12,7 +12,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.photons.events import PtuWriter
 from deepfsi.hardware.photons.reader import count_windows, read_markers, summarise
 
 # %%

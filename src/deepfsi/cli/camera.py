@@ -200,7 +200,7 @@ class ExportPatterns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns that were written, on which device and for how long."""
-        from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+        from deepfsi.hardware.patterns.folder import Patterns
         from deepfsi.lab.calibration import SCAN_NAMES, scan_rails
         from deepfsi.lab.design_data import camera_of, design_rails
         from deepfsi.lab.registration import write_reference
@@ -218,22 +218,24 @@ class ExportPatterns(Command):
             turned = self.model_dump(include={"flip", "rotate", "invert"})
             layout = DmdLayout.model_validate(camera.layout.model_dump() | turned)
         dwell = rails.picture_s(device, camera.exposure) if self.dwell is None else self.dwell
-        frames = FrameSettings(
-            device=device,
-            dwell_s=dwell,
+        planned = Patterns.from_rails(
+            rails,
+            device,
+            dwell,
             selection=self.selection,  # type: ignore[arg-type]
             seed=self.seed,
             format=self.kind or ("planes" if device.packed else "npy"),  # type: ignore[arg-type]
             layout=layout,
         )
         with terminal.progress("patterns") as report:
-            patterns = export_patterns(rails, frames, self.out, report)
+            patterns = planned.write(self.out, report)
         write_reference(patterns, self.out)
+        is_raised = dwell * 1e6 < device.shortest_us * (1 - 1e-9)
         raised = (
             f"the mean picture time was raised to {device.shortest_us} µs: {device.name} shows no "
             "shorter picture (`shortest`)"
         )
-        return _patterns_in(self.out, patterns, [raised] * frames.raised)
+        return _patterns_in(self.out, patterns, [raised] * is_raised)
 
     def _check_of_design(self) -> None:
         """Raise `InputError` for options of a scan, which a design decides."""
@@ -257,10 +259,10 @@ class CheckPatterns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns of the folder, all of whose frames are as they were exported."""
-        from deepfsi.hardware.patterns.folder import check_patterns
+        from deepfsi.hardware.patterns.folder import Patterns
 
         with terminal.progress("frames") as report:
-            patterns = check_patterns(self.folder, report)
+            patterns = Patterns.read(self.folder).check(report)
         return _patterns_in(self.folder, patterns)
 
 

@@ -72,25 +72,26 @@ class PrepareRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Plan of the run, in its folder."""
-        from deepfsi.hardware.counting.acquisition import Acquisition, prepare_run
-        from deepfsi.hardware.light.curves import name_inputs
-        from deepfsi.hardware.patterns.folder import read_patterns
+        from deepfsi.hardware.counting.acquisition import Acquisition
+        from deepfsi.hardware.counting.recording import Recording
+        from deepfsi.hardware.light.flux import name_inputs
+        from deepfsi.hardware.patterns.folder import Patterns
         from deepfsi.lab.design_data import camera_of, listed_scenes
 
-        manifest = read_patterns(self.patterns).manifest
+        patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
         planned = Acquisition.plan(
-            manifest,
+            patterns.manifest,
             listed_scenes(self.scenes, self.patterns),
             exposure_s=camera.exposure,
             flux=camera.flux,
             **self.explicit(("inputs", "marker_bit", "settle_s", "repeats")),
         )
-        acquisition = prepare_run(self.out, self.patterns, planned)
+        acquisition = Recording.prepare(self.out, patterns, planned).acquisition
         return Outcome(
             {"folder": str(self.out), "acquisition": acquisition.model_dump(mode="json")},
             [
-                f"{acquisition.exposures_text}, {time_text(manifest.pass_s)} a pass",
+                f"{acquisition.exposures_text}, {time_text(patterns.manifest.pass_s)} a pass",
                 f"photons on input {name_inputs(acquisition.inputs)}, a trigger on marker input "
                 f"{acquisition.marker_bit.bit_length() - 1}",
                 f"acquisition: {self.out}; show the patterns once for each scene, put the "
@@ -123,7 +124,7 @@ class SimulateRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Run as it was recorded."""
-        from deepfsi.hardware.patterns.folder import read_patterns
+        from deepfsi.hardware.patterns.folder import Patterns
         from deepfsi.lab.design_data import camera_of, displayed, picture_hashes
         from deepfsi.lab.virtual_optics import (
             RecordingSettings,
@@ -144,7 +145,7 @@ class SimulateRun(Command):
             seed=self.seed,
             **self.explicit(("settle_s", "repeats", "inputs")),
         )
-        patterns = read_patterns(self.patterns)
+        patterns = Patterns.read(self.patterns)
         images = displayed(self.scene, self.patterns)
         if not self.yes:
             _ask_for_room(terminal, expected_events(patterns, images.x, virtual, recording.flux))
@@ -276,16 +277,16 @@ class RecordRun(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the run."""
-        from deepfsi.hardware.counting.acquisition import Acquisition, read_run
-        from deepfsi.hardware.counting.count import CountSettings, count_run
-        from deepfsi.hardware.patterns.folder import read_patterns
+        from deepfsi.hardware.counting.acquisition import Acquisition
+        from deepfsi.hardware.counting.recording import CountSettings, Recording
+        from deepfsi.hardware.patterns.folder import Patterns
         from deepfsi.lab.design_data import camera_of, displayed, listed_scenes, scenes_of
         from deepfsi.lab.devices import PassProjector, Setup, virtual_setup
         from deepfsi.lab.live import record_run
         from deepfsi.lab.virtual_optics import expected_events, virtual_camera
 
         self.check_devices()
-        patterns = read_patterns(self.patterns)
+        patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
         wiring = self.explicit(("settle_s", "repeats", "inputs", "marker_bit"))
         if self.is_virtual:
@@ -319,10 +320,10 @@ class RecordRun(_DeviceRun):
             effects=camera.counter_effects(self.settings), clicks=camera_of(self.patterns).clicks
         )
         with terminal.progress("counting") as report:
-            counts = count_run(self.out, settings, progress=report)
-        run = read_run(self.out)
+            run = Recording.read(self.out)
+            counts = run.count(settings, progress=report)
         after = f"run: {self.out}; then: deepfsi camera classify {self.patterns} {self.out}"
-        return Outcome(counts.as_dict(run), [*counts.lines(run), after])
+        return Outcome(run.as_dict(counts), [*run.lines(counts), after])
 
 
 class RunLive(_DeviceRun):
@@ -354,7 +355,7 @@ class RunLive(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the scenes, each said as it is decided."""
-        from deepfsi.hardware.patterns.folder import read_patterns
+        from deepfsi.hardware.patterns.folder import Patterns
         from deepfsi.lab.adaptive_looks import open_looks
         from deepfsi.lab.design_data import camera_of, displayed, scenes_of
         from deepfsi.lab.devices import Setup, StreamingProjector, virtual_setup
@@ -392,7 +393,7 @@ class RunLive(_DeviceRun):
             setup: Setup[StreamingProjector]
             if projector is None:
                 if not self.yes:
-                    shown = read_patterns(patterns)
+                    shown = Patterns.read(patterns)
                     passes = exposure_s / shown.manifest.pass_s + 1  # at most
                     events = expected_events(shown, images.x, virtual, flux)
                     _ask_for_room(terminal, events * passes)
@@ -434,7 +435,7 @@ class RunLive(_DeviceRun):
     @contextmanager
     def _patterns(self, terminal: Terminal) -> Iterator[Path]:
         """Folder of patterns, or those of a design file for the moment."""
-        from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
+        from deepfsi.hardware.patterns.folder import Patterns
         from deepfsi.lab.design_data import design_rails
 
         if self.source.is_dir():
@@ -442,9 +443,10 @@ class RunLive(_DeviceRun):
             return
         with TemporaryDirectory() as folder:
             patterns = Path(folder) / "patterns"
-            frames = FrameSettings(find_device("dlp7000"), 1e-3)
             with terminal.progress("patterns") as report:
-                export_patterns(design_rails(self.source), frames, patterns, report)
+                Patterns.from_rails(design_rails(self.source), find_device("dlp7000"), 1e-3).write(
+                    patterns, report
+                )
             yield patterns
 
 

@@ -76,8 +76,7 @@ class CountRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the run."""
-        from deepfsi.hardware.counting.acquisition import read_run
-        from deepfsi.hardware.counting.count import CountSettings, count_run
+        from deepfsi.hardware.counting.recording import CountSettings, Recording
         from deepfsi.lab.calibration import gains_of
         from deepfsi.lab.design_data import camera_of
 
@@ -94,9 +93,9 @@ class CountRun(Command):
                 gains=() if self.flat is None else gains_of(self.flat),
                 clicks=camera_of(self.folder).clicks,
             )
-            counts = count_run(self.folder, settings, progress=report)
-        run = read_run(self.folder)
-        return Outcome(counts.as_dict(run), counts.lines(run))
+            recording = Recording.read(self.folder)
+            counts = recording.count(settings, progress=report)
+        return Outcome(recording.as_dict(counts), recording.lines(counts))
 
 
 class ClassifyRun(Command):
@@ -193,12 +192,12 @@ class ReconstructScenes(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of each scene."""
-        from deepfsi.hardware.counting.acquisition import read_run
+        from deepfsi.hardware.counting.recording import Recording
         from deepfsi.lab.calibration import reconstruct
         from deepfsi.report.masks import pictures_figure
         from deepfsi.report.style import write_figure
 
         out = self.out or self.folder / "picture.png"
-        names = [scene.name for scene in read_run(self.folder).acquisition.scenes]
+        names = [scene.name for scene in Recording.read(self.folder).acquisition.scenes]
         write_figure(pictures_figure(reconstruct(self.folder), names), out)
         return Outcome({"picture": str(out)}, [f"drawn: {out}"])

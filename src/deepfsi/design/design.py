@@ -497,7 +497,7 @@ class Design:
         """The design as patterns on a device realise it, with rails (2 or 1, m, N) and cells.
 
         Where one device gives a design less light, `dimmed`, its features are as much smaller, and
-        so are the statistics that scale them. Parameters as of `check_patterns(...).realised`.
+        so are the statistics that scale them. Parameters as of `Patterns.realised`.
         """
         self.exposure.check("frames")
         if self.gates is not None and dimmed != 1:

@@ -21,9 +21,10 @@ from deepfsi.base.numeric.arrays import LARGEST_TENSORS
 from deepfsi.camera.dead_time import StopRule
 from deepfsi.design.design import Design
 from deepfsi.designfile.distribution import UNSURE
-from deepfsi.hardware.light.curves import Arrivals
-from deepfsi.hardware.patterns.folder import Patterns, read_patterns
-from deepfsi.hardware.patterns.manifest import Brightness, DesignRails, LookPlan, Manifest
+from deepfsi.hardware.light.flux import Arrivals
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.manifest import Brightness, LookPlan, Manifest
+from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.observer import AllOnCounts, ExposureState, FrameList, SceneComparison
 from deepfsi.physics.surroundings import library_defaults
 
@@ -234,7 +235,7 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
 
 def open_looks(folder: Path) -> AdaptiveLooks:
     """Looks of a folder of patterns of a first mask, or of a dictionary, and its design."""
-    manifest = read_patterns(folder).manifest
+    manifest = Patterns.read(folder).manifest
     if manifest.looks is None:
         raise InputError(
             f"{folder} has the patterns of a design whose masks are known before: learn one of "

@@ -26,11 +26,12 @@ from deepfsi.base.files import write_atomically
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.layout import DmdGrid
 from deepfsi.datasets.display import read_display, write_pictures
-from deepfsi.hardware.counting.acquisition import Calibration, read_run
-from deepfsi.hardware.counting.counts import Counts, read_counts
+from deepfsi.hardware.counting.acquisition import Calibration
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.light.checks import SPOILING
 from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.design_data import geometry_matrix
 
 WHITE = "white.png"
@@ -595,9 +596,9 @@ def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
     """Least-squares picture of each scene from its counts, less background."""
     # The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
     # Directions that the masks hardly see are left out (singular values below 1e-3 of the largest)
-    run = read_run(folder)
+    run = Recording.read(folder)
     patterns = run.patterns
-    counts = read_counts(run).check_photons(folder)
+    counts = run.read_counts().check_photons(folder)
     stated = run.acquisition.flux
     flux = np.nanmean(counts.flux) if stated is None else stated
     budget = float(flux * counts.exposure_s)
@@ -631,9 +632,9 @@ def _pictures(masks: np.ndarray, counts: np.ndarray, detectors: DetectorMap | No
 
 def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
     """Fit the camera's view to a counted run of the spots, and write it to a folder."""
-    run = read_run(folder)
+    run = Recording.read(folder)
     display = read_display(spots)
-    counts = _photons(folder)
+    counts = run.read_counts().check_photons(folder)
     fitted = calibrate_run(
         dict(zip(display.names, display.x, strict=True)),
         [scene.name for scene in run.acquisition.scenes],
@@ -649,9 +650,5 @@ def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, 
 
 def gains_of(flat: Path) -> tuple[float, ...]:
     """Relative efficiency of each detector, from a counted run of a uniform white scene."""
-    return find_gains(_photons(flat), read_run(flat).patterns)
-
-
-def _photons(folder: Path) -> Counts:
-    """Counts of a run, or `InputError` if they are clicks."""
-    return read_counts(folder).check_photons(folder)
+    run = Recording.read(flat)
+    return find_gains(run.read_counts().check_photons(flat), run.patterns)

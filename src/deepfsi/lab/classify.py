@@ -25,11 +25,12 @@ from deepfsi.camera.light import TOO_DIM, check_budget
 from deepfsi.designfile.distribution import ConsistencyResult
 from deepfsi.designfile.provenance import Score, was_trained_on
 from deepfsi.designfile.view_test import ViewResult
-from deepfsi.hardware.counting.acquisition import Run, Scene, read_run
-from deepfsi.hardware.counting.counts import Counts, read_counts
+from deepfsi.hardware.counting.acquisition import Scene
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.hardware.light.checks import Fault
-from deepfsi.hardware.patterns.folder import Patterns, read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.results import LOG, LiveAnswers, LiveScene, read_log
@@ -193,12 +194,12 @@ def classify_run(
     ['0', '1']
     """
     path = Path(folder)
-    recorded = read_run(path)
+    recorded = Recording.read(path)
     if recorded.acquisition.live and photons is None:
         return _live_answers(_check_design(design, recorded.manifest), recorded, trust)
     if photons is not None:
         check_budget(photons)
-    counts = read_counts(recorded)
+    counts = recorded.read_counts()
     counted = _CountedScenes.of(
         _opened(design, recorded.patterns, trust),
         counts,
@@ -210,7 +211,7 @@ def classify_run(
     return counted.classify()
 
 
-def _live_answers(design: Path, run: Run, trust: bool) -> LiveAnswers:
+def _live_answers(design: Path, run: Recording, trust: bool) -> LiveAnswers:
     """Classes of a live run by its log, which must be of the design's classes."""
     with require_extras():
         from deepfsi.design.design import Design
@@ -279,12 +280,12 @@ def classify_table(
     >>> len(found.scenes), found.scenes[0].photons
     (5, 10000.0)
     """
-    patterns = read_patterns(design) if Path(design).is_dir() else None
+    patterns = Patterns.read(design) if Path(design).is_dir() else None
     made = _opened(design, patterns, trust)
-    settings = replace(settings or TableSettings(), clicks=made.gates)
+    settings = (settings or TableSettings()).model_copy(update={"clicks": made.gates})
     if camera:
         effects = Camera.of_run(made.camera, **camera).counter_effects(camera)
-        settings = replace(settings, effects=effects or NO_EFFECTS)
+        settings = settings.model_copy(update={"effects": effects or NO_EFFECTS})
     if patterns is not None:
         manifest = patterns.manifest
     elif settings.settle_s or settings.effects.dead_time.seconds:
@@ -293,7 +294,7 @@ def classify_table(
             "the folder of its patterns"
         )
     else:
-        manifest = Manifest.from_design(design_rails(design))
+        manifest = design_rails(design).without_device()
     counts, scenes = count_table(
         read_table(Path(table), TableSettings.WORDS), manifest, settings, str(table)
     )

@@ -32,8 +32,8 @@ from deepfsi.datasets.load import absolute_source, load_dataset, options_of, pre
 from deepfsi.designfile.design_file import AdaptiveHeader, DesignFile, DesignHeader
 from deepfsi.designfile.provenance import TrainedOn, new_scenes, scene_hashes, trained_on
 from deepfsi.hardware.counting.acquisition import Calibration, Scene
-from deepfsi.hardware.patterns.folder import Patterns, check_patterns, read_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.rails import DesignRails
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -64,7 +64,7 @@ def open_design(path: Path, *, trust: bool = False, static: bool = False) -> "De
     design = load_design(file, trust=trust)
     if folder or static:
         design.exposure.check("masks", str(file))
-    return design.as_shown(*check_patterns(path).realised) if folder else design
+    return design.as_shown(*Patterns.read(path).check().realised) if folder else design
 
 
 def data_of(
@@ -187,7 +187,7 @@ def design_scenes(
 
 def _design_of(patterns: Path) -> DesignHeader | None:
     """Header of the design in a folder of patterns; None where it has none."""
-    if read_patterns(patterns).manifest.design_sha256 is None:
+    if Patterns.read(patterns).manifest.design_sha256 is None:
         return None
     return DesignFile.read(patterns / Patterns.DESIGN, ()).header
 
@@ -397,7 +397,7 @@ def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) 
 
 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:
-    """Rails of a design file, as `export_patterns` takes them; only adaptive masks need torch."""
+    """Rails of a design file, to be shown; only adaptive masks need torch."""
     path = Path(file)
     if isinstance(DesignFile.read(path, ()).header, AdaptiveHeader):
         with require_extras():

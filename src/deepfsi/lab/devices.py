@@ -23,8 +23,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
-from deepfsi.hardware.patterns.folder import check_patterns, read_patterns
-from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.photons.events import PtuWriter
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Stream, divide
 from deepfsi.lab.virtual_optics import (
     FRAME_MARKER,
@@ -274,7 +274,7 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
 
     def load(self, folder: Path, report: Progress = SILENT) -> None:
         """Check every frame of a pattern folder, as a real device must read them."""
-        self._times_s = check_patterns(folder, report).manifest.picture_s
+        self._times_s = Patterns.read(folder).check(report).manifest.picture_s
         self._optics.now_s += len(self._times_s) * self._optics.latencies["load"]
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
@@ -359,7 +359,7 @@ def virtual_setup(
 ) -> Setup[VirtualProjector]:
     """Virtual devices of a run, with the camera, flux, seed and wiring of its acquisition."""
     camera = VirtualCamera.model_validate(acquisition.camera)
-    manifest = read_patterns(patterns).manifest
+    manifest = Patterns.read(patterns).manifest
     flux = acquisition.flux or 0.0
     images = check_scenes(scenes, manifest, flux)
     rates = arrival_rates(patterns, scenes, camera, flux, report=report)

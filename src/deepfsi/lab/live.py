@@ -24,11 +24,13 @@ from deepfsi.base.interrupts import note_saved_work
 from deepfsi.base.progress import Progress, progress_bar
 from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects, LiveSettings, StopRule
 from deepfsi.designfile.provenance import was_trained_on
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene
+from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
 from deepfsi.hardware.light.checks import NO_LIGHT
-from deepfsi.hardware.light.curves import excess_chance
-from deepfsi.hardware.patterns.folder import read_patterns
+from deepfsi.hardware.light.flux import excess_chance
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.frames import make_frame
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.lab.devices import (
     PATIENCE_S,
@@ -89,7 +91,7 @@ def plan_live(
     InputError
         If the patterns are of no such design, or the device cannot show its looks so.
     """
-    patterns = read_patterns(patterns_folder)
+    patterns = Patterns.read(patterns_folder)
     manifest = patterns.manifest
     if not (math.isfinite(exposure_s) and exposure_s > 0):
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
@@ -193,14 +195,14 @@ def run_live(
     assert acquisition.live is not None
     live = acquisition.live.model_copy(update={"latencies": setup.latencies})
     acquisition = acquisition.model_copy(update={"live": live})
-    patterns = read_patterns(patterns_folder)
+    patterns = Patterns.read(patterns_folder)
     manifest = patterns.manifest
     observer = SceneObserver(looks, manifest, acquisition)
     with ExitStack() as stack:
         stack.enter_context(setup.projector)
         stack.enter_context(setup.counter)
         setup.projector.load(patterns_folder)
-        prepare_run(folder, patterns_folder, acquisition)
+        Recording.prepare(folder, patterns, acquisition)
         setup.counter.start(folder / "photons.ptu")
         log = stack.enter_context(GrowingFile(folder / LOG))
         frames = _DeviceFrames(setup, manifest, acquisition.settle_s)
@@ -263,7 +265,7 @@ class _DeviceFrames:
         if asked.masks is not None:
             manifest = self._manifest
             for frame, mask in zip(asked.frames, asked.masks, strict=True):
-                projector.replace(int(frame), manifest.lit_frame(mask))
+                projector.replace(int(frame), make_frame(mask, manifest.device, manifest.grid))
         frames = np.append(asked.frames, OFF)
         gates_s = np.append(asked.gate_ns, 0) * 1e-9
         pictures_s = self._pictures_s(asked)
@@ -360,7 +362,8 @@ def record_run(
 ) -> Generator[_RecordedScene]:
     """Show and record scene after scene; gives each when its pass has ended."""
     acquisition.check_fixed(folder)
-    manifest = read_patterns(patterns_folder).manifest
+    patterns = Patterns.read(patterns_folder)
+    manifest = patterns.manifest
     room = manifest.picture_s - acquisition.settle_s
     lengths = np.maximum(room - margin_ns(room * 1e9) * 1e-9, 0)
     lengths[-1] = 0  # nothing ends the gate of the last frame before the next pass
@@ -376,7 +379,7 @@ def record_run(
         stack.enter_context(setup.counter)
         with progress_bar(report, "loading the frames") as loading:
             setup.projector.load(patterns_folder, loading)
-        prepared = prepare_run(folder, patterns_folder, acquisition)
+        prepared = Recording.prepare(folder, patterns, acquisition)
         setup.counter.start(folder / "photons.ptu")
         frames = _CountedFrames(setup.counter, manifest.inputs)
         try:
@@ -393,4 +396,4 @@ def record_run(
             setup.counter.stop()
         finally:
             if 0 < done < len(acquisition.scenes):
-                prepared.keep_first(folder, done)
+                prepared.keep_first(done)

@@ -29,7 +29,7 @@ from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, 
 from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.light.checks import SPOILING, Fault, LightMonitor
-from deepfsi.hardware.light.curves import Arrivals
+from deepfsi.hardware.light.flux import Arrivals
 from deepfsi.hardware.patterns.manifest import Manifest
 
 

@@ -18,8 +18,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.layout import DmdLayout
-from deepfsi.hardware.counting.acquisition import read_run
-from deepfsi.hardware.counting.counts import Counts, read_counts
+from deepfsi.hardware.counting.counts import Counts
+from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.lab.calibration import DisplayedScenes
@@ -346,5 +346,5 @@ def _sound_readouts(counts: Counts, patterns: Patterns) -> _ReferenceReadouts:
 
 def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
     """Place of scenes on the device, from a counted run of the reference target."""
-    counts = read_counts(folder).check_photons(folder)
-    return find_reference(counts, read_run(folder).patterns, report)
+    run = Recording.read(folder)
+    return find_reference(run.read_counts().check_photons(folder), run.patterns, report)

@@ -26,7 +26,7 @@ from pydantic import Field, model_validator
 
 from deepfsi.base.models.strict import StrictModel
 from deepfsi.camera.dead_time import DeadTime
-from deepfsi.hardware.patterns.folder import GatePlan
+from deepfsi.hardware.patterns.manifest import GatePlan
 
 DETECTOR_TICK_S = 1e-12
 """Unit of event times, seconds."""

@@ -31,11 +31,12 @@ from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdGrid
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
-from deepfsi.hardware.patterns.folder import GatePlan, Patterns, read_frames, read_patterns
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.frames import unpack
-from deepfsi.hardware.patterns.manifest import Manifest
-from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.patterns.manifest import GatePlan, Manifest
+from deepfsi.hardware.photons.events import PtuWriter
 from deepfsi.lab.design_data import camera_of
 from deepfsi.lab.virtual_detector import (
     DETECTOR_TICK_S,
@@ -301,7 +302,8 @@ def arrival_rates(
     report: Progress = SILENT,
 ) -> np.ndarray:
     """Arrivals/s (S, F, inputs) at each detector while each frame is shown, before dead time."""
-    manifest = read_patterns(patterns_folder).manifest
+    patterns = Patterns.read(patterns_folder)
+    manifest = patterns.manifest
     images = check_scenes(scenes, manifest, flux)
     frames = len(manifest.frames)
     out = np.empty((len(images), frames, manifest.inputs))
@@ -309,7 +311,7 @@ def arrival_rates(
         part = images[first : first + SCENES_AT_ONCE]
         light = MirrorLight(manifest, part, camera, flux)
         done = 0
-        unread = read_frames(patterns_folder)
+        unread = patterns.frames()
         # Frames that are unpacked in memory
         while some := list(islice(unread, 16)):
             out[first : first + len(part), done : done + len(some)] = light.rates(some)
@@ -414,7 +416,8 @@ def record_scenes(
     """
     target = Path(out)
     camera = settings.camera
-    manifest = read_patterns(patterns_folder).manifest
+    patterns = Patterns.read(patterns_folder)
+    manifest = patterns.manifest
     scenes = check_scenes(scenes, manifest, settings.flux)
     if target.exists():
         raise InputError(f"'{target}' exists: name a folder that does not")
@@ -439,7 +442,7 @@ def record_scenes(
         seed=settings.seed,
     )
     with new_folder(target) as draft:
-        acquisition = prepare_run(draft, patterns_folder, wanted)
+        acquisition = Recording.prepare(draft, patterns, wanted).acquisition
         flow = arrival_rates(
             patterns_folder, scenes, camera, settings.flux, report=report.between(0, 0.5)
         )

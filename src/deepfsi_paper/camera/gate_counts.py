@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from deepfsi.hardware.patterns.folder import GatePlan
-from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.hardware.patterns.manifest import GatePlan, Manifest
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Detector, Stream, divide
 from deepfsi.lab.virtual_optics import VirtualCamera
 

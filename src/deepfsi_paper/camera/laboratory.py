@@ -25,10 +25,11 @@ from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
-from deepfsi.hardware.counting.acquisition import Calibration, read_run
-from deepfsi.hardware.counting.count import count_run
-from deepfsi.hardware.patterns.folder import FrameSettings, GatePlan, Patterns, export_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.counting.acquisition import Calibration
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.manifest import GatePlan
+from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.calibration import expected_background, fit_calibration, scan_rails, spot_scenes
 from deepfsi.lab.design_data import view_dataset
 from deepfsi.lab.virtual_optics import (
@@ -171,11 +172,9 @@ def calibrate() -> Calibration:
     exposure = 10.0
     raster = scan_rails("raster", (32, 32))
     with tempfile.TemporaryDirectory() as folder:
-        patterns = export_patterns(
-            raster,
-            FrameSettings(DEVICE, 1.1 * exposure / raster.rails.shape[1], layout=LAYOUT),
-            Path(folder) / "raster",
-        )
+        patterns = Patterns.from_rails(
+            raster, DEVICE, 1.1 * exposure / raster.rails.shape[1], layout=LAYOUT
+        ).write(Path(folder) / "raster")
         arrivals = arrival_rates(Path(folder) / "raster", scenes, LAB, FLUX)
     rng = np.random.default_rng(1)
     gates = GatePlan.of(patterns.manifest, exposure, repeats=1)
@@ -234,11 +233,12 @@ def _export(design: Design, repeats: int, folder: Path) -> Patterns:
     frames = int((rails.max(axis=-1) > 0).sum())
     share = float(rails.max()) if LIGHT_LAWS[design.light].equal_times else 1 / frames
     dwell = 1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6
-    return export_patterns(
+    return Patterns.from_rails(
         DesignRails(rails, design.light, design.image_shape, design.summed_reflectance),
-        FrameSettings(DEVICE, dwell, layout=LAYOUT),
-        folder,
-    )
+        DEVICE,
+        dwell,
+        layout=LAYOUT,
+    ).write(folder)
 
 
 def classify(
@@ -391,8 +391,9 @@ def _run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
         settings = RecordingSettings(LAB, FLUX, max(EXPOSURES), repeats=1)
         record_scenes(patterns, scene, ["scene"], None, run, settings)
         began = time.perf_counter()
-        counts = count_run(run)
-        shown = design.as_shown(*read_run(run).patterns.realised)
+        recording = Recording.read(run)
+        counts = recording.count()
+        shown = design.as_shown(*recording.patterns.realised)
         shown.classify(shown.readouts(counts.signal()), counts.photons[:, None])
         seconds = time.perf_counter() - began
         return seconds, int(counts.counts.sum()), (run / "photons.ptu").stat().st_size

@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import DEVICES, find_device
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
-from deepfsi.hardware.counting.count import CountSettings, count_run
-from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails, Frame, Manifest
-from deepfsi.hardware.photons.ptu import PtuWriter
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene
+from deepfsi.hardware.counting.recording import CountSettings, Recording
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.manifest import Frame, Manifest
+from deepfsi.hardware.patterns.rails import DesignRails
+from deepfsi.hardware.photons.events import PtuWriter
 
 FUZZ = int(os.environ.get("DEEPFSI_FUZZ", "100"))
 TICK = 1e-12
@@ -139,7 +140,7 @@ def patterns_of(
         rails[0, 0], rails[1, 0] = 1.0, 0.0
         rails /= 11 * np.where(rails.any(axis=2), rails.max(axis=2), 1)[..., None]
     design = DesignRails(rails, light, SHAPE, summed_reflectance=2.0, file=file)
-    return export_patterns(design, FrameSettings(DEVICE, DWELL, **settings), folder)
+    return Patterns.from_rails(design, DEVICE, DWELL, **settings).write(folder)
 
 
 def named(scenes: int, **settings) -> Acquisition:
@@ -193,7 +194,7 @@ class Run:
 
     def refused(self, match: str, **settings) -> None:
         with pytest.raises(InputError, match=match) as error:
-            count_run(self.folder, CountSettings(**settings))
+            Recording.read(self.folder).count(CountSettings(**settings))
         assert "\n" not in str(error.value)
 
 
@@ -203,11 +204,11 @@ def whole(tmp_path_factory) -> Run:
     home = tmp_path_factory.mktemp("whole")
     patterns = patterns_of(home / "patterns")
     asked = named(3, exposure_s=DWELL * 11 * 0.97, inputs=(2,), marker_bit=4)
-    prepare_run(home / "run", home / "patterns", asked)
+    Recording.prepare(home / "run", Patterns.read(home / "patterns"), asked)
     starts = train(patterns.manifest, 3, 1.5e-4)
     run = Run(home / "run", patterns, starts, shining(patterns, 3))
     run.record(starts, starts.ravel(), run.photons)
-    count_run(run.folder)
+    Recording.read(run.folder).count()
     return run
 
 

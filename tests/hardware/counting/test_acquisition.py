@@ -6,10 +6,9 @@ import recording_samples
 from recording_samples import named, patterns_of
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene, prepare_run
-from deepfsi.hardware.counting.count import count_run
-from deepfsi.hardware.counting.counts import read_counts
-from deepfsi.lab.calibration import reconstruct
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
 
 run, whole = recording_samples.run, recording_samples.whole
 
@@ -45,7 +44,7 @@ def test_a_folder_is_prepared_once_and_of_one_export(run, tmp_path):
         (other, tmp_path / "none", named(1), r"manifest\.json is missing: make patterns"),
     ):
         with pytest.raises(InputError, match=match):
-            prepare_run(folder, patterns, asked)
+            Recording.prepare(folder, Patterns.read(patterns), asked)
     assert list(tmp_path.iterdir()) == [run.folder]
 
 
@@ -53,9 +52,8 @@ def test_changed_mirror_counts_are_refused(run):
     """Rows in another order would give wrong pictures and classes without a word."""
     path = run.folder / "patterns" / "mirrors.npy"
     np.save(path, np.load(path)[::-1])
-    for read in (count_run, read_counts, reconstruct):
-        with pytest.raises(InputError, match=r"mirrors\.npy was changed after it was written"):
-            read(run.folder)
+    with pytest.raises(InputError, match=r"mirrors\.npy was changed after it was written"):
+        Recording.read(run.folder)
 
 
 @pytest.mark.parametrize("light", ["equal-dwell", "free-dwell"])

@@ -7,10 +7,10 @@ from recording_samples import schedule
 from deepfsi.camera.dead_time import NO_EFFECTS
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
-from deepfsi.hardware.counting import corrections
-from deepfsi.hardware.counting.count import CountSettings, count_run
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns, read_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.counting.counts import Ambient, Corrections, Estimate
+from deepfsi.hardware.counting.recording import CountSettings, Recording
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.virtual_optics import (
     RecordingSettings,
     VirtualCamera,
@@ -31,8 +31,8 @@ def patterns(folder, law: str):
     if law == "detectors":
         cells = DetectorMap(count=2, cells=(0, 0, 1, 1) * 3)
     made = DesignRails(rails, light, SHAPE, float(STEADY.sum()), None, None, cells)
-    export_patterns(made, FrameSettings(DEVICE, 1.2e-3), folder)
-    return read_patterns(folder)
+    Patterns.from_rails(made, DEVICE, 1.2e-3).write(folder)
+    return Patterns.read(folder)
 
 
 def recorded(folder, shown, x, seed: int = 0):
@@ -55,9 +55,9 @@ def test_scenes_are_rid_of_ambient_light_as_strong_as_they(tmp_path, law, where)
     run, background = recorded(tmp_path / "run", tmp_path / "patterns", x), "black"
     if where == "run":
         background = str(recorded(tmp_path / "dark", tmp_path / "patterns", black, seed=1))
-    counts = count_run(run, CountSettings(background=background))
+    counts = Recording.read(run).count(CountSettings(background=background))
     wanted = arrival_rates(tmp_path / "patterns", lit[:1], VirtualCamera(), FLUX)[0]
-    raw = count_run(run)
+    raw = Recording.read(run).count()
     read = counts.lengths_s > 0
     manifest = shown.manifest
     rail, mask, column, arm = manifest.read
@@ -92,8 +92,8 @@ def test_law_the_variance_that_is_stated_is_that_of_draws(exposures):
     for _ in range(draws):
         gates = rng.poisson(rates * lengths, (exposures, 4))[..., None].astype(float)
         frames = rng.poisson(means * seconds)[:, None].astype(float)
-        each = corrections.Ambient.of(
-            manifest, corrections.Estimate(gates, gates), lengths, frames=frames, frames_s=seconds
+        each = Ambient.of(
+            manifest, Estimate(gates, gates), lengths, frames=frames, frames_s=seconds
         )
         found.append((each.counts.ravel(), each.variance.ravel()))
     counts, variance = np.array(found).swapaxes(0, 1)
@@ -106,7 +106,7 @@ def test_law_the_variance_that_is_stated_is_that_of_draws(exposures):
 @pytest.mark.parametrize("gain", [0.5, 3.0])
 def test_law_counts_divided_by_a_gain_have_their_variance(gain):
     mean, draws = 2000.0, 20_000
-    factors = corrections.Corrections(NO_EFFECTS.dead_time, np.array([gain])).factors(np.zeros(1))
+    factors = Corrections(NO_EFFECTS.dead_time, np.array([gain])).factors(np.zeros(1))
     seen = np.random.default_rng(4).poisson(gain * mean, draws)
     found = seen * factors.arrivals
     assert abs(found.mean() - mean) < 5 * found.std() / draws**0.5

@@ -81,7 +81,7 @@ def refuse(manifest, said: str, table: NumberTable, **settings) -> None:
         ((3, 8), {}, r"3 rows and 8 columns: .* row of 5 values \(5 frames of masks\), or 9"),
         ((3, 5), {}, "give `photons`"),
         ((3, 9), {"settle_s": 1.0}, "nothing of the shortest frame"),
-        ((3, 9), {"gain": -1.0}, "`gain`"),
+        ((3, 9), {"gain": -1.0}, "gain = -1"),
     ],
 )
 def test_what_does_not_fit_is_one_line(counted, shape, settings, said):

@@ -16,10 +16,8 @@ from recording_samples import (
 )
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting import windows
-from deepfsi.hardware.counting.acquisition import read_run
-from deepfsi.hardware.counting.count import CountSettings, count_run
-from deepfsi.hardware.counting.counts import read_counts
+from deepfsi.hardware.counting.recording import CountSettings, Recording
+from deepfsi.hardware.counting.windows import FrameStarts
 
 run, whole = recording_samples.run, recording_samples.whole
 
@@ -40,7 +38,7 @@ FREE = schedule([400, 900, 1300, 2100, 700, 3000, 1500, 800, 600, 1100, 2500, 19
 )
 def test_markers_of_other_patterns_or_scenes_are_refused(times, scenes, match):
     with pytest.raises(InputError, match=match):
-        windows.align(times, EQUAL, scenes)
+        FrameStarts.of(times, EQUAL, scenes)
 
 
 @settings(parent=many, max_examples=2 * FUZZ)
@@ -65,7 +63,7 @@ def test_a_fault_within_passes_is_refused(manifest, scenes, clock, pauses, troub
     for each in trouble:
         times = each.strike(times, true)
     try:
-        found = windows.align(times, manifest, scenes)
+        found = FrameStarts.of(times, manifest, scenes)
     except InputError as error:
         assert trouble or (drift and extra), error  # noqa: PT017
         assert "\n" not in str(error)  # noqa: PT017
@@ -80,12 +78,12 @@ def test_a_recording_that_ends_within_its_last_pass_is_refused(run):
     """One that was stopped in a later pass is counted as far as its scenes go."""
     path = run.folder / "photons.ptu"
     content = path.read_bytes()
-    wanted = count_run(run.folder).counts
+    wanted = Recording.read(run.folder).count().counts
     path.write_bytes(content[: len(content) * 4 // 5 // 4 * 4])
     run.refused("of 2 whole passes, and there are 3 scenes")
-    scenes = [scene.model_dump() for scene in read_run(run.folder).acquisition.scenes]
+    scenes = [scene.model_dump() for scene in Recording.read(run.folder).acquisition.scenes]
     run.edit(scenes=scenes[:2])
-    assert np.array_equal(count_run(run.folder).counts, wanted[:2])
+    assert np.array_equal(Recording.read(run.folder).count().counts, wanted[:2])
 
 
 def test_gates_that_do_not_fit_frames_as_they_were_are_refused(run):
@@ -94,7 +92,7 @@ def test_gates_that_do_not_fit_frames_as_they_were_are_refused(run):
     run.record(starts, starts.ravel(), run.photons)
     said = "1.00% shorter than planned.*--exposure 0.01067 or less"
     run.refused(said, exposure_s=11 * DWELL * 0.972)
-    assert count_run(run.folder, CountSettings(exposure_s=11 * DWELL * 0.97)).valid.all()
+    assert Recording.read(run.folder).count(CountSettings(exposure_s=11 * DWELL * 0.97)).valid.all()
 
 
 @pytest.mark.parametrize("rate", [-0.01, 0.005, 0.01])
@@ -102,10 +100,10 @@ def test_frames_of_another_length_are_counted_and_the_drift_is_said(run, rate):
     manifest = run.patterns.manifest
     starts = train(manifest, 3, rate)
     run.record(starts, starts.ravel(), run.photons)
-    counts = count_run(run.folder, CountSettings(exposure_s=11 * DWELL * 0.9))
+    counts = Recording.read(run.folder).count(CountSettings(exposure_s=11 * DWELL * 0.9))
     assert counts.valid.all()
     assert counts.drift == pytest.approx(rate, abs=1e-5)
-    assert read_counts(run.folder).drift == counts.drift
+    assert Recording.read(run.folder).read_counts().drift == counts.drift
     length = manifest.picture_s[0] - 4e-5  # in which photons come, evenly
     rail, mask, column, _ = manifest.read
     opened = (counts.gate_s + 2e-5 - 3e-5) / length

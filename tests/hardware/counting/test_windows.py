@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from recording_samples import DWELL, named, patterns_of, train, write_photons
 
-from deepfsi.hardware.counting.acquisition import prepare_run
-from deepfsi.hardware.counting.count import CountSettings, count_run
+from deepfsi.hardware.counting.recording import CountSettings, Recording
+from deepfsi.hardware.patterns.folder import Patterns
 
 FLUX, DARK, SCENES = 1e7, 100.0, 5
 
@@ -14,7 +14,7 @@ FLUX, DARK, SCENES = 1e7, 100.0, 5
 def lamp(tmp_path):
     """Record scenes of 1e7 photons/s whose markers come late."""
     patterns = patterns_of(tmp_path / "patterns")
-    prepare_run(tmp_path / "run", tmp_path / "patterns", named(SCENES))
+    Recording.prepare(tmp_path / "run", Patterns.read(tmp_path / "patterns"), named(SCENES))
 
     def record(late: float, burst: float = 0.0, rate: float = 0.0) -> None:
         manifest, rng = patterns.manifest, np.random.default_rng(0)
@@ -41,7 +41,7 @@ def test_a_late_trigger_gives_no_dark_counts(lamp, late, rate):
     """At 1 µs and 1e7 photons/s there were thousands a second."""
     folder, record = lamp
     record(late, rate=rate)
-    counts = count_run(folder)
+    counts = Recording.read(folder).count()
     seconds = 2 * SCENES * ((1 + rate) * DWELL - 3e-5)
     assert counts.off_rate.mean() == pytest.approx(DARK, abs=5 * np.sqrt(DARK / seconds))
     assert counts.dark_rate[0] == pytest.approx(counts.off_rate.mean())
@@ -58,6 +58,6 @@ def test_a_late_trigger_gives_no_dark_counts(lamp, late, rate):
 def test_gates_that_hold_light_of_the_next_frame_are_said(lamp):
     folder, record = lamp
     record(5e-6)
-    (fault,) = count_run(folder, CountSettings(exposure_s=11 * (DWELL - 2.2e-5))).faults
+    (fault,) = Recording.read(folder).count(CountSettings(exposure_s=11 * (DWELL - 2.2e-5))).faults
     assert "gates end 2.0 µs before the next marker" in fault.detail
     assert "--exposure" in fault.detail

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.hardware.counting.acquisition import prepare_run
 from deepfsi.hardware.counting.counts import Counts
-from deepfsi.hardware.patterns.folder import FrameSettings, Patterns, export_patterns
-from deepfsi.hardware.patterns.manifest import Brightness, DesignRails
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.manifest import Brightness
+from deepfsi.hardware.patterns.rails import DesignRails
 from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, named, split, write_photons
 
 SETTLE = 2e-5
@@ -35,7 +36,7 @@ def patterns_of(folder: Path, light: str, masks: int = 10) -> Patterns:
     else:
         rails /= 2 * masks * rails.max(axis=2, keepdims=True)
     design = DesignRails(rails, light, SHAPE, summed_reflectance=3.0, brightness=BRIGHTNESS)
-    return export_patterns(design, FrameSettings(DEVICE, DWELL), folder)
+    return Patterns.from_rails(design, DEVICE, DWELL).write(folder)
 
 
 @dataclass
@@ -88,7 +89,7 @@ class Lit:
         inputs = ARM_INPUTS[: self.rates.shape[2]]
         given = {"exposure_s": 0.9 * DWELL * len(self.patterns.manifest.shown), "settle_s": SETTLE}
         wanted = named(self.scenes, inputs=inputs, marker_bit=MARKER, **given)
-        prepare_run(folder, patterns_folder, wanted)
+        Recording.prepare(folder, Patterns.read(patterns_folder), wanted)
         grid = np.linspace(0, self.scenes * self.pass_s, 20_001)
         times, codes = [starts.ravel()], [np.full(starts.size, -MARKER)]
         for arm, each in enumerate(inputs):

@@ -12,11 +12,11 @@ from scipy.stats import binom
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.hardware.counting.count import count_run
 from deepfsi.hardware.counting.counts import Counts
-from deepfsi.hardware.light import checks, curves, flux
+from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.light import checks, flux
 from deepfsi.hardware.light.checks import find_lateness
-from deepfsi.hardware.light.curves import FALSE_ALARMS
+from deepfsi.hardware.light.flux import FALSE_ALARMS
 
 RECORDINGS = int(os.environ.get("DEEPFSI_LIGHT", "45"))
 LIGHTS = ("free-dwell", "two-arm")
@@ -58,7 +58,7 @@ def counted(shown, tmp_path):
         run = tmp_path / f"{fault}-{seed}"
         lit.record(run, folder)
         try:
-            return lit, count_run(run)
+            return lit, Recording.read(run).count()
         except InputError:
             return lit, None
 
@@ -121,7 +121,7 @@ def test_law_few_photons_alone_are_no_gain(seconds):
             photons = rng.poisson(mean * share, (scenes, 4, 1))
             open_s = np.full((scenes, 4, 1), seconds)
             places = np.arange(scenes), (0, 2), (1, 3), ()
-            curve = curves.LightCurve(photons, open_s, *places, "", sees_part=True)
+            curve = flux.LightCurve(photons, open_s, *places, "", sees_part=True)
             none = flux.Background(np.zeros(scenes), np.ones(scenes), [slice(0, scenes)])
             detectors.append(checks.PassLight.of(curve, none, 1e-4))
         return checks.find_unequal_gains(detectors, known)
@@ -159,7 +159,7 @@ def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp
     begin, end = lit.starts()[2, place : place + 2]
     lit.stray = while_in(begin, end, 1.5 * lit.flux, lit.stray(np.zeros(1))[0])
     lit.record(tmp_path / "run", folder)
-    counts = count_run(tmp_path / "run")
+    counts = Recording.read(tmp_path / "run").count()
     (fault,) = counts.faults
     assert (fault.kind, fault.scene, fault.frame) == ("brighter", 2, place)
     assert np.flatnonzero(counts.spoilt).tolist() == [2]

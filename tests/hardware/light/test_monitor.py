@@ -5,9 +5,9 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import poisson
 
-from deepfsi.hardware.light import checks, curves, flux
+from deepfsi.hardware.light import checks, flux
 from deepfsi.hardware.light.checks import LightMonitor
-from deepfsi.hardware.light.curves import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
+from deepfsi.hardware.light.flux import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
 from deepfsi.hardware.patterns.manifest import Brightness
 from hardware.counting.recording_samples import schedule
 
@@ -38,7 +38,7 @@ def test_law_a_stated_flux_is_contradicted_at_the_stated_chance(photons):
 
     chance = FALSE_ALARMS / checks.CHECKS / SCENES / 2
     far, near = edge(1.0, 5.0), edge(0.1, 1.0)
-    read = round(photons / curves.EXCESS)
+    read = round(photons / flux.EXCESS)
     fewer = poisson.cdf(read, far / (1 + flux.HARMLESS) * read)
     more = poisson.sf(read - 1, near * (1 + flux.HARMLESS) * read)
     assert fewer == pytest.approx(chance, rel=1e-3)
@@ -57,7 +57,7 @@ def test_law_the_error_of_the_background_is_in_the_test_of_levels(unit):
     for _ in range(60):
         photons = rng.poisson((stray + light) * seconds)
         places = np.arange(passes), (0, 2), (1, 3), ()
-        curve = curves.LightCurve(photons, seconds, *places, "")
+        curve = flux.LightCurve(photons, seconds, *places, "")
         background = flux.Background.of(curve, 1e-4)
         assert len(background.segments) == 2
         every = np.ones(passes, bool)

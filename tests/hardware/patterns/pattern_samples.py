@@ -8,8 +8,8 @@ import pytest
 from deepfsi.base.progress import SILENT
 from deepfsi.camera.device import DEVICES, Device, find_device
 from deepfsi.camera.layout import DmdLayout
-from deepfsi.hardware.patterns.folder import FrameSettings, export_patterns
-from deepfsi.hardware.patterns.manifest import DesignRails
+from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.hardware.patterns.rails import DesignRails
 
 SMALL = find_device("67x50")
 """Not whole bytes across, and cells of 8 x 8 leave margins."""
@@ -42,6 +42,5 @@ def export(
     report=SILENT, **changes,
 ):  # fmt: skip
     usual = {"device": SMALL, "dwell_s": 1e-3, "layout": DmdLayout(stretch=True)}
-    settings = FrameSettings(**{**usual, **changes})
     design = DesignRails(grey() if rails is None else rails, light, image_shape, s, file)
-    return export_patterns(design, settings, folder, report)
+    return Patterns.from_rails(design, **{**usual, **changes}).write(folder, report)

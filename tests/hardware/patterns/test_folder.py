@@ -4,6 +4,7 @@ import json
 import math
 import tempfile
 import tracemalloc
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,7 @@ from conftest import FLOAT32, OPTICS
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import DEVICES, Device, find_device
 from deepfsi.camera.names import LIGHT_LAWS
-from deepfsi.hardware.patterns import folder as folder_module
-from deepfsi.hardware.patterns.folder import GatePlan, check_patterns, read_frames, read_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.frames import make_frames, unpack
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 
@@ -58,7 +58,7 @@ def test_the_realised_matrix_is_the_design_in_steps_of_each_peak(
         assert manifest.dimmed >= 1 - ROUNDING_SLACK
     else:
         assert manifest.dimmed == pytest.approx(min(1, 1 / float(lit.sum())), rel=1e-12)
-    assert np.array_equal(check_patterns(tmp_path / "p").on, shown.on)
+    assert np.array_equal(Patterns.read(tmp_path / "p").check().on, shown.on)
 
 
 @every_selection
@@ -68,13 +68,13 @@ def test_what_is_read_back_is_what_was_written(tmp_path, form, selection, device
     written = export(
         tmp_path / "p", device=device, format=form, selection=selection, seed=5, file=b"masks"
     )
-    read = read_patterns(tmp_path / "p")
+    read = Patterns.read(tmp_path / "p")
     assert read.manifest == written.manifest
     assert read.on.dtype == np.uint32
     assert np.array_equal(read.on, written.on)
-    assert np.array_equal(check_patterns(tmp_path / "p").rails, written.rails)
+    assert np.array_equal(Patterns.read(tmp_path / "p").check().rails, written.rails)
     assert (tmp_path / "p" / "design.safetensors").read_bytes() == b"masks"
-    frames = list(read_frames(tmp_path / "p"))
+    frames = list(Patterns.read(tmp_path / "p").frames())
     made = make_frames(written.on, device, written.manifest.grid, selection, 5)
     assert all(np.array_equal(*pair) for pair in zip(frames[2:-2], made, strict=True))
     grid = written.manifest.grid
@@ -94,11 +94,11 @@ def test_a_long_sequence_needs_the_memory_of_a_few_frames():
     with tempfile.TemporaryDirectory() as folder:
         tracemalloc.start()
         export(Path(folder) / "p", rails, "equal-dwell", image_shape=(32, 32), device=device)
-        patterns = read_patterns(Path(folder) / "p")
+        patterns = Patterns.read(Path(folder) / "p")
         known = tracemalloc.get_traced_memory()[1]
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]
-        count = sum(1 for _ in read_frames(Path(folder) / "p"))
+        count = sum(1 for _ in Patterns.read(Path(folder) / "p").frames())
         reading = tracemalloc.get_traced_memory()[1] - before
         tracemalloc.stop()
     assert count == 2051
@@ -129,7 +129,7 @@ def test_a_changed_mirror_is_found_and_its_frame_named(tmp_path, form, index, na
             changed[2, 3] ^= True
         Image.fromarray(changed).save(path)
     with pytest.raises(InputError, match=rf"frame {index} of .*\({name}\) is not what was"):
-        check_patterns(folder)
+        Patterns.read(folder).check()
 
 
 def change(folder: Path, **changes: object) -> None:
@@ -143,9 +143,9 @@ def test_a_changed_manifest_is_found(tmp_path):
     frames[3]["share"] *= 0.99
     change(tmp_path / "p", frames=frames)
     with pytest.raises(InputError, match=r"manifest\.json was changed"):
-        read_patterns(tmp_path / "p")
+        Patterns.read(tmp_path / "p")
     change(tmp_path / "p", sha256=None)
-    assert read_patterns(tmp_path / "p").manifest.frames[3].share == frames[3]["share"]
+    assert Patterns.read(tmp_path / "p").manifest.frames[3].share == frames[3]["share"]
 
 
 def test_mirror_counts_that_the_frames_do_not_show_are_refused(tmp_path):
@@ -154,10 +154,10 @@ def test_mirror_counts_that_the_frames_do_not_show_are_refused(tmp_path):
     wrong[4, 7] += 1 if wrong[4, 7] < shown.manifest.grid.mirrors else -1
     np.save(path, wrong)
     with pytest.raises(InputError, match=r"mirrors\.npy was changed"):
-        read_patterns(tmp_path / "p")
-    change(tmp_path / "p", mirrors_sha256=folder_module.hash_mirrors(wrong), sha256=None)
+        Patterns.read(tmp_path / "p")
+    change(tmp_path / "p", mirrors_sha256=sha256(wrong.data).hexdigest(), sha256=None)
     with pytest.raises(InputError, match=r"frame 6 of .*\(mask 2, plus\) does not show"):
-        check_patterns(tmp_path / "p")
+        Patterns.read(tmp_path / "p").check()
 
 
 def test_another_design_beside_the_frames_is_found(tmp_path):
@@ -165,10 +165,10 @@ def test_another_design_beside_the_frames_is_found(tmp_path):
     path = tmp_path / "p" / "design.safetensors"
     path.write_bytes(b"others")
     with pytest.raises(InputError, match="not the one that was exported"):
-        check_patterns(tmp_path / "p")
+        Patterns.read(tmp_path / "p").check()
     path.unlink()
     with pytest.raises(InputError, match="is missing"):
-        check_patterns(tmp_path / "p")
+        Patterns.read(tmp_path / "p").check()
 
 
 @pytest.mark.parametrize(
@@ -198,21 +198,3 @@ def test_equal_dwell_holds_every_frame_for_whole_microseconds_that_the_device_ca
     """Rounded up, but not by floating point."""
     manifest = export(tmp_path / "p", grey() / 20, "equal-dwell", dwell_s=dwell).manifest
     assert {frame.picture_us for frame in manifest.frames} == {us}
-
-
-@pytest.mark.parametrize("exposure", [1e-3, 4e-3, 0.017])
-@pytest.mark.parametrize("light", ["free-dwell", "equal-dwell"])
-def test_the_cost_is_the_clock_less_what_gates_are_open(tmp_path, exposure, light):
-    manifest = export(tmp_path / "p", light=light, dwell_s=5e-3).manifest
-    cost = GatePlan.of(manifest, exposure).cost(manifest)
-    gates = GatePlan.of(manifest, exposure)
-    clock = np.zeros(round(manifest.pass_s * 1e7), dtype=bool)  # steps of 0.1 µs
-    for place, opens, length in zip(manifest.shown, gates.starts_s, gates.length_s, strict=True):
-        for begin in manifest.starts_s[place] + opens:
-            clock[round(begin * 1e7) : round((begin + length) * 1e7)] = True
-    steps = len(manifest.shown) * gates.repeats
-    assert cost.total == pytest.approx(1 - clock.mean(), abs=(steps + 1) / len(clock))
-    assert cost.sentinels * manifest.pass_s == pytest.approx(4 * 5e-3)
-    assert cost.settling * manifest.pass_s == pytest.approx(10 * 10e-6)
-    assert cost.idle >= 0
-    assert GatePlan.of(manifest, exposure, repeats=1).cost(manifest).idle >= cost.idle

@@ -13,7 +13,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.patterns import frames as frames_module
-from deepfsi.hardware.patterns.folder import check_patterns
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.frames import make_frames, unpack
 from shared.disks import nearly_full
 
@@ -72,18 +72,6 @@ def test_ordered_mirrors_weigh_a_gradient_to_less_than_one_mirror(shape):
     assert (abs(errors(scenes, "ordered")) < spans + 1e-12).all()
 
 
-def test_random_mirrors_err_as_drawn_without_replacement():
-    scenes = np.concatenate([gradients(6, 8), gradients(6, 8) > 0.1])
-    draws, mirrors, k = 400, 48, np.arange(49)
-    drawn = np.stack([errors(scenes, "random", seed) for seed in range(draws)])
-    # of a sum of k values that are drawn without replacement, (n, K + 1)
-    variance = scenes.var(axis=(1, 2))[:, None] * k * (mirrors - k) / (mirrors - 1)
-    assert (abs(drawn.mean(axis=0)) <= 5 * np.sqrt(variance / draws) + 1e-12).all()
-    inner = variance[:, 8:-8]  # where sums are near enough to normal for the variance's own error
-    within = 5 * inner * (2 / draws) ** 0.5
-    assert (abs(drawn[:, :, 8:-8].var(axis=0) - inner) <= within).all()
-
-
 @every_format
 def test_a_full_disk_leaves_no_patterns_whichever_file_it_cuts(tmp_path, form):
     """Libraries that write a small array or picture by themselves say nothing of what was lost."""
@@ -112,9 +100,9 @@ def test_other_files_than_the_frames_are_refused(tmp_path, form):
     for content in (b"", whole[: len(whole) // 2]):
         path.write_bytes(content)
         with pytest.raises(InputError):
-            check_patterns(tmp_path / "p")
+            Patterns.read(tmp_path / "p").check()
     if form not in ("npy", "raw"):
         mode, said = ("RGB", "is a 40 x 26 BMP") if form == "planes" else ("L", "one bit a pixel")
         Image.new(mode, (40, 26)).save(path)
         with pytest.raises(InputError, match=said):
-            check_patterns(tmp_path / "p")
+            Patterns.read(tmp_path / "p").check()

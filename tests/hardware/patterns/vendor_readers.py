@@ -4,13 +4,10 @@ bmp          Windows bitmap: header of 54 bytes, rows from the bottom, blue, gre
              filled to 4 bytes; of one bit a pixel two colours follow the header, and the leftmost
              pixel is the highest bit
 settings     of TI's DLPC900REF-SW: "Normal Mode", then file,bits,exposure,dark,colour,in,out
-batch file   of TI's DLPC900REF-SW: a command a line, "NAME : 0x00 0x01 ..."
-LUT entry    12 bytes, DLPC900 programmer's guide DLPU018J, 0x1A34
 video        DLPC347x: bit-planes of one picture after another
 """
 
 import csv
-import re
 import struct
 from pathlib import Path
 from typing import NamedTuple
@@ -53,32 +50,6 @@ def load_settings(folder: Path) -> list[Shown]:
         assert (bits, trigger_in, trigger_out) == ("1", "0", "1")
         assert colour in "1234567"
         out.append(Shown(read_bmp(folder / name, 1), int(exposure), int(dark)))
-    return out
-
-
-def play_dlpc900(folder: Path) -> list[Shown]:
-    """Frames that a DLPC900 shows once it is given the pictures and the commands."""
-    lines = (folder / "sequence.txt").read_text().splitlines()
-    commands = [(line.split()[0], [int(each, 0) for each in line.split()[2:]]) for line in lines]
-    assert all(re.fullmatch(r"[A-Z_]+ :( 0x[0-9A-F]{2})+", line) for line in lines)
-    assert commands[0] == ("DISP_MODE", [3])  # pattern on the fly
-    assert {name for name, _ in commands[1:-1]} == {"MBOX_DATA"}
-    name, config = commands[-1]
-    assert name == "PAT_CONFIG"
-    total = list((len(lines) - 2).to_bytes(2, "little"))
-    assert config == [*total, *total, 0, 0]  # patterns of the table, and patterns to show
-    out = []
-    for place, (_, entry) in enumerate(commands[1:-1]):
-        assert len(entry) == 12
-        assert entry[0] + 256 * entry[1] == place
-        assert entry[5] == 0  # not cleared, 1 bit, no lamp, runs on without a trigger
-        assert entry[9] == 0  # trigger out 2 is on
-        found = entry[10] + 256 * entry[11]
-        image, bit = found & 0x7FF, found >> 11
-        assert bit < 24
-        picture = read_bmp(folder / f"images/{image:04d}.bmp", 24)
-        exposure, dark = (entry[at] + 2**8 * entry[at + 1] + 2**16 * entry[at + 2] for at in (2, 6))
-        out.append(Shown(picture >> bit & 1, exposure, dark))
     return out
 
 

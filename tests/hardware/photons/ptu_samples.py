@@ -11,8 +11,8 @@ from ptufile.ptufile import encode_tag
 
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.hardware.photons import ptu
+from deepfsi.hardware.photons.ptu import Part
 from deepfsi.hardware.photons.reader import PtuFile, PtuStream
-from deepfsi.hardware.photons.records import Part
 
 T2 = ptu.GENERIC_T2
 
@@ -143,7 +143,7 @@ class StreamedFile(PtuStream):
             if self.begun:
                 break
         else:
-            ptu.read_header(path)  # refused, as a file that ends within its header
+            ptu.Header.read(path)  # refused, as a file that ends within its header
         self.header = replace(self.header, size=path.stat().st_size)
 
     def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:

@@ -26,7 +26,7 @@ from ptu_samples import (
 from ptufile.ptufile import encode_tag
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.photons import ptu, records
+from deepfsi.hardware.photons import ptu
 from deepfsi.hardware.photons.reader import count_windows, read_markers, summarise
 from fuzz.mutations import mangled
 
@@ -59,8 +59,8 @@ def counted(found: list[tuple[str, int, int]], starts, stops, inputs) -> np.ndar
 def test_damaged_records_are_named_and_nothing_is_counted(
     tmp_path, monkeypatch, words, bad, chunk, opened
 ):
-    monkeypatch.setattr(records, "RECORDS_IN_MEMORY", chunk)
-    monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
+    monkeypatch.setattr(ptu, "RECORDS_IN_MEMORY", chunk)
+    monkeypatch.setattr(ptu, "RECORDS_IN_CACHE", chunk // 3 + 1)
     path = save(tmp_path / "bad.ptu", T2, words)
     with pytest.raises(InputError, match=f"record {bad} has"):
         count_windows(opened(path), np.array([0]), np.array([99]))
@@ -87,8 +87,8 @@ def test_one_record_can_stand_for_very_many_overflows(tmp_path, opened):
 @every_source
 @pytest.mark.parametrize("chunk", [1, 2, 2**17])
 def test_markers_may_stand_a_little_beside_their_time(tmp_path, monkeypatch, chunk, opened):
-    monkeypatch.setattr(records, "RECORDS_IN_MEMORY", chunk)
-    monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
+    monkeypatch.setattr(ptu, "RECORDS_IN_MEMORY", chunk)
+    monkeypatch.setattr(ptu, "RECORDS_IN_CACHE", chunk // 3 + 1)
     start = 3 * TICK
     words = [
         photon(start),
@@ -151,7 +151,7 @@ def test_mutated_files_are_read_right_or_refused(tmp_path, code):
         path.write_bytes(mangled(random.Random(f"{code} {seed}"), sound))
         chunk, began = (16, 2**17)[seed % 2], time.process_time()
         at_once = {"RECORDS_IN_MEMORY": chunk, "RECORDS_IN_CACHE": chunk // 3 + 1}
-        with mock.patch.multiple(records, **at_once):
+        with mock.patch.multiple(ptu, **at_once):
             said = [read(path, edges, opened) for opened in SOURCES.values()]
         assert time.process_time() - began < 20
         assert said[0] == said[1], seed

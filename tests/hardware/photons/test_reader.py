@@ -18,7 +18,7 @@ from ptu_samples import (
 )
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.photons import ptu, records
+from deepfsi.hardware.photons import ptu
 from deepfsi.hardware.photons.reader import (
     PtuStream,
     WindowCounter,
@@ -44,8 +44,8 @@ def gates_over(times: np.ndarray, gates: int) -> tuple[np.ndarray, np.ndarray]:
 def test_every_type_of_record_is_read_as_ptufile_reads_it(
     tmp_path, monkeypatch, kind, chunk, opened
 ):
-    monkeypatch.setattr(records, "RECORDS_IN_MEMORY", chunk)
-    monkeypatch.setattr(records, "RECORDS_IN_CACHE", chunk // 3 + 1)
+    monkeypatch.setattr(ptu, "RECORDS_IN_MEMORY", chunk)
+    monkeypatch.setattr(ptu, "RECORDS_IN_CACHE", chunk // 3 + 1)
     words = recorded(kind.code)
     path = save(tmp_path / "a.ptu", kind, words)
     what, times, values = map(np.array, zip(*decode(kind.code, words), strict=True))

@@ -1,43 +1,25 @@
-"""The folder of a recording: what was shown and recorded, and photons counted frame by frame.
-
-    acquisition.json   scenes, exposure, settle time (`Acquisition`)
-    patterns/          manifest.json, mirrors.npy and the design of the patterns shown, no frames
-    photons.ptu        photons and frame markers, as the vendor's software or a virtual camera wrote
-    counts.npz         photons of each readout (`Counts`), written by `count`
-    calibration/       spot scans and flat fields, if there are any
-
-A recording can be counted again for another exposure: gates are shorter or longer, and as many
-follow each other in a frame as there are repeats.
-"""
+"""Settings of a recording, and the calibration of the camera that recorded it."""
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import (
-    Field,
-    FiniteFloat,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
+from pydantic import Field, FiniteFloat, model_validator
 
 from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.files import hash_file, new_folder, read_regular, read_text, write_atomically
+from deepfsi.base.files import read_text, write_atomically
 from deepfsi.base.models.strict import Amount, Positive, Share, StrictModel
 from deepfsi.base.quantities import plural, time_text
 from deepfsi.camera.dead_time import CounterEffects, DeadTime, LiveSettings
 from deepfsi.camera.detectors import MOST_INPUTS
-from deepfsi.hardware.patterns.folder import GatePlan, Patterns, read_patterns
-from deepfsi.hardware.patterns.manifest import Manifest
-from deepfsi.hardware.photons.reader import PtuFile
+from deepfsi.hardware.patterns.manifest import GatePlan, Manifest
 
 MOST_READOUTS = 2**21
-"""Gates, and readouts, that are counted at once, at most."""
+"""Largest number of gates, and of readouts, that are counted at once."""
 
 
 class Scene(StrictModel):
@@ -47,13 +29,9 @@ class Scene(StrictModel):
     label: str | None = Field(default=None, max_length=1000)  # Its class, where that is known
     # Of its picture as the design of the patterns sees it, where there is one: tells scenes that
     # the design was trained on (`designfile.scene_hashes`)
-    hash: str | None = Field(default=None, pattern="^[0-9a-f]{8}$")
-
-    @model_serializer(mode="wrap")
-    def _without_none(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Fields without a hash that is none, as those of acquisitions before there were any."""
-        fields: dict[str, Any] = dump(self)
-        return {name: value for name, value in fields.items() if name != "hash" or value}
+    hash: str | None = Field(
+        default=None, pattern="^[0-9a-f]{8}$", exclude_if=lambda known: known is None
+    )
 
 
 class Acquisition(StrictModel):
@@ -127,9 +105,8 @@ class Acquisition(StrictModel):
             longest = manifest.longest_exposure_s(settle + manifest.usual_tolerance_s)
             exposure = max(longest, 0) / (repeats or 1)
         gates = GatePlan.of(manifest, exposure, settle, repeats)
-        readouts = len(scenes) * manifest.readouts
-        countable = max(MOST_READOUTS // max(readouts, 1), 1)
-        _check_inputs(manifest, MOST_INPUTS, "a counter")
+        countable = max(MOST_READOUTS // (len(scenes) * manifest.readouts), 1)
+        manifest.check_inputs(MOST_INPUTS, "a counter")
         with as_input_error():
             return cls(
                 scenes=scenes,
@@ -152,23 +129,13 @@ class Acquisition(StrictModel):
         exposure = self.exposure_s if exposure_s is None else exposure_s
         settle = self.settle_s if settle_s is None else settle_s
         gates = GatePlan.of(manifest, exposure, settle, wanted)
-        shortest = min(manifest.picture_s[[0, 1, -2, -1]]) - manifest.usual_tolerance_s
-        if settle >= shortest:
-            raise InputError(
-                f"a settle time of {time_text(settle)} leaves nothing of the all-ON and all-OFF "
-                f"frames: give less than {shortest:g}"
-            )
         most = MOST_READOUTS // (len(self.scenes) * manifest.readouts)
-        if most < 1:
+        if most < (wanted or 1):
             raise InputError(
-                f"{len(self.scenes)} scenes of {manifest.masks} masks are more than "
-                f"{MOST_READOUTS} readouts: split the acquisition"
+                f"{len(self.scenes)} scenes with {wanted or 1} repeats are more than "
+                f"{MOST_READOUTS} readouts: give fewer repeats, or split the acquisition"
             )
-        if gates.repeats <= most:
-            return gates
-        if wanted is not None:
-            raise InputError(f"{wanted} repeats are too many to count at once: give at most {most}")
-        return replace(gates, repeats=most)
+        return gates if gates.repeats <= most else replace(gates, repeats=most)
 
     @property
     def digest(self) -> str:
@@ -183,129 +150,25 @@ class Acquisition(StrictModel):
                 "camera classify`"
             )
 
-    def keep_first(self, folder: Path, count: int) -> None:
-        """Write to the folder of a run that was stopped that it has its first scenes alone."""
-        kept = self.model_copy(update={"scenes": self.scenes[:count]})
-        write_atomically(folder / "acquisition.json", kept.model_dump_json(indent=1).encode())
-
-
-def prepare_run(
-    folder: str | os.PathLike[str],
-    patterns_folder: str | os.PathLike[str],
-    acquisition: Acquisition,
-) -> Acquisition:
-    """Make the folder of a recording, to which photons.ptu is then added."""
-    source = Path(patterns_folder)
-    patterns = read_patterns(source)
-    names = ["manifest.json", "mirrors.npy", *patterns.manifest.companions]
-    content = {
-        name: read_regular(source / name, 2**32, "export the patterns again") for name in names
-    }
-    digest = sha256(content["manifest.json"]).hexdigest()
-    if acquisition.manifest_sha256 not in (None, digest):
-        raise InputError(f"the acquisition is of other patterns than those in {source}")
-    acquisition = acquisition.model_copy(update={"manifest_sha256": digest})
-    _check_fit(acquisition, patterns.manifest, "the acquisition")
-    with new_folder(folder) as draft:
-        (draft / "calibration").mkdir()
-        (draft / "patterns").mkdir()
-        for name, data in content.items():
-            (draft / "patterns" / name).write_bytes(data)
-        (draft / "acquisition.json").write_bytes(acquisition.model_dump_json(indent=1).encode())
-    return acquisition
-
-
-@dataclass(frozen=True)
-class Run:
-    """Folder of a recording: its settings, and the patterns that were shown."""
-
-    folder: Path
-    acquisition: Acquisition
-    patterns: Patterns
-
-    @property
-    def manifest(self) -> Manifest:
-        """Frames in the order in which they were shown."""
-        return self.patterns.manifest
-
-    @property
-    def photons(self) -> Path:
-        """File of the photons and markers."""
-        return self.folder / "photons.ptu"
-
-    def open_photons(self) -> PtuFile:
-        """Photons of a counter with enough inputs for the detectors, or `InputError`."""
-        source = PtuFile(self.photons)
-        _check_inputs(self.manifest, source.inputs, f"{source.path} ({source.record_type})")
-        return source
-
-
-def read_run(folder: str | os.PathLike[str]) -> Run:
-    """Settings and patterns of a recording, checked for consistency."""
-    path = Path(folder) / "acquisition.json"
-    hint = "make the folder with `deepfsi camera prepare` or `simulate`"
-    content = read_text(path, 2**24, hint)
-    with as_input_error(str(path), content=content):
-        acquisition = Acquisition.model_validate_json(content)
-    patterns = read_patterns(path.parent / "patterns")
-    manifest = path.parent / "patterns" / "manifest.json"
-    if acquisition.manifest_sha256 is None:
-        raise InputError(
-            f"{path} has no manifest_sha256, so nothing says that {manifest} was shown: make the "
-            "folder with `deepfsi camera prepare`"
-        )
-    if hash_file(manifest) != acquisition.manifest_sha256:
-        raise InputError(
-            f"{manifest} is not the one that {path} was made with: copy the patterns that were "
-            "shown"
-        )
-    _check_fit(acquisition, patterns.manifest, str(path))
-    return Run(Path(folder), acquisition, patterns)
-
-
-def _check_fit(acquisition: Acquisition, manifest: Manifest, name: str) -> None:
-    """Raise `InputError` unless these patterns can be recorded so."""
-    roles = [frame.role for frame in manifest.frames]
-    ends = ["on", "off"]
-    if len(roles) < 5 or roles[:2] != ends or roles[-2:] != ends or set(roles[2:-2]) != {"mask"}:
-        raise InputError(
-            f"{name} has patterns without an all-ON and an all-OFF frame at both ends: export them "
-            "with `deepfsi dmd export`"
-        )
-    if len(acquisition.inputs) != manifest.inputs:
-        raise InputError(
-            f"{name} has {len(acquisition.inputs)} inputs, and its patterns need "
-            f"{manifest.inputs}: give one for each detector"
-        )
-    # Frames of all passes together, times the detectors of an arm, at most
-    most = 2**20 // manifest.detector_count
-    if len(acquisition.scenes) * len(roles) > most:
-        raise InputError(
-            f"{name} has {len(acquisition.scenes)} scenes of {len(roles)} frames, and at most "
-            f"{most} frames are allowed: split it"
-        )
-    if acquisition.live:
-        if manifest.looks is None:
-            raise InputError(f"{name} is of a live run, and its patterns are of no adaptive masks")
-        return
-    if manifest.looks is not None:
-        raise InputError(
-            f"{name} has patterns of adaptive masks, which are chosen while the exposure runs: use "
-            "`deepfsi camera live`"
-        )
-    try:
-        acquisition.gates(manifest)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
-
-
-def _check_inputs(manifest: Manifest, most: int, name: str) -> None:
-    """Raise `InputError` if a counter, or its files, have fewer inputs than there are detectors."""
-    if manifest.inputs > most:
-        raise InputError(
-            f"{name} has up to {most} inputs, and these patterns need {manifest.inputs}, one for "
-            "each detector: use a counter with more, or a design with fewer `detectors`"
-        )
+    def check(self, manifest: Manifest, name: str) -> None:
+        """Raise `InputError`, in which it has this name, unless these patterns are recorded so."""
+        if len(self.inputs) != manifest.inputs:
+            raise InputError(
+                f"{name} has {len(self.inputs)} inputs, and its patterns need {manifest.inputs}: "
+                "give one for each detector"
+            )
+        if bool(self.live) != (manifest.looks is not None):
+            raise InputError(
+                f"{name} is {'' if self.live else 'not '}of a live run, and its patterns are "
+                f"{'not ' if self.live else ''}of adaptive masks, which are chosen while the "
+                "exposure runs: use `deepfsi camera live`"
+            )
+        if self.live:
+            return
+        try:
+            self.gates(manifest)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
 
 
 LEAST_SPOTS = 16

@@ -1,39 +1,51 @@
-"""Photon counts of each readout, and their file counts.npz.
+"""Photon counts of each readout: their corrections, and their file counts.npz.
+
+A counter registers more or less than arrives, and in proportion to what it counts: first what dead
+time took is undone (`Corrections`), then the gains of its detectors.
+
+Ambient light on the device is counted through each mask, and is no factor. A pass with the scene
+dark measures it, readout by readout, beyond the dark counts that all-OFF frames have; it is then
+subtracted from all scenes, and what all-ON frames hold of it from the flux. Its variance is that of
+the photons by which it was measured, and is the same error in all scenes.
+
+Clicks are corrected for nothing, as they are not in proportion to the light: of the photons in each
+of the G equal gates of a frame's exposure the first alone. A detector that fires at most once in a
+gate makes them, or a count of the photons of any other. Of r expected photons a frame has
+
+    k ~ Binomial(G, 1 - exp(-r / G))
+
+clicks. Their budget comes from the all-ON and all-OFF frames of a whole run: a gate in which a
+detector fires with the probability p has -log(1 - p) photons in the mean. Where gates hold more
+than one photon in the mean, a detector is not gated, and the photons themselves tell it.
 
 The file carries hashes of what was counted (settings, patterns, photons.ptu) and of its own
 content: counts of something else, and counts that were edited, are refused.
 """
 
-import dataclasses
 import io
-import math
 import os
-import struct
-import zipfile
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import hash_file, read_regular, write_atomically
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import hash_file, write_atomically
 from deepfsi.base.models.strict import Amount, Count, Positive, StrictModel
-from deepfsi.base.numeric.arrays import npy_header
-from deepfsi.base.quantities import count_text, time_text
-from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects
-from deepfsi.hardware.counting.acquisition import (
-    MOST_READOUTS,
-    Run,
-    read_run,
+from deepfsi.base.numeric.arrays import read_npz
+from deepfsi.camera.dead_time import (
+    NO_DEAD_TIME,
+    NO_EFFECTS,
+    CorrectionFactors,
+    CounterEffects,
+    DeadTime,
 )
 from deepfsi.hardware.light.checks import SPOILING, Fault
-from deepfsi.hardware.photons.reader import PtuFile
-
-LARGEST_COUNTS = 2**27
-"""Bytes of counts.npz at most."""
+from deepfsi.hardware.patterns.manifest import Frame, Manifest
 
 LEAST_UNFIRED = 25
 """Gates of all ON without a click that tell the light, at least: to 1 / 5 of a photon in each."""
@@ -103,7 +115,7 @@ class Counts:
         return self.flux * self.exposure_s
 
     def faults_of(self, scene: int) -> tuple[Fault, ...]:
-        """Faults of a scene, and those of the whole recording."""
+        """Faults of a scene and of the whole recording."""
         return tuple(fault for fault in self.faults if fault.scene in (scene, None))
 
     @property
@@ -133,165 +145,70 @@ class Counts:
                 "or look at the order of frames"
             )
 
-    def as_dict(self, run: Run) -> dict[str, Any]:
-        """JSON types only, with the names of the scenes of the run that was counted."""
-        names = [scene.name for scene in run.acquisition.scenes]
-        faults = [
-            fault.model_dump() | {"name": None if fault.scene is None else names[fault.scene]}
-            for fault in self.faults
-        ]
-        return {
-            "scenes": len(self.counts),
-            "exposures": int(self.valid.size),
-            "whole": int(self.valid.sum()),
-            "exposure_s": self.exposure_s,
-            "photons_counted": int(self.counts.sum()),
-            "photons": [None if math.isnan(flux) else flux for flux in self.photons.tolist()],
-            "dark_rate": self.dark_rate.tolist(),
-            "drift": self.drift,
-            "inputs": [number + 1 for number in self.inputs],
-            "dead_time_s": self.effects.dead_time.seconds,
-            "paralysable": self.effects.dead_time.paralysable,
-            "arrivals": float(self.arrivals.sum()),
-            "ambient": float(self.ambient.sum()),
-            "gains": list(self.gains),
-            "gates": self.gates,
-            "problems": list(PtuFile(run.photons).problems),
-            "faults": faults,
-            "counts": self.counts.tolist(),
-            "valid": self.valid.tolist(),
-        }
-
-    def lines(self, run: Run) -> Iterator[str]:
-        """Say what of a run was counted, its faults, and what was corrected."""
-        for problem in PtuFile(run.photons).problems:
-            yield f"{run.photons.name}: {problem}"
-        names = [scene.name for scene in run.acquisition.scenes]
-        for fault in self.faults:
-            yield fault.line(names)
-        counted = int(self.counts.sum())
-        if self.effects.dead_time.seconds:
-            lost = 1 - counted / max(float(self.arrivals.sum()), 1.0)
-            yield (
-                f"dead time of {self.effects.dead_time}: {lost:.1%} of the photons were lost, and "
-                "are added"
-            )
-        if self.gains:
-            gains = ", ".join(f"{gain:.3f}" for gain in self.gains)
-            yield f"efficiencies corrected: {gains}"
-        kind = "photons" if self.gates is None else f"clicks of up to {self.gates} a frame"
-        stated = self.gates is not None and run.acquisition.flux in self.flux
-        source = "that acquisition.json states" if stated else "by the all-ON frames"
-        yield (
-            f"{len(self.counts)} scenes, {self.valid.size} exposures of "
-            f"{time_text(self.exposure_s)}, {int(self.valid.sum())} of them whole"
-        )
-        yield f"{counted} {kind} counted"
-        yield f"budget {source}: {_span(self.photons)} photons an exposure"
-        yield f"dark counts: {_span(self.dark_rate[self.valid.any(axis=1)])} a second"
-        yield f"clocks: frames last {_drift_text(self.drift)}"
-        if self.ambient_variance.any():
-            error = math.sqrt(self.ambient_variance.sum())
-            yield (
-                f"background subtracted: {self.ambient.sum():.4g} ± {error:.2g} counts an exposure"
-            )
-        yield f"counts: {run.folder / 'counts.npz'}"
-
-    def save(self, run: Run) -> None:
-        """Write counts.npz to the folder of the run that was counted."""
-        fields = {**vars(self), **dict(self.effects)}
+    def save(self, path: Path, photons: Path, acquisition: str) -> None:
+        """Write counts of a photon file, and of an acquisition with this hash."""
+        fields = vars(self) | {"dead_time": self.effects.dead_time}
         del fields["effects"]
         arrays: dict[str, Any] = {
             name: value for name, value in fields.items() if isinstance(value, np.ndarray)
         }
         provenance = _Provenance(
-            acquisition=run.acquisition.digest,
-            photons_sha256=hash_file(run.photons),
+            acquisition=acquisition,
+            photons_sha256=hash_file(photons),
             repeats=self.counts.shape[1],
             **{name: value for name, value in fields.items() if name not in arrays},
         )
         arrays["about"] = np.frombuffer(provenance.model_dump_json().encode(), np.uint8)
         file = io.BytesIO()
         np.savez(file, sha256=_hash_arrays(arrays), **arrays)
-        write_atomically(run.folder / "counts.npz", file.getvalue())
+        write_atomically(path, file.getvalue())
+
+    @classmethod
+    def read(cls, path: Path, photons: Path, acquisition: str) -> Self:
+        """Read counts of a photon file, where it is there, and of an acquisition with this hash."""
+        again = "make it with `deepfsi camera count`"
+        arrays: dict[str, Any] = read_npz(path, again)
+        digest = arrays.pop("sha256", None)
+        if (
+            digest is None
+            or "about" not in arrays
+            or not np.array_equal(digest, _hash_arrays(arrays))
+        ):
+            raise InputError(f"{path} was changed after it was written: {again}")
+        about = arrays.pop("about").tobytes()
+        with as_input_error(str(path), again, about):
+            provenance = _Provenance.model_validate_json(about)
+        if provenance.acquisition != acquisition:
+            raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
+        if photons.is_file() and hash_file(photons) != provenance.photons_sha256:
+            raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
+        return cls(
+            **arrays,
+            exposure_s=provenance.exposure_s,
+            settle_s=provenance.settle_s,
+            drift=provenance.drift,
+            inputs=provenance.inputs,
+            faults=provenance.faults,
+            effects=CounterEffects(dead_time=provenance.dead_time),
+            gains=provenance.gains,
+            gates=provenance.gates,
+        )
 
 
-def _span(values: np.ndarray) -> str:
-    """Least and largest of the numbers among some."""
-    if np.isnan(values).all():
-        return "unknown"
-    ends = [count_text(end) for end in (np.nanmin(values), np.nanmax(values))]
-    return " to ".join(dict.fromkeys(ends))
+class _Provenance(StrictModel):
+    """Settings of a count, and hashes of the acquisition and its photons.ptu."""
 
-
-def _drift_text(drift: float) -> str:
-    """Drift of clocks, a share, in words."""
-    # Drift of clocks that is said to be none, as a share
-    if abs(drift) < 1e-7:
-        return "as planned"
-    # Drift of clocks that is said in ppm, as a share
-    size = f"{abs(drift) * 1e6:.1f} ppm" if abs(drift) < 1e-3 else f"{abs(drift):.2%}"
-    return f"{size} {'shorter' if drift < 0 else 'longer'} than planned"
-
-
-def read_counts(run: str | os.PathLike[str] | Run) -> Counts:
-    """Counts of a run, or of its folder, as `count_run` wrote them, or `InputError`."""
-    if not isinstance(run, Run):
-        run = read_run(run)
-    acquisition = run.acquisition
-    manifest = run.manifest
-    acquisition.check_fixed(run.folder)
-    path = run.folder / "counts.npz"
-    content = read_regular(path, LARGEST_COUNTS, "make it with `deepfsi camera count`")
-    again = "count again with `deepfsi camera count`"
-    scenes = (len(acquisition.scenes),)
-    masks = (manifest.rails, manifest.masks)
-    several = manifest.several
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            text = _member(archive, "about", "|u1", None)
-            provenance = _Provenance.model_validate_json(text.tobytes())
-            if provenance.acquisition != acquisition.digest:
-                raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
-            exposures = (*scenes, provenance.repeats)
-            readouts = (*exposures, *masks, *several)
-            shapes = {
-                **dict.fromkeys(("counts", "arrivals", "variance"), readouts),
-                "valid": exposures,
-                "gate_s": (len(manifest.shown),),
-                **dict.fromkeys(("on_rate", "off_rate", "flux"), scenes),
-                "dark_rate": (*scenes, manifest.rails, *several),
-                **dict.fromkeys(("ambient", "ambient_variance"), (*masks, *several)),
-                "lengths_s": masks,
-            }
-            kinds = {"counts": "<i8", "valid": "|b1"}
-            arrays: dict[str, Any] = {
-                name: _member(archive, name, kinds.get(name, "<f8"), shape)
-                for name, shape in shapes.items()
-            }
-            digest = _member(archive, "sha256", "|u1", (sha256().digest_size,))
-    except InputError:
-        raise
-    # What zipfile raises of damaged archives, and pydantic of what is in them
-    except (
-        zipfile.BadZipFile,
-        KeyError,
-        ValueError,
-        OSError,
-        EOFError,
-        RuntimeError,
-        struct.error,
-    ):
-        raise InputError(
-            f"{path} is not a whole file of counts: make it with `deepfsi camera count`"
-        ) from None
-    if not np.array_equal(digest, _hash_arrays({**arrays, "about": text})):
-        raise InputError(f"{path} was changed after it was written: {again}")
-    if run.photons.is_file() and hash_file(run.photons) != provenance.photons_sha256:
-        raise InputError(f"{path} is of another {run.photons.name} than the one beside it: {again}")
-    fields = {field.name for field in dataclasses.fields(Counts)}
-    settings = {name: value for name, value in provenance if name in fields}
-    return Counts(**arrays, **settings, effects=provenance.effects)
+    acquisition: str
+    photons_sha256: str
+    repeats: int = Field(ge=1)
+    exposure_s: Positive
+    settle_s: Amount
+    drift: float
+    inputs: tuple[int, ...]
+    faults: tuple[Fault, ...]
+    dead_time: DeadTime = NO_DEAD_TIME
+    gains: tuple[Positive, ...] = ()
+    gates: Count | None = None
 
 
 def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
@@ -303,41 +220,178 @@ def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
     return np.frombuffer(digest.digest(), np.uint8)
 
 
-class _Counting(StrictModel):
-    """Times and inputs of a count, and hashes of the acquisition and its photons.ptu."""
-
-    acquisition: str
-    photons_sha256: str
-    repeats: int = Field(ge=1, le=MOST_READOUTS)
-    exposure_s: Positive
-    settle_s: Amount
-    drift: float
-    inputs: tuple[int, ...]
-    faults: tuple[Fault, ...]
+Gains = tuple[float, ...]
+"""Relative efficiency of each detector; empty for equal ones."""
 
 
-class _Provenance(CounterEffects, _Counting):
-    """Settings with which a file was counted, in the order in which it has them."""
+@dataclass(frozen=True)
+class Corrections:
+    """What a counter does to counts, undone by factors of them."""
 
-    gains: tuple[Positive, ...] = ()
-    gates: Count | None = None
+    dead_time: DeadTime  # photons that arrive while it is blind are not counted
+    gains: np.ndarray  # (inputs,): how many times as much of the light as usual each counts
+
+    @classmethod
+    def of(cls, effects: CounterEffects, manifest: Manifest, gains: Gains = ()) -> Self:
+        """Corrections on the inputs of a manifest, or `InputError` for gains of others."""
+        if gains and len(gains) != manifest.inputs:
+            raise InputError(
+                f"the flat field is of {len(gains)} detectors, and these patterns are for "
+                f"{manifest.inputs}: record it with the same detectors"
+            )
+        return cls(effects.dead_time, np.array(gains or (1.0,) * manifest.inputs))
+
+    def factors(self, rates: np.ndarray) -> CorrectionFactors:
+        """Factors (S, F, inputs) of the counts of frames with these registered rates, counts/s.
+
+        A rate above the highest that is corrected has the factor of that one.
+        """
+        lost = self.dead_time.correction(np.minimum(rates, self.dead_time.most_registered))
+        return CorrectionFactors(lost.arrivals / self.gains, lost.variance / self.gains**2)
+
+    def check(
+        self, rates: np.ndarray, frames: Sequence[Frame], inputs: Sequence[int], name: str
+    ) -> None:
+        """Raise `InputError` where the counter is too near its saturation, rates (S, F, inputs)."""
+        most = self.dead_time.most_registered
+        if not (rates > most).any():
+            return
+        worst = _, frame, column = np.unravel_index(np.nanargmax(rates), rates.shape)
+        raise InputError(
+            f"{name} has {rates[worst]:.3g} counts/s on input {inputs[int(column)] + 1} in "
+            f"{frames[int(frame)]}, and a dead time of {self.dead_time}, is corrected up to "
+            f"{most:.3g}: dim the light, or give the counter's own dead time"
+        )
 
 
-def _member(
-    archive: zipfile.ZipFile, name: str, dtype: str, shape: tuple[int, ...] | None
-) -> np.ndarray:
-    """Array of that type and shape, or a vector of any length; `ValueError` if it is none."""
-    info = archive.getinfo(f"{name}.npy")
-    if info.compress_type != zipfile.ZIP_STORED or info.file_size > LARGEST_COUNTS:
-        raise ValueError(name)
-    content = archive.read(info)
-    kind = np.dtype(dtype)
-    if shape is None:
-        # Bytes of the header of a vector in numpy's format
-        shape = ((len(content) - 128) // kind.itemsize,)
-    header = npy_header(dtype, shape)
-    if len(content) != len(header) + kind.itemsize * math.prod(shape) or not content.startswith(
-        header
-    ):
-        raise ValueError(name)
-    return np.frombuffer(content, kind, offset=len(header)).reshape(shape).copy()
+@dataclass(frozen=True)
+class Estimate:
+    """Numbers of arrivals, as estimated from counts."""
+
+    arrivals: np.ndarray
+    variance: np.ndarray  # of their noise, of the same shape
+
+    @classmethod
+    def of(cls, gated: np.ndarray, factors: CorrectionFactors, manifest: Manifest) -> Self:
+        """Of counts (P, R, f, inputs) of the masks' frames, from factors of all (P, F, inputs)."""
+        of_masks = (slice(None), None, manifest.shown)
+        return cls(gated * factors.arrivals[of_masks], gated * factors.variance[of_masks])
+
+    def by_readout(self, manifest: Manifest) -> Self:
+        """Numbers of readouts, from numbers of masks' frames."""
+        return type(self)(*map(manifest.by_readout, (self.arrivals, self.variance)))
+
+
+@dataclass(frozen=True)
+class Ambient:
+    """Light of one exposure that does not come from the scene."""
+
+    counts: np.ndarray  # (rails, m[, D]): Counts of each readout beyond its dark counts
+    variance: np.ndarray  # (rails, m[, D]): Of these as they were measured
+    flux: float  # Counts/s of all-ON frames beyond all-OFF ones
+
+    @classmethod
+    def none(cls, manifest: Manifest) -> Self:
+        """No such light: it was not measured, and is not subtracted."""
+        empty = np.zeros((manifest.rails, manifest.masks, *manifest.several))
+        return cls(empty, empty, 0.0)
+
+    @classmethod
+    def of(
+        cls,
+        manifest: Manifest,
+        gated: Estimate,
+        lengths_s: np.ndarray,
+        frames: np.ndarray,
+        frames_s: np.ndarray,
+    ) -> Self:
+        """Light of exposures (E) with the scene dark."""
+        exposures = len(gated.arrivals)
+        rate, noise = np.zeros((2, manifest.inputs))
+        flux = 0.0
+        on = _rate(frames, frames_s, ALL_ON)
+        off = _rate(frames, frames_s, ALL_OFF)
+        if on is not None and off is not None:
+            rate = manifest.dark_inputs(on.arrivals, off.arrivals)
+            noise = manifest.dark_inputs(on.variance, off.variance)
+            flux = float((on.arrivals - rate)[manifest.arm].sum())
+        mean = gated.arrivals.mean(axis=0)
+        variance = gated.variance.sum(axis=0) / exposures**2
+        lengths = manifest.lengths_by_readout(lengths_s)
+        lengths = np.expand_dims(lengths, tuple(range(2, 2 + len(manifest.several))))
+        dark = manifest.by_rail(rate)[:, None]
+        dark_noise = manifest.by_rail(noise)[:, None]
+        return cls(
+            manifest.by_readout(mean) - dark * lengths,
+            manifest.by_readout(variance) + dark_noise * lengths**2,
+            flux,
+        )
+
+    def of_flux(self, flux: np.ndarray, source: str) -> np.ndarray:
+        """Flux of scenes without this light, or `InputError` if nothing is left."""
+        rest = flux - self.flux
+        if np.isfinite(rest).any() and not (rest > 0).any():
+            raise InputError(
+                f"{source} has no light beyond its background: all-ON frames of the scenes are not "
+                "brighter than in the dark scene; give the pass with the scene dark"
+            )
+        return rest
+
+
+def _rate(photons: np.ndarray, seconds: np.ndarray, frames: list[int]) -> Estimate | None:
+    """Counts/s (inputs,) in some frames; None where they were not counted."""
+    spent = seconds[frames].sum()
+    if not spent:
+        return None
+    total = photons[frames].sum(axis=0)
+    return Estimate(total / spent, total.clip(min=0) / spent**2)
+
+
+ALL_ON = [0, -2]
+ALL_OFF = [1, -1]
+"""Frames at the ends of a pass that are all ON, and those that are all OFF."""
+
+ENDS = [0, 1, -2, -1]
+"""Frames of a pass that are all ON, all OFF, all ON and all OFF."""
+
+
+def light_of_clicks(
+    photons: np.ndarray,
+    fired: np.ndarray,
+    gates: np.ndarray,
+    *,
+    width_s: float,
+    scenes: int,
+    manifest: Manifest,
+) -> RunLight:
+    """Light of all scenes together, from the frames of `ENDS`."""
+    arm = manifest.arm
+    photons, fired, gates = (
+        counts.reshape(-1, 2, 2, counts.shape[-1]).sum(axis=(0, 1))
+        for counts in (photons, fired, gates)
+    )  # (on and off, inputs)
+    mean = photons / np.maximum(gates, 1)
+    share = fired / np.maximum(gates, 1)
+    with np.errstate(divide="ignore"):
+        rate = np.where(mean > 1, mean, -np.log1p(-share)) / width_s
+    dark = manifest.dark_inputs(rate[0], rate[1])
+    certain = ((mean > 1) | (gates - fired >= LEAST_UNFIRED))[0, arm].all()
+    flux = float((rate[0] - dark)[arm].sum()) if certain else np.nan
+    on, off = share[:, arm].sum(axis=1) / width_s
+    return RunLight(
+        on_rate=np.full(scenes, on),
+        off_rate=np.full(scenes, off),
+        flux=np.full(scenes, flux if flux > 0 else np.nan),
+        dark_rate=manifest.by_rail(np.tile(dark, (scenes, 1))),
+    )
+
+
+def check_clicks(clicks: int, refused: Mapping[str, bool]) -> None:
+    """Raise `InputError` where what is of photon counts is asked for with clicks."""
+    # refused: whether it was given, by its name
+    for name, asked in refused.items():
+        if asked:
+            raise InputError(
+                f"{name} is of photon counts, and this design reads clicks, of up to {clicks} "
+                "gates a frame, as they are: leave it out"
+            )

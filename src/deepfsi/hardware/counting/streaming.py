@@ -18,47 +18,25 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import time_text
 from deepfsi.camera.dead_time import CorrectionFactors, LiveSettings
-from deepfsi.hardware.counting.corrections import Corrections
+from deepfsi.hardware.counting.counts import Corrections
 from deepfsi.hardware.counting.windows import MOST_EXTRA, MOST_RATE
-from deepfsi.hardware.light.curves import PARTS_OF_FRAME
+from deepfsi.hardware.light.flux import PARTS_OF_FRAME
 from deepfsi.hardware.patterns.manifest import Frame, Manifest
-from deepfsi.hardware.photons.reader import PtuStream, WindowCounter, cut_windows
-from deepfsi.hardware.photons.records import Part, marker_slack_s
-
-BEFORE_ALL = -(2**62)
-"""A time before all others, ticks."""
+from deepfsi.hardware.photons.ptu import EARLIEST_TICK, Part, marker_slack
+from deepfsi.hardware.photons.reader import PtuStream, WindowCounter
 
 
 @dataclass(frozen=True)
 class FrameGates:
-    """Gates of frames in the order in which they are shown, one each.
+    """Gates of frames in the order in which they are shown, one each."""
 
-    Attributes
-    ----------
-    offsets_s, lengths_s : array (F,)
-        When a gate begins after the marker of its frame, and for how long it is open, seconds.
-    markers : array (F,)
-        Markers that a frame gives: more than one where it is shown as several pictures in a row.
-        Its gate begins after the first.
-    pictures_s : array (F,), optional
-        Time from each of its markers to the next one, seconds. The next list of frames may begin
-        at any time after the last. None where it is not known, and then not checked.
-    """
-
-    offsets_s: np.ndarray
-    lengths_s: np.ndarray
+    offsets_s: np.ndarray  # (F,): When it begins after the first marker of its frame, seconds
+    lengths_s: np.ndarray  # (F,): For how long it is open
+    # (F,): Markers of the frame, more than one where it is shown as several pictures in a row
     markers: np.ndarray
+    # (F,): Time from each of its markers to the next; not checked where None. The next list of
+    # frames may begin at any time after the last
     pictures_s: np.ndarray | None = None
-
-    def __post_init__(self) -> None:
-        arrays = (self.offsets_s, self.lengths_s, self.markers, self.pictures_s)
-        shapes = {array.shape for array in arrays if array is not None}
-        if len(shapes) > 1 or self.offsets_s.ndim != 1:
-            raise InputError(f"gates of shapes {sorted(shapes)}: give one for each frame")
-        if not (np.isfinite(self.lengths_s).all() and (self.lengths_s >= 0).all()):
-            raise InputError("gates have lengths that are no times: give seconds, 0 or more")
-        if (self.markers < 1).any():
-            raise InputError("frames have no marker: give 1 or more for each")
 
     @classmethod
     def of(cls, offset_s: float, lengths_s: Sequence[float] | np.ndarray) -> "FrameGates":
@@ -72,18 +50,11 @@ class FrameGates:
 
 @dataclass(frozen=True)
 class FrameCounts:
-    """Counts of some frames that follow each other.
+    """Counts of some frames that follow each other."""
 
-    Attributes
-    ----------
-    starts_s : array (F,)
-        Times of their markers on the counter's clock, seconds.
-    parts : array (F, K, inputs)
-        Photons in equal parts of their gates, `PARTS_OF_FRAME` of them; 1 of a counter that knows
-        no more than whole gates.
-    """
-
-    starts_s: np.ndarray
+    starts_s: np.ndarray  # (F,): Times of their markers on the counter's clock, seconds
+    # (F, K, inputs): Photons in equal parts of their gates; K is 1 of a counter that knows no more
+    # than whole gates, else `PARTS_OF_FRAME`
     parts: np.ndarray
 
     @property
@@ -99,11 +70,9 @@ class FrameCounts:
         *,
         ends: Sequence[Frame] | None = None,
     ) -> CorrectionFactors:
-        """Factors (F, inputs) of the counts in gates of these lengths (F,), seconds.
-
-        Frames that are `ends` of a scene must not be too bright, or `InputError`; others are
-        corrected as the brightest that can be.
-        """
+        """Factors (F, inputs) of the counts in gates of these lengths (F,), seconds."""
+        # Frames that are ends of a scene must not be too bright; others are corrected as the
+        # brightest that can be
         corrections = Corrections.of(live, manifest)
         rates = self.counts / gate_s[:, None]
         if ends is not None:
@@ -115,7 +84,7 @@ class FrameCounts:
 
     @classmethod
     def join(cls, parts: "Sequence[FrameCounts]", inputs: int) -> "FrameCounts":
-        """Frames of parts that follow each other, of which there may be none."""
+        """Frames of parts that follow each other, or none."""
         starts = [np.zeros(0), *(counts.starts_s for counts in parts)]
         photons = [counts.parts for counts in parts] or [
             np.zeros((0, PARTS_OF_FRAME, inputs), np.int64)
@@ -142,7 +111,7 @@ class FrameCounter:
     inputs : sequence of int
         Inputs of the counter whose photons are counted, from 0.
     marker_bit : int
-        1, 2, 4 or 8: the marker input of the device's trigger.
+        Marker input of the device's trigger: 1, 2, 4 or 8.
     stream : str, path or PtuStream
         Where the bytes come from, or what errors call it.
     """
@@ -160,12 +129,12 @@ class FrameCounter:
         self._early: list[FrameGates] = []  # told before
         self._due: deque[_DueFrame] = deque()
         self._frame: _DueFrame | None = None  # the frame whose marker came last
-        self._last = BEFORE_ALL  # that marker
+        self._last = EARLIEST_TICK  # that marker
         self._skipped = 0  # markers to come of that frame
         self._begun: deque[int] = deque()  # markers of frames whose counts were not given
         # (n, inputs): Of the parts of their gates that have ended
         self._counts = np.zeros((0, len(self._inputs)), np.int64)
-        self._stop = BEFORE_ALL  # end of the last gate
+        self._stop = EARLIEST_TICK  # end of the last gate
 
     def expect(self, gates: FrameGates) -> None:
         """Count frames that are shown after those before. To be told before they are shown."""
@@ -188,40 +157,41 @@ class FrameCounter:
         return self._windows
 
     @property
-    def _slack(self) -> int:
-        """By how much a marker in the file may be off, ticks."""
-        return round(marker_slack_s(self._stream.tick_s) / self._stream.tick_s)
+    def _tick_s(self) -> float:
+        return self._stream.header.tick_s
 
     def _plan(self, gates: FrameGates) -> None:
         """Frames of a list become due, on the clock that the header tells."""
-        tick_s = self._stream.tick_s
+        tick_s = self._tick_s
+        slack = marker_slack(tick_s)
         offsets = np.rint(gates.offsets_s / tick_s)
-        if len(gates) and not offsets.min() > self._slack:
+        if len(gates) and not offsets.min() > slack:
             raise InputError(
-                f"a gate begins {time_text(gates.offsets_s.min())} after its marker, and a marker "
-                f"may be {time_text(self._slack * tick_s)} off: give frames a longer time to settle"
+                f"a gate begins {time_text(gates.offsets_s.min())} after its marker, which may be "
+                f"{time_text(slack * tick_s)} off: give frames a longer time to settle"
             )
         lengths = np.rint(gates.lengths_s / tick_s)
         pictures = tolerances = np.zeros(len(gates))
         if gates.pictures_s is not None and len(gates):
             ticks = gates.pictures_s / tick_s
             pictures = np.rint(ticks)
-            tolerances = MOST_RATE * ticks + MOST_EXTRA * ticks.min() + self._slack
+            tolerances = MOST_RATE * ticks + MOST_EXTRA * ticks.min() + slack
         columns = np.stack([offsets, lengths, gates.markers, pictures, tolerances]).astype(np.int64)
         for number, times in enumerate(columns.T.tolist()):
             due = _DueFrame._make([*times, number > 0])
             self._due.append(due if gates.pictures_s is not None else due._replace(picture=None))
 
     def _add(self, part: Part) -> FrameCounts:
-        """Count the next records; give the frames that have ended, in order."""
-        # Those are the ones whose gates have ended, and after which the next of their list has
-        # begun
+        """Count the next records; give the frames whose gates, and pictures, have ended."""
         windows = self._open()
-        part.check(self._stream.path)
+        part.check(self._stream.header.path)
         times, bits = part.markers
         begun = map(self._begin, times[bits & self._bit != 0].tolist())
         gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
-        windows.expect(*cut_windows(gates[:, 0], gates[:, 1], PARTS_OF_FRAME))
+        # Each gate in equal parts of whole ticks
+        steps = np.diff(gates) * np.arange(PARTS_OF_FRAME + 1) // PARTS_OF_FRAME
+        edges = gates[:, :1] + steps
+        windows.expect(edges[:, :-1].ravel(), edges[:, 1:].ravel())
         windows.add(part)
         counts = np.concatenate([self._counts, windows.take()])
         ended = len(counts) // PARTS_OF_FRAME
@@ -230,7 +200,7 @@ class FrameCounter:
         self._counts = counts[ready * PARTS_OF_FRAME :]
         starts = [self._begun.popleft() for _ in range(ready)]
         parts = counts[: ready * PARTS_OF_FRAME].reshape(ready, PARTS_OF_FRAME, counts.shape[1])
-        return FrameCounts(np.array(starts, np.float64) * self._stream.tick_s, parts)
+        return FrameCounts(np.array(starts, np.float64) * self._tick_s, parts)
 
     @property
     def _followed(self) -> bool:
@@ -250,46 +220,35 @@ class FrameCounter:
             self._skipped -= 1
             return None
         self._frame = frame = self._due.popleft()
-        if frame.follows and frame.picture is not None and not self._followed:
-            self._check_last(time)
         start = time + frame.offset
         self._skipped = frame.markers - 1
-        if start < self._stop:
+        # The counter need not record anything after the last marker of a list: then the counts of
+        # a gate that ends after it never come
+        last = frame.follows and frame.picture is not None and not self._followed
+        if (time if last else start) < self._stop:
             raise InputError(
                 f"{self._describe(time)}, before the gate of the frame before has ended: show "
-                "frames for longer, or count them for less"
+                "frames for longer, count them for less, or use a trigger that jitters by less "
+                "than 2 µs"
             )
         self._stop = start + frame.length
         self._begun.append(time)
         return start, self._stop
 
-    def _check_last(self, time: int) -> None:
-        """Raise `InputError` if the marker that ends a list's last gate comes before its end."""
-        # Its counts may never come: the counter need not record anything after that marker
-        early = self._stop - time
-        if early > 0:
-            raise InputError(
-                f"{self._describe(time)}, {early * self._stream.tick_s * 1e6:.3g} µs before the "
-                "gate of the frame before has ended, and its picture was to outlast it: the "
-                "trigger jitters, or pictures are shorter than told; use a trigger that jitters by "
-                "less than 2 µs"
-            )
-
     def _check_step(self, time: int, follows: bool) -> None:
         """Raise `InputError` if a marker does not come when the picture before it ends."""
         # The first one of a list may come later
         frame = self._frame
-        tick_s = self._stream.tick_s
-        step = time - self._last
         if frame is None or frame.picture is None:
             return
+        step = time - self._last
         late = step - frame.picture
         if abs(late) > frame.tolerance and (follows or late < 0):
             raise InputError(
-                f"{self._describe(time)}, {time_text(step * tick_s)} after the one before, and "
-                f"that picture lasts {time_text(frame.picture * tick_s)}: a marker is missing or "
-                "one too many; look at the trigger"
+                f"{self._describe(time)}, {time_text(step * self._tick_s)} after the one before, "
+                f"and that picture lasts {time_text(frame.picture * self._tick_s)}: a marker is "
+                "missing or one too many; look at the trigger"
             )
 
     def _describe(self, time: int) -> str:
-        return f"{self._stream.path} has a marker at {time * self._stream.tick_s:.9g} s"
+        return f"{self._stream.header.path} has a marker at {time * self._tick_s:.9g} s"

@@ -13,59 +13,61 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
+from pydantic import ConfigDict
 
 from deepfsi.base.errors import InputError
+from deepfsi.base.models.strict import Amount, Count, Positive, UserModel
 from deepfsi.base.numeric.tables import NumberTable
 from deepfsi.base.quantities import time_text
 from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
-from deepfsi.hardware.counting.corrections import (
+from deepfsi.hardware.counting.counts import (
     ALL_OFF,
     ALL_ON,
     ENDS,
     Ambient,
     Corrections,
+    Counts,
     Estimate,
+    RunLight,
     check_clicks,
     light_of_clicks,
-    variance_of_clicks,
 )
-from deepfsi.hardware.counting.counts import Counts, RunLight
 from deepfsi.hardware.light.checks import Fault, check_light
-from deepfsi.hardware.light.curves import Arrivals
+from deepfsi.hardware.light.flux import Arrivals
 from deepfsi.hardware.patterns.manifest import Manifest
 
 
-@dataclass(frozen=True)
-class TableSettings:
-    """Settings with which a table is read; `InputError` if one of them is not allowed."""
+class TableSettings(UserModel):
+    """Settings with which a table is read."""
+
+    model_config = ConfigDict(arbitrary_types_allowed=True)
 
     SCENE: ClassVar[str] = "scene"
     LABEL: ClassVar[str] = "label"
     WORDS: ClassVar[tuple[str, ...]] = (SCENE, LABEL)  # names of the columns of words
 
-    photons: float | None = None  # budget of an exposure, counts
-    background: float | None = None
-    settle_s: float = 0.0  # time after each marker that was not counted, seconds
-    repeats: int = 1  # exposures of each scene, one after another, where the table names no scenes
-    gain: float | None = None  # counts for a unit of the table, of an analogue detector
-    read_noise: float | None = None  # of each value of an analogue detector, counts rms
+    photons: Positive | None = None  # budget of an exposure, counts
+    background: Amount | None = None  # dark counts of an input in one exposure
+    settle_s: Amount = 0.0  # time after each marker that was not counted, seconds
+    repeats: Count = (
+        1  # exposures of each scene, one after another, where the table names no scenes
+    )
+    gain: Positive | None = None  # counts for a unit of the table, of an analogue detector
+    read_noise: Amount | None = None  # of each value of an analogue detector, counts rms
     effects: CounterEffects = NO_EFFECTS  # of a photon counter, to be corrected for
     dark: NumberTable | None = None  # exposures with the scene dark, whose counts are subtracted
     clicks: int | None = None  # gates of a frame, of tables of clicks: values from 0 to this
 
-    def __post_init__(self) -> None:
-        for name, least, allowed in (
-            ("photons", 5e-324, "a number above 0"),  # the smallest of all
-            ("gain", 5e-324, "a number above 0"),  # the smallest of all
-            ("background", 0, "counts, 0 or more"),
-            ("read_noise", 0, "counts, 0 or more"),
-            ("repeats", 1, "1 or more"),
-        ):
-            value = getattr(self, name)
-            if value is not None and not least <= value < np.inf:
-                raise InputError(f"`{name}` {value:g} is not allowed: give {allowed}")
-        if self.analogue and self.effects.dead_time.seconds:
+    @property
+    def analogue(self) -> bool:
+        """True for values that are no photon counts."""
+        return self.gain is not None or self.read_noise is not None
+
+    def check(self) -> None:
+        """Raise `InputError` for settings that exclude each other."""
+        dead_time = bool(self.effects.dead_time.seconds)
+        if self.analogue and dead_time:
             raise InputError(
                 "an analogue detector counts no photons: leave `dead_time` out, or `gain` and "
                 "`read_noise`"
@@ -73,15 +75,10 @@ class TableSettings:
         if self.clicks is not None:
             of_photons = {
                 "`background`": self.background is not None or self.dark is not None,
-                "`dead_time`": bool(self.effects.dead_time.seconds),
+                "`dead_time`": dead_time,
                 "`gain` or `read_noise`": self.analogue,
             }
             check_clicks(self.clicks, of_photons)
-
-    @property
-    def analogue(self) -> bool:
-        """True for values that are no photon counts."""
-        return self.gain is not None or self.read_noise is not None
 
 
 def column_names(manifest: Manifest) -> list[str]:
@@ -104,6 +101,7 @@ def count_table(
     table: NumberTable, manifest: Manifest, settings: TableSettings, name: str = "the table"
 ) -> tuple[Counts, tuple[Scene, ...]]:
     """Counts of the exposures in a table, and their scenes."""
+    settings.check()
     exposures = _Exposures.read(table, manifest, settings, name)
     scenes, scene_of = _find_scenes(table, len(exposures.values), settings, name)
     frames = exposures.correct()
@@ -199,7 +197,7 @@ class _Exposures:
         values = self.values
         settings = self.settings
         if settings.clicks is not None:
-            return Estimate(values, variance_of_clicks(values, settings.clicks))
+            return Estimate(values, values * (1 - values / settings.clicks))
         if settings.analogue:
             counts = values * (settings.gain or 1.0)
             return Estimate(counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2)

@@ -16,7 +16,7 @@ guard of the all-OFF frames is counted by itself: light in it tells by how much 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -25,19 +25,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.quantities import time_text
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Acquisition
-from deepfsi.hardware.patterns.folder import GatePlan
-from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.hardware.patterns.manifest import GatePlan, Manifest
 from deepfsi.hardware.photons.reader import PhotonSource, count_windows, read_markers
-
-
-@dataclass(frozen=True)
-class FrameStarts:
-    """Frames of a recording, as its markers say when they start."""
-
-    starts_s: np.ndarray  # (S, F): Seconds on the counter's clock
-    pictures_s: np.ndarray  # (F,): Picture times on the counter's clock
-    tolerance_s: float  # by how much a marker may be off
-    drift: float  # by how much passes last longer than planned, as a share: their median
 
 
 @dataclass(frozen=True)
@@ -53,7 +42,7 @@ class Windows:
     guard: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
 
     @classmethod
-    def of_gates(cls, manifest: Manifest, gates: GatePlan, starts: FrameStarts) -> Self:
+    def of_gates(cls, manifest: Manifest, gates: GatePlan, starts: "FrameStarts") -> Self:
         """Gates of the frames of a manifest, as they were found, and what gates leave of them."""
         dark = np.flatnonzero([frame.role == "off" for frame in manifest.frames])
         count = np.ones(len(manifest.frames), np.int64)
@@ -84,10 +73,10 @@ class Windows:
         )
 
     @classmethod
-    def of_parts(cls, starts: FrameStarts, settle_s: float, number: int) -> Self:
-        """So many equal parts of each frame, between settling and guard."""
+    def of_parts(cls, starts: "FrameStarts", settle_s: float, number: int) -> Self:
+        """Equal parts of each frame, between settling and guard."""
         rest = starts.pictures_s - settle_s
-        # Share of a frame after settling that a guard takes at most, where it is cut in parts
+        # A guard takes up to half of a frame after settling
         guard = np.minimum(starts.tolerance_s, 0.5 * rest)
         length = np.maximum(rest - guard, 0.0) / number
         offset = settle_s + length[:, None] * np.arange(number)
@@ -101,7 +90,7 @@ class Windows:
 
     @classmethod
     def of_clicks(cls, gates: GatePlan, scenes: int) -> Self:
-        """Gates of clicks, or `InputError` if those of so many scenes are too many."""
+        """Gates of clicks, or `InputError` if the scenes have too many."""
         count = gates.clicks * gates.click_exposures
         if scenes * count.sum() > MOST_READOUTS:
             raise InputError(
@@ -125,23 +114,18 @@ class WindowCounts:
 
     photons: np.ndarray  # (P, g, inputs), int64
     open_s: np.ndarray  # (P, g): How long each window was open
-    scenes: np.ndarray  # (P,): Of each pass
     windows: Windows
 
     def select(self, passes: np.ndarray) -> Self:
         """Some of the passes, a mask (P,) of bools."""
-        return type(self)(
-            self.photons[passes], self.open_s[passes], self.scenes[passes], self.windows
-        )
+        return replace(self, photons=self.photons[passes], open_s=self.open_s[passes])
 
     def per_frame(self) -> tuple[np.ndarray, np.ndarray]:
         """Photons (P, F, inputs) of whole frames but guards, and how long they were counted."""
         first = np.searchsorted(self.windows.frame, np.arange(self.windows.frames))
-        sums = []
-        for values in (self.photons.copy(), self.open_s.copy()):
-            values[:, self.windows.guard] = 0
-            sums.append(np.add.reduceat(values, first, axis=1))
-        return sums[0], sums[1]
+        counted = ~self.windows.guard
+        photons = np.add.reduceat(self.photons * counted[:, None], first, axis=1)
+        return photons, np.add.reduceat(self.open_s * counted, first, axis=1)
 
     def gates(self, repeats: int) -> np.ndarray:
         """Photons (P, R, f, inputs) in the gates of the masks' frames."""
@@ -154,76 +138,8 @@ class WindowCounts:
         guard = np.argmax(self.windows.guard)
         dark, light = photons[:, 1:3, arm].sum(axis=-1).T
         of_guard = self.photons[:, guard, arm].sum(axis=-1)
-        return np.stack([of_guard, dark, light]), np.stack(
-            [self.open_s[:, guard], *spent[:, 1:3].T]
-        )
-
-
-def count_in_windows(
-    source: PhotonSource,
-    starts: FrameStarts,
-    sets: Sequence[Windows],
-    inputs: Sequence[int],
-    progress: Progress = SILENT,
-) -> list[WindowCounts]:
-    """Photons of the passes of a recording in sets of windows, all read at once.
-
-    Where two clocks and a marker's jitter make a window reach into the next of its set, it ends
-    there.
-    """
-    tick_s = source.tick_s
-    edges = []
-    for windows in sets:
-        opens = starts.starts_s[:, windows.frame] + windows.offset_s
-        begins = _in_ticks(opens.ravel(), tick_s)
-        ends = _in_ticks((opens + windows.length_s).ravel(), tick_s)
-        begins = np.minimum(np.minimum.accumulate(begins[::-1])[::-1], ends.max(initial=0))
-        ends[:-1] = np.minimum(ends[:-1], begins[1:])
-        edges.append(np.stack([begins, ends]))
-    every = np.concatenate(edges, axis=1)
-    photons = np.split(
-        _count_overlapping(source, every[0], every[1], inputs, progress=progress),
-        np.cumsum([one.shape[1] for one in edges])[:-1],
-    )
-    passes = np.arange(len(starts.starts_s))
-    out = []
-    for windows, (begins, ends), some in zip(sets, edges, photons, strict=True):
-        shape = len(passes), len(windows.frame)
-        open_s = ((ends - begins) * tick_s).reshape(shape)
-        out.append(WindowCounts(some.reshape(*shape, -1), open_s, passes, windows))
-    return out
-
-
-def sum_exposures(
-    values: np.ndarray, gates: GatePlan, frames: np.ndarray, repeats: int
-) -> np.ndarray:
-    """Sums (P, R, f, inputs) over the gates of R exposures of frames (f,).
-
-    Of values (P, g, inputs) in the windows of clicks.
-    """
-    first = (np.cumsum(gates.click_exposures) - gates.click_exposures)[frames]
-    sums = values.reshape(len(values), -1, gates.clicks, values.shape[-1]).sum(axis=2)
-    return np.asarray(sums[:, first + np.arange(repeats)[:, None]])
-
-
-def _count_overlapping(
-    source: PhotonSource,
-    starts: np.ndarray,
-    stops: np.ndarray,
-    inputs: Sequence[int],
-    progress: Progress = SILENT,
-) -> np.ndarray:
-    """Photons (n, inputs) in windows, starts and stops (n,), that may overlap, in any order."""
-    edges = np.stack([starts, stops])
-    unique, places = np.unique(edges, return_inverse=True)
-    counts = count_windows(source, unique[:-1], unique[1:], inputs, progress=progress)
-    before = np.pad(np.cumsum(counts, axis=0), ((1, 0), (0, 0)))[places.reshape(edges.shape)]
-    return np.asarray(before[1] - before[0])
-
-
-def _in_ticks(seconds: np.ndarray, tick_s: float) -> np.ndarray:
-    """Times in ticks, rounded."""
-    return np.rint(seconds / tick_s).astype(np.int64)
+        seconds = np.stack([self.open_s[:, guard], *spent[:, 1:3].T])
+        return np.stack([of_guard, dark, light]), seconds
 
 
 MOST_DRIFT = 2e-4
@@ -239,62 +155,112 @@ GOLDEN = 0.6180339887498949
 """Golden section: fractional parts of its multiples are spread evenly, out of step with passes."""
 
 
-def find_frames(
-    source: PhotonSource,
-    acquisition: Acquisition,
-    manifest: Manifest,
-    tolerance_s: float | None = None,
-    *,
-    progress: Progress = SILENT,
-) -> FrameStarts:
-    """Frames of a recording by its markers."""
-    times, bits = read_markers(source, progress)
-    wired = bits & acquisition.marker_bit != 0
-    if not wired.any():
-        advice = "wire the device's trigger to the counter"
-        others = [str(number) for number in range(4) if (bits & 1 << number).any()]
-        if others:
-            advice = f"there are some on {' and '.join(others)}: give --marker {others[0]}"
-        raise InputError(
-            f"{source.path} has 0 frame markers on marker input "
-            f"{acquisition.marker_bit.bit_length() - 1}; {advice}"
-        )
-    times_s = np.sort(times[wired] * source.tick_s)
-    try:
-        return align(times_s, manifest, len(acquisition.scenes), tolerance_s)
-    except InputError as error:
-        raise InputError(f"{source.path} has {len(times_s)} frame markers: {error}") from None
+@dataclass(frozen=True)
+class FrameStarts:
+    """Frames of a recording, as its markers say when they start."""
 
+    starts_s: np.ndarray  # (S, F): Seconds on the counter's clock
+    pictures_s: np.ndarray  # (F,): Picture times on the counter's clock
+    tolerance_s: float  # by how much a marker may be off
+    drift: float  # by how much passes last longer than planned, as a share: their median
 
-def align(
-    times_s: np.ndarray, manifest: Manifest, scenes: int, tolerance_s: float | None = None
-) -> FrameStarts:
-    """Frames that markers (n,) start; those of a pass that was begun after the last are left out.
+    @classmethod
+    def find(
+        cls,
+        source: PhotonSource,
+        acquisition: Acquisition,
+        manifest: Manifest,
+        tolerance_s: float | None = None,
+        *,
+        progress: Progress = SILENT,
+    ) -> Self:
+        """Frames of a recording by its markers."""
+        times, bits = read_markers(source, progress)
+        wired = bits & acquisition.marker_bit != 0
+        if not wired.any():
+            advice = "wire the device's trigger to the counter"
+            others = [str(number) for number in range(4) if (bits & 1 << number).any()]
+            if others:
+                advice = f"there are some on {' and '.join(others)}: give --marker {others[0]}"
+            raise InputError(
+                f"{source.header.path} has 0 frame markers on marker input "
+                f"{acquisition.marker_bit.bit_length() - 1}; {advice}"
+            )
+        times_s = np.sort(times[wired] * source.header.tick_s)
+        try:
+            return cls.of(times_s, manifest, len(acquisition.scenes), tolerance_s)
+        except InputError as error:
+            raise InputError(
+                f"{source.header.path} has {len(times_s)} frame markers: {error}"
+            ) from None
 
-    `InputError` unless each marker is where the schedule has it.
-    """
-    planned = manifest.picture_s
-    tolerance = manifest.usual_tolerance_s if tolerance_s is None else tolerance_s
-    most = 0.2 * float(planned.min())
-    if not 0 < tolerance <= most:
-        raise InputError(
-            f"a tolerance of {tolerance!r} s is not allowed: give more than 0, up to a fifth "
-            f"of the shortest frame ({time_text(most)})"
-        )
-    whole, begun = divmod(len(times_s), len(planned))
-    starts = times_s[: len(times_s) - begun].reshape(whole, len(planned))
-    pictures = planned
-    if not _follows(starts, planned, tolerance):
-        pictures = _as_measured(times_s, planned, tolerance)
-        if not _follows(starts, pictures, tolerance):
-            raise InputError(_first_departure(times_s, pictures, tolerance))
-    if whole != scenes:
-        raise InputError(
-            f"they are of {whole} whole passes, and there are {scenes} scenes: record again, or "
-            "keep the scenes that were recorded in acquisition.json"
-        )
-    drifts = np.ptp(starts, axis=1) / np.ptp(manifest.starts_s) - 1
-    return FrameStarts(starts, pictures, tolerance, drift=float(np.median(drifts)))
+    @classmethod
+    def of(
+        cls,
+        times_s: np.ndarray,
+        manifest: Manifest,
+        scenes: int,
+        tolerance_s: float | None = None,
+    ) -> Self:
+        """Frames that markers (n,) start, each where the schedule has it, or `InputError`."""
+        planned = manifest.picture_s
+        tolerance = manifest.usual_tolerance_s if tolerance_s is None else tolerance_s
+        most = 0.2 * float(planned.min())
+        if not 0 < tolerance <= most:
+            raise InputError(
+                f"a tolerance of {tolerance!r} s is not allowed: give more than 0, up to a fifth "
+                f"of the shortest frame ({time_text(most)})"
+            )
+        # A pass that was begun after the last one is left out
+        whole, begun = divmod(len(times_s), len(planned))
+        starts = times_s[: len(times_s) - begun].reshape(whole, len(planned))
+        pictures = planned
+        if not _follows(starts, planned, tolerance):
+            pictures = _as_measured(times_s, planned, tolerance)
+            if not _follows(starts, pictures, tolerance):
+                raise InputError(_first_departure(times_s, pictures, tolerance))
+        if whole != scenes:
+            raise InputError(
+                f"they are of {whole} whole passes, and there are {scenes} scenes: record again, "
+                "or keep the scenes that were recorded in acquisition.json"
+            )
+        drifts = np.ptp(starts, axis=1) / np.ptp(manifest.starts_s) - 1
+        return cls(starts, pictures, tolerance, drift=float(np.median(drifts)))
+
+    def count_in(
+        self,
+        source: PhotonSource,
+        sets: Sequence[Windows],
+        inputs: Sequence[int],
+        progress: Progress = SILENT,
+    ) -> list[WindowCounts]:
+        """Photons of the passes in sets of windows, all read at once.
+
+        Where two clocks and a marker's jitter make a window reach into the next of its set, it ends
+        there.
+        """
+        tick_s = source.header.tick_s
+        edges = []
+        for windows in sets:
+            opens_s = self.starts_s[:, windows.frame] + windows.offset_s
+            edges_s = np.stack([opens_s, opens_s + windows.length_s]).reshape(2, -1)
+            begins, ends = np.rint(edges_s / tick_s).astype(np.int64)
+            begins = np.minimum(np.minimum.accumulate(begins[::-1])[::-1], ends.max(initial=0))
+            ends[:-1] = np.minimum(ends[:-1], begins[1:])
+            edges.append(np.stack([begins, ends]))
+        every = np.concatenate(edges, axis=1)
+        # Windows of several sets overlap: photons are counted between all of their edges
+        unique, places = np.unique(every, return_inverse=True)
+        counts = count_windows(source, unique[:-1], unique[1:], inputs, progress=progress)
+        before = np.pad(np.cumsum(counts, axis=0), ((1, 0), (0, 0)))[places.reshape(every.shape)]
+        photons = before[1] - before[0]
+        out = []
+        for windows, (begins, ends) in zip(sets, edges, strict=True):
+            shape = len(self.starts_s), len(windows.frame)
+            open_s = ((ends - begins) * tick_s).reshape(shape)
+            out.append(WindowCounts(photons[: len(begins)].reshape(*shape, -1), open_s, windows))
+            photons = photons[len(begins) :]
+        return out
 
 
 def _follows(starts: np.ndarray, pictures: np.ndarray, tolerance: float) -> bool:
@@ -315,7 +281,7 @@ def _as_measured(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> n
 
     All frames are longer or shorter by a share of each, or by the same time, whichever fits better.
     """
-    # Frames in a row that are compared with the schedule, at most, and half of a pass
+    # Frames in a row that are compared with the schedule
     size = min(8, len(pictures) // 2)
     if len(times) <= size:
         return pictures

@@ -22,17 +22,21 @@ import numpy as np
 
 from deepfsi.base.models.strict import StrictModel
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.hardware.light.curves import (
+from deepfsi.hardware.light.flux import (
     CERTAIN_SIGMAS,
     EXCESS,
     FALSE_ALARMS,
+    HARMLESS,
+    HARMLESS_DARK,
     Arrivals,
+    Background,
     Curves,
+    Flux,
     LightCurve,
+    allowed_ratio,
     change_chance,
     excess_chance,
 )
-from deepfsi.hardware.light.flux import HARMLESS, HARMLESS_DARK, Background, Flux, allowed_ratio
 from deepfsi.hardware.patterns.manifest import Brightness, Manifest
 
 FaultKind = Literal[
@@ -63,7 +67,7 @@ class Fault(StrictModel):
         return self.words()
 
     def words(self, names: Sequence[str] = ()) -> str:
-        """The fault in one line, with the name of its scene among those of all."""
+        """The fault in one line, with the name of its scene."""
         where = []
         if self.scene is not None:
             where += [f" scene {self.scene}", *(f" {name}" for name in names[self.scene :][:1])]
@@ -217,7 +221,7 @@ def _find_level_changes(flux: Flux) -> list[Fault]:
 
 
 CHECKS = 4
-"""Checks of the light, of which each has a part of `FALSE_ALARMS`."""
+"""Checks of the light; each has a part of `FALSE_ALARMS`."""
 
 SPOILING = ("dark", "brighter", "unsteady", "flicker", "budget", "gain", "unsure", "unlike", "view")
 """Kinds of faults that leave a scene's counts without a meaning."""
@@ -381,7 +385,7 @@ def _nearest_mixture(
 
 
 NAMED_FRAMES = 5
-"""Frames that a fault lists at most."""
+"""Largest number of frames that a fault lists."""
 
 
 def _list_frames(which: np.ndarray) -> str:
@@ -394,7 +398,7 @@ def _list_frames(which: np.ndarray) -> str:
 
 
 NO_LIGHT = 0.01
-"""Chance at most by which a scene without light is taken for one with light, before its looks."""
+"""Largest chance that a scene without light is taken for one with light, before its looks."""
 
 
 class LightMonitor:

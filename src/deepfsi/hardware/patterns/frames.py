@@ -8,8 +8,8 @@ k, drawn anew for each cell of each frame.
 Bits are packed along rows, the leftmost mirror in the highest bit of a byte, ON as 1 unless the
 layout inverts them; each row begins a new byte.
 
-`FRAME_FORMATS` is the table of files. Another one is a class, as `_FrameFormat` describes, and its
-line in the table:
+`FRAME_FORMATS` is the table of files. Another one is a class with the methods of `_Pictures`, and
+its line in the table:
 
 npy    frames.npy, uint8 (frames, rows, bytes of a row)
 raw    frames.bin, the same bytes without the header, top row first
@@ -19,14 +19,12 @@ planes images/0000.bmp ..., 24 bits a pixel: each bit of a pixel is a mirror of 
 """
 
 import io
-import math
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -83,20 +81,7 @@ def _as_written(frame: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
 
 
 def unpack(frame: np.ndarray, device: Device) -> np.ndarray:
-    """Unpack a frame.
-
-    Parameters
-    ----------
-    frame
-        uint8 (rows, bytes of a row).
-    device
-        Device that it is for.
-
-    Returns
-    -------
-    numpy.ndarray
-        Mirrors, bool (rows, columns), True where the frame has a 1.
-    """
+    """Mirrors, bool (rows, columns), True where a packed frame (rows, bytes of a row) has a 1."""
     return np.unpackbits(frame, axis=1, count=device.columns).view(np.bool_)
 
 
@@ -136,7 +121,7 @@ def order_mirrors(height: int, width: int) -> np.ndarray:
 
 
 def _inside(down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Order of each mirror among those of its block; neighbouring blocks' are mirror images."""
+    """Order of each mirror in its block; neighbouring blocks are mirror images."""
     places = []
     for axis in (down, across):
         most = np.bincount(axis).max()
@@ -228,22 +213,6 @@ AGAIN = "export the patterns again"
 """Way on where a file of a folder is not what was exported."""
 
 
-class _FrameFormat(Protocol):
-    """Files of packed frames, written and read one frame at a time."""
-
-    def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
-        """Write so many frames, uint8 (rows, bytes of a row), as they come."""
-
-    def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """Read them back in their order."""
-
-    def size(self, total: int, device: Device) -> int:
-        """Bytes of so many frames; 0 if they are compressed."""
-
-    def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
-        """File of a frame, and the bit in it; None in a file of all frames."""
-
-
 @dataclass(frozen=True)
 class _OneFile:
     """All frames in one file, with the header of a numpy file or without."""
@@ -252,7 +221,7 @@ class _OneFile:
     header: bool
 
     def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
-        """As of `_FrameFormat`."""
+        """Write a number of packed frames as they come."""
         with (folder / self.name).open("wb") as stream:
             if self.header:
                 stream.write(npy_header("|u1", (total, *device.frame_shape)))
@@ -260,20 +229,20 @@ class _OneFile:
                 stream.write(frame.data)
 
     def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """As of `_FrameFormat`."""
-        kind = "|u1" if self.header else None
+        """Read the packed frames back in their order."""
+        path = folder / self.name
         shape = device.frame_shape
-        with open_array(folder / self.name, kind, (total, *shape)) as file:
+        header = npy_header("|u1", (total, *shape)) if self.header else b""
+        with open_regular(path, advice=AGAIN) as file:
+            size = os.fstat(file.fileno()).st_size - len(header)
+            if file.read(len(header)) != header or size != total * device.frame_bytes:
+                raise InputError(f"{path} does not hold the {total} frames of the export: {AGAIN}")
             for _ in range(total):
                 content = file.read(device.frame_bytes)
                 yield np.frombuffer(content, dtype=np.uint8).reshape(shape)
 
-    def size(self, total: int, device: Device) -> int:
-        """As of `_FrameFormat`, without the header."""
-        return total * device.frame_bytes
-
     def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
-        """As of `_FrameFormat`."""
+        """File of a frame; no bit, as it holds all frames."""
         return self.name, None
 
 
@@ -284,7 +253,7 @@ class _Pictures:
     ending: Literal["png", "bmp"]
 
     def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
-        """As of `_FrameFormat`."""
+        """Write a number of packed frames as they come."""
         from PIL import Image
 
         options = {"compress_level": 1} if self.ending == "png" else {}  # no larger
@@ -295,22 +264,14 @@ class _Pictures:
             _save_picture(picture, folder / name, **options)
 
     def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """As of `_FrameFormat`."""
+        """Read the packed frames back in their order."""
         for index in range(total):
             name, _ = self.location(index, total, device)
-            with _open_picture(folder / name, device, "1") as picture:
-                content = picture.tobytes()
+            content = _read_picture(folder / name, device, "1").tobytes()
             yield np.frombuffer(content, dtype=np.uint8).reshape(device.frame_shape)
 
-    def size(self, total: int, device: Device) -> int:
-        """As of `_FrameFormat`."""
-        if self.ending == "png":
-            return 0
-        # Bytes of a bitmap of one bit a pixel before its rows
-        return total * (62 + device.rows * 4 * math.ceil(device.columns / 32))
-
     def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
-        """As of `_FrameFormat`: names have as many digits as the last one needs."""
+        """File of a frame, numbered with as many digits as the last one, and the bit in it."""
         digits = max(4, len(str(total - 1)))
         return f"frames/{index:0{digits}d}.{self.ending}", 0
 
@@ -323,12 +284,12 @@ class _Planes:
     """
 
     def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
-        """As of `_FrameFormat`."""
+        """Write a number of packed frames as they come."""
         from PIL import Image
 
         (folder / "images").mkdir()
         for image, picture in enumerate(self.pictures(frames, total, device)):
-            _save_picture(Image.fromarray(picture), folder / self._file(image))
+            _save_picture(Image.fromarray(picture), folder / f"images/{image:04d}.bmp")
 
     def pictures(
         self, frames: Iterable[np.ndarray], total: int, device: Device
@@ -345,31 +306,17 @@ class _Planes:
                 picture = np.zeros_like(picture)
 
     def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """As of `_FrameFormat`."""
+        """Read the packed frames back in their order."""
         for index in range(total):
-            image, bit = self.position(index, total, device)
+            name, bit = self.location(index, total, device)
             if bit == 0:
-                path = folder / self._file(image)
-                with _open_picture(path, device, "RGB") as opened:
-                    picture = np.asarray(opened)
+                picture = np.asarray(_read_picture(folder / name, device, "RGB"))
             yield np.packbits(picture[..., self._channel(device, bit)] >> bit % 8 & 1, axis=1)
 
-    def size(self, total: int, device: Device) -> int:
-        """As of `_FrameFormat`, without headers."""
-        return math.ceil(total / device.packed_frames(total)) * 3 * device.rows * device.columns
-
-    def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
-        """As of `_FrameFormat`."""
-        image, bit = self.position(index, total, device)
-        return self._file(image), bit
-
-    def position(self, index: int, total: int, device: Device) -> tuple[int, int]:
-        """Number of the picture that holds a frame, and the bit position in it."""
-        return divmod(index, device.packed_frames(total))
-
-    @staticmethod
-    def _file(image: int) -> str:
-        return f"images/{image:04d}.bmp"
+    def location(self, index: int, total: int, device: Device) -> tuple[str, int]:
+        """File of a frame, and the bit position in it."""
+        image, bit = divmod(index, device.packed_frames(total))
+        return f"images/{image:04d}.bmp", bit
 
     @staticmethod
     def _channel(device: Device, bit: int) -> int:
@@ -382,7 +329,7 @@ Format = Literal["npy", "raw", "png", "bmp", "planes"]
 
 PLANES_FORMAT = _Planes()
 
-FRAME_FORMATS: dict[Format, _FrameFormat] = {
+FRAME_FORMATS: dict[Format, _OneFile | _Pictures | _Planes] = {
     "npy": _OneFile("frames.npy", header=True),
     "raw": _OneFile("frames.bin", header=False),
     "png": _Pictures("png"),
@@ -390,46 +337,6 @@ FRAME_FORMATS: dict[Format, _FrameFormat] = {
     "planes": PLANES_FORMAT,
 }
 """Files of frames by name."""
-
-
-@contextmanager
-def open_array(
-    path: Path, kind: str | None, shape: tuple[int, ...], first: int = 0
-) -> Iterator[IO[bytes]]:
-    """Open a file at the start of an array's data, certain that all of it is there."""
-    with _reading(str(path)), open_regular(path, advice=AGAIN) as file:
-        dtype = np.dtype(kind or "u1")
-        if kind is not None:
-            header = npy_header(kind, shape)
-            if file.read(len(header)) != header:
-                raise InputError(
-                    f"{path} is not a numpy file of {dtype} numbers of shape {shape}, as "
-                    f"manifest.json says: {AGAIN}"
-                )
-        wanted = dtype.itemsize * math.prod(shape)
-        size = os.fstat(file.fileno()).st_size - file.tell()
-        if size > wanted:
-            raise InputError(f"{path} has {size - wanted} bytes too many: {AGAIN}")
-        if size < wanted:
-            frame = first + size // (dtype.itemsize * math.prod(shape[1:]))
-            raise InputError(
-                f"{path} has {size} bytes of data, and manifest.json says {wanted}: it breaks "
-                f"off in frame {frame}; {AGAIN}"
-            )
-        yield file
-
-
-@contextmanager
-def _reading(name: str) -> Iterator[None]:
-    """Turn errors of reading a file into one `InputError`."""
-    try:
-        yield
-    except FileNotFoundError:
-        raise InputError(f"{name} is missing: {AGAIN}") from None
-    except InputError:
-        raise
-    except (OSError, SyntaxError, ValueError) as error:
-        raise InputError(f"{name} cannot be read ({error}): {AGAIN}") from None
 
 
 def _save_picture(picture: "Image", path: Path, **options: int) -> None:
@@ -441,19 +348,24 @@ def _save_picture(picture: "Image", path: Path, **options: int) -> None:
     path.write_bytes(file.getvalue())
 
 
-@contextmanager
-def _open_picture(path: Path, device: Device, mode: str) -> Iterator["Image"]:
-    """Open the picture of a frame, or of several, that has a device's size and this mode."""
+def _read_picture(path: Path, device: Device, mode: str) -> "Image":
+    """Picture of a frame, or of several, that has a device's size and this mode."""
     from PIL.BmpImagePlugin import BmpImageFile
     from PIL.PngImagePlugin import PngImageFile
 
     opener = PngImageFile if path.suffix == ".png" else BmpImageFile
-    opened = open_regular(path, 2**31, AGAIN)
-    with _reading(str(path)), opened as file, opener(file) as picture:
-        if picture.mode != mode or picture.size != (device.columns, device.rows):
-            depth = "one bit" if mode == "1" else "24 bits"
-            raise InputError(
-                f"{path} is a {picture.size[0]} x {picture.size[1]} {picture.format} of mode "
-                f"{picture.mode}, not {device.columns} x {device.rows} at {depth} a pixel: {AGAIN}"
-            )
-        yield picture
+    with open_regular(path, 2**31, AGAIN) as file:
+        try:
+            picture = opener(file)
+            fits = (picture.mode, picture.size) == (mode, (device.columns, device.rows))
+            if fits:
+                picture.load()
+        except (OSError, SyntaxError, ValueError) as error:
+            raise InputError(f"{path} cannot be read ({error}): {AGAIN}") from None
+    if not fits:
+        depth = "one bit" if mode == "1" else "24 bits"
+        raise InputError(
+            f"{path} is a {picture.size[0]} x {picture.size[1]} {picture.format} of mode "
+            f"{picture.mode}, not {device.columns} x {device.rows} at {depth} a pixel: {AGAIN}"
+        )
+    return picture

@@ -15,44 +15,28 @@ Each pass over the masks begins and ends with two *sentinel* frames, all mirrors
 all OFF.
 """
 
-import hashlib
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from importlib.metadata import version
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepfsi.base.errors import InputError, as_input_error, check_choice
+from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.models.strict import Amount, Count, Share, StrictModel
-from deepfsi.camera.detectors import DetectorMap, SeveralDetectors
+from deepfsi.base.quantities import time_text
+from deepfsi.camera.detectors import SeveralDetectors
 from deepfsi.camera.device import DEVICE_SOURCES, DEVICES, Device
 from deepfsi.camera.layout import DmdGrid, DmdLayout, find_grid
-from deepfsi.camera.names import LIGHT_LAWS, LightLawName, Readout, SummedReflectance
-from deepfsi.designfile.design_file import DesignFile
-from deepfsi.hardware.patterns.frames import Format, Selection, make_frame
-from deepfsi.jobs.designs import EVERY_PIXEL
+from deepfsi.camera.names import LIGHT_LAWS, Readout, SummedReflectance
+from deepfsi.hardware.patterns.frames import Format, Selection
 
 MOST_FRAMES = 2**20
-"""Frames of one pass at most, sentinels among them."""
+"""Largest number of frames of one pass, sentinels among them."""
 
 SENTINELS = 4
 """Frames of a pass that show no mask."""
-
-DESIGN_NAME = "design.safetensors"
-"""File beside a manifest: the design."""
-
-SMALLEST_STEP = float(np.finfo(np.float64).tiny)
-"""Step between grey levels, as a share of a pixel's photons, below which a rail is dark."""
-
-FINEST_PASS_US = 10**9
-"""Time of the masks' frames of a pass without a device, µs: long, so that their ratios stay."""
-
-LEAST_DIMMED = 0.999
-"""Share of a design's light that one device must show."""
 
 Role = Literal["mask", "on", "off"]
 """Content of a frame: a mask, or a sentinel of all mirrors ON or OFF."""
@@ -125,161 +109,6 @@ class LookPlan(StrictModel):
     # True if the frames of masks are all that looks may show: one each, by its index
     dictionary: bool = Field(False, exclude_if=lambda chosen: not chosen)
 
-    @property
-    def loads(self) -> bool:
-        """True where the mask of each look is loaded before it."""
-        return not self.dictionary
-
-
-@dataclass(frozen=True)
-class DesignRails:
-    """Rails of a design that are to be shown."""
-
-    rails: np.ndarray  # share of each pixel's photons, (2 or 1, m, N)
-    light: LightLawName
-    image_shape: tuple[int, ...]  # rows and columns of the masks, or values of a spectrum
-    summed_reflectance: float  # mean of the training scenes
-    file: bytes | None = None  # the design's file, which the folder then holds
-    brightness: Brightness | None = None  # by how much scenes differ from the mean
-    detectors: DetectorMap | None = None  # which see which cells, where there are several
-    readout: Readout = "difference"  # what the network reads of two rails
-    looks: LookPlan | None = None  # looks, where masks are chosen while the exposure runs
-
-    @classmethod
-    def of(cls, design: DesignFile, file: bytes) -> Self:
-        """Rails of a design file that was read, and its content."""
-        header = design.mask_header
-        if header.name in EVERY_PIXEL:
-            raise InputError(
-                "impulse imaging has a detector for each pixel: no one device can show it"
-            )
-        if header.exposure.no_frames:
-            raise InputError(header.exposure.no_frames)
-        detectors = None
-        with as_input_error(str(design.path)):
-            brightness = Brightness.of(header.info)
-            if design.detectors is not None:
-                detectors = DetectorMap.model_validate(
-                    {
-                        "count": design.detector_count,
-                        "cells": tuple(design.detectors.tolist()),
-                        **(header.info.get("detector_light") or {}),
-                    }
-                )
-        return cls(
-            rails=design.rails,
-            light=header.light,
-            image_shape=header.image_shape,
-            summed_reflectance=header.summed_reflectance,
-            file=file,
-            brightness=brightness,
-            detectors=detectors,
-            readout=header.readout,
-        )
-
-    def __post_init__(self) -> None:
-        rails = self.rails
-        pixels = math.prod(self.image_shape) or rails.shape[-1]  # `find_grid` refuses none
-        check_choice("light law", self.light, get_args(LightLawName))
-        if rails.shape != (self.rail_count, *rails.shape[1:2], pixels) or not rails.size:
-            raise InputError(
-                f"rails of shape {rails.shape} are not allowed: give (2 or 1, masks, {pixels})"
-            )
-        if self.two_arm and self.rail_count != 2:
-            raise InputError("two-arm with a single rail is not allowed: give both arms' rails")
-        if not np.isfinite(rails).all() or rails.min() < 0:
-            raise InputError(
-                "rails must be finite and 0 or more: give shares of each pixel's photons"
-            )
-        times = rails.sum(axis=0)
-        # Share of the exposure by which two arms' times may differ between pixels
-        if self.two_arm and np.ptp(times, axis=-1).max() * len(times) > 1e-4:
-            raise InputError("the two arms of a mask do not sum to one time for all of its pixels")
-        if not (math.isfinite(self.summed_reflectance) and self.summed_reflectance > 0):
-            raise InputError(
-                f"summed reflectance {self.summed_reflectance!r} is not allowed: give a number "
-                "above 0"
-            )
-
-    @property
-    def two_arm(self) -> bool:
-        """True where a second detector sees the mirrors that are OFF."""
-        return LIGHT_LAWS[self.light].arms == 2
-
-    @property
-    def rail_count(self) -> Literal[1, 2]:
-        """Number of rails: 2 of signed masks, or 1."""
-        return 2 if len(self.rails) == 2 else 1
-
-    def picture_s(self, device: Device, exposure_s: float | None) -> float:
-        """Mean picture time of a frame, seconds: what an exposure takes, or 1 ms without one."""
-        if exposure_s is None:
-            # Mean picture time of a frame where no exposure is given, seconds
-            return 1e-3
-        if self.looks is not None:  # a live run times the masks itself
-            # Time of an all-ON frame of several looks, as a share of the exposure: it measures
-            # their light
-            return max(0.1 * exposure_s, device.shortest_us * 1e-6)
-        frames = int((self.rails.max(axis=-1) > 0).sum())
-        # Time of pictures over what the gates of an exposure take: pictures are of whole
-        # microseconds
-        return 1.01 * exposure_s / frames + device.settle_us * 1e-6
-
-    def first_dwells(self, frames: "MaskFrames") -> np.ndarray:
-        """Shares of the exposure (f,) for which a fixed sequence, or a first look, shows frames."""
-        if self.looks is None:
-            return frames.shares
-        return np.array(self.looks.first)[[mask for mask, _ in frames.mask_rails]]
-
-
-@dataclass(frozen=True)
-class MaskFrames:
-    """Frames that show the rails of masks, mask by mask, dark rails left out."""
-
-    mask_rails: list[tuple[int, Rail]]  # mask and rail of each of f frames
-    peaks: np.ndarray
-    on: np.ndarray
-
-    @classmethod
-    def of(cls, design: DesignRails, mirrors: int) -> Self:
-        """Frames of a design, on cells of so many mirrors."""
-        rails, masks, pixels = design.rails.shape
-        mask_rails: list[tuple[int, Rail]] = []
-        peaks: list[float] = []
-        on = np.empty((rails * masks, pixels), dtype=np.uint32)
-        for mask in range(masks):
-            for rail, peak, level in _levels(design.rails[:, mask], design.light, mirrors):
-                if peak > mirrors * SMALLEST_STEP:
-                    on[len(mask_rails)] = np.rint(level)
-                    mask_rails.append((mask, rail))
-                    peaks.append(peak)
-        return cls(mask_rails, np.array(peaks), on[: len(mask_rails)])
-
-    @property
-    def dimmed(self) -> float:
-        """Factor to the peaks with which they sum to at most 1."""
-        return min(1.0, 1 / float(self.peaks.sum()))
-
-    @property
-    def shares(self) -> np.ndarray:
-        """Share of the exposure of each frame, shape (f,)."""
-        return np.minimum(self.peaks * self.dimmed, 1.0)
-
-
-def _levels(
-    mask: np.ndarray, light: LightLawName, mirrors: int
-) -> Iterator[tuple[Rail, float, np.ndarray]]:
-    """Rail, peak, and mirrors ON before rounding (N,), of each frame of a mask (2 or 1, N)."""
-    parts = mask.astype(np.float64)
-    if LIGHT_LAWS[light].arms == 2:
-        time = parts.sum(axis=0)
-        yield "both", time.max(), parts[0] / np.where(time > 0, time, 1.0) * mirrors
-        return
-    names: tuple[Rail, Rail] = ("plus", "minus")
-    for rail, part in zip(names, parts, strict=False):
-        step = max(part.max() / mirrors, SMALLEST_STEP)
-        yield rail, part.max(), part / step
-
 
 class Manifest(StrictModel):
     """A folder of patterns: device, frames in the order in which they are shown, provenance."""
@@ -318,27 +147,21 @@ class Manifest(StrictModel):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         rails = [(frame.mask, frame.rail) for frame in self.frames if frame.role == "mask"]
-        if len(set(rails)) < len(rails):
-            raise ValueError("a rail of a mask is shown twice")
-        if any(mask is not None and mask >= self.masks for mask, _ in rails):
-            raise ValueError("a frame shows a mask that does not exist")
-        if {rail for _, rail in rails} - ({"plus"} if self.rails == 1 else set(get_args(Rail))):
-            raise ValueError("a frame shows a rail that does not exist")
+        names = ("plus",) if self.rails == 1 else get_args(Rail)
+        known = {(mask, rail) for mask, rail in rails if rail in names and (mask or 0) < self.masks}
+        if len(known) < len(rails):
+            raise ValueError("frames show a rail twice, or one that the masks do not have")
         # Sum of the frames' shares of the exposure beyond 1 that rounding may leave
         if sum(frame.share for frame in self.frames) > 1 + 1e-4:
             raise ValueError("the frames' shares of the exposure sum to more than 1")
         check_choice("light law", self.light, LIGHT_LAWS)
         if self.two_arm != (LIGHT_LAWS[self.light].arms == 2) or not rails:
             raise ValueError(f"the rails are not those of {self.light}")
-        if self.looks and self.masks != len(self.looks.first):
-            raise ValueError("the first look has a dwell for other frames than the masks'")
-        if self.looks and self.looks.dictionary and len(rails) != self.masks:
-            raise ValueError("the masks of a dictionary have a frame each")
+        frames = len(rails) if self.looks and self.looks.dictionary else self.masks
+        if self.looks and not frames == self.masks == len(self.looks.first):
+            raise ValueError("the looks are at other frames than the masks'")
         if len(self.frames) * self.detector_count > MOST_FRAMES:
-            raise ValueError(
-                f"{len(self.frames)} frames of {self.detector_count} detectors are given, and at "
-                f"most {MOST_FRAMES} together are allowed"
-            )
+            raise ValueError(f"more than {MOST_FRAMES} frames and detectors together are given")
         cells = self.detectors and self.detectors.cells
         if cells and len(cells) != math.prod(self.image_shape):
             raise ValueError(f"{len(cells)} cells have a detector, and the masks have others")
@@ -426,11 +249,11 @@ class Manifest(StrictModel):
 
     @property
     def readouts(self) -> int:
-        """Numbers that an exposure counts at most, dark rails among them."""
+        """Numbers that an exposure counts, dark rails among them."""
         return self.detector_count * max(len(self.shown), self.rails * self.masks)
 
     def by_readout(self, frames: np.ndarray) -> np.ndarray:
-        """Numbers of readouts (..., rails, m[, D]) from those of masks' frames (..., f, inputs)."""
+        """Numbers of readouts (..., rails, m[, D]), from masks' frames (..., f, inputs)."""
         # 0 for a rail that is dark
         split = frames.reshape(*frames.shape[:-1], -1, self.detector_count)
         shape = (*frames.shape[:-2], self.rails, self.masks, self.detector_count)
@@ -447,7 +270,7 @@ class Manifest(StrictModel):
         return out
 
     def by_rail(self, inputs: np.ndarray) -> np.ndarray:
-        """Numbers (..., rails[, D]) of the inputs that read each rail, from those of all inputs."""
+        """Numbers (..., rails[, D]) of the inputs that read each rail, from all inputs."""
         # One arm reads both rails, of two each its own
         split = inputs.reshape(*inputs.shape[:-1], -1, self.detector_count)
         wide: Any = (*inputs.shape[:-1], self.rails, self.detector_count)
@@ -458,14 +281,8 @@ class Manifest(StrictModel):
         return np.append(off[: self.detector_count], on[self.detector_count :])
 
     @property
-    def companions(self) -> dict[str, str]:
-        """Files beside the manifest that say what was shown, by their hashes."""
-        return {} if self.design_sha256 is None else {DESIGN_NAME: self.design_sha256}
-
-    @property
     def usual_tolerance_s(self) -> float:
-        """By how much a frame's marker may be off unless another tolerance is given, seconds."""
-        # By how much a frame's marker may be off: 10 µs, or a tenth of the shortest frame
+        """Time by which a frame's marker may be off: 10 µs, or a tenth of the shortest frame."""
         return min(0.1 * float(self.picture_s.min()), 1e-5)
 
     def longest_exposure_s(self, settle_s: float) -> float:
@@ -473,20 +290,25 @@ class Manifest(StrictModel):
         room = (self.picture_s[self.shown] - settle_s) / self.shares
         return float(room.min())
 
-    def lit_frame(self, mask: np.ndarray) -> np.ndarray:
-        """Packed frame of a mask, bool (N,), whose cells have all mirrors ON or none."""
-        return make_frame(mask, self.device, self.grid)
+    def check_inputs(self, most: int, name: str) -> None:
+        """Raise `InputError` if a counter, or its files, have fewer inputs than are needed."""
+        if self.inputs > most:
+            raise InputError(
+                f"{name} has up to {most} inputs, and these patterns need {self.inputs}, one for "
+                "each detector: use a counter with more, or a design with fewer `detectors`"
+            )
 
     def check_limits(self) -> None:
         """Raise `InputError` unless the device can show all of the frames."""
         device = self.device
-        check_stored(device, len(self.frames), self.looks)
+        if device.patterns is not None and len(self.frames) > device.patterns:
+            raise InputError(self._too_many(device.patterns))
         if self.looks and self.looks.dictionary and device.video_us is not None:
             raise InputError(
                 f"masks of a dictionary are shown by their index, and {device.name} shows the "
                 "frames of a video in their order: use a device that stores frames, such as dlp7000"
             )
-        if self.looks and self.looks.loads and device.load_us is None:
+        if self.looks and not self.looks.dictionary and device.load_us is None:
             able = ", ".join(other.name for other in DEVICES.values() if other.load_us)
             raise InputError(
                 f"adaptive masks are loaded while the run goes on, and {device.name} takes no "
@@ -506,9 +328,25 @@ class Manifest(StrictModel):
                 "time: export the patterns for it again"
             )
 
+    def _too_many(self, held: int) -> str:
+        """Say that a controller holds fewer frames, and what to do."""
+        frames = len(self.frames)
+        larger = [
+            f"{other.name} ({other.patterns or 'as many as fit its memory'})"
+            for other in DEVICES.values()
+            if not other.video_us and (other.patterns is None or other.patterns >= frames)
+        ]
+        advice = "use fewer masks (of a scan: a smaller --size)"
+        if self.looks and self.looks.dictionary:
+            advice = f"learn the design with `dictionary` of {held - SENTINELS} at most"
+        return (
+            f"{frames} frames do not fit {self.device.name}, whose controller holds {held}: "
+            f"{advice}, or use a device that holds them, such as {', '.join(larger[:3])}"
+        )
+
     @property
     def departures(self) -> list[str]:
-        """Limits of the device that are wider than those of its documents, one line each."""
+        """Limits of the device that are wider than its documents say, one line each."""
         device = self.device
         documented = DEVICES.get(device.name)
         if documented is None or device.shortest_us >= documented.shortest_us:
@@ -519,95 +357,69 @@ class Manifest(StrictModel):
             f"{documented.shortest_us} ({source}): export without --shortest unless you know why"
         ]
 
+
+@dataclass(frozen=True)
+class GatePlan:
+    """Gates of the frames of a pass, as they are asked for, in seconds after each frame's start."""
+
+    settle_s: float  # time before the first gate of each frame
+    length_s: np.ndarray  # duration of a gate of each mask's frame, (f,): share times exposure
+    repeats: int  # R, gates that follow each other in every mask's frame
+    clicks: int = 0  # parts of each gate
+    click_width_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    click_exposures: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+
     @classmethod
     def of(
         cls,
-        design: DesignRails,
-        counted: MaskFrames,
-        *,
-        pictures_us: list[int],
-        sentinel_us: int,
-        hashes: list[str],
-        **settings: Any,
+        manifest: Manifest,
+        exposure_s: float,
+        settle_s: float | None = None,
+        repeats: int | None = None,
     ) -> Self:
-        """Frames of a design in their order, with a pair of sentinels before and after."""
-        ends = (
-            Frame(role="on", picture_us=sentinel_us, sha256=hashes[0]),
-            Frame(role="off", picture_us=sentinel_us, sha256=hashes[1]),
-        )
-        masks = (
-            Frame(role="mask", mask=mask, rail=rail, share=share, picture_us=us, sha256=digest)
-            for (mask, rail), share, us, digest in zip(
-                counted.mask_rails, counted.shares.tolist(), pictures_us, hashes[2:-2], strict=True
-            )
-        )
-        return cls(
-            deepfsi=version("deepfsi"),
-            image_shape=tuple(map(int, design.image_shape)),
-            masks=design.rails.shape[1],
-            rails=design.rail_count,
-            light=design.light,
-            dimmed=counted.dimmed,
-            summed_reflectance=float(design.summed_reflectance),
-            brightness=design.brightness,
-            detectors=design.detectors,
-            readout=design.readout,
-            looks=design.looks,
-            design_sha256=None if design.file is None else hashlib.sha256(design.file).hexdigest(),
-            mirrors_sha256=hash_mirrors(counted.on),
-            frames=(*ends, *masks, *ends),
-            **settings,
-        )
-
-    @classmethod
-    def from_design(cls, design: DesignRails) -> Self:
-        """Frames of a design in their usual order, on a device of one mirror a cell.
-
-        For counts of a design for which no device was chosen: a mask's frame lasts for its share of
-        the exposure, a sentinel for the mean of them.
-        """
-        # Grey levels of a cell, more than any device has, so that a rail is dark only where it is
-        # zero
-        counted = MaskFrames.of(design, 2**16)
-        if not counted.mask_rails or counted.dimmed < LEAST_DIMMED:
+        """Gates of an exposure."""
+        settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
+        if not (exposure_s > 0 and settle >= 0):
             raise InputError(
-                f"one device shows a {design.light} design only dimmed, or not at all: give the "
-                "folder of its patterns in place of its file"
+                f"an exposure of {exposure_s!r} s with {settle!r} s to settle is not allowed: give "
+                "more than 0, and 0 or more to settle"
             )
-        shape = design.image_shape
-        down, across = shape if len(shape) == 2 else (1, *shape)
-        pictures = [max(1, round(share * FINEST_PASS_US)) for share in counted.shares.tolist()]
-        return cls.of(
-            replace(design, looks=None),
-            counted,
-            pictures_us=pictures,
-            sentinel_us=math.ceil(FINEST_PASS_US * float(counted.shares.mean())),
-            hashes=["0" * 64] * (len(pictures) + SENTINELS),
-            device=Device(name="none", columns=across, rows=down, settle_us=0),
-            selection="ordered",
-            format="npy",
-        )
+        longest = manifest.longest_exposure_s(settle)
+        fit = int(np.floor(longest / exposure_s * (1 + 1e-9)))
+        if fit < 1:
+            raise InputError(
+                f"an exposure of {time_text(exposure_s)} does not fit these frames, whose mirrors "
+                f"take {time_text(settle)} to settle: give at most {time_text(max(longest, 0))}, "
+                "or export with a longer --exposure"
+            )
+        if repeats is not None and not 1 <= repeats <= fit:
+            raise InputError(f"{repeats} repeats do not fit: give 1 to {fit}")
+        return cls(settle, manifest.shares * exposure_s, repeats or fit)
 
+    def with_clicks(self, manifest: Manifest, number: int) -> Self:
+        """Gates that are each cut in a number of equal parts, in which a detector fires once."""
+        # An all-ON or all-OFF frame has as many parts of what settling and the usual tolerance of
+        # markers leave of it
+        left = manifest.picture_s - self.settle_s - manifest.usual_tolerance_s
+        width = left / number
+        width[manifest.shown] = self.length_s / number
+        exposures = np.ones(len(width), np.int64)
+        exposures[manifest.shown] = self.repeats
+        return replace(self, clicks=number, click_width_s=width, click_exposures=exposures)
 
-def check_stored(device: Device, frames: int, looks: LookPlan | None = None) -> None:
-    """Raise `InputError` if a controller does not hold as many frames, of such looks."""
-    if device.patterns is None or frames <= device.patterns:
-        return
-    larger = [
-        f"{other.name} ({other.patterns or 'as many as fit its memory'})"
-        for other in DEVICES.values()
-        if not other.video_us and (other.patterns is None or other.patterns >= frames)
-    ]
-    if looks is not None and looks.dictionary:
-        advice = f"learn the design with `dictionary` of {device.patterns - SENTINELS} at most"
-    else:
-        advice = "use fewer masks (of a scan: a smaller --size)"
-    raise InputError(
-        f"{frames} frames do not fit {device.name}, whose controller holds {device.patterns}: "
-        f"{advice}, or use a device that holds them, such as {', '.join(larger[:3])}"
-    )
+    @property
+    def starts_s(self) -> np.ndarray:
+        """Starts of the gates, shape (f, R)."""
+        return self.settle_s + self.length_s[:, None] * np.arange(self.repeats)
 
-
-def hash_mirrors(on: np.ndarray) -> str:
-    """Hash of mirror counts (f, N), as a manifest holds it."""
-    return hashlib.sha256(np.ascontiguousarray(on, "<u4").data).hexdigest()
+    def cost(self, manifest: Manifest) -> dict[str, float]:
+        """Shares of a pass in which no gate is open: sentinels, mirrors settling, and the rest."""
+        masks = float(manifest.picture_s[manifest.shown].sum())
+        settling = self.settle_s * len(manifest.shown)
+        idle = masks - settling - self.repeats * float(self.length_s.sum())
+        total = manifest.pass_s
+        return {
+            "sentinels": (total - masks) / total,
+            "settling": settling / total,
+            "idle": max(idle, 0.0) / total,
+        }

@@ -1,4 +1,4 @@
-"""PTU files of PicoQuant: their header, the types of their records, and a writer.
+"""PTU files of PicoQuant: their header, and their records, decoded as far as counting needs.
 
 A file is a header of tags and then records of 32 bits, as PicoQuant describes them:
 
@@ -10,53 +10,38 @@ A file is a header of tags and then records of 32 bits, as PicoQuant describes t
 import os
 import struct
 from collections.abc import Callable, Generator, Iterator
-from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import GrowingFile, open_atomically, open_regular
-from deepfsi.base.numeric.tables import TABLE_ENDINGS
+from deepfsi.base.files import open_regular
+
+RECORDS_IN_MEMORY = 2**19
+"""Records in memory at once."""
+
+RECORDS_IN_CACHE = 2**17
+"""Records scanned at once: they and what is made of them stay in the processor's cache."""
+
+LATEST_TICK = 2**61
+"""Latest time that is read, ticks."""
+
+EARLIEST_TICK = -(2**62)
+"""A time before all others, ticks."""
+
+RUNS_BACK = "a time before that of the record before"
+"""Fault of a record whose time is too early."""
 
 MAGIC = b"PQTTTR"
 """First bytes of a file."""
 
 LONGEST_HEADER = 2**22
-"""Bytes of a header, or of one tag, at most."""
-
-LATEST_WRITTEN_TICK = 2**55
-"""Latest time that is written, ticks."""
-
-EVENTS_IN_MEMORY = 2**18
-"""Events that are encoded at once."""
-
-MOST_WRAPS = 127
-"""Overflows that are written as one record at most: ptufile 2026.2 multiplies them in 32 bits."""
+"""Largest number of bytes of a header, or of one tag."""
 
 TICKS_S = (1e-15, 1.0)
 """Shortest and longest tick that is believed, seconds."""
-
-CONVERT = (
-    "convert it with the package phconvert (T3 mode), or a demo of PicoQuant's to columns of times "
-    "and channels, for `deepfsi camera import`"
-)
-NO_TIMES = "a histogram, which has no times of photons: record in T2 or T3 mode, as .ptu"
-
-FOREIGN = {
-    b"PQHISTO": f"is a file of PicoQuant with {NO_TIMES}",
-    b"PQRESLT": "is a file of results of PicoQuant, not of photons: give the .ptu file",
-    b"PicoHarp 300": f"is a file of a PicoHarp 300 in an older format (.pt2, .pt3): {CONVERT}",
-    b"HydraHarp": f"is a file of a HydraHarp in an older format (.ht2, .ht3): {CONVERT}",
-    b"TimeHarp": f"is a file of a TimeHarp in an older format (.t3r): {CONVERT}",
-    b"\x89HDF": "is an HDF5 file: if it is Photon-HDF5, give its times and channels to `write_ptu`",
-    b"SITT": "is a stream of a Swabian Time Tagger (.ttbin): read it with the class FileReader of "
-    "its package, save times and channels as two columns, and give these to `camera import`",
-}
-"""What else counters write, by the first bytes."""
 
 _VALUES: dict[int, Callable[[bytes], Any]] = {
     0xFFFF0008: lambda field: None,  # Empty8
@@ -186,71 +171,47 @@ class Header:
             return (f"{extra} bytes follow the {self.claimed} records that the header gives",)
         return ()
 
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> "Header":
+        """Read the header of a PTU file; raise `InputError` if it has none, or a damaged one."""
+        parser = cls.parse(path)
+        with open_regular(path, buffering=0) as file:
+            needed = next(parser)
+            while True:
+                try:
+                    needed = parser.send(file.read(needed))
+                except StopIteration as end:
+                    return replace(end.value, size=os.fstat(file.fileno()).st_size)
 
-HeaderParser = Generator[int, bytes, Header]
-"""Parser of a header: yields how many bytes it needs next, is sent them, and returns the header.
-
-Fewer than it needs are the end of the file.
-"""
-
-
-def read_header(path: str | os.PathLike[str]) -> Header:
-    """Read the header of a PTU file; raise `InputError` if it has none, or a damaged one."""
-    parser = parse_header(path)
-    with open_regular(path, buffering=0) as file:
-        needed = next(parser)
-        while True:
-            try:
-                needed = parser.send(file.read(needed))
-            except StopIteration as end:
-                return replace(end.value, size=os.fstat(file.fileno()).st_size)
-
-
-def parse_header(path: str | os.PathLike[str]) -> HeaderParser:
-    """Parse a header from bytes as they arrive, of a file of this name, as `read_header`."""
-    tags, offset = yield from _parse_tags(path)
-    code = _integer(tags, "TTResultFormat_TTTRRecType", path)
-    if code not in KINDS:
-        raise InputError(
-            f"{path} has records of unknown type {code:#010x}: the file is damaged or newer"
+    @classmethod
+    def parse(cls, path: str | os.PathLike[str]) -> Generator[int, bytes, "Header"]:
+        """Parse a header: yields how many bytes it needs, and is sent them, or fewer at the end."""
+        tags, offset = yield from _parse_tags(path)
+        code = _integer(tags, "TTResultFormat_TTTRRecType", path)
+        if code not in KINDS:
+            raise InputError(
+                f"{path} has records of unknown type {code:#010x}: the file is damaged or newer"
+            )
+        kind = KINDS[code]
+        if _integer(tags, "TTResultFormat_BitsPerRecord", path, 32) not in (0, 32):
+            raise InputError(f"{path} has records that are not of 32 bits")
+        if _integer(tags, "Measurement_Mode", path, int(kind.mode[1])) != int(kind.mode[1]):
+            raise InputError(
+                f"{path} has {kind.name} records but another measurement mode: it is damaged"
+            )
+        tick = tags.get("MeasDesc_GlobalResolution")
+        if not (isinstance(tick, float) and TICKS_S[0] <= tick <= TICKS_S[1]):
+            raise InputError(
+                f"{path} is damaged: its time resolution is {str(tick)[:40]}, not 1e-15 to 1 s"
+            )
+        return cls(
+            path=Path(path),
+            tags=tags,
+            kind=kind,
+            offset=offset,
+            tick_s=tick,
+            claimed=_integer(tags, "TTResult_NumberOfRecords", path, 0),
         )
-    kind = KINDS[code]
-    if _integer(tags, "TTResultFormat_BitsPerRecord", path, 32) not in (0, 32):
-        raise InputError(f"{path} has records that are not of 32 bits, and only those are known")
-    if _integer(tags, "Measurement_Mode", path, int(kind.mode[1])) != int(kind.mode[1]):
-        raise InputError(
-            f"{path} has {kind.name} records but another measurement mode: it is damaged"
-        )
-    tick = tags.get("MeasDesc_GlobalResolution")
-    if not (isinstance(tick, float) and TICKS_S[0] <= tick <= TICKS_S[1]):
-        raise InputError(
-            f"{path} is damaged: its time resolution is {str(tick)[:40]}, not 1e-15 to 1 s"
-        )
-    return Header(
-        path=Path(path),
-        tags=tags,
-        kind=kind,
-        offset=offset,
-        tick_s=tick,
-        claimed=_integer(tags, "TTResult_NumberOfRecords", path, 0),
-    )
-
-
-def refuse_foreign(path: Path) -> None:
-    """Raise `InputError` for a file of another counter, which no table of events is."""
-    if path.suffix.lower() in TABLE_ENDINGS or not path.is_file():
-        return
-    with open_regular(path) as file:
-        start = file.read(16)
-    if start.startswith(MAGIC):
-        raise InputError(f"{path} is a PTU file already: it needs no `camera import`")
-    if foreign := _foreign_file(start):
-        raise InputError(f"{path} {foreign}")
-
-
-def _foreign_file(start: bytes) -> str:
-    """Kind of a file that is no PTU file, and the way on; empty if nothing says it."""
-    return next((advice for begin, advice in FOREIGN.items() if start.startswith(begin)), "")
 
 
 def _parse_tags(
@@ -259,9 +220,10 @@ def _parse_tags(
     """Tags of a header by name, and its bytes."""
     start = yield 16
     if start[:8].rstrip(b"\0") != MAGIC:
-        if foreign := _foreign_file(start):
-            raise InputError(f"{path} {foreign}")
-        raise InputError(f"{path} is not a PTU file: it begins with {start[:8]!r}, not {MAGIC!r}")
+        raise InputError(
+            f"{path} is not a PTU file: it begins with {start[:8]!r}, not {MAGIC!r}; give times "
+            "and channels of other formats to `deepfsi camera import`, as two columns"
+        )
     tags: dict[str, Any] = {}
     offset = len(start)
     while True:
@@ -299,148 +261,235 @@ def _integer(
     return value
 
 
-class PtuWriter:
-    """Writer of a T2 file of type Generic, as a context manager.
+@dataclass(frozen=True)
+class _Runs:
+    """Photons between two specials; runs without any are left out."""
 
-    The file appears when the block ends. If the block fails there is none.
+    begin: np.ndarray  # (r,): index of the first photon among the records
+    end: np.ndarray  # (r,): index after the last
+    base: np.ndarray  # (r,): tick from which their time fields count
+    low: np.ndarray  # (r,): time of the first photon, ticks
+    high: np.ndarray  # (r,): time of the last
 
-    Parameters
-    ----------
-    path
-        File to write.
-    tick_s
-        Seconds of a tick, 1e-15 to 1.
-    growing
-        True for a file that is there from the start and is read while it is written.
 
-    Raises
-    ------
-    InputError
-        If the tick is out of range, or the file cannot be written.
+@dataclass
+class Part:
+    """Some records that follow each other, decoded as far as is needed to count."""
+
+    kind: Kind  # type of the records
+    words: np.ndarray  # records, uint32 (n,)
+    places: np.ndarray
+    times: np.ndarray
+    bits: np.ndarray
+    sync: np.ndarray
+    wraps: np.ndarray
+    runs: _Runs  # photons between the specials
+    reached: int  # tick before which no photon or sync event of later parts is
+    fault: str = ""  # what is wrong with the record that follows
+
+    @property
+    def markers(self) -> tuple[np.ndarray, np.ndarray]:
+        """Markers in their order: times in ticks, int64 (n,), and bits, uint8 (n,)."""
+        which = np.flatnonzero(self.bits)
+        return self.times[which], self.bits[which].astype(np.uint8)
+
+    def check(self, name: object) -> None:
+        """Raise `InputError`, in which the file has this name, if there is a fault."""
+        if self.fault:
+            raise InputError(f"{name} is damaged: {self.fault}; record again")
+
+    def find(self, edges: np.ndarray) -> np.ndarray:
+        """Places of the first photons at or after some times, none later than the last photon."""
+        run = np.searchsorted(self.runs.high, edges)
+        wanted = edges - self.runs.base[run]
+        low = self.runs.begin[run]
+        high = self.runs.end[run] - 1
+        for _ in range(int((high - low).max(initial=0)).bit_length()):
+            middle = (low + high) >> 1
+            later = self.words[middle] & self.kind.time_mask < wanted
+            low = np.where(later, middle + 1, low)
+            high = np.where(later, high, middle)
+        return low
+
+    def count(self, number: int, places: np.ndarray) -> tuple[np.ndarray, int]:
+        """Photons on an input before each of some places, and all of them."""
+        field = self.kind.first + number
+        counted = self.words < np.uint32(field + 1 << self.kind.shift)
+        if field:
+            counted &= self.words >= np.uint32(field << self.kind.shift)
+        total = int(np.count_nonzero(counted))
+        if total == len(self.words) - len(self.places):  # all photons
+            return places - np.searchsorted(self.places, places), total
+        if not (total and len(places)):
+            return np.zeros(len(places), np.int64), total
+        return np.searchsorted(np.flatnonzero(counted), places), total
+
+    @property
+    def totals(self) -> np.ndarray:
+        """Photons on each input that there can be, int64 (inputs,)."""
+        fields = self.kind.first + self.kind.inputs
+        channels = np.bincount(self.words >> self.kind.shift, minlength=fields)
+        return channels[self.kind.first : fields]
+
+    def photons(self, number: int) -> np.ndarray:
+        """Times of the photons on an input, int64 (n,)."""
+        lengths = self.runs.end - self.runs.begin
+        skipped = self.runs.begin - (np.cumsum(lengths) - lengths)
+        words = self.words[np.repeat(skipped, lengths) + np.arange(lengths.sum())]
+        times = np.repeat(self.runs.base, lengths) + (words & np.uint32(self.kind.time_mask))
+        return times[words >> np.uint32(self.kind.shift) == self.kind.first + number]
+
+
+class Decoder:
+    """Decoder of records that come in blocks, which may be of any length.
+
+    Where a record is damaged, the part ends before it with a `fault`, and no more can be decoded.
     """
 
-    record_type: ClassVar[str] = GENERIC_T2.name
-    inputs: ClassVar[int] = GENERIC_T2.inputs
+    def __init__(self, kind: Kind, tick_s: float, ordered: bool = True) -> None:
+        self._kind = kind
+        self._ordered = ordered
+        self._slack = marker_slack(tick_s)
+        self._records = 0
+        self._wraps = 0  # overflows so far
+        self._latest = 0  # time of the last photon or sync event
+        self._after = 0  # the same, or earliest time that may follow a marker if that was last
 
-    def __init__(
-        self, path: str | os.PathLike[str], tick_s: float = 1e-12, *, growing: bool = False
-    ) -> None:
-        if not TICKS_S[0] <= tick_s <= TICKS_S[1]:
-            raise InputError(f"a tick of {tick_s!r} s is not allowed: give 1e-15 to 1")
-        self._path = path
-        self._tick_s = float(tick_s)
-        self._growing = growing
-        self._records = self._latest = self._wraps = 0
+    def parts(self, words: np.ndarray) -> Iterator[Part]:
+        """Decode records, uint32 (n,), that follow those before, and hold on to them.
 
-    def __enter__(self) -> Self:
-        self._opened = self._open()
-        return self._opened.__enter__()
-
-    def __exit__(self, *error: Any) -> None:
-        self._opened.__exit__(*error)
-
-    @contextmanager
-    def _open(self) -> Iterator[Self]:
-        """Open the file; the header is written again at the end, with the number of records."""
-        opened: AbstractContextManager[BinaryIO | GrowingFile] = (
-            GrowingFile(self._path) if self._growing else open_atomically(self._path)
-        )
-        with opened as self._file:
-            self._file.write(self._header())
-            try:
-                yield self
-            finally:
-                self._file.seek(0)
-                self._file.write(self._header())
-
-    def write(self, times: np.ndarray, codes: np.ndarray) -> None:
-        """Append events.
-
-        Parameters
-        ----------
-        times
-            Ticks, integers (n,), from 0 to 2^55. They rise over all calls; equal ones are allowed.
-        codes
-            What each event is, integers (n,): 0 to 63 are a photon on that input, 0 for input 1;
-            -1 to -15 are a marker with the bits of the negative.
-
-        Raises
-        ------
-        InputError
-            If times run back or codes mean nothing.
+        No part follows one with a `fault`.
         """
-        times = np.asarray(times)
-        codes = np.asarray(codes)
-        if times.ndim != 1 or times.shape != codes.shape:
-            raise InputError(f"{times.shape} times and {codes.shape} codes: give one for each")
-        for numbers in (times, codes):
-            if numbers.dtype.kind not in "iu":
-                raise InputError(
-                    f"times and codes of {numbers.dtype} are not allowed: give integers"
-                )
-        for start in range(0, len(times), EVENTS_IN_MEMORY):
-            stop = start + EVENTS_IN_MEMORY
-            self._append(times[start:stop], codes[start:stop])
+        for start in range(0, len(words), RECORDS_IN_MEMORY):
+            part = self._decode(words[start : start + RECORDS_IN_MEMORY])
+            yield part
+            if part.fault:
+                return
 
-    def _append(self, times: np.ndarray, codes: np.ndarray) -> None:
-        """Append at most `EVENTS_IN_MEMORY` events."""
-        if int(times[0]) < self._latest or (times[1:] < times[:-1]).any():
-            raise InputError("times run back: give events in order, none before 0")
-        if int(times[-1]) > LATEST_WRITTEN_TICK:
-            raise InputError(f"time {times[-1]} is not allowed: give at most {LATEST_WRITTEN_TICK}")
-        if int(codes.min()) < -15 or int(codes.max()) > 63:
-            raise InputError("codes are 0 to 63 for photons and -1 to -15 for markers")
-        times = times.astype(np.int64)
-        codes = codes.astype(np.int64)
-        marker = 1 << 31 | -codes << GENERIC_T2.shift
-        words = np.where(codes < 0, marker, codes << GENERIC_T2.shift)
-        words |= times & GENERIC_T2.time_mask
+    def _decode(self, words: np.ndarray) -> Part:
+        """Decode records up to the first that is damaged."""
+        kind = self._kind
+        places, back = _scan(kind, words, self._ordered)
+        wraps, bits, sync, values = _specials(kind, words[places].astype(np.int64))
+        damages = [(places[~((wraps > 0) | (bits > 0) | sync)], "no known meaning")]
 
-        # before an event that needs them, overflow records that stand for at most `MOST_WRAPS` each
-        wraps = times >> GENERIC_T2.time_bits
-        steps = np.diff(wraps, prepend=self._wraps)
-        late = np.flatnonzero(steps)
-        copies = -(-steps[late] // MOST_WRAPS)
-        counts = np.full(int(copies.sum()), MOST_WRAPS)
-        counts[np.cumsum(copies) - 1] = steps[late] - (copies - 1) * MOST_WRAPS
-        overflows = 1 << 31 | 63 << GENERIC_T2.shift | counts
-        words = np.insert(words, np.repeat(late, copies), overflows)
+        total = self._wraps + np.cumsum(wraps)
+        damages.append(
+            (places[total > LATEST_TICK // kind.wrap], f"a time beyond {LATEST_TICK} ticks")
+        )
+        bases = kind.wrap * np.minimum(np.append(self._wraps, total), LATEST_TICK // kind.wrap)
+        times = bases[1:] + values
 
-        self._file.write(words.astype("<u4").tobytes())
+        runs = _Runs(*np.zeros((5, 0), np.int64))
+        latest = after = 0
+        if self._ordered:
+            runs = _find_runs(words, places, bases, kind.time_mask)
+            exact = _merge(
+                (runs.begin, runs.low, runs.high), (places[sync], times[sync], times[sync])
+            )
+            marked = times[bits > 0]
+            loose = _merge(exact, (places[bits > 0], marked + self._slack, marked - self._slack))
+            late, latest = _follow(exact, self._latest)
+            later, after = _follow(loose, self._after)
+            damages += [(back, RUNS_BACK), (late, RUNS_BACK), (later, RUNS_BACK)]
+
+        starts = [(int(where[0]), how) for where, how in damages if len(where)]
+        if starts:
+            first, how = min(starts)
+            part = self._decode(words[:first])
+            part.fault = f"record {self._records + 1} has {how}"
+            return part
         self._records += len(words)
-        self._latest = int(times[-1])
-        self._wraps = int(wraps[-1])
-
-    def _header(self) -> bytes:
-        """Header, with the number of records so far."""
-        tags: dict[str, str | int | float | None] = {
-            "CreatorSW_Name": "deepfsi",
-            "CreatorSW_Version": version("deepfsi"),
-            "Measurement_Mode": 2,
-            "Measurement_SubMode": 1,
-            "TTResultFormat_TTTRRecType": GENERIC_T2.code,
-            "TTResultFormat_BitsPerRecord": 32,
-            "MeasDesc_GlobalResolution": self._tick_s,
-            "TTResult_NumberOfRecords": self._records,
-            "Header_End": None,
-        }
-        return struct.pack("<8s8s", MAGIC, b"1.0.00") + b"".join(
-            _encode_tag(name, value) for name, value in tags.items()
+        self._wraps = int(bases[-1]) // kind.wrap
+        self._latest = latest
+        self._after = after
+        return Part(
+            kind=kind,
+            words=words,
+            places=places,
+            times=times,
+            bits=bits,
+            sync=sync,
+            wraps=wraps,
+            runs=runs,
+            reached=max(int(bases[-1]), latest, after),
         )
 
 
-def _encode_tag(name: str, value: str | int | float | None) -> bytes:
-    """Encode one tag, without an index."""
+def marker_slack(tick_s: float) -> int:
+    """Ticks by which a marker may stand too early or too late among photons: 1 µs, or one tick."""
+    return round(max(1e-6, tick_s) / tick_s)
 
-    def tag(code: int, field: bytes, content: bytes = b"") -> bytes:
-        return struct.pack("<32siI8s", name.encode("ascii"), -1, code, field) + content
 
-    if isinstance(value, str):
-        content = value.encode("windows-1252") + b"\0"
-        content += bytes(-len(content) % 8)
-        return tag(0x4001FFFF, struct.pack("<q", len(content)), content)
-    if isinstance(value, float):
-        return tag(0x20000008, struct.pack("<d", value))
-    if isinstance(value, int):
-        return tag(0x10000008, struct.pack("<q", value))
-    return tag(0xFFFF0008, bytes(8))
+def _find_runs(words: np.ndarray, places: np.ndarray, bases: np.ndarray, mask: int) -> _Runs:
+    """Photons between specials at some places, whose times count from `bases`."""
+    begin = np.append(0, places + 1)
+    end = np.append(places, len(words))
+    full = begin < end
+    begin = begin[full]
+    end = end[full]
+    base = bases[full]
+    low = base + (words[begin] & mask)
+    high = base + (words[end - 1] & mask)
+    return _Runs(begin=begin, end=end, base=base, low=low, high=high)
+
+
+def _scan(kind: Kind, words: np.ndarray, ordered: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the specials, and of photons earlier than a photon right before them."""
+    # The latter are not looked for unless `ordered`
+    specials = [np.zeros(0, np.int64)]
+    backs = [np.zeros(0, np.int64)]
+    for start in range(0, len(words), RECORDS_IN_CACHE):
+        block = words[start : start + RECORDS_IN_CACHE + 1]  # and the first of the next
+        special = block >= np.uint32(kind.first + kind.inputs << kind.shift)
+        if kind.first:
+            special |= block < np.uint32(kind.first << kind.shift)
+        specials.append(np.flatnonzero(special[:RECORDS_IN_CACHE]) + start)
+        if not ordered:
+            continue
+        times = block & np.uint32(kind.time_mask)
+        back = (times[1:] < times[:-1]) > (special[1:] | special[:-1])
+        if back.any():
+            backs.append(np.flatnonzero(back) + start + 1)
+    return np.concatenate(specials), np.concatenate(backs)
+
+
+_Events = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Places of photons and other events among the records, first times and last times."""
+
+
+def _merge(one: _Events, other: _Events) -> _Events:
+    """Join events in the order of records."""
+    if not len(other[0]):
+        return one
+    places, lows, highs = (np.concatenate(pair) for pair in zip(one, other, strict=True))
+    order = np.argsort(places, kind="stable")
+    return places[order], lows[order], highs[order]
+
+
+def _follow(events: _Events, latest: int) -> tuple[np.ndarray, int]:
+    """Places of events that begin before the one before has ended, and the end of the last."""
+    places, lows, highs = events
+    ends = np.append(latest, highs)
+    return places[lows < ends[:-1]], int(ends[-1])
+
+
+def _specials(
+    kind: Kind, words: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Overflows, marker bits, sync events (bool) and times of records that are special."""
+    # All but the times are 0 of a record that has no meaning
+    times = words & kind.time_mask
+    codes = words >> kind.shift
+    if kind in (PICOHARP_T2, PICOHARP_T3):
+        valid = codes == 15
+        bits = words & 15 if kind.mode == "T2" else words >> kind.time_bits & 0xFFF
+        wraps = (valid & (bits == 0)).astype(np.int64)
+        sync = np.zeros(len(words), bool)
+    else:
+        codes = codes & 63
+        valid = codes != 63
+        bits = codes
+        wraps = np.where(valid, 0, np.maximum(times, 1) if kind.counted else 1)
+        sync = (codes == 0) & (kind.mode == "T2")
+    return wraps, np.where(valid & (bits < 16), bits, 0), sync, times

@@ -14,7 +14,6 @@ them more coarsely.
 """
 
 import os
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self
@@ -26,69 +25,34 @@ from deepfsi.base.files import open_regular
 from deepfsi.base.models.strict import StrictModel
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.quantities import Table, time_text
-from deepfsi.hardware.photons import records
-from deepfsi.hardware.photons.ptu import GENERIC_T2, Header, parse_header, read_header
-from deepfsi.hardware.photons.records import EARLIEST_TICK, LATEST_TICK, Decoder, Part
+from deepfsi.hardware.photons import ptu
+from deepfsi.hardware.photons.ptu import (
+    EARLIEST_TICK,
+    GENERIC_T2,
+    LATEST_TICK,
+    Decoder,
+    Header,
+    Part,
+)
 
 MOST_PHOTONS = 2**27
-"""Photons whose times are held at once, at most."""
+"""Largest number of photons whose times are held at once."""
 
 MOST_MARKERS = 2**24
-"""Markers of a file at most."""
+"""Largest number of markers of a file."""
 
 
-class PhotonSource(ABC):
-    """Source of photons and markers with their times: a file, or a stream that grows."""
-
-    header: Header  # header of a PTU file, which other makes' files become when they are imported
-
-    @property
-    def path(self) -> Path:
-        """File, or a name for a stream: messages say it."""
-        return self.header.path
-
-    @property
-    def record_type(self) -> str:
-        """Device and mode in words."""
-        return self.header.kind.name
-
-    @property
-    def tick_s(self) -> float:
-        """Seconds of a tick."""
-        return self.header.tick_s
-
-    @property
-    def inputs(self) -> int:
-        """Number of inputs that there can be; they count from 0."""
-        return self.header.kind.inputs
-
-    @property
-    def problems(self) -> tuple[str, ...]:
-        """Reasons why the recording may be incomplete."""
-        return self.header.problems
-
-    @abstractmethod
-    def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:
-        """Give the records, in parts that follow each other; none follows one with a `fault`."""
-
-
-class PtuFile(PhotonSource):
-    """PTU file that is there as a whole, or as far as it was recorded.
-
-    Raises
-    ------
-    InputError
-        If it is no PTU file, or its header is damaged.
-    """
+class PtuFile:
+    """PTU file that is there as a whole, or as far as it was recorded."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.header = read_header(path)
+        self.header = Header.read(path)
 
     def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:
-        """Give the records, as `PhotonSource` says. A part is valid until the next one."""
+        """Give the records in parts, each valid until the next; none follows one with a `fault`."""
         header = self.header
         decoder = Decoder(header.kind, header.tick_s, ordered)
-        buffer = np.empty(records.RECORDS_IN_MEMORY, "<u4")
+        buffer = np.empty(ptu.RECORDS_IN_MEMORY, "<u4")
         with open_regular(header.path, buffering=0) as file:
             file.seek(header.offset)
             for start in range(0, header.records, len(buffer)):
@@ -104,16 +68,16 @@ class PtuFile(PhotonSource):
                 progress((start + len(words)) / header.records)
 
 
-class PtuStream(PhotonSource):
+class PtuStream:
     """PTU file whose bytes arrive in any cuts: from a pipe, or a file that grows.
 
-    The header's parser and the records' decoder are those of whole files, so that a stream is read
-    as the file that it becomes, whatever its cuts. Memory is that of the bytes given at once. Facts
-    of the header are there when it has `begun`.
+    Its `header` is there when it has `begun`.
     """
 
+    header: Header
+
     def __init__(self, name: str | os.PathLike[str] = "the stream") -> None:
-        self._parser = parse_header(name)
+        self._parser = Header.parse(name)
         self._needed = next(self._parser)
         self._rest = bytearray()  # bytes of the header, or of a record that is not complete
         self._records_left = 0
@@ -152,11 +116,9 @@ class PtuStream(PhotonSource):
         self._arrived.append(view)
 
     def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:
-        """Give the records that ended with the bytes that came since the last call.
+        """Give the records that ended with the bytes that came since the last call, in order.
 
-        As of a file, none follows a part with a `fault`, and what follows the records that the
-        header gives is not read. A part holds on to the bytes. How much is to come is not known,
-        and whether it is in order is always looked at, so `progress` and `ordered` change nothing.
+        What follows the records that the header gives is not read. A part holds on to the bytes.
         """
         while self._arrived and self._decoder:
             view = self._arrived.pop(0)
@@ -176,6 +138,7 @@ class PtuStream(PhotonSource):
         self._decoder = Decoder(header.kind, header.tick_s)
 
 
+PhotonSource = PtuFile | PtuStream
 Photons = PhotonSource | str | os.PathLike[str]
 """A source, or the path of a PTU file."""
 
@@ -247,7 +210,8 @@ def summarise(photons: Photons, progress: Progress = SILENT) -> PtuSummary:
         If it is no PTU file, or its header is damaged.
     """
     source = _as_source(photons)
-    inputs = np.zeros(source.inputs, np.int64)
+    header = source.header
+    inputs = np.zeros(header.kind.inputs, np.int64)
     markers = np.zeros(16, np.int64)
     records_read = overflows = syncs = 0
     first = LATEST_TICK
@@ -267,8 +231,8 @@ def summarise(photons: Photons, progress: Progress = SILENT) -> PtuSummary:
             faults = (part.fault,)
     bits = {bit: int(markers[np.arange(16) & bit != 0].sum()) for bit in (1, 2, 4, 8)}
     return PtuSummary(
-        kind=source.record_type,
-        tick_s=source.tick_s,
+        kind=header.kind.name,
+        tick_s=header.tick_s,
         records=records_read,
         photons={number: int(n) for number, n in enumerate(inputs) if n},
         markers={bit: n for bit, n in bits.items() if n},
@@ -276,16 +240,15 @@ def summarise(photons: Photons, progress: Progress = SILENT) -> PtuSummary:
         syncs=syncs,
         first=first if last >= 0 else None,
         last=last if last >= 0 else None,
-        span_s=max(last, 0) * source.tick_s,
-        problems=source.problems + faults,
+        span_s=max(last, 0) * header.tick_s,
+        problems=header.problems + faults,
     )
 
 
 def read_markers(photons: Photons, progress: Progress = SILENT) -> tuple[np.ndarray, np.ndarray]:
     """Read the markers of a file, in its order.
 
-    Those of a file that is cut are given as far as it goes: its `problems` say so. Whether times
-    run back is not looked at here.
+    A file that is cut gives its markers as far as it goes. Whether times run back is not looked at.
 
     Parameters
     ----------
@@ -311,14 +274,15 @@ def read_markers(photons: Photons, progress: Progress = SILENT) -> tuple[np.ndar
     bits = [np.zeros(0, np.uint8)]
     total = 0
     for part in source.parts(progress, ordered=False):
-        part.check(source.path)
+        part.check(source.header.path)
         ticks, which = part.markers
         times.append(ticks)
         bits.append(which)
         total += len(ticks)
         if total > MOST_MARKERS:
             raise InputError(
-                f"{source.path} has more than {MOST_MARKERS} markers; give one for each frame"
+                f"{source.header.path} has more than {MOST_MARKERS} markers: give one for each "
+                "frame"
             )
     return np.concatenate(times), np.concatenate(bits)
 
@@ -332,15 +296,16 @@ def read_photons(
     times = [np.zeros(0, np.int64)]
     reached = total = 0
     for part in source.parts(progress):
-        part.check(source.path)
+        part.check(source.header.path)
         times.append(part.photons(number))
         reached = part.reached
         total += len(times[-1])
         if total > MOST_PHOTONS:
             raise InputError(
-                f"{source.path} has more than {MOST_PHOTONS} photons: give a shorter record"
+                f"{source.header.path} has more than {MOST_PHOTONS} photons: give a shorter record"
             )
-    return np.concatenate(times) * source.tick_s, reached * source.tick_s
+    tick_s = source.header.tick_s
+    return np.concatenate(times) * tick_s, reached * tick_s
 
 
 def count_windows(
@@ -378,7 +343,7 @@ def count_windows(
     counter = WindowCounter(source, inputs)
     counter.expect(starts, stops)
     for part in source.parts(progress):
-        part.check(source.path)
+        part.check(source.header.path)
         counter.add(part)
     return counter.finish()
 
@@ -409,8 +374,8 @@ class WindowCounter:
             )
         if edges[0] <= self._latest:
             raise InputError(
-                f"{self._source.path} holds photons up to {self._latest}, and a gate begins at "
-                f"{edges[0]}: tell gates before they begin"
+                f"{self._source.header.path} holds photons up to {self._latest}, and a gate begins "
+                f"at {edges[0]}: tell gates before they begin"
             )
         self._edges = every
         unknown = np.zeros((len(edges), len(self._inputs)), np.int64)
@@ -445,11 +410,11 @@ class WindowCounter:
 
     def finish(self) -> np.ndarray:
         """Give the counts of all windows since the last call: no more records come."""
-        problems = self._source.problems
+        problems = self._source.header.problems
         if problems and len(self._edges) and self._edges[-1] > self._reached:
             raise InputError(
-                f"{self._source.path} may lack records ({problems[0]}) and holds times up to "
-                f"{self._reached}, but gates end at {self._edges[-1]}: count only gates that end "
+                f"{self._source.header.path} may lack records ({problems[0]}) and holds times up "
+                f"to {self._reached}, but gates end at {self._edges[-1]}: count gates that end "
                 "before"
             )
         self._before[self._done :] = self._total
@@ -457,30 +422,12 @@ class WindowCounter:
         return self.take()
 
 
-def cut_windows(starts: np.ndarray, stops: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
-    """Cut windows into equal parts.
-
-    Parameters
-    ----------
-    starts, stops
-        Ticks, integers (windows,).
-    parts
-        Parts of each window.
-
-    Returns
-    -------
-    starts, stops
-        Whole ticks, integers (windows · parts,), window by window.
-    """
-    edges = starts[:, None] + (stops - starts)[:, None] * np.arange(parts + 1) // parts
-    return edges[:, :-1].ravel(), edges[:, 1:].ravel()
-
-
 def _check_inputs(source: PhotonSource, numbers: Sequence[int]) -> None:
     """Raise `InputError` unless a source has inputs of these numbers, from 0."""
+    kind = source.header.kind
     for number in numbers:
-        if not 0 <= number < source.inputs:
+        if not 0 <= number < kind.inputs:
             raise InputError(
-                f"input {number}, counted from 0, is not one of {source.record_type}: give 0 to "
-                f"{source.inputs - 1} (--input 1 to {source.inputs})"
+                f"input {number}, counted from 0, is not one of {kind.name}: give 0 to "
+                f"{kind.inputs - 1} (--input 1 to {kind.inputs})"
             )
