@@ -15,7 +15,7 @@ import argparse
 import numpy as np
 from scipy import stats
 
-from deepfsi.base.numeric.intervals import accuracy_interval, paired_difference, student
+from deepfsi.base.numeric.intervals import accuracy_interval, mean_of_trials, paired_difference
 
 IMAGES, SEEDS, RATES, SPREADS = (24, 100, 1000), (1, 3, 5), (0.6, 0.9, 0.98), (0.1, 0.3)
 IMAGE, BOTH, DRAWS = 1.5, 0.5, 3
@@ -54,7 +54,7 @@ def main() -> None:
                         _, low, high = accuracy_interval(one)
                         held += low <= rate <= high
                         if seeds > 1:
-                            low, high = student(one.mean(axis=1).tolist())
+                            low, high = mean_of_trials(one.mean(axis=1).tolist()).interval()
                             alone += low <= rate <= high
                         apart = paired_difference(one, other)
                         told += apart.low > 0 or apart.high < 0

@@ -103,7 +103,7 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("importlib.metadata").version("deepfsi")
     if name not in _HOMES:
         raise AttributeError(f"module 'deepfsi' has no attribute {name!r}")
-    from deepfsi.base.plugins import require_extras
+    from deepfsi.base.registry import require_extras
 
     with require_extras():
         return getattr(importlib.import_module(f"deepfsi.{_HOMES[name]}"), name)

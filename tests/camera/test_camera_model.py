@@ -44,7 +44,7 @@ def test_a_camera_comes_back_from_json(given):
     [
         ("dmd-3x3", "did you mean 'dmd-2x2'|'dmd-4x4'"),
         (5, "a camera cannot be 5: give a preset's name, a TOML file or its fields"),
-        ({"ligth": "column"}, "unknown key 'ligth': did you mean 'light'"),
+        ({"ligth": "column"}, "no such setting: did you mean 'light'"),
         ({"device": "no.toml"}, "device = 'no.toml': no.toml is missing"),
         ({"shortest_dwell": "2s", "exposure": 1}, "exposure = 1: .*give a longer exposure"),
         ({"dark": 3, "noise": saturating}, "shared.noises:saturating noise has no dark counts"),

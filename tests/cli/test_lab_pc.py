@@ -8,7 +8,7 @@ import sys
 import pytest
 
 import deepfsi
-from deepfsi.base import plugins
+from deepfsi.base import registry
 from golden.facts import file_of
 from shared import lab_pc
 
@@ -42,7 +42,7 @@ def test_a_lab_s_computer_shows_and_counts_without_torch(tmp_path):
     )
     exits = [line for line in done.stdout.splitlines() if line.startswith("exit ")]
     assert exits == [*(f"exit 0: {line}" for line in COMMANDS), f"exit 2: {DECIDED}"], done.stderr
-    assert f"deepfsi: {plugins.TORCH_MISSING}" in done.stderr.splitlines()
+    assert f"deepfsi: {registry.TORCH_MISSING}" in done.stderr.splitlines()
 
 
 def test_python_says_what_to_install_where_torch_is_missing(monkeypatch):

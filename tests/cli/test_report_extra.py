@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from deepfsi.base import plugins
+from deepfsi.base import registry
 from shared import lab_pc
 
 HIDE = f"""
@@ -39,5 +39,5 @@ def test_learning_and_testing_draw_nothing_and_what_draws_says_what_to_install(t
     codes = {**dict.fromkeys(COMMANDS, 0), **dict.fromkeys(DRAWING, 2)}
     assert exits == [f"exit {code}: {line}" for line, code in codes.items()], done.stderr
     said = [line for line in done.stderr.splitlines() if line.startswith("deepfsi: ")]
-    assert said == [f"deepfsi: {plugins.REPORT_MISSING}"] * len(DRAWING)
+    assert said == [f"deepfsi: {registry.REPORT_MISSING}"] * len(DRAWING)
     assert {path.name for path in tmp_path.iterdir()} == {"b.safetensors", "frames"}

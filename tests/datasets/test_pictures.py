@@ -124,20 +124,6 @@ def test_floating_images_are_reflectance(images):
     not_loaded(source, "to 2.5", "rescale")
 
 
-def test_what_was_done_to_images_is_said(images):
-    save_images(images / "cat", [np.full((6, 8, colours), 90, np.uint8) for colours in (3, 4)])
-    pages = list(map(Image.fromarray, flat(9, 3)))
-    pages[0].save(images / "dog" / "001.tif", save_all=True, append_images=pages[1:])
-    said = load_dataset(images).preprocessing
-    for part in (
-        "21 images of 6x8 pixels",
-        "2 in colour, turned to grey",
-        "1 with transparency, left out",
-        "1 the first of several in a file",
-    ):
-        assert part in said
-
-
 def test_all_damaged_images_are_named_at_once(images):
     bad = [images / "cat" / "003.png", images / "dog" / "001.png", images / "dog" / "002.png"]
     for path, content in zip(bad, (b"", b"no image", bad[2].read_bytes()[:60]), strict=True):
@@ -203,22 +189,6 @@ def test_a_zip_file_is_like_its_folder(images, tmp_path, spell, method):
     assert sorted(tmp_path.iterdir()) == sorted([images, path]), "never unpacked"
 
 
-@pytest.mark.filterwarnings("ignore:Duplicate name")
-@pytest.mark.parametrize(
-    ("name", "part"),
-    [
-        *((name, ascii(name)) for name in ("/cat/0.png", "../cat/0.png", "cat/../../0.png")),
-        *((name, ascii(name)) for name in ("C:/cat/0.png", "cat/a\nb.png", "/")),
-        ("cat/000.png", "cat/000.png twice"),
-    ],
-)
-def test_a_zip_file_with_a_trick_in_a_name(images, tmp_path, name, part):
-    path = pack(images, tmp_path / "a.zip")
-    with zipfile.ZipFile(path, "a") as file:
-        file.writestr(name, (images / "cat" / "000.png").read_bytes())
-    not_loaded(path, str(path), part)
-
-
 def test_a_zip_file_with_a_damaged_entry(images, tmp_path):
     path = pack(images, tmp_path / "a.zip")
     whole = path.read_bytes()
@@ -237,14 +207,6 @@ def beside(name):
     return copy
 
 
-def renamed(cat, dog):
-    def rename(folder):
-        (folder / "cat").rename(folder / cat)
-        (folder / "dog").rename(folder / dog)
-
-    return rename
-
-
 def as_it_is(folder): ...
 
 
@@ -254,12 +216,10 @@ BAD_FOLDERS = {
     "a class of few": (
         lambda f: save_images(f / "eel", flat(20, 2)), {}, ("class 'eel' has 2 scenes",)
     ),
-    "classes of one name": (renamed("cat", "Cat"), {}, ("'Cat' and 'cat' differ in case",)),
     "an image beside": (beside("000.png"), {}, ("in no folder of a class", "(000.png)", "move")),
     "an image below": (
         beside("cat/night/000.JPG"), {}, ("in no folder of a class", "(cat/night/000.JPG)")
     ),
-    "parts alone": (renamed("train", "test"), {}, ("name no classes", "into train and test")),
     "sizes": (
         lambda f: save_images(f / "cat", np.full((1, 3, 3), 40, np.uint8)), {},
         ("000.png is 3x3", "001.png is 6x8", "size"),
@@ -275,7 +235,7 @@ BAD_FOLDERS = {
     "a number of images": (
         as_it_is, {"images": 10}, ("10 training images", "own train and test folders")
     ),
-    "a split": (as_it_is, {"split": "blocks"}, ("a split was given", "hyperspectral")),
+    "a split": (as_it_is, {"split": "blocks"}, ("takes no `split`",)),
     **{
         f"size {size}": (as_it_is, {"size": size}, (f"size {size}", "at least 1"))
         for size in (0, -3, (4, 0), (4,), (4, 4, 4))
@@ -299,7 +259,7 @@ def test_parts_may_have_capitals_and_others_are_named(split):
     (split / "notes").mkdir()
     assert load_dataset(split).hash == whole.hash
     shutil.copytree(split / "Test", split / "val")
-    not_loaded(split, "outside of Test and Train", "val/")
+    not_loaded(split, "outside of train and test", "val/")
 
 
 ACUTE = "caf\u00e9"
@@ -357,20 +317,20 @@ def test_a_table_of_file_names_and_labels(images, tmp_path):
         assert load_dataset(path, size=(3, 2)).image_shape == (3, 2)
     path.write_text("\ufeff" + path.read_text().replace(",", ";"))  # as Excel writes it in Europe
     assert load_dataset(path).hash == whole.hash
-    not_loaded(path, "only a folder, a zip file, CIFAR-10 or MNIST", images=5)
+    not_loaded(path, "takes no `images`", images=5)
 
 
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        ("", ("names no image", "its file name and its label")),
-        ("a.jp2,cat\n", ("line 1", "'a.jp2, cat'", "is not an image and its label")),
-        (",file,label\n0,pets/cat/000.png,cat\n", ("line 2", "column of file names first")),
-        ('pets/cat/000.png,"cat\n', ("line 1", "unexpected end")),
-        ("pets/cat/000.png,cat\npets/cat/001.png,\n", ("line 2", "is not an image")),
+        ("", ("give each image all its cells", "its file name and its label")),
+        ("a.jp2,cat\n", ("names a.jp2, no image",)),
+        ("0,pets/cat/000.png,cat\n1,x,dog", ("names 1, no image",)),
+        ("pets/cat/000.png,cat\npets/cat/001.png,\n", ("all its cells",)),
         ("pets/cat/000.png,cat\nx.png,cat\ny.png,dog\n", ("2 images that are not there", "x.png")),
         ("pets/cat/000.png,cat\npets/cat/000.png,dog\n", ("cat/000.png twice",)),
-        ("\0", ("not text in UTF-8",)),
+        ("pets/cat/000.png,1,2\npets/cat/001.png,3,far\n", ("2 columns", "is no number")),
+        ("\0", ("no text in UTF-8",)),
     ],
 )
 def test_a_bad_table_of_file_names_and_labels(images, tmp_path, text, parts):
@@ -402,76 +362,28 @@ def test_numbers_with_a_point_and_several_numbers_are_values(
 @pytest.mark.parametrize(("separator", "end"), [(",", "\n"), (";", "\r\n"), ("\t", "\r")])
 def test_a_list_is_the_same_from_every_program(images, tmp_path, encoding, separator, end):
     (images / "dog").rename(images / "köter")
-    path = listed(images, tmp_path / "mine.csv", heading="file,label,")
+    path = listed(images, tmp_path / "mine.csv", heading="file,label")
     whole = load_dataset(path)
     assert whole.classes == ("cat", "köter")
     rows = path.read_text("utf-8").replace("/", "\\").replace(",", separator).split("\n")
-    rows = [f"sep={separator}", *rows[:3], "", *(row and row + separator for row in rows[3:])]
-    rows[1:4] = [rows[1], *(row + separator for row in rows[2:4])]
-    path.write_bytes(end.join(rows).encode(encoding))
+    path.write_bytes(end.join([*rows[:3], "", *rows[3:]]).encode(encoding))
     assert load_dataset(path).hash == whole.hash
 
 
 @pytest.mark.parametrize(
     ("labels", "classes"),
     [
-        (("1_0", "1_1"), ("1_0", "1_1")),
-        (("\uff11", "\uff12"), ("\uff11", "\uff12")),  # digits of other scripts
         (("+1", "-1"), ("+1", "-1")),
         (("0x10", "0x11"), ("0x10", "0x11")),
-        (("nan", "inf"), ("inf", "nan")),
         (("cafe\u0301", "tea "), ("caf\u00e9", "tea")),
-        (("a", "A"), ("A", "a")),  # letters to be read
-        ((' "a, b"', '"c\nd"'), ("a, b", "c d")),
+        (('"a, b"', '"c\nd"'), ("a, b", "c\nd")),
     ],
 )
-def test_whole_numbers_and_words_that_python_takes_for_numbers_are_classes(
-    images, tmp_path, labels, classes
-):
+def test_whole_numbers_and_words_are_classes(images, tmp_path, labels, classes):
     data = load_dataset(listed(images, tmp_path / "q.csv", labels))
     assert (data.classes, data.values) == (classes, ())
 
 
-@pytest.mark.parametrize(
-    ("cells", "said"),
-    [
-        (("1.0", "2.0"), "if they are classes, write one column of words or of numbers"),
-        (("cat", "Cat"), "'Cat' and 'cat' differ in case"),
-        (("cat", "cat."), "or a dot alone"),
-        (("a", "a\u200b"), "differ in"),
-        (("0,1", "1,0"), "a single 1 in each row, as of classes in one-hot form"),
-        (("0.5", "NA"), "no finite number ('NA')"),
-        (lambda k: ["1.5", "far" if k == 3 else "2"], "no finite number ('far')"),
-        (lambda k: ["1.5"] * (1 if k == 4 else 2), "line 6"),
-        (lambda k: [f"{k % 3}.0"], "whole numbers written as floats (0, 1, 2)"),
-    ],
-)
-def test_labels_that_mislead_and_lines_that_differ_are_refused(images, tmp_path, cells, said):
-    not_loaded(listed(images, tmp_path / "q.csv", cells, "file,label"), "q", said)
-
-
-@pytest.mark.parametrize("separator", [";", "\t"])
-def test_decimal_commas_are_read_where_commas_part_no_cells(images, tmp_path, separator):
-    path = listed(images, tmp_path / "q.csv", lambda k: [f"{k}.5"])
-    points = load_dataset(path)
-    path.write_text(path.read_text().replace(",", separator).replace(".5", ",5"))
-    assert load_dataset(path).hash == points.hash
-
-
-def test_a_comma_that_may_part_thousands_is_no_point(images, tmp_path):
-    path = listed(images, tmp_path / "q.csv", ("1:234", "2:234"))
-    path.write_text(path.read_text().replace(",", ";").replace(":", ","))
-    assert load_dataset(path).classes == ("1,234", "2,234")
-
-
-def test_a_list_finds_files_in_the_other_spelling_and_case(images, tmp_path):
-    (images / "cat").rename(images / "cafe\u0301")
-    path = listed(images, tmp_path / "q.csv")
-    whole, text = load_dataset(path), path.read_text("utf-8")
-    for spelt in (unicodedata.normalize("NFC", text), text.replace(".png", ".PNG")):
-        path.write_text(spelt, "utf-8")
-        assert load_dataset(path).hash == whole.hash
-    for name in ("X.png", "x.png"):
-        (images / "dog" / name).write_bytes(b"")
-    path.write_text("pets/dog/X.PNG,dog\n")
-    not_loaded(path, "1 images that are not there")
+def test_classes_that_are_written_as_numbers_are_refused(images, tmp_path):
+    path = listed(images, tmp_path / "q.csv", ("1.0", "2.0"), "file,label")
+    not_loaded(path, "if they are classes, give integers")

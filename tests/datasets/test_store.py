@@ -122,36 +122,10 @@ def test_deepfsi_data_comes_first_and_needs_the_folder(server, tmp_path, monkeyp
     assert not server.requests
 
 
-def test_a_damaged_file_in_deepfsi_data(server, tmp_path, monkeypatch):
+def test_a_damaged_file_in_deepfsi_data_is_downloaded_again(server, tmp_path, monkeypatch):
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
+    fill(tmp_path / "first")
     fill(tmp_path / "mnist", **{FILES[1]: idx_file(LABELS[1:21])})
-    not_loaded("mnist", str(tmp_path / "mnist" / FILES[1]), "sha256", "original")
+    assert_tiny(load_dataset("mnist"))
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path / "mistyped"))
     not_loaded("mnist", "DEEPFSI_DATA", "mistyped", "no folder")
-
-
-def test_an_array_is_kept_and_made_again_where_it_cannot_be_or_is_another(tmp_path):
-    """A cache that cannot be written, or holds another array, or none."""
-    made, array = [], np.arange(6.0)
-
-    def make():
-        made.append(1)
-        return array
-
-    expected = catalog.hash_array(array)
-    assert expected != catalog.hash_array(array.reshape(2, 3))
-    (tmp_path / "file").write_text("in the way of a folder")
-    np.save(tmp_path / "another.npy", array + 1)
-    (tmp_path / "none.npy").write_bytes(b"no array")
-    for name, digest, times in (
-        ("file/a.npy", expected, 2),
-        ("b.npy", "other", 2),
-        ("c.npy", expected, 1),
-        ("another.npy", expected, 1),
-        ("none.npy", expected, 1),
-    ):
-        made.clear()
-        for _ in range(2):
-            assert np.array_equal(catalog.kept_array(tmp_path / name, digest, make), array)
-        assert len(made) == times
-    assert not (tmp_path / "b.npy").exists()

@@ -79,10 +79,13 @@ BAD = {
     "text.mat": (lambda path: save(path, {"a": "b"}), "but none"),
     "complex.mat": (lambda path: save(path, {"a": np.eye(2) * 1j}), "complex"),
     "cut.mat": (lambda path: save_cut(path, TWO, 150), "save it again"),
-    "new.mat": (lambda path: path.write_bytes(NEW), "-v7"),
+    "new.mat": (lambda path: path.write_bytes(NEW), "save it again"),
     "junk.png": (lambda path: path.write_bytes(b"no image"), "cannot read the image"),
     # decoding it would start another program
-    "postscript.png": (lambda path: Image.new("L", (8, 6)).save(path, format="EPS"), "no image"),
+    "postscript.png": (
+        lambda path: Image.new("L", (8, 6)).save(path, format="EPS"),
+        "identify",
+    ),
     "deep.tif": (lambda path: Image.new("I", (2, 2)).save(path), "32 bits"),
     "empty": (lambda path: path.mkdir(), "no images in"),
     "mixed": (

@@ -14,9 +14,6 @@ from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.indian_pines import measures
 from shared.results import of_three, some_results
 
-NM = np.linspace(400, 2500, 220)
-NM[31:34] = NM[33:30:-1]  # where two spectrometers overlap the table does not rise
-
 
 def label_map():
     """Sixteen classes in four small fields each, in a scene of Indian Pines' size."""
@@ -36,9 +33,6 @@ def make_home(root, patch):
     scene = catalog.DATASETS["indian-pines"]
     for stem, values in ((scene.CUBE, cube), (scene.LABELS, label_map())):
         np.save(folder / f"{stem}.npy", values)
-        patch.setitem(scene.hashes, stem, catalog.values_hash(values))
-    rows = [f"{nm:.6f}\t9.78\t0.92\t0.5\t{i + 2}" for i, nm in enumerate(NM)]
-    (folder / "92AV3C.spc").write_text("\n".join(["FILE x", "------", *rows]) + "\n")
 
 
 @pytest.fixture(scope="module")

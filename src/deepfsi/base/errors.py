@@ -5,17 +5,11 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
     from pydantic_core import ErrorDetails
-
-OLDEST_VERSION = "0.2.0"
-"""Version of the first package whose files are read."""
-
-MOST_SCHEMAS = 10**6
-"""Numbers of a schema are below this."""
 
 LONGEST_GIVEN = 120
 """Characters of what was given that a message repeats, at most."""
@@ -78,32 +72,15 @@ def check_choice(what: str, name: str, known: Iterable[str]) -> None:
 
 
 def other_version(content: str | bytes, schema: int, again: str = "make it again") -> str:
-    """Say that an older or a newer package wrote a file, as its JSON has it, and what to do."""
-    from importlib.metadata import version
-
+    """Say that another version of deepfsi wrote a file, as its JSON has it, and what to do."""
     try:
         facts = json.loads(content)
-        written = facts.get("deepfsi") or facts.get("provenance", {}).get("deepfsi")
         number = facts.get("schema", facts.get("schema_version", schema))
     except (ValueError, AttributeError, RecursionError):
         return ""
-    release = _release(written)
-    who = f"deepfsi {written}" if release else "a deepfsi"
-    if type(number) is not int or not 0 < number < MOST_SCHEMAS:
-        number = schema
-    if number != schema:
-        who += f" with schema {number}"
-    if (release and release < _release(OLDEST_VERSION)) or number < schema:
-        return f"was written by {who}, older than the files that are read: {again}"
-    if release > _release(version("deepfsi")) or number > schema:
-        return f"was written by {who}, newer than this one: upgrade deepfsi"
-    return ""
-
-
-def _release(version: object) -> tuple[int, ...]:
-    """Numbers of a version, such as 0, 2, 0; none of what is no version."""
-    found = re.match(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})(?!\d)", str(version))
-    return tuple(map(int, found.groups())) if found else ()
+    if number == schema:
+        return ""
+    return f"has schema {number}, and this deepfsi reads schema {schema}: {again}, or upgrade"
 
 
 @contextmanager
@@ -189,7 +166,7 @@ def _words(fault: "ErrorDetails", model: str) -> str:
     if isinstance(error, InputError):
         return error.message
     if fault["type"] == "extra_forbidden":
-        names = _field_names(model, fault["loc"][:-1])
+        names = _field_names(model) if len(fault["loc"]) == 1 else []
         advice = closest_choice(str(fault["loc"][-1]), names) if names else "leave it out"
         return f"there is no such setting: {advice}"
     if fault["type"] == "literal_error":
@@ -204,30 +181,16 @@ def _words(fault: "ErrorDetails", model: str) -> str:
     return f"{fault['msg'][0].lower()}{fault['msg'][1:]}".removeprefix("value error, ")
 
 
-def _field_names(model: str, place: tuple[int | str, ...]) -> list[str]:
-    """Fields of a model of that name, or at a place in it; none if several models have it."""
+def _field_names(model: str) -> list[str]:
+    """Fields of a model of that name; none if several models have it."""
     from pydantic import BaseModel
 
     models = [each for each in _subclasses(BaseModel) if each.__name__ == model]
-    if len(models) > 1:
-        return []
-    for step in place:  # a number, in a list, and the tag of a union lead to no other model
-        annotations = [
-            each.model_fields[step].annotation for each in models if step in each.model_fields
-        ]
-        models = [found for each in annotations for found in _models_of(each)] or models
-    return [field.alias or name for each in models for name, field in each.model_fields.items()]
+    fields = models[0].model_fields if len(models) == 1 else {}
+    return [field.alias or name for name, field in fields.items()]
 
 
 def _subclasses(kind: type["BaseModel"]) -> Iterator[type["BaseModel"]]:
     for each in kind.__subclasses__():
         yield each
         yield from _subclasses(each)
-
-
-def _models_of(annotation: Any) -> Iterator[type["BaseModel"]]:
-    """Models that an annotation names."""
-    if hasattr(annotation, "model_fields"):
-        yield annotation
-    for part in get_args(annotation):
-        yield from _models_of(part)

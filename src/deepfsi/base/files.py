@@ -3,9 +3,9 @@
 Every reader opens files by `open_regular`: regular ones alone, up to its own limit. What unpacks
 to far more than the file is refused by `check_unpacked`.
 
-What is being written is a draft beside its target, `.NAME.OWNER.draft`, which takes the target's
-place when it is whole. A killed process leaves its draft behind; the next one that writes to the
-folder removes it.
+What is being written is a draft beside its target, `.NAME.TOKEN.draft`, which takes the target's
+place when it is whole. A killed process leaves its draft behind; a later one that writes to the
+folder removes it after a day.
 """
 
 import codecs
@@ -17,55 +17,19 @@ import stat
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.locks import PROCESS_PATTERN, parse_process, this_process
-
-BYTE_ORDER_MARKS = {
-    codecs.BOM_UTF8: "utf-8",
-    codecs.BOM_UTF32_LE: "utf-32-le",  # begins like that of UTF-16
-    codecs.BOM_UTF32_BE: "utf-32-be",
-    codecs.BOM_UTF16_LE: "utf-16-le",
-    codecs.BOM_UTF16_BE: "utf-16-be",
-}
-"""Encodings of text that begins with a byte order mark."""
-
-KINDS_OF_CONTENT = {
-    b"PK\x03\x04": "a zip file (such as .npz, .xlsx or .pt)",
-    b"\x93NUMPY": "a NumPy array (.npy)",
-    b"MATLAB ": "MATLAB variables (.mat)",
-    b"\x89HDF": "an HDF5 file",
-    b"PAR1": "a Parquet table",
-    b"\x1f\x8b": "a gzip file",
-    b"BZh": "a bzip2 file",
-    b"\xfd7zXZ": "an xz file",
-    b"7z\xbc\xaf": "a 7z file",
-    b"Rar!": "a RAR file",
-    b"\xd0\xcf\x11\xe0": "an old Office document (such as .xls)",
-    b"%PDF": "a PDF",
-    b"\x89PNG": "a PNG picture",
-    b"\xff\xd8\xff": "a JPEG picture",
-    b"GIF8": "a GIF picture",
-    b"BM": "a BMP picture",
-    b"II*\0": "a TIFF picture",
-    b"MM\0*": "a TIFF picture",
-    b"SIMPLE  =": "a FITS file",
-    b"PQTTTR": "a PTU file of photons",
-    b"version https://git-lfs": "a pointer of Git LFS, not the file itself (git lfs pull)",
-    b"ENVI": "an ENVI header",
-}
-"""Kinds of files by their first bytes."""
 
 DESIGN_ENDINGS = (".safetensors",)
 """Ends of the names of design files."""
 
 DRAFT_SECONDS = 86400.0
-"""Age from which a draft of another host is left over: its process cannot be asked for."""
+"""Age from which a draft is left over: its process was killed."""
 
 
 WINDOWS_ENCODING = "cp1252"
@@ -77,8 +41,8 @@ LARGEST_TOML = 2**18
 MOST_DOTS = 500
 """Dots of a key of a TOML file at most: to read a key takes time in the square of its parts."""
 
-LONGEST_NAME = 255
-"""Bytes of a file's name at most."""
+LONGEST_NAME = 50
+"""Letters of a file's name that its draft has at most."""
 
 UNPACKED_SPARE = 2**24
 """Values, or bytes, that any file may unpack to."""
@@ -122,44 +86,20 @@ def read_regular(path: str | os.PathLike[str], largest: int, advice: str) -> byt
         return file.read()
 
 
-def content_of(path: str | os.PathLike[str]) -> str:
-    """Kind of what a file holds, whatever its name says, as a part of a message."""
-    with open_regular(path) as file:
-        return kind_of_content(file.read(512))
-
-
-def kind_of_content(head: bytes) -> str:
-    """Kind of content that begins with these bytes, as a part of a message."""
-    if not head:
-        return "nothing"
-    kind = next((kind for start, kind in KINDS_OF_CONTENT.items() if head.startswith(start)), "")
-    if not kind and re.match(rb"(\xef\xbb\xbf)?\s*<(!doctype|html|\?xml)", head, re.IGNORECASE):
-        kind = "a web page (a download that failed?)"
-    printable = bytes({*range(32, 256), *b"\t\r\n\f"})
-    return kind or ("data of an unknown kind" if head.translate(None, printable) else "text")
-
-
-def read_text(
-    path: str | os.PathLike[str], largest: int, advice: str, other: str | None = None
-) -> str:
+def read_text(path: str | os.PathLike[str], largest: int, advice: str, other: str = "ascii") -> str:
     """Text of a file of any editor, its lines ended by line feeds alone.
 
-    A byte order mark says which of UTF-8, UTF-16 and UTF-32 it is. Text without one is UTF-8.
+    Text without the byte order mark of UTF-16 is UTF-8, or else of the `other` encoding.
     """
     content = read_regular(path, largest, advice)
-    found = next((mark for mark in BYTE_ORDER_MARKS if content.startswith(mark)), b"")
-    encoding = BYTE_ORDER_MARKS.get(found, "utf-8")
-    try:
-        text = content[len(found) :].decode(encoding)
-    except UnicodeDecodeError:
-        try:
-            text = content.decode("ascii" if found or other is None else other)
-        except UnicodeDecodeError:
-            text = "\0"
+    marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    text = "\0"
+    for encoding in ("utf-16",) if marked else ("utf-8-sig", other):
+        with suppress(UnicodeDecodeError):
+            text = content.decode(encoding)
+            break
     if "\0" in text:
-        kind = content_of(path)
-        what = "text of another encoding" if kind in ("text", "data of an unknown kind") else kind
-        raise InputError(f"{path} holds {what}, not text in UTF-8: {advice}")
+        raise InputError(f"{path} holds no text in UTF-8: {advice}")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -327,41 +267,20 @@ def _beside(path: Path, target: Path) -> bool:
     return target.parent in path.parents or path in target.parents
 
 
-def remove_drafts(folder: Path) -> None:
-    """Remove the drafts in a folder that processes left which are gone."""
-    import shutil
-
-    if not folder.is_dir():
-        return
-    with os.scandir(folder) as entries:
-        drafts = [entry for entry in entries if entry.name.endswith(".draft")]
-    for entry in drafts:
-        found = re.fullmatch(rf"\..*\.({PROCESS_PATTERN})\.draft", entry.name)
-        owner = parse_process(found[1]) if found else None
-        if owner and (owner.is_gone if owner.is_here else _age(entry) > DRAFT_SECONDS):
-            if entry.is_dir(follow_symlinks=False):
-                shutil.rmtree(entry.path, ignore_errors=True)
-            else:
-                Path(entry.path).unlink(missing_ok=True)
-
-
 def _draft(target: Path) -> Path:
-    """Place for what is to become `target`; its folder is made, and cleared of old drafts."""
+    """Path for what is to become `target`; its folder is made, and cleared of old drafts."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    _clear_once(target.parent.resolve())
-    owner = str(this_process())
-    name = os.fsdecode(os.fsencode(target.name)[: LONGEST_NAME - len(owner) - 8])
-    return target.parent / f".{name}.{owner}.draft"
+    _remove_old_drafts(target.parent.resolve())
+    return target.parent / f".{target.name[:LONGEST_NAME]}.{os.urandom(4).hex()}.draft"
 
 
 @cache
-def _clear_once(folder: Path) -> None:
-    remove_drafts(folder)
+def _remove_old_drafts(folder: Path) -> None:
+    """Remove what processes that were killed left in a folder."""
+    import shutil
 
-
-def _age(entry: os.DirEntry[str]) -> float:
-    """Seconds since a file was changed; 0 if it has just gone."""
-    try:
-        return time.time() - entry.stat(follow_symlinks=False).st_mtime
-    except FileNotFoundError:
-        return 0.0
+    for draft in folder.glob(".*.draft"):
+        with suppress(OSError):
+            if time.time() - draft.lstat().st_mtime > DRAFT_SECONDS:
+                remove = shutil.rmtree if draft.is_dir() else Path.unlink
+                remove(draft)

@@ -176,15 +176,11 @@ def _end_in_time(reading: int) -> None:
     """End the process some time after the first signal that stops, or at the second."""
     global _came
     _came = _wait_for_stop(reading)
-    again = threading.Thread(target=_end_at_once, args=(reading,), daemon=True)
+    again = threading.Thread(target=_wait_for_stop, args=(reading,), daemon=True)
     again.start()
     ray = any(word.split("=")[0] == "--ray" for word in sys.argv)
     again.join(RAY_GRACE_SECONDS if ray else GRACE_SECONDS)
     end_process()
-
-
-def _end_at_once(reading: int) -> None:
-    _wait_for_stop(reading)
 
 
 def _wait_for_stop(reading: int) -> signal.Signals:

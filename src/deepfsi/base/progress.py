@@ -1,7 +1,6 @@
 """Progress of a long task."""
 
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -51,20 +50,22 @@ WHOLE_TASK = 1e7
 
 
 @contextmanager
-def terminal_bar(what: str, hidden: bool = False) -> Iterator[Progress]:
-    """Progress with the time left on standard error: a bar on a terminal, else a line at times."""
+def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
+    """The report of a task that was given one, else progress with the time left on standard error.
+
+    That is a bar on a terminal, else a line at times.
+    """
+    if report is not None:
+        yield report
+        return
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
     from rich.progress import TimeRemainingColumn as TimeLeft
 
     console = Console(stderr=True)
-    if hidden:
-        yield SILENT
-        return
     if not console.is_terminal:
-        with _lines(what) as report:
-            yield report
+        yield Progress(_Lines(what))
         return
     words = TextColumn("{task.description}", markup=False)
     columns = (SpinnerColumn(), words, BarColumn(), TimeElapsedColumn(), TimeLeft())
@@ -75,38 +76,24 @@ def terminal_bar(what: str, hidden: bool = False) -> Iterator[Progress]:
         )
 
 
-@contextmanager
-def _lines(what: str) -> Iterator[Progress]:
-    """Say at times how far a task is, from the second second on."""
-    # The pace is that since the first share above 0: what starts a task is not of it
-    began = time.monotonic()
-    ended = threading.Event()
-    share = 0.0
-    first = (0.0, began)
+class _Lines:
+    """Says at times how far a task is, from the second second on."""
 
-    def note(now: float, _: str) -> None:
-        nonlocal share, first
-        if share <= 0 < now:
-            first = now, time.monotonic()
-        share = now
+    def __init__(self, what: str) -> None:
+        self.what = what
+        self.began = time.monotonic()
+        self.due = self.began + FIRST_LINE_SECONDS
 
-    def say() -> None:
-        pause = FIRST_LINE_SECONDS
-        while not ended.wait(pause):
-            now = time.monotonic()
-            before, since = first
-            pace = (share - before) / max(now - since, 1e-9)
-            left = (1 - share) / pace if share - before >= LEAST_PROGRESS else None
-            rest = "" if left is None else f", about {_duration_text(left)} left"
-            done = f"{what}: {share:.0%} after {_duration_text(now - began)}{rest}"
-            print(done, file=sys.stderr)
-            pause = min(time.monotonic() - began, MOST_LINE_SECONDS)
-
-    threading.Thread(target=say, daemon=True).start()
-    try:
-        yield Progress(note)
-    finally:
-        ended.set()
+    def __call__(self, share: float, _: str) -> None:
+        now = time.monotonic()
+        if now < self.due:
+            return
+        passed = now - self.began
+        self.due = now + min(passed, MOST_LINE_SECONDS)
+        left = ""
+        if share >= LEAST_PROGRESS:
+            left = f", about {_duration_text(passed / share * (1 - share))} left"
+        print(f"{self.what}: {share:.0%} after {_duration_text(passed)}{left}", file=sys.stderr)
 
 
 def _duration_text(seconds: float) -> str:
@@ -114,13 +101,3 @@ def _duration_text(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-@contextmanager
-def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
-    """The report of a task that was given one, else a bar where a terminal is attached."""
-    if report is not None:
-        yield report
-        return
-    with terminal_bar(what) as bar:
-        yield bar

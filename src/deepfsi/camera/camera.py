@@ -7,19 +7,19 @@ Seconds and counts per second become shares of an exposure and counts here, and 
 no exposure is given it lasts one second, so that a rate is the counts of an exposure.
 """
 
+import json
 import os
 import re
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 
-from deepfsi.base.errors import InputError, as_input_error, check_choice, closest_choice
+from deepfsi.base.errors import InputError, as_input_error, check_choice
 from deepfsi.base.files import read_toml
-from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.models.strict import Seconds, UserModel
 from deepfsi.base.numeric.arrays import read_npy
 from deepfsi.base.quantities import count_text, time_text
@@ -38,29 +38,6 @@ from deepfsi.camera.names import (
     find_noise,
     noise_name,
 )
-
-FILE_EXAMPLES = {
-    "rails": '"single"',
-    "detectors": '"1x1"',
-    "readout": '"difference"',
-    "device": '"dlp7000"',
-    "exposure": '"10ms"',
-    "region": '"768x768"',
-    "stretch": "false",
-    "shortest_dwell": '"32us"',
-    "levels": "2",
-    "flux": "1e6",
-    "dark": "200",
-    "dead_time": '"20ns"',
-    "dead_time_model": '"non-paralysable"',
-    "noise": '"camera"',
-    "gates": "1",
-    "sigma": "0.0",
-    "fluctuation": "0.05",
-    "contrast": "10000",
-}
-"""Values of a camera file, as TOML writes them."""
-
 
 NAMES_OF_ONE = ("1x1", "1")
 """Names of one detector that sees all, of images and of spectra."""
@@ -182,30 +159,6 @@ def _conflict(field: str, value: Any, fields: Fields) -> str:
         case "contrast" if value is not None and (law.one_device or not law.in_turn):
             return "contrast is of a projector: give light dose, or leave contrast out"
     return ""
-
-
-class CameraSettings(TypedDict, total=False):
-    """Fields of `Camera` with all that each may be given as: keywords of whatever has a camera."""
-
-    light: LightLawName
-    rails: RailsKind
-    detectors: str | int | Sequence[int] | np.ndarray
-    readout: Readout
-    device: str | Device | Mapping[str, Any] | None
-    region: str | None
-    stretch: bool
-    shortest_dwell: str | float
-    exposure: str | float | None
-    levels: int | None
-    flux: float | None
-    dark: float
-    dead_time: str | float
-    dead_time_model: Literal["non-paralysable", "paralysable"]
-    gates: int
-    noise: str | Callable[..., Any]
-    sigma: float
-    fluctuation: float
-    contrast: float | None
 
 
 class Camera(UserModel):
@@ -340,7 +293,7 @@ class Camera(UserModel):
 
     if TYPE_CHECKING:  # a field has one type, and may be given as others
 
-        def __init__(self, **fields: Unpack[CameraSettings]) -> None: ...
+        def __init__(self, **fields: Any) -> None: ...
 
     @field_validator(
         "rails", "detectors", "device", "exposure", "gates", "noise", "fluctuation", "contrast"
@@ -354,8 +307,7 @@ class Camera(UserModel):
         return value
 
     @classmethod
-    @plain_keywords()
-    def load(cls, source: "CameraSource" = None, **settings: Unpack[CameraSettings]) -> "Camera":
+    def load(cls, source: "CameraSource" = None, **settings: Any) -> "Camera":
         """Camera of a preset's name, a TOML file or a mapping, with single settings in their place.
 
         Parameters
@@ -370,7 +322,6 @@ class Camera(UserModel):
         InputError
             In one line that names the field which cannot be used.
         """
-        name = str(source) if isinstance(source, str | os.PathLike) else ""
         fields = {**_fields(source), **settings}
         if "noise" in settings:  # the source's fields that this noise does not have go
             noise = find_noise(settings["noise"])
@@ -382,13 +333,8 @@ class Camera(UserModel):
                 fields["gates"] = settings.get("gates", 1)
             if not noise.fluctuates:
                 fields["fluctuation"] = settings.get("fluctuation", 0.0)
-        for field in fields:
-            if field not in cls.model_fields:
-                raise InputError(
-                    f"{name or 'a camera'} has an unknown key {field!r}: "
-                    f"{closest_choice(field, cls.model_fields)}"
-                )
-        with as_input_error(name if name.lower().endswith(".toml") else ""):
+        is_file = isinstance(source, str | os.PathLike) and str(source).lower().endswith(".toml")
+        with as_input_error(str(source) if is_file else ""):
             return cls.model_validate(fields)
 
     @classmethod
@@ -397,7 +343,7 @@ class Camera(UserModel):
         source: "CameraSource",
         *,
         camera: "CameraSource" = None,
-        **settings: Unpack[CameraSettings],
+        **settings: Any,
     ) -> "Camera":
         """Camera of a run of a design: what one device cannot show is shown with less light.
 
@@ -506,12 +452,12 @@ class Camera(UserModel):
     @classmethod
     def template(cls) -> str:
         """A camera file with a comment on each field, as a laboratory may fill it in."""
+        usual = cls()
         lines = ["# A camera: leave out what you do not know, or what follows from the rest.", ""]
         for name, field in cls.model_fields.items():
+            value = getattr(usual, name)
             lines.append(f"# {field.description}")
-            lines.append(
-                f'{name} = "free-dwell"' if name == "light" else f"# {name} = {FILE_EXAMPLES[name]}"
-            )
+            lines.append(f"# {name} = {'...' if value is None else json.dumps(value)}")
             lines.append("")
         return "\n".join(lines)
 

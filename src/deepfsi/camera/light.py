@@ -15,7 +15,6 @@ import numpy as np
 from pydantic import Field
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.keywords import plain_keywords
 
 Array = TypeVar("Array")
 """A numpy array or a tensor."""
@@ -71,7 +70,6 @@ def summed_reflectance(x: np.ndarray) -> float:
     return float(x.sum(axis=1, dtype="float64").mean())
 
 
-@plain_keywords()
 def photons_per_pixel(x: Array, photons: float, summed_reflectance: float) -> Array:
     """Expected photons per pixel, λ = Φ x / s.
 

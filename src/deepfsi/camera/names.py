@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import AfterValidator, Field, PlainSerializer, WithJsonSchema
 
 from deepfsi.base.errors import InputError, check_choice
-from deepfsi.base.plugins import IMPORT_PATH, UNNAMED_PLUGIN, import_path
+from deepfsi.base.registry import IMPORT_PATH, UNNAMED_PLUGIN, import_path
 
 LightLawName = Literal["column", "equal-dwell", "free-dwell", "two-arm", "dose"]
 """Name of a light law, see `physics.laws`."""
@@ -102,7 +102,6 @@ class NoiseFacts:
 
     title: str  # name for headings and sentences
     shot: bool = False  # True if its mean and its variance grow with the light as those of photons
-    photons: bool = False
     counting: bool = False  # True if whole counts are drawn, whose mean is known
     dark: bool = False
     read_noise: bool = False
@@ -126,16 +125,13 @@ class NoiseFacts:
 
 
 NOISES: dict[str, NoiseFacts] = {
-    "none": NoiseFacts("none noise", photons=True),
+    "none": NoiseFacts("none noise"),
     "gaussian": NoiseFacts("Gaussian read noise", read_noise=True),
-    "poisson": NoiseFacts(
-        "photon noise", shot=True, photons=True, counting=True, trains_as="ml_gauss"
-    ),
-    "ml_gauss": NoiseFacts("ml_gauss noise", shot=True, photons=True, stands_for="poisson"),
+    "poisson": NoiseFacts("photon noise", shot=True, counting=True, trains_as="ml_gauss"),
+    "ml_gauss": NoiseFacts("ml_gauss noise", shot=True, stands_for="poisson"),
     "camera": NoiseFacts(
         "camera noise",
         shot=True,
-        photons=True,
         counting=True,
         dark=True,
         read_noise=True,

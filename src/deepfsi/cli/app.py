@@ -19,8 +19,7 @@ import click
 import deepfsi
 from deepfsi.base.errors import InputError, one_line
 from deepfsi.base.interrupts import STOPPED_EXIT_CODE, say_stopped
-from deepfsi.base.plugins import require_extras
-from deepfsi.base.registry import installed
+from deepfsi.base.registry import installed, require_extras
 
 
 @click.pass_context

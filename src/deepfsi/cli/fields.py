@@ -18,8 +18,8 @@ from pydantic.fields import FieldInfo
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_ending
 from deepfsi.base.models.strict import Amount, Count, WholeNumber
-from deepfsi.base.plugins import check_report
 from deepfsi.base.quantities import seconds
+from deepfsi.base.registry import check_report
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import MOST_INPUTS
 from deepfsi.camera.names import find_noise

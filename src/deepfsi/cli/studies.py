@@ -14,8 +14,8 @@ import numpy as np
 from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.files import read_toml
 from deepfsi.base.models.strict import Count
-from deepfsi.base.plugins import check_report
 from deepfsi.base.quantities import Table
+from deepfsi.base.registry import check_report
 from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Progress, terminal_bar
+from deepfsi.base.progress import SILENT, Progress, progress_bar
 from deepfsi.base.quantities import Table
 
 JSON_SCHEMA = 1
@@ -37,7 +37,7 @@ class Terminal:
 
     def progress(self, what: str) -> AbstractContextManager[Progress]:
         """Progress bar on standard error with the time left."""
-        return terminal_bar(what, self.as_json)
+        return progress_bar(SILENT if self.as_json else None, what)
 
     def say(self, line: str | Table) -> None:
         """Print a part of a result at once, which JSON has at the end."""

@@ -5,16 +5,14 @@ from dataclasses import replace
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
-from unicodedata import category, normalize
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.numeric.arrays import check_memory, free_memory, read_npz
-from deepfsi.base.numeric.tables import is_whole_number, normal_name
-from deepfsi.datasets.dataset import Dataset, Ends, Labels, LoadOptions, Reflectance, Truth
+from deepfsi.base.numeric.tables import normal_name
+from deepfsi.datasets.dataset import Dataset, Ends, Labels, Origin, Reflectance, Truth
 from deepfsi.datasets.levels import (
     LARGE,
     AnyArray,
@@ -42,7 +40,6 @@ COLOUR_CHANNELS = (1, 3, 4)
 """Values of a pixel in an array of colours: grey, RGB, RGB with transparency."""
 
 
-@plain_keywords()
 def from_arrays(
     x: npt.ArrayLike,
     y: npt.ArrayLike,
@@ -239,7 +236,6 @@ def _values(parts: Parts, names: Sequence[str] | None, counts: list[int], name: 
     for part, count, what in zip(parts, counts, ("y", "y_test"), strict=False):
         if part is None:
             continue
-        check_unmasked(part, f"{name}: {what}")
         truth = np.asarray(part, dtype=np.float32)
         truth = truth[:, None] if truth.ndim == 1 else truth
         if truth.ndim != 2 or len(truth) != count or not np.isfinite(truth).all():
@@ -250,7 +246,7 @@ def _values(parts: Parts, names: Sequence[str] | None, counts: list[int], name: 
         truths.append(truth)
     train = truths[0]
     if names is None:
-        check_no_classes(train, f"{name}: y")
+        _check_no_classes(train, f"{name}: y")
     width = train.shape[1]
     values = tuple(names or (f"value {k + 1}" for k in range(width)))
     if len(set(values)) != width or truths[-1].shape[1] != width:
@@ -266,31 +262,19 @@ def _values(parts: Parts, names: Sequence[str] | None, counts: list[int], name: 
     return _Targets(train, truths[1] if len(truths) > 1 else None, values=values)
 
 
-def check_no_classes(
-    values: npt.NDArray[Any],
-    what: str,
-    for_classes: str = "give integers (`y.astype(int)`) or strings",
-    for_values: str = "name them with `values`",
-) -> None:
-    """Raise `InputError` for values (n, q) that are classes as other programs save them.
+def _check_no_classes(values: npt.NDArray[Any], what: str) -> None:
+    """Raise `InputError` for values (n, 1) that are whole numbers, each of many scenes.
 
-    These are whole numbers of which each stands for many scenes, as of MATLAB or a table with a
-    gap, and rows of zeros with a single 1. A design would estimate them without a word.
+    They are classes as MATLAB saves them, or a table with a gap. A design would estimate them
+    without a word.
     """
     distinct = np.unique(values)
-    single = values.shape[1] == 1
     many = 1 < len(distinct) <= len(values) / SPLIT_MINIMUM
-    if single and many and not (distinct % 1).any():
-        kinds = ", ".join(f"{value:g}" for value in distinct[:4])
-        said = f"whole numbers written as floats ({kinds}{', …' * (len(distinct) > 4)})"
-    elif not single and set(distinct) == {0, 1} and (values.sum(axis=1) == 1).all():
-        said = "a single 1 in each row, as of classes in one-hot form"
-        for_classes = "give one label, such as the place of the 1 (`y.argmax(axis=1)`)"
-    else:
-        return
-    raise InputError(
-        f"{what} holds {said}: if they are classes, {for_classes}; if they are values, {for_values}"
-    )
+    if values.shape[1] == 1 and many and not (distinct % 1).any():
+        raise InputError(
+            f"{what} holds whole numbers written as floats: if they are classes, give integers "
+            "(1 and not 1.0) or strings; if they are values, name them"
+        )
 
 
 def check_seed(seed: object) -> None:
@@ -309,7 +293,6 @@ def _scenes(
     read: dict[str, AnyArray] = {}
     colours = ""
     for part, what in zip(parts, (f"{name}: x", f"{name}: x_test"), strict=False):
-        check_unmasked(part, what)
         scenes = np.asarray(part)
         if scenes.ndim == 4 and scenes.shape[3] in COLOUR_CHANNELS and scenes.size:
             colours = "; colours turned to grey" if scenes.shape[3] > 1 else ""
@@ -342,18 +325,17 @@ def _scenes(
 
 def _labels(y: npt.ArrayLike, count: int, what: str) -> npt.NDArray[Any]:
     """Labels (n,), integers or strings, one for each of so many scenes."""
-    check_unmasked(y, what)
     labels = np.asarray(y)
     if labels.dtype == object and all(isinstance(label, str) for label in labels.flat):
         labels = labels.astype(str)
     if labels.shape in ((count, 1), (1, count)):  # MATLAB's vectors
         labels = labels.ravel()
-    if labels.dtype.kind == "U":
-        labels = np.array([normal_name(label) for label in labels.flat]).reshape(labels.shape)
     if labels.shape != (count,):
         raise InputError(
             f"{what} has shape {labels.shape} for {count} scenes; give one label for each"
         )
+    if labels.dtype.kind == "U":
+        labels = np.array(list(map(normal_name, labels.tolist())))
     if labels.dtype.kind not in "iuU":
         raise InputError(
             f"{what} is {labels.dtype}; give labels that are integers or strings, or values that "
@@ -372,27 +354,9 @@ def _class_names(
         raise InputError(f"{name}: only one class, {', '.join(names)}; give two or more")
     if len(set(names)) < len(names):
         raise InputError(f"{name}: classes {', '.join(names)}; give each its own name")
-    by_spelling: dict[str, str] = {}
-    for word in names:
-        plain = "".join(one for one in normalize("NFKC", word) if category(one) != "Cf")
-        key = " ".join(plain.split()).rstrip(". ")
-        key = key.casefold() if len(key) > 1 else key  # letters to be read may be large or small
-        key = str(int(key)) if is_whole_number(key) else key
-        if (other := by_spelling.setdefault(key, word)) != word:
-            raise InputError(
-                f"{name}: the classes {other!r} and {word!r} differ in case, blanks, zeros or a "
-                "dot alone: give both the same name, or names that differ"
-            )
     if classes is not None:
         keys = list(names if labels.dtype.kind == "U" else range(len(names)))
     return names, {label: number for number, label in enumerate(keys)}
-
-
-def check_unmasked(values: npt.ArrayLike, what: str) -> None:
-    """Raise `InputError` for a masked array that hides values: they would be read all the same."""
-    if np.ma.is_masked(values):
-        hidden = int(np.ma.getmaskarray(np.ma.asanyarray(values)).sum())
-        raise InputError(f"{what} hides {hidden} values under a mask: leave out those scenes")
 
 
 def _class_numbers(labels: npt.NDArray[Any], numbers: dict[int | str, int], what: str) -> Labels:
@@ -469,7 +433,7 @@ def draw_stratified(
     return np.sort(order[np.argsort(rank, kind="stable")[:count]])
 
 
-def load_npz(path: Path, options: LoadOptions) -> Dataset:
+def load_npz(path: Path, options: Origin) -> Dataset:
     """Data set of the arrays `x` and `y`, and of a test part where it is there."""
     arrays = read_npz(path)
     if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test", "values"}:

@@ -12,31 +12,25 @@
 """
 
 import gzip
-import hashlib
 import io
 import os
 import tarfile
 import tomllib
 from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import ClassVar, NamedTuple, cast
 from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import read_text, write_atomically
-from deepfsi.base.numeric.arrays import read_npy
 from deepfsi.datasets.arrays import assemble, draw_stratified, split_arrays
-from deepfsi.datasets.dataset import Dataset, Ends, LoadOptions, Reflectance
+from deepfsi.datasets.dataset import Dataset, Ends, Origin, Reflectance
 from deepfsi.datasets.decoding import PictureSize
 from deepfsi.datasets.pictures import Listing, Picture, dataset_of_pictures, open_listing
 from deepfsi.datasets.spectra import SpectralImage, read_cube
@@ -44,9 +38,6 @@ from deepfsi.datasets.spectra import SpectralImage, read_cube
 DIM_BLACK = (0.3, 1.0)
 """Reflectance of black and white in named images: black reflects, so that every pixel counts."""
 
-
-MAX_BAND_TABLE = 2**20
-"""Bytes of Indian Pines's table of bands at most."""
 
 CARRIAGE_RETURN = 13
 """Byte that Indian Pines's cube lost."""
@@ -84,79 +75,6 @@ def _data_folders(name: str) -> list[Path]:
     return [Path(root) / name, _cache_folder(name)]
 
 
-def _find_folder(name: str, files: Iterable[str]) -> Path | None:
-    """First of the `_data_folders` that has all the files."""
-    files = tuple(files)
-    folders = _data_folders(name)
-    return next((path for path in folders if all((path / f).is_file() for f in files)), None)
-
-
-def _download_files(name: str, hashes: Mapping[str, str], mirrors: tuple[str, ...]) -> Path:
-    """Folder of the files of a data set, downloaded where they are missing, all undamaged."""
-    folder = _find_folder(name, hashes)
-    if folder is not None and folder != _cache_folder(name):
-        for file, expected in hashes.items():
-            if fault := _fault_of(folder / file, expected):
-                raise InputError(f"{folder / file}: {fault}; replace it with the original")
-        return folder
-    for file, expected in hashes.items():
-        failures = []
-        for mirror in mirrors:
-            if not (reason := _fetch(mirror + file, expected, _cache_folder(name) / file)):
-                break
-            failures.append(f"{urlsplit(mirror).netloc} ({reason})")
-        else:
-            raise InputError(
-                f"{name}: cannot download {file} from {' or '.join(failures)}; try again, or put "
-                f"the original files into a folder {name} and set DEEPFSI_DATA to the folder that "
-                "holds it"
-            )
-    return _cache_folder(name)
-
-
-def _fault_of(path: Path, expected: str) -> str:
-    """Fault of a file whose hash is given, "algorithm:hex"; none if it agrees."""
-    algorithm, _, digest = expected.partition(":")
-    try:
-        with path.open("rb") as file:
-            actual = hashlib.file_digest(file, algorithm).hexdigest()
-    except OSError as error:
-        return f"cannot be read ({error.strerror})"
-    return "" if actual == digest else f"{algorithm} is {actual}, not {digest}"
-
-
-def _fetch(url: str, expected: str | None, path: Path) -> str:
-    """Bring the file of an address to a path, unless it is there undamaged, or say why not."""
-    import pooch
-
-    try:
-        pooch.retrieve(url, expected, path.name, path.parent)
-    except (OSError, ValueError) as error:  # no connection, no such file; wrong hash
-        return "wrong hash" if isinstance(error, ValueError) else type(error).__name__
-    return ""
-
-
-def hash_array(values: npt.NDArray[Any]) -> str:
-    """SHA-256 in hex of an array's type, shape and values."""
-    values = np.ascontiguousarray(values)
-    header = f"{values.dtype.str} {values.shape}".encode()
-    return hashlib.sha256(header + values.tobytes()).hexdigest()
-
-
-def kept_array(path: Path, expected: str, make: Callable[[], npt.NDArray[Any]]) -> npt.NDArray[Any]:
-    """Array that takes long to make, from a file if that holds it, else made and kept there."""
-    with suppress(InputError):  # there is none, or it is damaged
-        if hash_array(values := read_npy(path)) == expected:
-            return values
-    values = make()
-    if hash_array(values) == expected:
-        content = io.BytesIO()
-        np.save(content, values)
-        with suppress(OSError, InputError):  # the cache cannot be written: make it again next time
-            write_atomically(path, content.getvalue())
-    return values
-
-
 @dataclass
 class NamedDataset(ABC):
     """A data set that has a name."""
@@ -178,16 +96,41 @@ class NamedDataset(ABC):
         self.mirrors = tuple(self.mirrors)
 
     @abstractmethod
-    def load(self, options: LoadOptions) -> Dataset:
+    def load(self, options: Origin) -> Dataset:
         """Load it."""
 
     def find(self) -> Path | str | None:
         """First folder that has all files, None without one, or words."""
-        return _find_folder(self.folder, self.hashes)
+        return next(
+            (
+                folder
+                for folder in _data_folders(self.folder)
+                if all((folder / file).is_file() for file in self.hashes)
+            ),
+            None,
+        )
 
     def download(self) -> Path:
-        """Folder of the files, downloaded where they are missing, all undamaged."""
-        return _download_files(self.folder, self.hashes, self.mirrors)
+        """Folder of the files, downloaded where they are missing or damaged."""
+        import pooch
+
+        folder = Path(self.find() or _cache_folder(self.folder))
+        for file, expected in self.hashes.items():
+            failures = []
+            for mirror in self.mirrors:
+                try:
+                    pooch.retrieve(mirror + file, expected, file, folder)
+                    break
+                except (OSError, ValueError) as error:  # no connection, no such file; wrong hash
+                    reason = "wrong hash" if isinstance(error, ValueError) else type(error).__name__
+                    failures.append(f"{urlsplit(mirror).netloc} ({reason})")
+            else:
+                raise InputError(
+                    f"{self.name}: cannot download {file} from {' or '.join(failures)}; try again, "
+                    f"or put the original files into a folder {self.folder} and set DEEPFSI_DATA "
+                    "to the folder that holds it"
+                )
+        return folder
 
     def frame(self, x: Reflectance) -> Reflectance:
         """Pictures (n, H, W) with the frame that those of the data set have."""
@@ -203,7 +146,7 @@ class Digits(NamedDataset):
         """Where they are, in words."""
         return "embedded"
 
-    def load(self, options: LoadOptions) -> Dataset:
+    def load(self, options: Origin) -> Dataset:
         """Load them; a fifth is drawn for testing."""
         from sklearn.datasets import load_digits
 
@@ -224,7 +167,7 @@ class IdxImages(NamedDataset):
     options = ("images",)
     ends = DIM_BLACK
 
-    def load(self, options: LoadOptions) -> Dataset:
+    def load(self, options: Origin) -> Dataset:
         """Load the original in its own split and order."""
         folder = self.download()
         images, labels, images_test, labels_test = (_read_idx(folder / f) for f in self.hashes)
@@ -268,7 +211,7 @@ class Cifar10(NamedDataset):
     shape = (32, 32)
     bilinear = True
 
-    def load(self, options: LoadOptions) -> Dataset:
+    def load(self, options: Origin) -> Dataset:
         """Load it in its own split; the training part is shuffled."""
         [archive_name] = self.hashes
         path = self.download() / archive_name
@@ -302,39 +245,17 @@ class Cifar10(NamedDataset):
 class CifarJpeg(Cifar10):
     """CIFAR-10 decoded from a copy in JPEG, which says so in its name."""
 
-    FILE = "cifar10-jpeg.zip"
-    PARTS: ClassVar = {"train": 5000, "test": 1000}  # images of each class
-
-    def download(self) -> Path:
-        """Folder of the zip file, which is not to be downloaded."""
-        folder = _find_folder(self.folder, self.hashes)
-        if folder is None:
+    def load(self, options: Origin) -> Dataset:
+        """Load the copy in its own split; the training part is shuffled."""
+        [name] = self.hashes
+        if not (folder := self.find()):
             raise InputError(
                 "cifar10-jpeg is not here, and not to be downloaded: put a zip file of the JPEG "
-                f"images as train/CLASS/ and test/CLASS/ at cifar10/{self.FILE} in the folder that "
+                f"images as train/CLASS/ and test/CLASS/ at cifar10/{name} in the folder that "
                 "DEEPFSI_DATA names, or use the original, cifar10"
             )
-        return folder
-
-    def load(self, options: LoadOptions) -> Dataset:
-        """Load the copy in its own split; the training part is shuffled."""
-        path = self.download() / self.FILE
-        with open_listing(path) as listing:
-            if fault := self._fault_of(listing):
-                raise InputError(
-                    f"{path}: {fault}; replace it, or give its path to load it as any zip file"
-                )
+        with open_listing(Path(folder, name)) as listing:
             return dataset_of_pictures(listing, "JPEG-decoded CIFAR-10", options, bilinear=True)
-
-    def _fault_of(self, listing: Listing) -> str:
-        """Say how a listing differs from CIFAR-10's images of each class, if it does."""
-        if len(listing.parts) != 2:
-            return "it has no train and test folders"
-        for (part, count), pictures in zip(self.PARTS.items(), listing.parts, strict=True):
-            if Counter(picture.label for picture in pictures) != dict.fromkeys(self.classes, count):
-                names = ", ".join(self.classes)
-                return f"its {part} folder does not hold {count} images of each of {names}"
-        return ""
 
 
 class IndianPines(NamedDataset):
@@ -354,10 +275,6 @@ class IndianPines(NamedDataset):
     PACKAGE = ("tensorly", "datasets/data")  # that contains the files, and their folder in it
     CUBE = "Indian_pines_corrected"  # names of the files, each with the ending .npy or .mat
     LABELS = "Indian_pines_gt"
-    # `hash_array` of the restored cube
-    RESTORED_HASH = "28a8d104647da9593e037a27334193c7316bce9721858b1f946427cef7197792"
-    BANDS_FILE = "92AV3C.spc"  # gives the wavelengths where it lies beside the cube
-    WATER = np.r_[103:108, 149:163, 219]  # bands of the 220, from 0, that the cube lacks
     options = ("split",)
 
     def _files(self) -> list[Path]:
@@ -366,38 +283,35 @@ class IndianPines(NamedDataset):
         spec = find_spec(package)
         installed = list(spec.submodule_search_locations or ()) if spec else []
         for folder in [*_data_folders(self.folder), *(Path(path) / inside for path in installed)]:
-            endings = [
-                [end for end in (".npy", ".mat") if (folder / f"{stem}{end}").is_file()]
+            cubes, labels = (
+                [folder / f"{stem}{end}" for end in (".npy", ".mat")]
                 for stem in (self.CUBE, self.LABELS)
-            ]
-            if all(endings):
-                cube, labels = endings
-                return [folder / f"{self.CUBE}{cube[0]}", folder / f"{self.LABELS}{labels[0]}"]
+            )
+            files = [path for path in (*cubes, *labels) if path.is_file()]
+            if {path.stem for path in files} == {self.CUBE, self.LABELS}:
+                return [files[0], files[-1]]
         return []
 
     def find(self) -> Path | None:
         """First folder that has the cube and its label map: of data sets, or of the package."""
         return next((path.parent for path in self._files()), None)
 
-    def download(self) -> Path:
-        """Folder of the files, which are not to be downloaded."""
-        if folder := self.find():
-            return folder
-        raise InputError(
-            f"{self.name} is not here: pip install {self.PACKAGE[0]}, which contains it; or put "
-            f"{self.CUBE}.mat and {self.LABELS}.mat into a folder {self.folder}, and set "
-            "DEEPFSI_DATA to the folder that holds it"
-        )
-
-    def load(self, options: LoadOptions) -> Dataset:
+    def load(self, options: Origin) -> Dataset:
         """Load its labelled pixels."""
         split = options.split or "random"
         return self.scene().dataset(split, options.seed, self.pixels, options.rescale)
 
     def scene(self) -> SpectralImage:
         """Whole image."""
-        folder = self.download()
+        from joblib import Memory
+
         paths = self._files()
+        if not paths:
+            raise InputError(
+                f"{self.name} is not here: pip install {self.PACKAGE[0]}, which contains it; or "
+                f"put {self.CUBE}.mat and {self.LABELS}.mat into a folder {self.folder}, and set "
+                "DEEPFSI_DATA to the folder that holds it"
+            )
         scene = read_cube(
             *paths,
             variables=(self.CUBE.lower(), self.LABELS.lower()),
@@ -405,60 +319,16 @@ class IndianPines(NamedDataset):
             classes=self.classes,
             origin="Radiance as published, 200 of 220 bands,",
         )
-        for path, array in zip(paths, (scene.cube, scene.labels), strict=True):
-            if values_hash(array) != self.hashes[path.stem]:
-                raise InputError(
-                    f"{path} does not hold the values of Indian Pines; replace it with the "
-                    "original, or give the path of a cube of your own"
-                )
-        if not (_high_bytes(scene.cube) == CARRIAGE_RETURN).any():
-            damaged = scene.cube.astype(np.uint16)
-            cube = kept_array(
-                _cache_folder(self.folder) / f"{self.CUBE}_restored.npy",
-                self.RESTORED_HASH,
-                lambda: restore_high_bytes(damaged),
-            )
-            words = f"{scene.origin} with its lost bytes restored,"
-            scene = replace(scene, cube=cube, origin=words)
-        table = folder / self.BANDS_FILE
-        if not table.is_file():
+        if (_high_bytes(scene.cube) == CARRIAGE_RETURN).any():
             return scene
-        return replace(scene, wavelengths=np.delete(_wavelengths(table), self.WATER))
-
-
-def _wavelengths(path: Path) -> npt.NDArray[np.float64]:
-    """Band centres in nm from the band table, in the order of the bands: not quite rising."""
-    text = read_text(path, MAX_BAND_TABLE, "replace it with the original")
-    try:
-        rows = [line.split() for line in text.splitlines()[2:] if line.strip()]
-        table = np.array([float(row[0]) for row in rows])
-    except ValueError as error:
-        raise InputError(
-            f"cannot read the band table {path} ({error}); replace it with the original"
-        ) from error
-    if table.shape != (220,) or not (table > 0).all():
-        raise InputError(f"{path} does not list 220 wavelengths; replace it with the original")
-    return table
+        kept = Memory(_cache_folder(self.folder), verbose=0).cache(restore_high_bytes)
+        words = f"{scene.origin} with its lost bytes restored,"
+        return replace(scene, cube=kept(scene.cube.astype(np.uint16)), origin=words)
 
 
 def _high_bytes(cube: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
     """High bytes of values of 16 bits."""
     return cube.astype(np.uint16) >> 8
-
-
-def values_hash(values: npt.NDArray[np.generic]) -> str:
-    """SHA-256 of whole numbers, row by row, of 16 bits the lower byte first, of labels 8.
-
-    Bytes 13 of a cube count as 10, so that a copy that lost them and one that did not have one
-    hash.
-    """
-    kind = "<u2" if values.ndim == 3 else "u1"
-    if values.dtype.kind not in "ui" or (values != values.astype(kind)).any():
-        return "other values"
-    content = values.astype(kind).tobytes()
-    if values.ndim == 3:
-        content = content.replace(bytes([CARRIAGE_RETURN]), bytes([LINE_FEED]))
-    return hashlib.sha256(content).hexdigest()
 
 
 def restore_high_bytes(

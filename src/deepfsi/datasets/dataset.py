@@ -4,7 +4,7 @@ import hashlib
 import json
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -22,18 +22,6 @@ Ends: TypeAlias = tuple[float, float]
 
 MeasureTitle = Literal["accuracy", "R²"]
 """What the answers to a data set are measured by."""
-
-
-class LoadOptions(NamedTuple):
-    """Options of `load_dataset`, which says what they are."""
-
-    size: int | tuple[int, int] | None = None
-    seed: int = 0
-    rescale: Ends | None = None
-    images: int | None = None
-    split: str | None = None
-    white: float | None = None
-    skip_bad: bool = False
 
 
 class Origin(BaseModel):

@@ -14,18 +14,15 @@ import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import new_folder, readable_name
-from deepfsi.base.numeric.tables import LABEL_HEADS, normal_name
-from deepfsi.datasets.arrays import check_unmasked
+from deepfsi.base.numeric.tables import LABEL_HEADS, normal_name, read_cells
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.decoding import WRITTEN, PictureSize
 from deepfsi.datasets.levels import ValueRange, measure_levels, reflectance
 from deepfsi.datasets.pictures import (
-    Picture,
     decode_pictures,
     is_image,
     open_listing,
     picture_file,
-    read_list,
     sized_text,
 )
 
@@ -46,7 +43,6 @@ class Display(NamedTuple):
 
 def array_display(pictures: npt.ArrayLike, white: float | None = None) -> Display:
     """Pictures (n, H, W), or spectra (n, B), of an array; floats are scenes in [0, 1]."""
-    check_unmasked(pictures, "pictures")
     values = np.asarray(pictures)
     if not values.size:
         raise InputError(f"an array of shape {values.shape} holds no pictures: give one or more")
@@ -90,7 +86,7 @@ def read_display(
     elif not (source.is_file() or source.is_dir()):
         raise InputError(f"no picture at {source}: give an image file, or a folder of some")
     elif source.is_dir() and any(is_image(file.name) for file in source.iterdir()):
-        pictures = _flat_folder(source)
+        pictures = [picture_file(file) for file in sorted(source.iterdir()) if is_image(file.name)]
     else:
         with open_listing(source) as listing:
             pictures = [picture for part in listing.parts for picture in part]
@@ -109,48 +105,28 @@ def read_display(
     )
 
 
-def _flat_folder(folder: Path) -> list[Picture]:
-    """Pictures of a folder that holds no folders of images beside them, as one is meant."""
-    inside = sorted(folder.iterdir())
-    for path in inside:
-        if path.is_dir() and path.name[0] != "." and any(is_image(f.name) for f in path.iterdir()):
-            raise InputError(
-                f"{folder} holds images and folders of images, such as {path.name}: give one of "
-                "them, or move the images that lie beside the folders"
-            )
-    return [picture_file(file) for file in inside if is_image(file.name)]
-
-
-class ListedScene(NamedTuple):
-    """Scene that a list names, with its class where that is known."""
-
-    line: int
-    name: str
-    label: str | None
-
-
-def read_scene_list(path: Path) -> list[ListedScene]:
-    """Scenes of a text or CSV file, in its order.
+def read_scene_list(path: Path) -> list[tuple[str, str | None]]:
+    """Names of scenes in a text or CSV file, in its order, with their classes where it has them.
 
     A line is NAME or NAME,LABEL, quoted as in CSV where a name has a comma. Empty lines, and a
     first line that names the columns (``name,label``), are left out.
     """
-
-    def is_heading(cells: tuple[str, ...]) -> bool:
-        labels = len(cells) == 2 and cells[1].lower() in LABEL_HEADS
-        return cells[0].lower() in NAME_HEADS or labels
-
     advice = "give a text file with a scene on each line, or a folder of pictures"
-    scenes = []
-    for line, name, cells in read_list(path, is_heading, advice).rows:
-        if len(cells) > 1 or not name:
-            raise InputError(
-                f"{path} has {','.join([name, *cells])!r} on line {line}: give NAME or NAME,LABEL"
-            )
-        scenes.append(ListedScene(line, name, normal_name(cells[0]) or None if cells else None))
-    if not scenes:
+    cells = read_cells(path, advice)
+    if cells.height:
+        heads = [(head or "").lower() for head in cells.row(0)]
+        if heads[0] in NAME_HEADS or (len(heads) == 2 and heads[1] in LABEL_HEADS):
+            cells = cells[1:]
+    if not cells.height:
         raise InputError(f"{path} has no scenes: {advice}")
-    return scenes
+    if cells.width > 2 or cells.to_series(0).null_count():
+        raise InputError(f"{path} has a line that is not NAME or NAME,LABEL: {advice}")
+    names = cells.to_series(0).to_list()
+    labels = cells.to_series(1).to_list() if cells.width == 2 else [None] * len(names)
+    return [
+        (name, normal_name(label) if label else None)
+        for name, label in zip(names, labels, strict=True)
+    ]
 
 
 def write_display(

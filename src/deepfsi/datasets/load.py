@@ -8,12 +8,11 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy.typing as npt
 
-from deepfsi.base.errors import InputError, closest_choice
-from deepfsi.base.files import check_readable_name, content_of
-from deepfsi.base.keywords import plain_keywords
+from deepfsi.base.errors import InputError, as_input_error, closest_choice
+from deepfsi.base.files import check_readable_name
 from deepfsi.datasets.arrays import load_npz, split_arrays
 from deepfsi.datasets.catalog import DATASETS
-from deepfsi.datasets.dataset import Dataset, Ends, LoadOptions, Origin
+from deepfsi.datasets.dataset import Dataset, Ends, Origin
 from deepfsi.datasets.display import Display, array_display, read_display
 from deepfsi.datasets.pictures import as_shape, load_pictures
 from deepfsi.datasets.spectra import CUBE_ENDINGS, read_cube
@@ -25,10 +24,10 @@ class FileKind(NamedTuple):
     what: str
     endings: tuple[str, ...]  # of their names, in small letters
     options: tuple[str, ...]  # options of `load_dataset` that they take, and not every source does
-    load: Callable[[Path, LoadOptions], Dataset]  # reads one with the options
+    load: Callable[[Path, Origin], Dataset]
 
 
-def _load_cube(path: Path, options: LoadOptions) -> Dataset:
+def _load_cube(path: Path, options: Origin) -> Dataset:
     split = options.split or "random"
     return read_cube(path).dataset(split, options.seed, rescale=options.rescale)
 
@@ -51,28 +50,16 @@ FILE_KINDS = (
 )
 """Kinds of files that hold a data set: a new one is an entry here."""
 
-SOURCES_OF_PATHS = " or ".join((
-    ", ".join(kind.what for kind in FILE_KINDS[:-1]), FILE_KINDS[-1].what
-))  # fmt: skip
+SOURCES_OF_PATHS = ", ".join(kind.what for kind in FILE_KINDS)
 """Sources of data sets besides names, for messages."""
 
-TAKERS = {
-    "size": ("a size", "images of a folder, a zip file, a .csv file or CIFAR-10 take"),
-    "images": ("a number of images", "a folder, a zip file, CIFAR-10 or MNIST takes"),
-    "split": ("a split", "a hyperspectral image takes"),
-    "white": ("a white", "a folder, zip file or .csv file of images or arrays take"),
-    "skip_bad": (
-        "`skip_bad`",
-        "a folder, zip file or .csv file of images takes",
-    ),
-}
-"""For messages, each option that only some sources take, and the sources."""
+SOME_TAKE = ("size", "images", "split", "white", "skip_bad")
+"""Options that only some sources take."""
 
 Source: TypeAlias = Dataset | str | os.PathLike[str] | tuple[Any, ...]
 """A data set, or what `load_dataset` makes one of."""
 
 
-@plain_keywords()
 def load_dataset(
     source: str | os.PathLike[str] | tuple[Any, ...],
     *,
@@ -132,27 +119,38 @@ def load_dataset(
     >>> deepfsi.load_dataset("digits").image_shape
     (8, 8)
     """
-    options = LoadOptions(
-        size=size,
-        seed=seed,
-        rescale=rescale,
-        images=images,
-        split=split,
-        white=white,
-        skip_bad=skip_bad,
-    )
+    if not isinstance(source, str | os.PathLike | tuple):
+        raise InputError(
+            f"data were given as {type(source).__name__}: give a Dataset of deepfsi, a name such "
+            "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays; scenes "
+            "and labels of a torch data set make two such arrays"
+        )
+    given = () if isinstance(source, tuple) else absolute_source(os.fspath(source))
+    with as_input_error():
+        options = Origin(
+            data=given or "arrays",
+            size=as_shape(size),
+            seed=seed,
+            rescale=rescale,
+            images=images,
+            split=split,
+            white=white,
+            skip_bad=skip_bad,
+        )
     if isinstance(source, tuple):
         return _load_arrays(source, options)
-    if isinstance(source, str | os.PathLike):
-        return _load_source(os.fspath(source), options)
-    raise InputError(
-        f"data were given as {type(source).__name__}: give a Dataset of deepfsi, a name such "
-        "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays; scenes "
-        "and labels of a torch data set make two such arrays"
-    )
+    if given in DATASETS:
+        _refuse(options, given, DATASETS[given].options)
+        data = DATASETS[given].load(options)
+    else:
+        path = _existing(os.fspath(source))
+        kind = _kind_of(path)
+        _refuse(options, path.name, kind.options)
+        data = kind.load(path, options)
+    return replace(data, origin=options.model_copy(update={"white": data.white}))
 
 
-def _load_arrays(arrays: tuple[Any, ...], options: LoadOptions) -> Dataset:
+def _load_arrays(arrays: tuple[Any, ...], options: Origin) -> Dataset:
     _refuse(options, "arrays", ("white",))
     if len(arrays) not in (2, 4):
         raise InputError(
@@ -168,41 +166,20 @@ def _load_arrays(arrays: tuple[Any, ...], options: LoadOptions) -> Dataset:
     )
 
 
-def _load_source(source: str, options: LoadOptions) -> Dataset:
-    """Data set of a name or a path, with its own classes or values."""
-    origin = absolute_source(source)
-    if source in DATASETS:
-        _refuse(options, source, options_of(source))
-        data = DATASETS[source].load(options)
-    else:
-        path = _existing(source)
-        kind = _kind_of(path)
-        _refuse(options, path.name, kind.options)
-        data = kind.load(path, options)
-    resolved = options._replace(size=as_shape(options.size), white=data.white)
-    return replace(data, origin=Origin(data=origin, **resolved._asdict()))
-
-
 def _kind_of(path: Path) -> FileKind:
     """Kind of a file or folder that is there, or `InputError` where it holds no data set."""
     ending = FOLDER if path.is_dir() else path.suffix.lower()
     for kind in FILE_KINDS:
         if ending in kind.endings:
             return kind
-    header = next((end for end in (".hdr", ".HDR") if path.with_suffix(end).is_file()), "")
-    if header or Path(f"{path}.hdr").is_file():
-        header_path = path.with_suffix(header) if header else f"{path}.hdr"
-        raise InputError(f"{path} is the data file of an ENVI cube: give its header, {header_path}")
-    raise InputError(
-        f"{path} is no data set that is read (it holds {content_of(path)}): give {SOURCES_OF_PATHS}"
-    )
+    raise InputError(f"{path} is no data set that is read: give {SOURCES_OF_PATHS}")
 
 
-def _refuse(options: LoadOptions, name: str, allowed: tuple[str, ...]) -> None:
+def _refuse(options: Origin, name: str, allowed: tuple[str, ...]) -> None:
     """Raise `InputError` for an option that is given but not among those that a source takes."""
-    for option, (what, who) in TAKERS.items():
+    for option in SOME_TAKE:
         if option not in allowed and getattr(options, option) not in (None, False):
-            raise InputError(f"{name}: {what} was given; only {who} one, leave it out")
+            raise InputError(f"{name} takes no `{option}`: leave it out")
 
 
 def absolute_source(source: str) -> str:

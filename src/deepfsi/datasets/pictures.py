@@ -14,7 +14,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeAlias
 
@@ -23,19 +23,11 @@ import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_unpacked, read_regular, readable_name
-from deepfsi.base.numeric.arrays import open_zip, read_zip_entry
-from deepfsi.base.numeric.tables import (
-    LABEL_HEADS,
-    WITHOUT_VALUE,
-    has_decimal_commas,
-    is_whole_number,
-    normal_name,
-    parse_number,
-    read_rows,
-)
-from deepfsi.datasets.arrays import check_no_classes, draw_stratified, split_arrays
-from deepfsi.datasets.dataset import Dataset, LoadOptions
-from deepfsi.datasets.decoding import PICTURE_FORMATS, PictureSize, Tally, unread_kind
+from deepfsi.base.numeric.arrays import open_zip
+from deepfsi.base.numeric.tables import LABEL_HEADS, normal_name, read_cells
+from deepfsi.datasets.arrays import draw_stratified, split_arrays
+from deepfsi.datasets.dataset import Dataset, Origin
+from deepfsi.datasets.decoding import PICTURE_FORMATS, PictureSize, Tally
 
 Label: TypeAlias = str | tuple[float, ...]
 """Class of an image, or its values."""
@@ -52,7 +44,7 @@ MAX_PIXELS = 2**34
 MOST_NAMES = 20
 """Images that one line names at most."""
 
-PART_NAMES = ("train", "test", "training", "testing", "val", "valid", "validation", "eval")
+PART_NAMES = ("train", "test")
 """Names of folders, in lower case, that are parts of a data set and no classes."""
 
 OF_SYSTEMS = ("__MACOSX", "@eaDir", "$RECYCLE.BIN", "System Volume Information", "lost+found")
@@ -87,7 +79,7 @@ _Entry = tuple[tuple[str, ...], Picture | None]
 """Folders and name of a file with its picture, or of a folder with None."""
 
 
-def load_pictures(path: Path, options: LoadOptions) -> Dataset:
+def load_pictures(path: Path, options: Origin) -> Dataset:
     """Load the images of a folder, a zip file or a ``.csv`` file."""
     name = path.resolve().stem if path.is_file() else path.resolve().name
     with open_listing(path) as listing:
@@ -95,10 +87,10 @@ def load_pictures(path: Path, options: LoadOptions) -> Dataset:
 
 
 def dataset_of_pictures(
-    listing: Listing, name: str, options: LoadOptions, bilinear: bool = False
+    listing: Listing, name: str, options: Origin, bilinear: bool = False
 ) -> Dataset:
     """Data set of listed images."""
-    shape = as_shape(options.size)
+    shape = options.size
     images = options.images
     train, *test = listing.parts
     if images is not None:
@@ -146,35 +138,6 @@ def as_shape(size: int | tuple[int, ...] | None) -> PictureSize | None:
 # ---------------------------------------------------------------- lists
 
 
-class ListRow(NamedTuple):
-    """Row of a list: a name, and the cells behind it."""
-
-    line: int
-    name: str
-    cells: tuple[str, ...]
-
-
-class NameList(NamedTuple):
-    """A list of names with a label, or with values, behind each."""
-
-    rows: list[ListRow]
-    heads: tuple[str, ...]  # words over the columns behind the names, if there are any
-    separator: str
-
-
-def read_list(path: Path, is_heading: Callable[[tuple[str, ...]], bool], advice: str) -> NameList:
-    """Read a list of text."""
-    text = read_rows(path, MAX_FILE, advice)
-    rows = [
-        ListRow(line, name, tuple(cells))
-        for line, (name, *cells) in zip(text.lines, text.cells, strict=True)
-    ]
-    heads: tuple[str, ...] = ()
-    if text.cells and is_heading(text.cells[0]):
-        heads = rows.pop(0).cells
-    return NameList(rows, heads, text.separator)
-
-
 def _list_named(path: Path) -> Listing:
     """Images that a ``.csv`` file names, with their labels or values, and the values' names.
 
@@ -182,84 +145,46 @@ def _list_named(path: Path) -> Listing:
     its own folder. A first line that names no file is a heading. Numbers are values where a line
     has several, or any has a decimal point or an exponent; whole numbers are classes, as in arrays.
     """
+    cells = read_cells(path, LIST_ADVICE)
+    heads: tuple[str, ...] = ()
+    if cells.height and not re.search(r"[./\\]", cells[0, 0] or ""):
+        _, *words = cells.row(0)
+        heads = tuple(word or "" for word in words)
+        cells = cells[1:]
+    names, *columns = [column.to_list() for column in cells] or [[]]
+    if not (names and columns) or any(None in column for column in (names, *columns)):
+        raise InputError(f"{path} does not give each image all its cells: {LIST_ADVICE}")
+    if wrong := [name for name in names if not is_image(Path(name).name)]:
+        raise InputError(f"{path} names {_names_text(wrong)}, no image: {LIST_ADVICE}")
+    values = _values_of(columns, path)
+    labels: Sequence[Label] = values or [normal_name(label) for label in columns[0]]
     folder = path.with_suffix("") if path.with_suffix("").is_dir() else path.parent
-    names = read_list(path, lambda cells: not re.search(r"[./\\]", cells[0]), LIST_ADVICE)
-    for line, name, cells in names.rows:
-        as_many = cells and len(cells) == len(names.rows[0].cells)
-        if not (is_image(re.split(r"[/\\]", name)[-1]) and as_many and all(cells)):
-            later = ": put the column of file names first" if any(map(is_image, cells)) else ""
-            raise InputError(
-                f"{path}, line {line}: {', '.join([name, *cells])!r} is not an image "
-                f"and its label{later}: {LIST_ADVICE}"
-            )
-    if not names.rows:
-        raise InputError(f"{path} names no image: {LIST_ADVICE}")
-    values = _values_of(names, path)
-    has_name = bool(names.heads) and names.heads[0].lower() not in LABEL_HEADS
-    if values and (len(values[0]) > 1 or not has_name):
-        check_no_classes(
-            np.array(values),
-            str(path),
-            "write one column of words or of numbers without a point, 1 and not 1.0",
-            "write their name over the column",
-        )
-    labels: Sequence[Label] = values or [normal_name(row.cells[0]) for row in names.rows]
-    find = _finder(folder)
-    paths = [find(row.name) for row in names.rows]
-    missing = [str(file) for file in paths if not file.is_file()]
-    if missing:
+    paths = [folder / name.replace("\\", "/") for name in names]
+    if missing := [str(file) for file in paths if not file.is_file()]:
         raise InputError(
             f"{path} names {len(missing)} images that are not there, {_names_text(missing)}: names "
             f"are from the folder {folder} on"
         )
     if twice := [str(file) for file, count in Counter(paths).items() if count > 1]:
         raise InputError(f"{path} names {_names_text(twice)} twice: give each image one line")
-    pictures = list(map(picture_file, paths, labels))
-    return Listing([pictures], names.heads if values and len(names.heads) == len(values[0]) else ())
+    named = values and (len(columns) > 1 or (heads and heads[0].lower() not in LABEL_HEADS))
+    return Listing([list(map(picture_file, paths, labels))], heads if named else ())
 
 
-def _finder(folder: Path) -> Callable[[str], Path]:
-    r"""Function from a name to its file: as it is, or in another spelling, case, or with `\`."""
-
-    @cache
-    def spellings(inside: Path) -> dict[str, list[str]]:
-        names: dict[str, list[str]] = {}
-        for file in sorted(inside.iterdir()) if inside.is_dir() else ():
-            names.setdefault(normal_name(file.name).casefold(), []).append(file.name)
-        return names
-
-    def find(name: str) -> Path:
-        path = folder / name
-        if path.is_file():
-            return path
-        here = folder
-        for word in name.replace("\\", "/").split("/"):
-            same = spellings(here).get(normal_name(word).casefold(), [])
-            here = here / (same[0] if len(same) == 1 and word not in same else word)
-        return here if here.is_file() else path
-
-    return find
-
-
-def _values_of(names: NameList, path: Path) -> list[tuple[float, ...]]:
-    """Values of images, or none where their cells are labels."""
-    columns = len(names.rows[0].cells)
-    every = [cell for row in names.rows for cell in row.cells]
-    if columns == 1 and all(map(is_whole_number, every)):
+def _values_of(columns: list[list[str]], path: Path) -> list[tuple[float, ...]]:
+    """Values of images, or none where their cells are labels: words, or one whole number each."""
+    try:
+        numbers = [list(map(float, column)) for column in columns]
+    except ValueError:
+        if len(columns) > 1:
+            raise InputError(
+                f"{path} has {len(columns)} columns beside the file name, and a cell in them that "
+                f"is no number: {LIST_ADVICE}"
+            ) from None
         return []
-    comma = has_decimal_commas(every, names.separator)
-    numbers = [parse_number(cell, comma) for cell in every]
-    wrong = [cell for cell, number in zip(every, numbers, strict=True) if number is None]
-    no_value = [cell for cell in wrong if cell.lower() in WITHOUT_VALUE]
-    if columns == 1 and wrong and (len(no_value) < len(wrong) or len(wrong) == len(every)):
+    if len(columns) == 1 and all(re.fullmatch(r"[+-]?\d+", cell) for cell in columns[0]):
         return []
-    if wrong:
-        raise InputError(
-            f"{path} has {columns} columns beside the file name, and a cell that is no finite "
-            f"number ({(no_value or wrong)[0]!r}): {LIST_ADVICE}"
-        )
-    finite = [number for number in numbers if number is not None]
-    return [tuple(finite[at : at + columns]) for at in range(0, len(finite), columns)]
+    return list(zip(*numbers, strict=True))
 
 
 def is_image(name: str) -> bool:
@@ -312,36 +237,20 @@ def picture_file(path: Path, label: Label = "") -> Picture:
 
 
 def _zip_entries(archive: zipfile.ZipFile, path: Path) -> Iterable[_Entry]:
-    def read(info: zipfile.ZipInfo, where: str) -> IO[bytes]:
-        content = read_zip_entry(archive, info, where=where, largest=MAX_FILE, advice="remove it")
-        return io.BytesIO(content)
+    def read(info: zipfile.ZipInfo) -> IO[bytes]:
+        with archive.open(info) as entry:
+            # asked for no more than is declared, zipfile unpacks no more
+            return io.BytesIO(entry.read(info.file_size + 1))
 
-    entries: dict[tuple[str, ...], Picture | None] = {}
     for info in archive.infolist():
-        names = _safe_names(info, path)
-        if any(map(_is_of_system, names)):
-            continue
-        if names in entries and not info.is_dir():
-            raise InputError(f"{path} holds {'/'.join(names)} twice; pack it again")
-        where = f"{path}/{'/'.join(names)}"
-        entries[names] = None if info.is_dir() else Picture("", where, partial(read, info, where))
-    return entries.items()
-
-
-def _safe_names(info: zipfile.ZipInfo, path: Path) -> tuple[str, ...]:
-    """Folders and file name of an entry, where nothing about it is a trick."""
-    name = info.filename
-    if not info.flag_bits & UTF8_FLAG:  # macOS writes UTF-8 without the flag that says so
-        with suppress(UnicodeError):
-            name = name.encode("cp437").decode("utf-8")
-    name = name.replace("\\", "/")
-    names = tuple(word for word in name.split("/") if word)
-    absolute = name.startswith("/") or (names and names[0][1:2] == ":")
-    if not names or absolute or ".." in names or not name.isprintable():
-        raise InputError(
-            f"{path} holds the name {info.filename!a}, which no honest zip file has; pack it again"
-        )
-    return names
+        name = info.filename
+        if not info.flag_bits & UTF8_FLAG:  # macOS writes UTF-8 without the flag that says so
+            with suppress(UnicodeError):
+                name = name.encode("cp437").decode("utf-8")
+        names = tuple(word for word in name.replace("\\", "/").split("/") if word)
+        if names and not any(map(_is_of_system, names)):
+            where = f"{path}/{'/'.join(names)}"
+            yield names, None if info.is_dir() else Picture("", where, partial(read, info))
 
 
 def _is_of_system(name: str) -> bool:
@@ -353,31 +262,23 @@ def _listing(entries: Iterable[_Entry], where: str) -> Listing:
     files = list(entries)
     while len({names[0] for names, _ in files}) == 1 and any(len(names) > 2 for names, _ in files):
         files = [(names[1:], picture) for names, picture in files if len(names) > 1]
-    inside: dict[str, list[_Entry]] = {}
+    inside: dict[str, list[_Entry]] = {part: [] for part in PART_NAMES}
     for names, picture in files:
-        if len(names) > 1 or picture is None:
-            entry = names[1:], picture
-            inside.setdefault(names[0], []).extend([entry] if entry[0] else [])
-    folders = {name.lower(): name for name in sorted(inside) if name.lower() in PART_NAMES[:2]}
-    train = inside.get(folders.get("train", ""), [])
-    if inside.get(folders.get("test", "")) and any(len(n) > 1 or not pic for n, pic in train):
+        if len(names) > 2 and names[0].lower() in PART_NAMES:
+            inside[names[0].lower()].append((names[1:], picture))
+    if all(inside.values()):
         other = [
             "/".join(names)
             for names, picture in files
-            if names[0] not in folders.values() and picture and is_image(names[-1])
+            if names[0].lower() not in PART_NAMES and picture and is_image(names[-1])
         ]
         if other:
             raise InputError(
-                f"{where} holds images outside of {' and '.join(folders.values())} "
-                f"({_names_text(other)}): move them into one of the two, or away"
+                f"{where} holds images outside of train and test ({_names_text(other)}): move "
+                "them into one of the two, or away"
             )
-        in_order = [folders[part] for part in PART_NAMES[:2]]
-        return Listing([_by_class(inside[folder], f"{where}/{folder}") for folder in in_order])
-    if inside and all(name.lower() in PART_NAMES for name in inside):
-        raise InputError(
-            f"{where} holds the folders {', '.join(sorted(inside))}, which name no classes: put a "
-            "folder of each class into train and test there"
-        )
+        parts = [_by_class(entries, f"{where}/{part}") for part, entries in inside.items()]
+        return Listing(parts)
     return Listing([_by_class(files, where)])
 
 
@@ -407,12 +308,11 @@ def _by_class(entries: Iterable[_Entry], where: str) -> list[Picture]:
             f"{where} holds images that lie in no folder of a class, or in folders within one "
             f"({_names_text(astray)}): move them into the folder of their class, or away"
         )
-    for label, images in classes.items():
-        if not images:
-            raise InputError(
-                f"the class folder {where}/{label} holds no images; add some "
-                f"({' '.join(IMAGE_SUFFIXES)}) or remove it"
-            )
+    if empty := [label for label, images in classes.items() if not images]:
+        raise InputError(
+            f"the class folder {where}/{empty[0]} holds no images; add some "
+            f"({' '.join(IMAGE_SUFFIXES)}) or remove it"
+        )
     return [picture for label in sorted(classes) for _, picture in sorted(classes[label])]
 
 
@@ -476,16 +376,11 @@ def _check_total(images: int, shape: tuple[int, ...]) -> None:
 
 def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:
     """Name damaged images, each with what is wrong, and say what to do."""
-    wheres, reasons = zip(*bad, strict=True)
     named = _names_text([f"{where} ({reason})" for where, reason in bad])
-    if len(set(reasons)) == 1:
-        named = f"{_names_text(wheres)} ({reasons[0]})"
     what = "the image" if len(bad) == 1 else f"{len(bad)} images:"
     them = "it" if len(bad) == 1 else "them"
-    text = f"cannot read {what} {named}; replace or remove {them}"
-    if not may_skip:
-        return text
-    return f"{text}, or leave {them} out with `skip_bad`"
+    skip = f", or leave {them} out with `skip_bad`" if may_skip else ""
+    return f"cannot read {what} {named}; replace or remove {them}{skip}"
 
 
 def _read(
@@ -496,19 +391,15 @@ def _read(
     try:
         with picture.open() as stream:
             size = stream.seek(0, io.SEEK_END)
-
-            stream.seek(0)
-            try:
-                opened = Image.open(stream, formats=PICTURE_FORMATS)
-            except UnidentifiedImageError:
-                raise _Unreadable(unread_kind(stream)) from None
-            with opened as image:
+            with Image.open(stream, formats=PICTURE_FORMATS) as image:
                 pixels = image.width * image.height
                 check_unpacked(pixels, size, picture.where, "replace or remove it")
                 grey = tally.grey(image, picture.where)
         tally.packed += size
     except InputError:
         raise
+    except UnidentifiedImageError:
+        raise _Unreadable("no image of a kind that is read") from None
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
         raise _Unreadable(str(error)) from error
     if shape is not None:

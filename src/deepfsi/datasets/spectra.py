@@ -7,7 +7,7 @@ neighbours were trained on, and flatters; a split in blocks keeps the two parts 
 Files are ``.mat``, ``.npy`` or ENVI's, of a cube and of its label map beside it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from glob import escape
@@ -20,7 +20,6 @@ import numpy.typing as npt
 from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.files import open_regular
 from deepfsi.base.numeric.arrays import check_size, read_array
-from deepfsi.base.numeric.tables import parse_number
 from deepfsi.datasets.arrays import TEST_SHARE, assemble, check_seed, draw_fifth
 from deepfsi.datasets.dataset import Dataset, Ends, Reflectance
 
@@ -44,12 +43,6 @@ CUBE_ENDINGS = (".mat", ".npy", ".hdr")
 NOT_APPLIED = ("data gain values", "data offset values", "file compression")
 """Fields of an ENVI header with which a cube is refused."""
 
-HEADER_KEYS = (
-    *("data ignore value", "bbl", "reflectance scale factor", "wavelength", "wavelength units"),
-    *NOT_APPLIED,
-)
-"""Fields of an ENVI header that change what its data mean, besides those that spectral reads."""
-
 MAX_VALUES = 2**30
 """Values of a cube at most."""
 
@@ -68,10 +61,9 @@ class SpectralImage:
     def __post_init__(self) -> None:
         cube = self.cube
         labels = self.labels
-        if cube.ndim != 3 or not cube.size or cube.dtype.kind not in "uif":
+        if cube.ndim != 3 or not cube.size:
             raise InputError(
-                f"{self.name}: the cube is {cube.dtype} of shape {cube.shape}; give numbers of "
-                "shape (height, width, bands)"
+                f"{self.name}: the cube is of shape {cube.shape}; give (height, width, bands)"
             )
         if labels.shape != cube.shape[:2] or labels.dtype.kind not in "ui":
             raise InputError(
@@ -80,18 +72,13 @@ class SpectralImage:
             )
         if not np.isfinite(cube).all():
             raise InputError(f"{self.name}: the cube holds NaN or infinite values; remove them")
-        present = np.unique(labels[labels != 0]).tolist()
+        present = np.unique(labels[labels != 0])
         if len(present) < 2:
             raise InputError(f"{self.name}: {len(present)} classes are labelled; give two or more")
         if self.classes is not None and not 1 <= present[0] <= present[-1] <= len(self.classes):
             raise InputError(
-                f"{self.name}: the labels are {', '.join(map(str, present))} for "
+                f"{self.name}: the labels reach from {present[0]} to {present[-1]} for "
                 f"{len(self.classes)} class names; name each class 1, 2, .."
-            )
-        if self.wavelengths is not None and self.wavelengths.shape != cube.shape[2:]:
-            raise InputError(
-                f"{self.name}: {len(self.wavelengths)} wavelengths for {cube.shape[2]} bands; "
-                "give one for each"
             )
 
     @cached_property
@@ -231,7 +218,6 @@ class _Array(NamedTuple):
     wavelengths: npt.NDArray[np.float64] | None = None
     classes: tuple[str, ...] | None = None
     missing: Mask | None = None  # pixels without data
-    notes: tuple[str, ...] = ()  # what the header made of the values, in words
 
 
 def read_cube(
@@ -260,7 +246,7 @@ def read_cube(
         labels=numbers,
         classes=names if classes is None else classes,
         wavelengths=cube.wavelengths,
-        origin=origin + (f" ({', '.join(cube.notes)})" if cube.notes else ""),
+        origin=origin,
     )
 
 
@@ -306,17 +292,9 @@ def _read_envi(path: Path, dimensions: int) -> _Array:
                 pass
     try:
         image = envi.open(str(path))
-        if not image.using_memmap:
-            raise ValueError("its data file holds less than the header says")
-        mapped = image.open_memmap()
-        check_size(str(path), mapped.shape, mapped.dtype.itemsize, MAX_VALUES)
-        values = np.array(mapped)
-        fields = {key: image.metadata.get(key) for key in HEADER_KEYS}
-        if dimensions == 3:
-            array = by_header(values, fields)
-        else:
-            ignored = _missing(values, fields)
-            array = _Array(values if ignored is None else np.where(ignored[..., None], 0, values))
+        check_size(str(path), image.shape, 4, MAX_VALUES)
+        values = np.array(image.open_memmap(), np.float32) / image.scale_factor
+        array = _by_header(values, image) if dimensions == 3 else _Array(values.astype(np.int64))
     except InputError:
         raise
     except Exception as error:  # spectral raises almost anything on a damaged header
@@ -325,64 +303,22 @@ def _read_envi(path: Path, dimensions: int) -> _Array:
     return array._replace(classes=tuple(names) if names else None)
 
 
-def by_header(values: npt.NDArray[Any], header: Mapping[str, Any]) -> _Array:
-    """Cube (height, width, bands) of stored values of this shape, as its ENVI header says.
+def _by_header(values: npt.NDArray[np.float32], image: Any) -> _Array:
+    """Cube (height, width, bands) without what its ENVI header calls bad.
 
-    Bands that the header calls bad are left out, numbers become reflectance by the scale factor,
-    and pixels with the data ignore value in any band are without data.
+    Bands of the list of bad ones are left out, and pixels with the data ignore value in any band.
     """
-    notes = []
-    for key in NOT_APPLIED:
-        if header.get(key) not in (None, "0"):
-            raise ValueError(f"its header has {key!r}, which is not applied: save it without")
-    bands = values.shape[2]
-    centres = _field(header, "wavelength", bands)
-    good = _field(header, "bbl", bands)
-    if good is not None and not good.all():
-        if not good.any():
-            raise ValueError("its list of bad bands (bbl) leaves none")
-        values = values[..., good != 0]
-        centres = None if centres is None else centres[good != 0]
-        notes.append(f"{np.count_nonzero(good == 0)} bad bands left out")
-    missing = _missing(values, header)
-    if missing is not None and missing.any():
-        if missing.all():
-            raise ValueError("every pixel has its data ignore value in some band")
+    header = image.metadata
+    if any(header.get(key) not in (None, "0") for key in NOT_APPLIED):
+        raise ValueError(f"its header has {', '.join(NOT_APPLIED)}, which are not applied")
+    centres = image.bands.centers and np.array(image.bands.centers, float)
+    good = np.array(header.get("bbl", np.ones(values.shape[2])), float) != 0
+    missing = None
+    if (ignored := header.get("data ignore value")) is not None:
+        value = np.float32(float(ignored) / image.scale_factor)
+        missing = ((values == value) | (np.isnan(value) & np.isnan(values))).any(axis=2)
         values[missing] = values[~missing][0]  # so that it sets no range
-        notes.append(f"{np.count_nonzero(missing)} pixels without data left out")
-    if (factor := header.get("reflectance scale factor")) is not None:
-        if not 0 < float(factor) < np.inf:
-            raise ValueError(f"its reflectance scale factor is {factor}")
-        values = values / float(factor)
-        notes.append(f"divided by the reflectance scale factor {float(factor):g}")
-    if values.dtype == np.float64:
-        values = values.astype(np.float32)
-    unit = str(header.get("wavelength units") or "").lower()
-    nanometres = None  # where the unit is none of length, or not there and not plausible
-    if centres is not None and np.isfinite(centres).all():
-        if unit.startswith(("micro", "um", "\u00b5m", "\u03bcm")):
-            nanometres = centres * 1000
-        elif unit.startswith(("nano", "nm")) or (
-            unit in ("", "none", "unknown") and centres.min() > 100
-        ):
-            nanometres = centres
-    return _Array(values, nanometres, missing=missing, notes=tuple(notes))
-
-
-def _missing(values: npt.NDArray[Any], header: Mapping[str, Any]) -> Mask | None:
-    """Pixels that have the data ignore value in any band; None where the header has no such."""
-    if (value := header.get("data ignore value")) is None:
-        return None
-    ignored = float(value)
-    missing: Mask = (np.isnan(values) if np.isnan(ignored) else values == ignored).any(axis=2)
-    return missing
-
-
-def _field(header: Mapping[str, Any], key: str, bands: int) -> npt.NDArray[Any] | None:
-    """Numbers of a field, one for each band; None where the header has no such field."""
-    if (words := header.get(key)) is None:
-        return None
-    numbers = np.array([parse_number(str(word)) for word in np.atleast_1d(words)], float)
-    if numbers.shape != (bands,) or not np.isfinite(numbers).all():
-        raise ValueError(f"its field {key!r} does not hold a number for each of {bands} bands")
-    return numbers
+    unit = str(image.bands.band_unit).lower()
+    scale = 1000.0 if unit.startswith(("micro", "um", "\u00b5m")) else 1.0
+    known = centres is not None and unit.startswith(("micro", "um", "\u00b5m", "nano", "nm"))
+    return _Array(values[..., good], centres[good] * scale if known else None, missing=missing)

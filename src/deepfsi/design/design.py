@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from deepfsi.adaptive.exposure import AdaptiveExposure, LookedAt
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, check_ending, write_atomically
-from deepfsi.base.keywords import plain_keywords
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName, NoiseName
@@ -572,7 +571,6 @@ class Design:
         return replace(self, classifier=made.to(self.rails.device))
 
 
-@plain_keywords()
 def load_design(
     path: str | os.PathLike[str], device: str | torch.device = "cpu", *, trust: bool = False
 ) -> Design:

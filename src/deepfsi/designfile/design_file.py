@@ -23,8 +23,8 @@ from safetensors.numpy import save
 
 from deepfsi.base.errors import InputError, closest_choice, other_version
 from deepfsi.base.models.strict import Count, StrictModel, of_kinds
-from deepfsi.base.numeric.arrays import DamagedError, read_tensors
-from deepfsi.base.plugins import IMPORT_PATH
+from deepfsi.base.numeric.arrays import read_tensors
+from deepfsi.base.registry import IMPORT_PATH
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.light import TOO_DIM
@@ -210,7 +210,7 @@ class DesignFile:
             kind = AdaptiveHeader if code is not None and code.adaptive else MaskHeader
             file = cls(kind.model_validate_json(text), tensors, Path(path), text)
             file.check(whole=arrays is None)
-        except (DamagedError, RecursionError, *DAMAGED) as error:
+        except (RecursionError, *DAMAGED) as error:
             if isinstance(error, InputError) and not text:
                 raise  # it is no file, or larger than any
             raise damaged_design(path, text) from error

@@ -4,16 +4,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import prod
-from typing import Any, TypeVar, Unpack, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.progress import Progress, progress_bar
-from deepfsi.camera.camera import Camera, CameraSettings, CameraSource
+from deepfsi.camera.camera import Camera, CameraSource
 from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import NoiseName
 from deepfsi.datasets.arrays import as_test_part
@@ -33,7 +32,6 @@ COVERS = "test images and noise draws, of one training"
 """What the interval of a test of classes covers."""
 
 
-@plain_keywords()
 @library_defaults()
 def evaluate(
     design: Design,
@@ -44,7 +42,7 @@ def evaluate(
     draws: int = 3,
     seed: int = 0,
     report: Progress | None = None,
-    **settings: Unpack[CameraSettings],
+    **settings: Any,
 ) -> list[Any]:
     """Test a design on a data set under noise: a `Result`, or `Estimates`, for each budget.
 
@@ -142,9 +140,7 @@ def _answering(design: Design, front: Any, x: Tensor) -> Guess:
     return guess
 
 
-def camera_for(
-    design: Design, camera: CameraSource = None, **settings: Unpack[CameraSettings]
-) -> Camera:
+def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> Camera:
     """Camera of a test, the design's own unless given."""
     base = design.camera if camera is None else Camera.load(camera)
     if "noise" not in settings and camera is None and base.noise_name not in get_args(NoiseName):

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from deepfsi.adaptive.posterior import class_chances
-from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.numeric.arrays import check_memory, free_memory
 from deepfsi.base.progress import Progress, progress_bar
 from deepfsi.camera.light import check_budget, summed_reflectance
@@ -91,7 +90,6 @@ class IdealObserver:
         return class_chances(logs.softmax(dim=1), self._sizes)
 
 
-@plain_keywords()
 @library_defaults()
 def ideal_observer(
     design: Design | Tensor,

@@ -9,7 +9,7 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_unpacked, open_regular
 from deepfsi.base.numeric.arrays import read_array, split_variable
-from deepfsi.datasets.decoding import PICTURE_FORMATS, check_grey_levels, unread_kind
+from deepfsi.datasets.decoding import PICTURE_FORMATS, check_depth
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""
@@ -72,7 +72,7 @@ def _kind(page: np.ndarray) -> str:
 
 def _pages(file: Path) -> Iterator[np.ndarray]:
     """Every page of an image as (H, W), in the levels of its file."""
-    from PIL import Image, ImageSequence, UnidentifiedImageError
+    from PIL import Image, ImageSequence
 
     try:
         with warnings.catch_warnings():
@@ -82,7 +82,7 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
                 pixels = image.width * image.height * getattr(image, "n_frames", 1)
                 check_unpacked(pixels, file.stat().st_size, str(file), "replace it")
                 for page in ImageSequence.Iterator(image):
-                    check_grey_levels(page, str(file))
+                    check_depth(page, str(file))
                     if page.mode == "I":
                         raise InputError(
                             f"{file} has 32 bits a pixel, of unknown full scale: save it with 8 "
@@ -94,9 +94,5 @@ def _pages(file: Path) -> Iterator[np.ndarray]:
                         yield np.asarray(page if page.mode in ("1", "F") else page.convert("L"))
     except InputError:
         raise
-    except UnidentifiedImageError:
-        with open_regular(file) as stream:
-            kind = unread_kind(stream)
-        raise InputError(f"cannot read the image {file} ({kind}): replace it") from None
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
         raise InputError(f"cannot read the image {file} ({error}): replace it") from None

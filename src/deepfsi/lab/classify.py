@@ -15,10 +15,9 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import hash_file
-from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.numeric.tables import read_table
-from deepfsi.base.plugins import require_extras
 from deepfsi.base.quantities import Table
+from deepfsi.base.registry import require_extras
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import NO_EFFECTS
 from deepfsi.camera.light import TOO_DIM, check_budget
@@ -149,7 +148,6 @@ class ClassifiedRun:
         }
 
 
-@plain_keywords()
 def classify_run(
     design: str | os.PathLike[str],
     folder: str | os.PathLike[str],
@@ -230,7 +228,6 @@ def _live_answers(design: Path, run: Recording, trust: bool) -> LiveAnswers:
     return LiveAnswers(run.acquisition.exposure_s, tuple(answers))
 
 
-@plain_keywords()
 def classify_table(
     design: str | os.PathLike[str],
     table: str | os.PathLike[str],

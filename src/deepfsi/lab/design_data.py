@@ -24,7 +24,7 @@ import numpy as np
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_regular
 from deepfsi.base.numeric.arrays import LARGEST_TENSORS
-from deepfsi.base.plugins import require_extras
+from deepfsi.base.registry import require_extras
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.display import array_display, read_display, read_scene_list
@@ -247,11 +247,8 @@ def listed_scenes(source: Path, patterns: Path) -> tuple[Scene, ...]:
 
 def read_scenes(path: str | os.PathLike[str]) -> tuple[Scene, ...]:
     """Scenes of a text or CSV file, in its order."""
-    scenes = []
-    for line, name, label in read_scene_list(Path(path)):
-        with as_input_error(f"{path}, line {line},"):
-            scenes.append(Scene(name=name, label=label))
-    return tuple(scenes)
+    with as_input_error(str(path)):
+        return tuple(Scene(name=name, label=label) for name, label in read_scene_list(Path(path)))
 
 
 def _view_matrix(

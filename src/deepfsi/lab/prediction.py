@@ -6,15 +6,14 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.quantities import Table, budget_text
-from deepfsi.camera.camera import Camera, CameraSettings, CameraSource
+from deepfsi.camera.camera import Camera, CameraSource
 from deepfsi.camera.light import check_budget
 from deepfsi.designfile.provenance import Score, scene_hashes, was_trained_on
 from deepfsi.lab.classify import dim_scenes
@@ -92,7 +91,6 @@ class Predictions:
         return text.getvalue()
 
 
-@plain_keywords()
 def predict(
     design: "Design",
     pictures: str | os.PathLike[str] | npt.ArrayLike,
@@ -101,7 +99,7 @@ def predict(
     camera: CameraSource = None,
     seed: int = 0,
     skip_bad: bool = False,
-    **settings: Unpack[CameraSettings],
+    **settings: Any,
 ) -> Predictions:
     """Classes of new pictures, each from one simulated exposure under the camera's noise.
 

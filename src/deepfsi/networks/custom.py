@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.plugins import UNNAMED_PLUGIN, load_plugin
+from deepfsi.base.registry import UNNAMED_PLUGIN, load_plugin
 from deepfsi.jobs.training import describe_classifier
 from deepfsi.networks.classifiers import Classifier
 

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.plugins import load_plugin
+from deepfsi.base.registry import load_plugin
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import NoiseFacts, check_noise, find_noise, noise_name
 from deepfsi.physics.detection import Readouts

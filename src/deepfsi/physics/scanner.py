@@ -6,7 +6,6 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.keywords import plain_keywords
 from deepfsi.physics.detection import Detection, Rails, Readouts
 from deepfsi.physics.laws import FixedMasks
 from deepfsi.physics.noise import Expectation, NoiseFunction, make_noise
@@ -43,7 +42,6 @@ class Scanner(nn.Module):
     tensor([10.])
     """
 
-    @plain_keywords()
     def __init__(
         self,
         masks: nn.Module,
@@ -63,7 +61,6 @@ class Scanner(nn.Module):
         self.detection = detection or Detection()
 
     @classmethod
-    @plain_keywords()
     def from_rails(
         cls,
         rails: Tensor,

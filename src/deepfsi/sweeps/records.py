@@ -27,7 +27,6 @@ from deepfsi.base.files import (
     check_ending,
     new_folder,
     read_regular,
-    remove_drafts,
     write_atomically,
 )
 from deepfsi.base.interrupts import note_saved_work
@@ -63,8 +62,6 @@ class Records:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._locks = Locks(folder)
-        remove_drafts(folder)
-        remove_drafts(self.checkpoints)
         for left in folder.glob("finished-*"):
             self._move(left)
         self._clear_checkpoints()

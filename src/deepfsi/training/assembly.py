@@ -7,7 +7,6 @@ import torch
 from torch import nn
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.keywords import plain_keywords
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget, summed_reflectance
 from deepfsi.camera.names import LightLawName
@@ -29,7 +28,6 @@ from deepfsi.physics.surroundings import library_defaults
 from deepfsi.training.characterisation import characterise, provenance
 
 
-@plain_keywords()
 @library_defaults(grad=True)
 def design_of(
     scanner: Scanner,

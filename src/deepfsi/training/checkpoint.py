@@ -25,8 +25,8 @@ from torch import Tensor, nn
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.interrupts import PostponedSignals, note_saved_work, postpone_signals
-from deepfsi.base.numeric.arrays import DamagedError, read_tensors
-from deepfsi.base.plugins import UNNAMED_PLUGIN, source_hash
+from deepfsi.base.numeric.arrays import read_tensors
+from deepfsi.base.registry import UNNAMED_PLUGIN, source_hash
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import REVISION, Job, custom_parts
 from deepfsi.physics.training_noise import Draws
@@ -174,7 +174,7 @@ class Checkpoint:
         try:
             text, arrays = read_tensors(self.path, HEADER, advice)
             header = _Header.model_validate_json(text)
-        except (DamagedError, ValueError) as error:
+        except ValueError as error:
             if isinstance(error, InputError):
                 raise
             raise self._damaged() from error

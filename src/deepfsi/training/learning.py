@@ -24,7 +24,6 @@ from deepfsi.adaptive.exposure import (
     training_of,
 )
 from deepfsi.base.errors import InputError
-from deepfsi.base.keywords import plain_keywords
 from deepfsi.base.numeric.arrays import check_memory, free_memory
 from deepfsi.base.progress import SILENT, Progress, progress_bar
 from deepfsi.camera.camera import CameraSource
@@ -36,7 +35,7 @@ from deepfsi.exposure.kind import Clicks
 from deepfsi.exposure.training import ExposureTraining, JobGroup, build_training, matrix_seeds
 from deepfsi.exposure.training_set import TrainingSet, network_dtype, product_dtype
 from deepfsi.jobs.exposures import DICTIONARY_SPREAD, AdaptiveMasks, ExposureSource
-from deepfsi.jobs.job import Job, find_job, table_advice
+from deepfsi.jobs.job import Job, find_job
 from deepfsi.jobs.training import TrainingSource
 from deepfsi.networks.classifiers import Classifier
 from deepfsi.physics.surroundings import library_defaults
@@ -64,7 +63,6 @@ class Diverged(InputError):
     """Training ended in numbers that are not finite."""
 
 
-@plain_keywords(table_advice)
 @library_defaults(grad=True)
 def learn(
     data: Source,

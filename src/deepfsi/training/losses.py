@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.plugins import load_plugin
+from deepfsi.base.registry import load_plugin
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.training import Training
 

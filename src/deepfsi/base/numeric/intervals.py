@@ -146,15 +146,6 @@ def _score(values: np.ndarray) -> Interval:
     return Interval(mean, *_wilson(mean, count / share))
 
 
-def student(values: Sequence[float]) -> tuple[float, float]:
-    """95 % interval of a mean over trials."""
-    from scipy import stats
-
-    mean = float(np.mean(values))
-    half = float(stats.t.ppf(0.975, len(values) - 1)) * float(stats.sem(values))
-    return mean - half, mean + half
-
-
 def worst_class(rates: Sequence[float | None]) -> int:
     """Place of the class with the lowest accuracy, of those that have one."""
     return min((rate, place) for place, rate in enumerate(rates) if rate is not None)[1]
