@@ -104,7 +104,7 @@ def test_what_is_not_the_designs_is_refused(good, digits):
     for settings in ({name: bad} for name, every in wrong.items() for bad in every):
         with pytest.raises(InputError):
             evaluate(good, digits, 1e3, noise="gaussian", **settings)
-    with pytest.raises(InputError, match="no keyword 'nois': did you mean 'noise'"):
+    with pytest.raises(InputError, match="no such setting: did you mean 'noise'"):
         evaluate(good, digits, 1e3, nois="poisson")
 
 

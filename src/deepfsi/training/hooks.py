@@ -16,7 +16,6 @@ import torch
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import LRScheduler
 
-from deepfsi.base.errors import InputError
 from deepfsi.design.design import Design
 from deepfsi.exposure.kind import Clicks
 from deepfsi.exposure.training import CHUNK, ExposureTraining
@@ -56,17 +55,6 @@ class LoopHooks:
     lengths: list[int] = field(default_factory=list)  # epochs of each finished loop
     history: list[list[Epoch]] = field(default_factory=list)  # last loop, for each design
     _most: tuple[int, ...] = ()  # largest number of epochs of each loop
-
-    def __post_init__(self) -> None:
-        for name in ("callback", "optimiser", "schedule"):
-            hook = getattr(self, name)
-            if not (hook is None or callable(hook)):
-                raise InputError(f"{name} = {hook!r}: give a function")
-        counts = isinstance(self.patience, int | np.integer) and self.patience >= 1
-        if self.patience is not None and not counts:
-            raise InputError(
-                f"patience = {self.patience!r}: give a whole number of epochs, 1 or more"
-            )
 
     @property
     def watched(self) -> bool:

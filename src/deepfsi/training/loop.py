@@ -56,10 +56,8 @@ def optimise(
     groups = [_parameter_group(classify, settings.lr, settings.decay)]
     if exposure.learns:
         groups.append(_parameter_group(exposure.masks, settings.mask_lr))
-    made = (hooks.optimiser or partial(torch.optim.AdamW, fused=True))(groups)
-    optimiser = _check_made("optimiser", made, torch.optim.Optimizer)
-    cycle = (hooks.schedule or _one_cycle)(optimiser, total)
-    schedule = _check_made("schedule", cycle, LRScheduler)
+    optimiser = (hooks.optimiser or partial(torch.optim.AdamW, fused=True))(groups)
+    schedule = (hooks.schedule or _one_cycle)(optimiser, total)
     modules = [classify, *([exposure.masks] if exposure.learns else [])]
     generators = exposure.noise.generators + _generators(settings, classifiers, device)
     state = LoopState(
@@ -106,13 +104,6 @@ def optimise(
             network.generator = None
         network.eval()
     return classifiers
-
-
-def _check_made(name: str, made: Any, kind: type[Any]) -> Any:
-    """Object that a user's function made, or `InputError` for one of a wrong kind."""
-    if not isinstance(made, kind):
-        raise InputError(f"{name} gives {made!r}: give a function that makes a torch {name}")
-    return made
 
 
 def batch_of(settings: Training, count: int) -> int:

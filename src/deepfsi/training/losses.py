@@ -85,14 +85,7 @@ def _checked(own: Callable[[Tensor, Tensor], Any]) -> SceneLoss:
     """A user's loss, whose faults become one-line errors."""
 
     def loss(outputs: Tensor, truth: Tensor) -> Tensor:
-        try:
-            found = own(outputs, truth)
-        except Exception as error:
-            told = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(
-                f"the loss fails at outputs of shape {tuple(outputs.shape)} and truth of shape "
-                f"{tuple(truth.shape)}: {told}; give loss(outputs, truth), a number a scene"
-            ) from error
+        found = own(outputs, truth)
         shape = tuple(found.shape) if isinstance(found, Tensor) else type(found).__name__
         if shape != (len(outputs),) or not found.requires_grad:
             raise InputError(

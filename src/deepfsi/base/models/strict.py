@@ -13,7 +13,7 @@ from pydantic import (
     WrapValidator,
 )
 
-from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.errors import as_input_error
 from deepfsi.base.quantities import seconds
 
 if TYPE_CHECKING:
@@ -53,10 +53,7 @@ class _InOneLine(ModelMetaclass):
 
     if not TYPE_CHECKING:  # editors complete the fields of a model, which this would hide
 
-        def __call__(cls, *args: Any, **fields: Any) -> Any:
-            if args:
-                names = ", ".join(cls.model_fields)
-                raise InputError(f"{cls.__name__} takes its settings by their names: {names}")
+        def __call__(cls, **fields: Any) -> Any:
             with as_input_error():
                 return super().__call__(**fields)
 
