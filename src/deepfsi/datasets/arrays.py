@@ -14,14 +14,12 @@ from deepfsi.base.numeric.arrays import check_memory, free_memory, read_npz
 from deepfsi.base.numeric.tables import normal_name
 from deepfsi.datasets.dataset import Dataset, Ends, Labels, Origin, Reflectance, Truth
 from deepfsi.datasets.levels import (
-    LARGE,
     AnyArray,
     ValueRange,
     grey,
     mapped,
     measure_levels,
     reflectance,
-    select_scenes,
 )
 
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
@@ -188,13 +186,13 @@ def split_arrays(
     y = targets.y
     if targets.y_test is None:
         order, drawn = draw_fifth(len(y), y if targets.classes else None, seed)
-        tested = select_scenes(scenes[0], drawn), y[drawn]
+        tested = scenes[0][drawn], y[drawn]
     else:
         order = np.random.default_rng(seed).permutation(len(y))
         tested = scenes[1], targets.y_test
     data = assemble(
         name,
-        (select_scenes(scenes[0], order), y[order]),
+        (scenes[0][order], y[order]),
         tested,
         described=described or words,
         rescale=rescale,
@@ -312,14 +310,13 @@ def _scenes(
     levels = levels or measure_levels(read, white)
     words = levels.words[0].upper() + levels.words[1:]
     size = sum(part.size for part in read.values())
-    if 4 * size <= LARGE:
-        count = sum(len(part) for part in read.values())
-        check_memory(
-            SCENE_BYTES * size,
-            free_memory(),
-            f"{name}: {count} scenes of {shapes[0]} values",
-            "give fewer or smaller ones",
-        )
+    count = sum(len(part) for part in read.values())
+    check_memory(
+        SCENE_BYTES * size,
+        free_memory(),
+        f"{name}: {count} scenes of {shapes[0]} values",
+        "give fewer or smaller ones",
+    )
     return [reflectance(part, levels) for part in read.values()], words + colours, levels
 
 

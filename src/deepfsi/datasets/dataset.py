@@ -67,8 +67,7 @@ class Dataset:
     name : str
         Name in tables and records.
     x_train, x_test : array, shape (n, N), float32
-        Reflectance after preprocessing, dimensionless in [0, 1]. Of large data it is a
-        file that has no name.
+        Reflectance after preprocessing, dimensionless in [0, 1].
     y_train, y_test : array
         Class of each scene, 0 .. C-1, (n,) int64; or its values, (n, q) float32.
     image_shape : tuple of int

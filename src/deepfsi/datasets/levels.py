@@ -7,17 +7,13 @@ scenes together, unless it is given. A data set and a design remember it, so tha
 divided by the same.
 """
 
-import shutil
-import tempfile
-from collections.abc import Iterator, Mapping
-from math import prod
+from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.numeric.arrays import check_memory
 
 LUMA = (0.299, 0.587, 0.114)
 """Weights of red, green and blue in a grey level (ITU-R BT.601, those of Pillow)."""
@@ -30,12 +26,6 @@ LARGEST_ROUNDING = 1e-6
 
 GREY_AT_ONCE = 4096
 """Scenes whose colours are turned to grey at once."""
-
-LARGE = 2**28
-"""Bytes as float32 above which scenes are kept in a file, and are read part by part."""
-
-VALUES_AT_ONCE = 2**22
-"""Values that are read at once."""
 
 AnyArray = npt.NDArray[Any]
 
@@ -118,47 +108,11 @@ def family_of(dtype: np.dtype[Any], what: str) -> Family:
     return kinds[dtype.kind]
 
 
-def _empty_scenes(shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
-    """Array for reflectance; a large one is a file that has no name and ends with it."""
-    size = 4 * prod(shape)
-    if size <= LARGE:
-        return np.empty(shape, np.float32)
-    folder = tempfile.gettempdir()
-    check_memory(
-        size,
-        shutil.disk_usage(folder).free,
-        f"{shape[0]} scenes of {prod(shape[1:])} values, in {folder}",
-        "give fewer or smaller ones, or set TMPDIR to a folder with more room",
-    )
-    with tempfile.TemporaryFile() as file:
-        return np.asarray(np.memmap(file, np.float32, "w+", shape=shape))
-
-
-def slices(shape: tuple[int, ...]) -> Iterator[slice]:
-    """Scenes of an array of a shape, some after others."""
-    step = max(1, VALUES_AT_ONCE // prod(shape[1:]))
-    return (slice(first, first + step) for first in range(0, shape[0], step))
-
-
 def reflectance(values: AnyArray, levels: ValueRange) -> npt.NDArray[np.float32]:
     """Reflectance of values, a copy of them, in [0, 1] but for the rounding of floats."""
-    out = _empty_scenes(values.shape)
-    for part in slices(values.shape):
-        if levels.white == 1:
-            out[part] = values[part]
-        else:
-            np.divide(values[part], levels.white, dtype=np.float32, out=out[part])
-    return out
-
-
-def select_scenes(
-    x: npt.NDArray[np.float32], rows: npt.NDArray[np.intp]
-) -> npt.NDArray[np.float32]:
-    """Some scenes, a copy of them."""
-    out = _empty_scenes((len(rows), *x.shape[1:]))
-    for part in slices(out.shape):
-        out[part] = x[rows[part]]
-    return out
+    if levels.white == 1:
+        return np.array(values, np.float32)
+    return np.divide(values, levels.white, dtype=np.float32)
 
 
 def mapped(x: npt.NDArray[np.float32], low: float, high: float) -> npt.NDArray[np.float32]:

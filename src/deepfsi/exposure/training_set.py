@@ -3,9 +3,7 @@
 Products are of bfloat16 where its rounding stays under the noise.
 """
 
-from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 import torch
@@ -15,7 +13,6 @@ from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.camera.light import summed_reflectance
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName, find_noise
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.levels import LARGE
 from deepfsi.designfile.provenance import TrainingScenes
 from deepfsi.jobs.designs import DESIGNS, check_count, count_allowed, sensing_matrix
 from deepfsi.jobs.exposures import Exposure
@@ -68,14 +65,9 @@ class TrainingSet:
         return TrainingScenes.of(self.data)
 
     @property
-    def in_file(self) -> bool:
-        """True for scenes that are large and stay where they are."""
-        return self.device.type == "cpu" and self.full.nbytes > LARGE
-
-    @property
     def memory(self) -> int:
-        """Bytes of scenes that it keeps in memory."""
-        return 0 if self.in_file else self.full.nbytes
+        """Bytes of its scenes."""
+        return self.full.nbytes
 
     @cached_property
     def varying(self) -> Tensor:
@@ -99,12 +91,8 @@ class TrainingSet:
         if key not in self._centred:
             mean = torch.where(self.varying, self.full.mean(dim=0), self.full[0])
             seen = detection.of_pixels(pixels)
-            if self.in_file:
-                every = _CentredScenes(self.full, mean, pixels, kind=kind, detection=seen)
-                self._centred[key] = cast(Tensor, every)
-            else:
-                centred = torch.cat([self.full - mean, mean.unsqueeze(0)])
-                self._centred[key] = seen.arrange(centred[:, pixels]).to(kind)
+            centred = torch.cat([self.full - mean, mean.unsqueeze(0)])
+            self._centred[key] = seen.arrange(centred[:, pixels]).to(kind)
         return self._centred[key]
 
     @cached_property
@@ -132,30 +120,6 @@ class TrainingSet:
         if key not in self.matrices:
             self.matrices[key] = sensing_matrix(name, whole, self.data, seed, detectors=detectors)
         return self.matrices[key][:masks]
-
-
-@dataclass(frozen=True, eq=False)
-class _CentredScenes:
-    """Pixels (n + 1, P) of scenes in a file, less their mean."""
-
-    scenes: Tensor  # (n, N)
-    mean: Tensor  # (N,), which is the last row
-    pixels: Tensor  # (N,), True for those that are kept
-    kind: torch.dtype
-    detection: Detection  # of these pixels, which are arranged by it
-
-    device = torch.device("cpu")
-
-    def index_select(self, dim: int, rows: Tensor) -> Tensor:
-        """Rows (B, P) of places (B,), of which that of the mean is the last, if it is there."""
-        count = len(self.scenes)
-        whole = bool(rows[-1] == count)
-        x = self.scenes[rows[:-1] if whole else rows].sub_(self.mean)
-        if whole:
-            x = torch.cat([x, self.mean.unsqueeze(0)])
-        if not self.pixels.all():
-            x = x[:, self.pixels]
-        return self.detection.arrange(x).to(self.kind)
 
 
 BFLOAT16_COUNTS = 2.0**14

@@ -7,7 +7,7 @@ has masks of its own, the design of that part, all at once.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -18,7 +18,6 @@ from deepfsi.base.errors import InputError, check_choice
 from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.camera.names import RailsKind
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.datasets.levels import LARGE, slices
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
@@ -221,21 +220,13 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     pixels = x.shape[1]
     varying = np.flatnonzero(x.max(axis=0) != x.min(axis=0))
     few = FULL_BASIS_PIXELS < len(varying) > 4 * masks < len(x)
-    if x.nbytes > LARGE:
-        mean = x.mean(axis=0, dtype=np.float64)[varying]
-        read = (x[part][:, varying] for part in slices(x.shape))
-        if few:
-            power, directions = _leading(_scatter(read, mean.astype(x.dtype)), masks)
-        else:
-            power, directions = scipy.linalg.eigh(_scatter(read, mean))
+    lit = x[:, varying]
+    mean = lit.mean(axis=0, dtype=np.float64)
+    if few:
+        power, directions = _leading(_scatter_operator(lit, mean), masks)
     else:
-        lit = x[:, varying]
-        mean = lit.mean(axis=0, dtype=np.float64)
-        if few:
-            power, directions = _leading(_scatter_operator(lit, mean), masks)
-        else:
-            parts = iter(np.array_split(lit, -(-len(lit) // 8192)))
-            power, directions = scipy.linalg.eigh(_scatter(parts, mean))
+        parts = np.array_split(lit, -(-len(lit) // 8192))
+        power, directions = scipy.linalg.eigh(_scatter(parts, mean))
     known = power > pixels * np.finfo(np.float64).eps * power.max(initial=0)
     rows = np.zeros((min(masks, int(known.sum())), pixels))
     rows[:, varying] = directions[:, known].T[::-1][:masks]
@@ -249,7 +240,7 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     return np.concatenate([rows, rest])
 
 
-def _scatter(parts: Iterator[np.ndarray], mean: np.ndarray) -> np.ndarray:
+def _scatter(parts: Sequence[np.ndarray], mean: np.ndarray) -> np.ndarray:
     """Scatter matrix (N, N) of scenes, parts of which are (n, N), about their mean."""
     # products have the type of the mean, sums are of float64
     scatter = np.zeros((len(mean), len(mean)))
@@ -271,7 +262,7 @@ def _scatter_operator(x: np.ndarray, mean: np.ndarray) -> "LinearOperator":
     )
 
 
-def _leading(scatter: "np.ndarray | LinearOperator", count: int) -> tuple[np.ndarray, np.ndarray]:
+def _leading(scatter: "LinearOperator", count: int) -> tuple[np.ndarray, np.ndarray]:
     """Largest eigenvalues of a scatter matrix (N, N), rising, and their vectors (N, count)."""
     from scipy.sparse.linalg import eigsh
 
