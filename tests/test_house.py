@@ -17,20 +17,20 @@ SOURCE = ROOT / "src/deepfsi"
 LINES = {
     "adaptive": 1572,
     "base": 1214,
-    "base.models": 88,
+    "base.models": 85,
     "base.numeric": 926,
     "camera": 1377,
     "cli": 3035,
-    "datasets": 2578,
+    "datasets": 2528,
     "design": 1005,
     "designfile": 1487,
     "evaluation": 1014,
-    "exposure": 1246,
+    "exposure": 1210,
     "hardware.counting": 2171,
     "hardware.light": 940,
     "hardware.patterns": 1516,
     "hardware.photons": 1213,
-    "jobs": 1675,
+    "jobs": 1666,
     "lab": 4553,
     "measures": 616,
     "networks": 474,
@@ -38,7 +38,7 @@ LINES = {
     "report": 1448,
     "report.playground": 51,
     "sweeps": 2494,
-    "training": 1759,
+    "training": 1731,
 }
 """Lines of each room, which may only fall: lower the number with them."""
 
