@@ -21,10 +21,10 @@ from scipy.special import softmax
 
 import deepfsi
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.evaluation.confidence import logits_at_stops
+from deepfsi.evaluation.confidence import draw_logits
+from deepfsi.exposure.kind import temperatures_at
 from deepfsi.jobs.job import Job
 from deepfsi.measures.table import confidence_error
-from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.training.characterisation import find_temperatures
 
 KINDS: dict[str, dict[str, Any]] = {
@@ -63,13 +63,11 @@ def answers(design: Any, data: Dataset, photons: float, seed: int, tests: int) -
     """Answers to the test images at a budget."""
     if design.exposure.makes_masks:
         x, y = data.x_test[:tests], data.y_test[:tests]
-        logits = logits_at_stops(design, design.camera, x, photons, 1, seed, [design.masks - 1])[-1]
         temperature = 1.0
     else:
         x, y = data.x_test, data.y_test
-        scanner = design.front_end(design.camera)
-        logits = logits_at_stops(design, scanner, x, photons, 1, seed)[-1]
-        temperature = float(stop_temperatures(design.temperatures, photons)[-1])
+        temperature = float(temperatures_at(design.temperatures, 0, photons))
+    logits = draw_logits(design, design.camera, x, photons, 1, seed)
     both = (softmax(logits / each, axis=1).max(axis=1) for each in (temperature, 1.0))
     return *both, logits.argmax(axis=1) == y
 

@@ -76,11 +76,13 @@ def under(design: Design, data: Dataset, learned: float, share: float) -> Design
     The mean of the stray light is known and subtracted: it moves the centres of the features.
     """
     stray = design.rails.difference.mean(dim=-1)
-    mean = design.mean * (1 + learned) + (share - learned) * stray
-    exposure = design.mask_exposure.with_optics(
+    shown = design.mask_exposure
+    mean = shown.mean * (1 + learned) + (share - learned) * stray
+    exposure = replace(
+        shown,
         summed_reflectance=summed_reflectance(ambient(data, share).x_train),
         mean=mean / (1 + share),
-        std=design.std * (1 + learned) / (1 + share),
+        std=shown.std * (1 + learned) / (1 + share),
     )
     return replace(design, exposure=exposure)
 

@@ -21,9 +21,9 @@ from scipy.special import softmax
 import deepfsi
 from calibration import chance_error
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.evaluation.confidence import logits_at_stops
+from deepfsi.evaluation.confidence import draw_logits
+from deepfsi.exposure.kind import temperatures_at
 from deepfsi.measures.table import confidence_error
-from deepfsi.networks.classifiers import stop_temperatures
 
 DESIGNS: dict[str, dict[str, Any]] = {
     "adaptive masks": {"design": "adaptive", "masks": 16},
@@ -68,14 +68,10 @@ def answers(design: Any, data: Dataset, photons: float, seed: int) -> tuple[np.n
             ),
         )
         for each in (design, plain):
-            logs = logits_at_stops(
-                each, each.camera, data.x_test, photons, 1, seed, [each.masks - 1]
-            )
-            found.append(np.exp(logs[-1]))
+            found.append(np.exp(draw_logits(each, each.camera, data.x_test, photons, 1, seed)))
         return found[0], found[1]
-    scanner = design.front_end(design.camera)
-    logits = logits_at_stops(design, scanner, data.x_test, photons, 1, seed)[-1]
-    temperature = stop_temperatures(design.temperatures, photons)[-1]
+    logits = draw_logits(design, design.camera, data.x_test, photons, 1, seed)
+    temperature = temperatures_at(design.temperatures, 0, photons)
     return softmax(logits / temperature, axis=1), softmax(logits, axis=1)
 
 

@@ -28,13 +28,13 @@ from torch.nn import functional
 
 from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
+from deepfsi.design.networks import Mlp
 from deepfsi.evaluation.accuracy import evaluate
-from deepfsi.exposure.fixed import FixedExposure
-from deepfsi.exposure.kind import TrainedMasks
+from deepfsi.exposure.kind import MaskExposure
 from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.jobs.exposures import FixedEntry
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
-from deepfsi.networks.classifiers import Mlp
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import LearnedMasks, light_law
 from deepfsi.physics.noise import Poisson
@@ -290,7 +290,8 @@ def finish(training_set: TrainingSet, job: Job, masks: LearnedMasks, network: Ml
         power = (plus - minus).var(dim=0, correction=0) + counts * (
             training_set.summed_reflectance / job.photons
         )
-        optics = TrainedMasks(
+        exposure = MaskExposure(
+            entry=FixedEntry(),
             rails=Rails.of(light_law(job.camera.light).check(rails)),
             light=job.camera.light,
             image_shape=training_set.data.image_shape,
@@ -300,7 +301,6 @@ def finish(training_set: TrainingSet, job: Job, masks: LearnedMasks, network: Ml
             std=power.mean().sqrt().expand(job.masks) / training_set.summed_reflectance,
             shares=counts / training_set.summed_reflectance,
         )
-        exposure = FixedExposure(optics=optics)
         return Design(job.design, training_set.data.classes, exposure, network)
 
 

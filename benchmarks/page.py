@@ -22,10 +22,10 @@ from selenium.webdriver.chrome.service import Service
 
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.design.design import Design
+from deepfsi.design.networks import Mlp
 from deepfsi.evaluation.page_data import playable
-from deepfsi.exposure.fixed import FixedExposure
-from deepfsi.exposure.kind import TrainedMasks
-from deepfsi.networks.classifiers import Mlp
+from deepfsi.exposure.kind import MaskExposure
+from deepfsi.jobs.exposures import FixedEntry
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
 from deepfsi.report.playground.page import write_page
@@ -60,7 +60,8 @@ def large_page(path: Path) -> Path:
     rng = np.random.default_rng(0)
     scenes = from_arrays(rng.random((100, 32, 32)), np.arange(100) % 10, name="noise")
     signs = torch.randn(96, 1024, generator=generator)
-    optics = TrainedMasks(
+    exposure = MaskExposure(
+        entry=FixedEntry(),
         rails=Rails.of(light_law("free-dwell").fit(signs)),
         light="free-dwell",
         image_shape=(32, 32),
@@ -71,7 +72,7 @@ def large_page(path: Path) -> Path:
         shares=torch.ones(192) / 192,
     )
     classifier = Mlp(192, 10, (512, 256), generator=generator)
-    design = Design("deepfsi", scenes.classes, FixedExposure(optics=optics), classifier)
+    design = Design("deepfsi", scenes.classes, exposure, classifier)
     return write_page(path, playable(design, scenes))
 
 

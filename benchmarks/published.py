@@ -194,16 +194,14 @@ def print_ours(
 
 def right_in(made: Design, data: Dataset, photons: float, shots: int, seed: int = 0) -> np.ndarray:
     """Whether the mean of a design's logits over shots is right, for each test scene (n,)."""
-    scanner = made.front_end(made.camera)
     generator = torch.Generator().manual_seed(shots + 1000 * seed)
     right = []
     with torch.no_grad():
         for rows in torch.arange(len(data.x_test)).split(1024):
-            rates = made.rates(scanner, torch.from_numpy(data.x_test[rows]))
+            expose = made.exposures(torch.from_numpy(data.x_test[rows]), made.camera)
             logits = torch.zeros(len(rows), len(data.classes))
             for _ in range(shots):
-                *_, seen = made.observe(scanner, rates, generator, photons)
-                logits += made.logits_of(seen, photons)
+                logits += expose(photons, generator)[0].logits
             right.append(logits.argmax(dim=1).numpy() == data.y_test[rows])
     return np.concatenate(right)
 

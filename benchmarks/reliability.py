@@ -35,14 +35,14 @@ def main(words: Sequence[str] | None = None) -> None:
     with torch.no_grad():
         scenes = torch.from_numpy(data.x_test)
         generator = torch.Generator().manual_seed(0)
-        seen = kind.expose(design.camera, scenes, given.photons, generator)
+        answer, taken = design.exposures(scenes, design.camera)(given.photons, generator)
     temperature = float(np.exp(kind.prior.temperatures.logs[0, 0]))
     shares = kind.prior.class_shares.log()
-    raw = (kind.prior.log_odds(seen.chances) * temperature + shares).softmax(dim=1)
-    stated, before = (chances.double().amax(dim=1).numpy() for chances in (seen.chances, raw))
-    wrong = seen.chances.argmax(dim=1).numpy() != data.y_test
+    raw = ((answer.logits - shares) * temperature + shares).softmax(dim=1)
+    stated, before = (chances.double().amax(dim=1).numpy() for chances in (answer.chances, raw))
+    wrong = answer.classes.numpy() != data.y_test
     threshold = kind.settings.until
-    light = seen.used / len(wrong)
+    light = taken.used / given.photons / len(wrong)
     print(f"temperature {temperature:.3f}, threshold {threshold:.6f}, light {light:.4f}")
     print(
         "| exposures | number | wrong expected, posterior | wrong expected, stated | wrong seen |"
@@ -60,7 +60,7 @@ def main(words: Sequence[str] | None = None) -> None:
             f"| {name} | {rows.sum()} | {(1 - before[rows]).sum():.1f} | "
             f"{doubt.sum():.1f} ± {spread:.1f} | {wrong[rows].sum()} |"
         )
-    for name, chances in (("posterior", raw), ("stated", seen.chances)):
+    for name, chances in (("posterior", raw), ("stated", answer.chances)):
         true = chances[torch.arange(len(wrong)), torch.from_numpy(data.y_test).long()]
         print(f"log loss, {name}: {-true.double().clamp(min=1e-12).log().mean():.4f}")
 

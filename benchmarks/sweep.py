@@ -26,11 +26,11 @@ from torch import nn
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
+from deepfsi.design.networks import Mlp, Replicas
 from deepfsi.evaluation.accuracy import evaluate
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
-from deepfsi.networks.classifiers import Mlp, Replicas
 from deepfsi.sweeps.plan import plan_trials
 from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
 from deepfsi.sweeps.run import run_trials

@@ -134,7 +134,8 @@ def two_valued(rails: Tensor) -> bool:
 
 
 def parameters(design: Design) -> list[torch.Tensor]:
-    return [design.rails.stacked, design.mean, design.std, *design.classifier.parameters()]
+    exposure = design.exposure
+    return [design.rails.stacked, exposure.mean, exposure.std, *design.classifier.parameters()]
 
 
 def same(first: Design, second: Design) -> bool:

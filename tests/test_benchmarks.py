@@ -11,7 +11,7 @@ from torch.nn import functional
 from conftest import generator, quick
 from deepfsi import Mlp, load_design
 from deepfsi.datasets.arrays import from_arrays
-from deepfsi.exposure.training import JobGroup, build_training
+from deepfsi.exposure.training import JobGroup
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.hardware.patterns.frames import recount, unpack
 from deepfsi.jobs.job import Job
@@ -210,7 +210,7 @@ def test_both_trainings_of_ovit_do_the_same_work(printed):
         training={"classifier_arguments": {"width": 8, "depth": 1, "heads": 2, "hidden": 8}},
     )
     plain = ovit.Plain(job, data, scenes.summed_reflectance)
-    start = build_training(JobGroup.of(scenes, [job])).masks()
+    start = JobGroup.of(scenes, [job]).training().masks()
     assert torch.allclose(plain.masks.detach() * plain.unit, start.difference[0], atol=1e-6)
     rows = torch.from_numpy(data.x_train) * (ovit.BUDGET / scenes.summed_reflectance)
     cut = torch.nn.functional.unfold(rows.view(-1, 1, 16, 16), 4, stride=4).transpose(1, 2)
@@ -230,7 +230,9 @@ def test_a_design_elsewhere_sees_the_same_features(digits):
         )
     )
     torch.testing.assert_close(
-        design.logits(here, 1e3), there.logits(3 * other, 3e3), rtol=1e-3, atol=1e-3
+        *(made.answer(each / 1e3, 1e3).logits for made, each in ((design, here), (there, other))),
+        rtol=1e-3,
+        atol=1e-3,
     )
 
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from deepfsi.datasets.load import load_dataset as load_dataset
     from deepfsi.design.design import Design as Design
     from deepfsi.design.design import load_design as load_design
+    from deepfsi.design.networks import Mlp as Mlp
+    from deepfsi.design.networks import OwnClassifier as OwnClassifier
     from deepfsi.evaluation.accuracy import evaluate as evaluate
     from deepfsi.evaluation.ideal import IdealObserver as IdealObserver
     from deepfsi.evaluation.ideal import ideal_observer as ideal_observer
@@ -32,8 +34,6 @@ if TYPE_CHECKING:
     from deepfsi.lab.classify import classify_table as classify_table
     from deepfsi.lab.prediction import predict as predict
     from deepfsi.measures.results import Result as Result
-    from deepfsi.networks.classifiers import Mlp as Mlp
-    from deepfsi.networks.custom import OwnClassifier as OwnClassifier
     from deepfsi.physics.scanner import Scanner as Scanner
     from deepfsi.training.assembly import design_of as design_of
     from deepfsi.training.learning import learn as learn
@@ -49,8 +49,8 @@ _HOMES = {
     "IdealObserver": "evaluation.ideal",
     "InputError": "base.errors",
     "Job": "jobs.job",
-    "Mlp": "networks.classifiers",
-    "OwnClassifier": "networks.custom",
+    "Mlp": "design.networks",
+    "OwnClassifier": "design.networks",
     "Range": "jobs.exposures",
     "Result": "measures.results",
     "Scanner": "physics.scanner",

@@ -14,9 +14,9 @@ more, over its mean, than one of many. Sources: sequential design by expected in
 (Lindley 1956), with a cost of the observation (DeGroot, *Optimal Statistical Decisions*, 1970).
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -27,9 +27,7 @@ from deepfsi.adaptive.exposure import (
     AdaptiveExposure,
     AdaptiveTraining,
     LeftOutAnswers,
-    LookedAt,
-    PosteriorObservation,
-    exposures_at_once,
+    answer_of,
     prior_of,
 )
 from deepfsi.adaptive.posterior import LEAST_WEIGHT, AdaptivePosterior, LookOptics, ScenePrior
@@ -38,7 +36,7 @@ from deepfsi.base.progress import Progress
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import summed_reflectance
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.exposure.kind import Use
+from deepfsi.exposure.kind import Answer, CountedLight, Exposures, Network, Use
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import Job
 
@@ -83,12 +81,6 @@ NOT_AT_A_CAMERA = (
     "photon counts"
 )
 """Why live runs and pages do not take these designs."""
-
-ENDS_BY_PRICE = (
-    "exposures of this design end where no look is worth its clicks: give fewer `counts` to its "
-    "training"
-)
-"""Why no rule is found by which they stop."""
 
 
 class ClickLook(NamedTuple):
@@ -301,49 +293,35 @@ class _ClickingExposure(AdaptiveExposure):
         """Raise `InputError`: no camera's run is computed by these."""
         raise InputError(NOT_AT_A_CAMERA)
 
-    def front_end(self, camera: Camera) -> Camera:
-        """The camera, or `InputError` where its detector does not click at most once a look."""
+    def exposures(self, scenes: Tensor, camera: Camera, network: Network) -> Exposures:
+        """Exposures of scenes (n, N) up to their end, by a camera that clicks once a look."""
         if camera.clicks is None:
             raise InputError(
                 f"this design is for a detector that clicks, and {camera.noise_name} noise has "
                 'none: give `noise="click"`, or learn a design for it'
             )
         AdaptiveMasks.check_camera(camera)
-        return camera
 
-    def observe(
-        self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> Iterator[PosteriorObservation]:
-        """Raise `InputError`: exposures end by themselves, and no other rule is tried."""
-        raise InputError(ENDS_BY_PRICE)
+        def expose(photons: float, generator: torch.Generator) -> tuple[Answer, CountedLight]:
+            looks = ClickLooks(self.prior, self.settings, photons)
+            parts = [looks.run(x, generator) for x in scenes.split(self.prior.exposed_at_once)]
+            chances = torch.cat([part.chances for part in parts])
+            counts, arriving, used = (
+                sum(float(each.sum()) for each in every)
+                for every in zip(*(part[1:] for part in parts), strict=True)
+            )
+            return answer_of(chances), CountedLight(counts, arriving, used * photons)
 
-    def expose(
-        self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> PosteriorObservation:
-        """Exposures at their end."""
-        looks = ClickLooks(self.prior, self.settings, photons)
-        parts = [looks.run(some, generator) for some in rates.split(self.exposed_at_once)]
-        chances = torch.cat([part.chances for part in parts])
-        return PosteriorObservation(
-            chances[:, :0],
-            chances=chances,
-            counts=sum(float(part.clicks.sum()) for part in parts),
-            arriving=sum(float(part.arriving.sum()) for part in parts),
-            used=sum(float(part.used.sum()) for part in parts),
-        )
+        return expose
 
-    def look_by_look(self, scene: Tensor, photons: float, generator: torch.Generator) -> LookedAt:
-        """One exposure of a scene (N,), look by look, up to its end."""
+    def look_by_look(
+        self, scene: Tensor, photons: float, generator: torch.Generator
+    ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """Mask, mean scene and chances after each look at a scene (N,), up to the last."""
         looks = ClickLooks(self.prior, self.settings, photons)
         state = looks.posterior(1)
-        steps = looks.steps(state, scene[None], generator)
-        seen = [(step.look.masks, state.scene, step.chances) for step in steps]
-        if not seen:
-            raise InputError(
-                "no look is worth its clicks in this exposure, so that none is shown: give more "
-                "`counts` to the training"
-            )
-        return LookedAt(*(torch.cat(parts).numpy() for parts in zip(*seen, strict=True)))
+        for step in looks.steps(state, scene[None], generator):
+            yield step.look.masks, state.scene, step.chances
 
 
 def blurred(data: Dataset) -> Dataset:
@@ -369,9 +347,7 @@ class ClickTraining(AdaptiveTraining):
         self.prior = prior_of(blurred(data), self.settings)
         self.prior.summed_reflectance = summed_reflectance(data.x_train)  # not of the blurred
 
-    def make(
-        self, job: Job, optics: Mapping[str, Any], report: Progress
-    ) -> tuple[_ClickingExposure, LeftOutAnswers]:
+    def make(self, job: Job, report: Progress) -> tuple[_ClickingExposure, LeftOutAnswers]:
         """The exposure of a job with its price, found with training scenes; answers to these.
 
         Each of them is left out of the prior.
@@ -383,7 +359,7 @@ class ClickTraining(AdaptiveTraining):
         settings = self.settings.model_copy(update={"light_price": light_price})
         looks = ClickLooks(self.prior, settings, job.photons)  # which end nowhere: no price
         runs = []
-        for rows, some in left_out.parts(exposures_at_once(self.prior), report):
+        for rows, some in left_out.parts(self.prior.exposed_at_once, report):
             state = looks.posterior(len(rows))
             some.leave(state)
             steps = looks.steps(state, some.scenes, generator)
@@ -401,9 +377,9 @@ class ClickTraining(AdaptiveTraining):
         made = _ClickingExposure(
             self.prior,
             settings.model_copy(update={"price": price}),
-            shape=self.data.image_shape,
-            counted=arriving.mean(dim=0) / job.photons,
-            optics=optics,
+            image_shape=self.data.image_shape,
+            shares=arriving.mean(dim=0) / job.photons,
+            camera=job.camera,
         )
         answers = LeftOutAnswers(np.array([job.photons]), odds[None, None], left_out.labels)
         return made, answers

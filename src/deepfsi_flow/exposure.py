@@ -13,15 +13,15 @@ With jitter the middle of the path, and the speed, are others in each exposure.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from deepfsi.exposure.kind import UNTRAINED, MaskExposure, Observation, TrainedMasks, Use
+from deepfsi.exposure.kind import MaskExposure, Use
 from deepfsi.exposure.training import (
     CHUNK,
     ExposureTraining,
@@ -32,7 +32,6 @@ from deepfsi.exposure.training import (
     moments,
     standardise,
 )
-from deepfsi.jobs.exposures import ExposureEntry
 from deepfsi.physics.detection import Rails, Readouts
 from deepfsi.physics.laws import FixedMasks, LearnedMasks, check_levels, through
 from deepfsi.physics.noise import NoiseFunction
@@ -165,18 +164,14 @@ def in_levels(pattern: Tensor, levels: int) -> Tensor:
     return (pattern * steps).round() / steps
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PassingExposure(MaskExposure):
     """Exposure of a scene that passes a pattern, in each exposure at another place.
 
     The masks' rails are those of the transit without jitter.
     """
 
-    transit: ScenePath
-    pattern: Tensor | None = None  # (H, P), from the end of the training on
-    _: KW_ONLY
-    optics: TrainedMasks = UNTRAINED
-    kind = "passing"
+    entry: PassingEntry
     comparable: ClassVar[bool] = False
     refusals: ClassVar[dict[Use, str]] = {
         "frames": STATIC,
@@ -188,68 +183,33 @@ class PassingExposure(MaskExposure):
         "which the ideal observer does not know: use evaluate",
     }
 
-    def entry(self) -> Any:
-        """Entry of the design file's header."""
-        path = self.transit
-        return PassingEntry(
-            shape=path.shape,
-            bins=path.bins,
-            speed=path.speed,
-            jitter=path.jitter,
-            speed_jitter=path.speed_jitter,
-        )
-
-    @classmethod
-    def restored(
-        cls, entry: ExposureEntry | PassingEntry, weights: dict[str, Tensor], optics: TrainedMasks
-    ) -> "PassingExposure":
-        """The exposure with its pattern; parameters as for `MaskExposure.restored`."""
-        assert isinstance(entry, PassingEntry)
-        pattern = weights["pattern"]
-        height, width = pattern.shape
-        if height != entry.shape[0] or optics.rails.masks != entry.bins or optics.rails.count != 1:
-            raise ValueError("the pattern is not of these scenes")
-        if float(pattern.min()) < 0 or float(pattern.max()) > 1:
-            raise ValueError("the pattern is not between dark and open")
-        path = ScenePath(
-            shape=entry.shape,
-            width=width,
-            bins=entry.bins,
-            speed=entry.speed,
-            jitter=entry.jitter,
-            speed_jitter=entry.speed_jitter,
-        )
-        made = cls(path, pattern, optics=optics)
-        made.check_masks()
-        return made
-
-    @property
-    def weights(self) -> dict[str, Tensor]:
-        """The pattern, for the design file."""
-        return {"pattern": self.passed}
-
-    @property
-    def passed(self) -> Tensor:
-        """The pattern (H, P) that scenes pass."""
-        assert self.pattern is not None
-        return self.pattern
-
-    def to(self, device: str | torch.device) -> "PassingExposure":
-        """The kind on a device."""
-        return replace(super().to(device), pattern=self.passed.to(device))
-
-    def check_masks(self) -> None:
+    def __post_init__(self) -> None:
         """Raise `ValueError` unless the masks are those of the pattern."""
-        wanted = self.transit.matrix(self.passed).unsqueeze(0)
-        rails = self.optics.rails.stacked
-        if self.image_shape != self.transit.shape or not torch.allclose(rails, wanted, 1e-4):
+        bounds = float(self.pattern.min()), float(self.pattern.max())
+        if len(self.pattern) != self.entry.shape[0] or bounds[0] < 0 or bounds[1] > 1:
+            raise ValueError("the pattern is not of these scenes, or not between dark and open")
+        rails = self.rails.stacked
+        wanted = self.transit.matrix(self.pattern).unsqueeze(0)
+        shapes = self.image_shape, rails.shape
+        if shapes != (self.entry.shape, wanted.shape) or not torch.allclose(rails, wanted, 1e-4):
             raise ValueError("masks are not of the pattern")
+
+    @property
+    def pattern(self) -> Tensor:
+        """The pattern (H, P) that scenes pass."""
+        return self.weights["pattern"]
+
+    @cached_property
+    def transit(self) -> ScenePath:
+        """Path of scenes along the pattern."""
+        path = self.entry.model_dump(exclude={"kind"})
+        return ScenePath(width=self.pattern.shape[-1], **path)
 
     def quantised(self, levels: int) -> "PassingExposure":
         """The exposure of the pattern in grey levels."""
-        shown = in_levels(self.passed, levels)
+        shown = in_levels(self.pattern, levels)
         rails = Rails.of(self.transit.matrix(shown).unsqueeze(0))
-        return replace(self, optics=replace(self.optics, rails=rails), pattern=shown)
+        return replace(self, rails=rails, weights={"pattern": shown})
 
     def scanner(
         self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
@@ -258,27 +218,26 @@ class PassingExposure(MaskExposure):
         rails = self.transit.open(self.device)
         return Scanner.from_rails(rails, noise, sigma=sigma, dark=dark, detection=self.detection)
 
-    def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
+    def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., 1, K) at every whole shift, of reflectances (..., N)."""
         photons = scenes.to(self.device) / self.summed_reflectance
-        return project(photons, self.transit.every_shift(self.passed)).unsqueeze(-2) / (
-            self.transit.bins
-        )
+        shifts = self.transit.every_shift(self.pattern)
+        return project(photons, shifts).unsqueeze(-2) / self.transit.bins
 
-    def placed(self, rates: Tensor, generator: torch.Generator | None) -> Tensor:
+    def placed(self, rates: Tensor, generator: torch.Generator) -> Tensor:
         """Expected counts (..., 1, T) of exposures, each at a place of its own."""
         edges = self.transit.edges(rates.shape[:-1], generator, rates.device)
         return self.transit.means(rates, edges)
 
-    def expected(self, rates: Tensor, seen: Observation) -> Tensor:
+    def expected(self, rates: Tensor) -> Tensor:
         """Photons (..., 1, T) of an exposure, in the mean over places."""
         return rates @ self._mean_bins.to(rates)
 
     @cached_property
     def _mean_bins(self) -> Tensor:
         """Share (K, T) that each shift has in each bin, in the mean over places."""
-        device = self.passed.device
-        generator = torch.Generator(self.passed.device)
+        device = self.device
+        generator = torch.Generator(device)
         every = torch.eye(self.transit.shifts, device=device).unsqueeze(1)
         # Transits whose mean is taken for expected counts of all
         count = 1024 if self.transit.moves else 1
@@ -291,7 +250,7 @@ class PassingExposure(MaskExposure):
 
     def drawing(self) -> tuple[Tensor, tuple[int, ...]]:
         """The pattern as one row, and its shape."""
-        return self.passed.flatten().unsqueeze(0), tuple(self.passed.shape)
+        return self.pattern.flatten().unsqueeze(0), tuple(self.pattern.shape)
 
 
 class PassingTraining(ExposureTraining):
@@ -305,14 +264,16 @@ class PassingTraining(ExposureTraining):
         shape = self.scenes.data.image_shape
         assert isinstance(asked, Passing)
         height, width = shape
-        self.transit = ScenePath(
+        entry = PassingEntry(
             shape=(height, width),
-            width=asked.columns(shape),
             bins=asked.bins,
             speed=asked.speed,
             jitter=asked.jitter,
             speed_jitter=asked.speed_jitter,
         )
+        self.entries = [entry] * len(self.jobs)
+        path = entry.model_dump(exclude={"kind"})
+        self.transit = ScenePath(width=asked.columns(shape), **path)
         seeds = [job.seed for job in self.jobs] if self.learns else matrix_seeds(self.jobs)
         draws = [torch.Generator().manual_seed(seed) for seed in seeds]
         size = height, self.transit.width
@@ -355,9 +316,8 @@ class PassingTraining(ExposureTraining):
         with torch.no_grad():
             self.masks = FixedPattern(self.masks.pattern, self.transit)
         patterns = self.masks.pattern
-        self.exposures = [
-            PassingExposure(self.transit, patterns[job % len(patterns)].clone())
-            for job in range(len(self.jobs))
+        self.weights = [
+            {"pattern": patterns[job % len(patterns)].clone()} for job in range(len(self.jobs))
         ]
 
     def finish(self) -> list[MaskExposure]:

@@ -228,7 +228,7 @@ def classify_transits(
     A transit is a rise of the rate above a threshold with a stated number of false alarms. Its
     place is where its photons are likeliest those of the mean trace of the training.
     """
-    from deepfsi.networks.classifiers import check_classes
+    from deepfsi.exposure.training_set import check_classes
     from deepfsi.physics.surroundings import library_defaults
 
     check_classes(design.values, "a transit's answer")
@@ -254,7 +254,7 @@ def classify_transits(
         if rate is None:
             rate = find_background(times, window, seconds, false_alarms)
         threshold = find_threshold(rate, window, seconds, false_alarms)
-        trace = design.shares.cpu().double().numpy() * budget
+        trace = design.exposure.shares.cpu().double().numpy() * budget
         starts = align_transits(
             times,
             find_transits(times, window, threshold.photons),

@@ -10,6 +10,7 @@ from deepfsi.adaptive import posterior
 from deepfsi.adaptive.choice import next_masks
 from deepfsi.adaptive.exposure import AdaptiveExposure, squared_distance
 from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
+from deepfsi.camera.camera import Camera
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.physics.noise import Poisson
 
@@ -38,7 +39,7 @@ def test_a_scene_that_is_left_out_is_further_than_one_that_is_known(prior):
     scenes, optics = torch.from_numpy(SCENES_KNOWN), posterior.LookOptics(1e5)
     ordered, rows = scenes[torch.from_numpy(prior.order)], torch.arange(SCENES)
     settings = AdaptiveMasks(looks=LOOKS)
-    exposure = AdaptiveExposure(prior, settings, (PIXELS,), torch.zeros(LOOKS))
+    exposure = AdaptiveExposure(prior, settings, (PIXELS,), torch.zeros(LOOKS), Camera())
     unknown = adaptive.LeftOutScenes(ordered, prior.labels, rows)
     left_out, _, _ = adaptive.measure(exposure, [optics], unknown, generator(3))
     away, _ = distances(prior, scenes, optics)
@@ -54,15 +55,6 @@ def test_chances_are_those_of_the_measured_distribution():
     assert usual.chance(2.0, 0, 1e3 * 10**0.5) == pytest.approx(0.5)
     assert usual.chance(4.0, 0, 1e9) == usual.chance(4.0, 0, 1e4) == pytest.approx(0.5)
     assert usual.chance(0.0, 0, 1e3) == 1
-
-
-@pytest.mark.parametrize(
-    "wrong", [np.zeros(3), -np.ones(3), np.array([1.0, 1, 2]), np.full(3, np.nan), np.ones(2)]
-)
-def test_a_damaged_misfit_is_refused(wrong):
-    logs = np.ones((2, 3, LOOKS))
-    with pytest.raises(ValueError, match="misfit"):
-        adaptive.UsualMisfit.restored({"misfit_budgets": wrong, "misfit_logarithms": logs}, LOOKS)
 
 
 @pytest.mark.parametrize("optics", OPTICS)

@@ -6,11 +6,12 @@ import torch
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, poisson
 
-from deepfsi import Design, Result, evaluate
+from deepfsi import Design, Result, evaluate, learn
 from deepfsi.adaptive import choice, posterior
 from deepfsi.adaptive.exposure import AdaptiveExposure, prior_of
 from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
 from deepfsi.base.errors import InputError
+from deepfsi.camera.camera import Camera
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.exposures import AdaptiveMasks
@@ -26,7 +27,8 @@ def tried(data: Dataset, photons, camera="dmd", draws=1, **settings) -> Result:
     """Accuracy of adaptive masks on the test scenes of data."""
     chosen = AdaptiveMasks(**settings)
     prior = prior_of(data, chosen)
-    exposure = AdaptiveExposure(prior, chosen, data.image_shape, torch.zeros(chosen.looks))
+    shares = torch.zeros(chosen.looks)
+    exposure = AdaptiveExposure(prior, chosen, data.image_shape, shares, Camera())
     design = Design("adaptive", data.classes, exposure)
     return evaluate(design, data, photons, camera=camera, draws=draws)[0]
 
@@ -165,3 +167,15 @@ def test_photons_are_conserved(light):
 def test_what_cannot_be_is_refused(digits, settings, match):
     with pytest.raises(InputError, match=match):
         tried(digits, 1e4, **settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"masks": 65}, "1 to 64"),
+        ({"camera": Camera(device="dlp7000", exposure="1ms"), "masks": 50}, "give at most [0-9]+ "),
+    ],
+)
+def test_more_looks_than_there_can_be_are_refused(digits, settings, words):
+    with pytest.raises(InputError, match=words):
+        learn(digits, **({"design": "adaptive", "masks": 6, "photons": 1e4} | settings))

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import PHOTONS, every_optics, light_on
-from deepfsi import Design, evaluate, load_design
+from conftest import PHOTONS, every_optics, light_on, once
+from deepfsi import Design, evaluate, load_design, predict
 from deepfsi.base.errors import InputError
+from deepfsi.physics.detection import Detection
 from shared.design_files import refused, rewrite
 from shared.jobs import learn
 
@@ -89,23 +90,22 @@ def test_dimmer_patterns_are_classified_as_the_design_classifies(digits, made, l
     design = made("deepfsi", light, rails)
     dim = design.as_shown(0.1 * design.rails.stacked.numpy(), design.image_shape, 0.1)
     photons = light_on(design, digits.x_test[:50]).float()
-    wanted, logits = (each.logits(each.scanner("none")(photons), PHOTONS) for each in (design, dim))
-    torch.testing.assert_close(logits, wanted, rtol=1e-3, atol=1e-3)
+    features = [each.scanner("none")(photons) / PHOTONS for each in (design, dim)]
+    wanted, logits = map(Design.answer, (design, dim), features, (PHOTONS, PHOTONS))
+    torch.testing.assert_close(logits.logits, wanted.logits, rtol=1e-3, atol=1e-3)
 
 
 @pytest.mark.parametrize("exposure", [{}, {"bins": 8}, {"design": "adaptive"}])
 @pytest.mark.usefixtures("uncharacterised")
-def test_a_design_predicts_what_it_classifies_of_its_counts(digits, exposure):
-    """Both as a test of the same scenes by the same noise; images and flat scenes alike."""
+def test_pictures_are_predicted_as_their_counts_are_classified(digits, exposure):
+    """Both as a test of the same scenes by the same noise."""
     few = replace(digits, x_test=digits.x_test[:40], y_test=digits.y_test[:40])
     given = {"camera": "dmd", "photons": 1e4, "masks": None if "bins" in exposure else 4}
     brief = {} if "design" in exposure else {"epochs": 1}
     made = learn(few, device="cpu", **{**given, **brief, **exposure})
     images = few.x_test.reshape(5, 8, 8, 8)
-    classes = made.predict(images, 1e4)
-    assert classes.shape == (5, 8)
-    assert (classes.ravel() == made.predict(torch.from_numpy(few.x_test), 1e4)).all()
-    right = (classes.ravel() == np.array(few.classes)[few.y_test]).mean()
+    classes = np.array([each.predicted for each in predict(made, few.x_test, 1e4).pictures])
+    right = (classes == np.array(few.classes)[few.y_test]).mean()
     assert right == pytest.approx(evaluate(made, few, 1e4, draws=1, seed=0)[0].accuracy)
     if "design" in exposure:
         with pytest.raises(InputError, match="its masks while"):
@@ -114,8 +114,18 @@ def test_a_design_predicts_what_it_classifies_of_its_counts(digits, exposure):
     counts = made.expose(images, 1e4)
     assert counts.shape == (5, 8, *made.counts_shape)
     answers = made.classify(counts, 1e4).argmax(axis=-1)
-    assert (np.array(made.classes)[answers] == classes).all()
+    assert (np.array(made.classes)[answers].ravel() == classes).all()
     assert (counts != made.expose(images, 1e4, seed=1)).any()
     for bad, words in ((images[..., :7], r"give \(..., 8, 8\)"), (2 * images, "in .0, 1.$")):
         with pytest.raises(InputError, match=words):
             made.expose(bad, 1e4)
+
+
+def test_the_light_of_all_detectors_is_that_of_one(digits):
+    """Tiles divide the light, they do not add to it."""
+    design = once(digits, masks=6, light="free-dwell", rails="single", detectors="2x2")
+    one = replace(design, exposure=replace(design.exposure, detection=Detection()))
+    x = torch.from_numpy(digits.x_train[:200])
+    rates = [each.rates(each.scanner("none"), x) for each in (design, one)]
+    assert torch.allclose(rates[0].unflatten(-1, (6, 4)).sum(dim=-1), rates[1], rtol=1e-5)
+    assert float(design.exposure.shares.sum()) <= 1 + 1e-6

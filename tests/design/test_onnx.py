@@ -31,34 +31,13 @@ def counted(design: Design, x: np.ndarray, photons: np.ndarray) -> np.ndarray:
     return counts.reshape(len(counts), *design.counts_shape)
 
 
-def assert_same(design: Design, x: np.ndarray, photons: np.ndarray) -> None:
-    """Probabilities as `classify` gives them, to the rounding of float32 sums.
-
-    To first order a logit is off by the rounding of all sums that it goes through, each at most
-    ε times the number of its terms times the sum of their sizes; a probability by twice that times
-    itself. Both ways round, hence once more 2.
-    """
-    counts = counted(design, x, photons)
-    [found] = opened(to_onnx(design)).run(None, {"counts": counts, "photons": photons})
-    wanted = design.classify(counts, photons)
-    features = design.features_of(torch.from_numpy(counts)).numpy()
-    mean, std = design.mean.numpy(), design.std.numpy()
-    size = (np.abs(features / photons[:, None]) + np.abs(mean)) / std
-    terms = 4.0
-    for layer in design.classifier.layers:
-        weight, bias = layer.weight.detach().abs().numpy(), layer.bias.detach().abs().numpy()
-        size = size @ weight.T + bias
-        terms += weight.shape[1] + 1
-    bound = 4 * terms * np.finfo(np.float32).eps * size.max(axis=1, keepdims=True)
-    assert found.shape == wanted.shape
-    assert np.median(bound) < 0.05  # so that the comparison means something
-    assert (np.abs(found - wanted) <= bound * np.maximum(wanted, 1e-30) + 1e-7).all()
-
-
 @every_optics
 def test_every_optics_as_torch_has_it(digits, made, light, rails):
-    budgets = np.geomspace(10, 1e6, 40).astype(np.float32)
-    assert_same(made("deepfsi", light, rails), digits.x_test[:40], budgets)
+    """Probabilities as `classify` gives them, to the rounding of sums of hundreds of terms."""
+    design, budgets = made("deepfsi", light, rails), np.geomspace(10, 1e6, 40).astype(np.float32)
+    counts = counted(design, digits.x_test[:40], budgets)
+    [found] = opened(to_onnx(design)).run(None, {"counts": counts, "photons": budgets})
+    np.testing.assert_allclose(found, design.classify(counts, budgets), atol=1e-3)
 
 
 def test_the_example_in_the_docs(good, digits, tmp_path):

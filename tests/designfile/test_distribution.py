@@ -13,7 +13,7 @@ from deepfsi.designfile.design_file import Temperatures
 from deepfsi.designfile.distribution import REFUSED, UNSURE, FrameLight
 from deepfsi.evaluation import confidence
 from deepfsi.evaluation.confidence import find_distribution
-from deepfsi.networks.classifiers import temperatures_at
+from deepfsi.exposure.kind import temperatures_at
 
 READOUTS = (2, 9)
 CLASSES = 5

@@ -8,15 +8,16 @@ import torch
 from scipy.special import softmax
 
 from conftest import quick
+from deepfsi import Camera
 from deepfsi.designfile.design_file import calibration_budgets
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
     Exposed,
+    draw_logits,
     fit_temperatures,
-    logits_at_stops,
 )
+from deepfsi.exposure.kind import temperatures_at
 from deepfsi.jobs.job import Job
-from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.training.characterisation import find_temperatures
 
 PHOTONS = 1e4
@@ -40,8 +41,8 @@ def fixed(digits):
 
 def answers(design, x, photons, draws=1, seed=1):
     """Classes of the answers to scenes, and how sure the network and the design are of them."""
-    logits = logits_at_stops(design, design.scanner(), x, photons, draws, seed)[-1]
-    temperature = stop_temperatures(design.temperatures, photons)[-1]
+    logits = draw_logits(design, Camera(), x, photons, draws, seed)
+    temperature = temperatures_at(design.temperatures, 0, photons)
     raw, sure = (softmax(each, axis=1).max(axis=1) for each in (logits, logits / temperature))
     return logits.argmax(axis=1), raw, sure
 
@@ -53,7 +54,7 @@ def test_mean_confidence_is_the_accuracy(design, digits, ratio):
     right = answer == np.repeat(digits.y_test, 2)
     bound = 5 * (right.mean() * (1 - right.mean()) / len(digits.y_test)) ** 0.5 + 0.05
     assert abs(sure.mean() - right.mean()) < bound
-    if ratio == 0.01 and "photons" not in vars(design.exposure):
+    if ratio == 0.01 and design.exposure.entry.kind == "fixed":
         assert raw.mean() > right.mean() + 0.3  # what a network says by itself
 
 
@@ -79,7 +80,7 @@ def test_scenes_of_the_training_make_no_network_surer(fixed, digits):
     dim = torch.nn.Linear(10, 10, bias=False)
     dim.weight.data = 0.2 * torch.eye(10)
     shy = replace(fixed, classifier=torch.nn.Sequential(fixed.classifier, dim))
-    scenes = CalibrationScenes([Exposed(shy, shy.scanner(), x, y)], 1)
+    scenes = CalibrationScenes([Exposed(shy, Camera(), x, y)], 1)
     left_out, trained_on = (
         fit_temperatures(scenes, calibration_budgets(PHOTONS, PHOTONS), trained_on=seen, seed=0)
         for seen in (False, True)

@@ -9,9 +9,9 @@ import torch
 from conftest import RECIPE, every_optics, generator, once
 from deepfsi.camera.light import photons_per_pixel
 from deepfsi.exposure.fixed import standardised
+from deepfsi.exposure.kind import temperatures_at
 from deepfsi.exposure.training import standardise
 from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from deepfsi.training.learning import train
 from shared.jobs import job, learn
@@ -23,14 +23,15 @@ TRAINED = {"masks": 8, "photons": 1e3, "span": 100.0}
 def test_the_network_is_told_the_budget(digits, light, rails):
     design = once(digits, light=light, rails=rails, **TRAINED)
     scenes = photons_per_pixel(torch.from_numpy(digits.x_test[:20]), 5e3, design.summed_reflectance)
-    seen = design.scanner().counts(scenes, generator(1)).squeeze(-2)
-    scaled = (design.features_of(seen) / 5e3 - design.mean) / design.std
+    counts = design.scanner().counts(scenes, generator(1)).squeeze(-2)
+    seen = design.exposure.features(counts)
+    scaled = (seen / 5e3 - design.exposure.mean) / design.exposure.std
     level = (math.log(5e3 / 1e3) - math.log(100) / 2) / (math.log(100) / 2)
     last = torch.tensor([level, 1.0]).expand(20, 2)
     with torch.no_grad():
         logits = design.classifier(torch.cat([scaled, last], dim=-1))
-    by_hand = (logits / stop_temperatures(design.temperatures, 5e3)[-1]).softmax(dim=-1)
-    np.testing.assert_allclose(design.classify(seen, 5e3), by_hand.numpy(), atol=2e-5)
+    by_hand = (logits / temperatures_at(design.temperatures, 0, 5e3)).softmax(dim=-1)
+    np.testing.assert_allclose(design.classify(counts, 5e3), by_hand.numpy(), atol=2e-5)
 
 
 @pytest.mark.parametrize("scale", ["each", "common"])
@@ -41,11 +42,12 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale):
     rng = np.random.default_rng(2)
     mean = digits.x_train @ design.matrix.T / design.summed_reflectance
     light = digits.x_train @ np.abs(design.matrix).T / design.summed_reflectance
+    shown = design.exposure
     squares = []
     for _ in range(20):
         budget = 300.0 * 50.0 ** rng.random((len(mean), 1))
         features = mean + np.sqrt(light / budget) * rng.standard_normal(mean.shape)
-        squares.append(((features - design.mean.numpy()) / design.std.numpy()) ** 2)
+        squares.append(((features - shown.mean.numpy()) / shown.std.numpy()) ** 2)
     every = np.concatenate(squares)
     axis = 0 if scale == "each" else None
     error = every.std(axis=axis) / (every.size / (6 if axis is None else 36)) ** 0.5

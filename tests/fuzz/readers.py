@@ -67,7 +67,7 @@ def use_design(path: Path) -> None:
     camera_of(path)
     repr(design)
     _ = design.camera, trained_on(design.info)
-    if design.exposure.kind != "patches":  # whose counts are of each patch
+    if not design.exposure.part_axis:  # whose counts are of each patch
         counts = np.ones(design.counts_shape)
         chances = design.classify(counts, 1e4)
         assert chances.shape == (len(design.classes),)

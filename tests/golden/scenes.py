@@ -97,8 +97,8 @@ def answered(design: Any, data: deepfsi.Dataset) -> dict[str, Any]:
     if design.name == "adaptive":
         return {"looks": list(design.looks_at(data.x_test[0], BUDGET, seed=2))}
     rng = np.random.default_rng(5)
-    patches = prod(data.image_shape) // prod(design.mask_shape)
-    several = (patches,) if design.info["job"]["exposure"].get("patch") else ()
+    side = design.info["job"]["exposure"].get("patch")
+    several = (prod(data.image_shape) // side**2,) if side else ()
     counts = rng.integers(0, 1 + (design.gates or 60), (6, *several, *design.counts_shape))
     calls = {
         "classify": lambda: design.classify(counts, BUDGET),

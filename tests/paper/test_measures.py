@@ -36,7 +36,7 @@ def test_throughput_of_designs_that_are_known(digits):
 @pytest.mark.parametrize("light", ["column", "free-dwell"])
 def test_throughput_is_the_share_that_the_finished_design_counts(made, digits, light):
     design = made("deepfsi", light, "dual")
-    counted = float(design.shares.sum())
+    counted = float(design.exposure.shares.sum())
     scene = digits.x_train.mean(axis=0, dtype=np.float64)
     assert measures.throughput(design.matrix, scene) == pytest.approx(counted, rel=1e-5)
 

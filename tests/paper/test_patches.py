@@ -6,7 +6,7 @@ import torch
 from conftest import FLOAT32, assert_moments, generator, synthetic
 from deepfsi import Scanner
 from deepfsi.camera.light import photons_per_pixel
-from deepfsi.exposure.training import JobGroup, build_training
+from deepfsi.exposure.training import JobGroup
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.designs import DESIGNS as CODES
 from deepfsi_paper.patches.settings import cut_patches
@@ -33,7 +33,7 @@ def photons(training_set):
 
 
 def masks_of(training_set, design):
-    return build_training(JobGroup.of(training_set, [job(**SMALL, design=design)])).masks
+    return JobGroup.of(training_set, [job(**SMALL, design=design)]).training().masks
 
 
 @every_design

@@ -52,12 +52,13 @@ def test_no_design_counts_more_than_its_light(made, digits, design, light, rails
     made_design = made(design, light, rails)
     scanner, photons = made_design.scanner("none"), light_on(made_design, digits.x_train)
     rates = scanner.rates(photons).double()
-    counted = made_design.detection.totals(rates).mean(dim=0)
+    counted = made_design.exposure.detection.totals(rates).mean(dim=0)
     if light != "dose":
         assert (rates.sum(dim=(-2, -1)) <= photons.sum(dim=-1) * (1 + FLOAT32)).all()
         assert light_law("column").excess(made_design.rails.stacked) <= FLOAT32
         assert counted.sum() <= PHOTONS * (1 + FLOAT32)
-    assert torch.allclose(counted, made_design.shares.double() * PHOTONS, rtol=1e-5, atol=1e-3)
+    shares = made_design.exposure.shares.double()
+    assert torch.allclose(counted, shares * PHOTONS, rtol=1e-5, atol=1e-3)
     white = torch.ones(1, N) * PHOTONS / made_design.summed_reflectance
     assert scanner.rates(white).sum() <= white.sum() * (1 + FLOAT32)
 

@@ -69,8 +69,9 @@ def test_rates_are_those_of_the_design(opened, designs, digits, kind):
 def test_the_page_answers_as_the_design_does(opened, designs, kind):
     """Counts at budgets from far below those of its calibration to far above."""
     design, rng = designs(kind), np.random.default_rng(0)
-    shape = (design.rails.count, design.masks, design.detection.count)
-    share = float(design.shares.mean()) / design.detection.width(design.rails.count)
+    shape = (design.rails.count, design.masks, design.exposure.detection.count)
+    width = design.exposure.detection.width(design.rails.count)
+    share = float(design.exposure.shares.mean()) / width
     budgets = np.geomspace(3, 3e6, 6)
     counts = [rng.poisson(each * share * rng.uniform(0.5, 1.5, shape)) for each in budgets]
     found = ask(
@@ -163,11 +164,11 @@ def test_least_squares_pictures(opened, designs, digits, kind):
     )
     rails = design.rails.stacked.double().numpy()
     every = rails.reshape(-1, rails.shape[-1])
-    labels = design.detection.labels
+    labels = design.exposure.detection.labels
     wanted = np.zeros(rails.shape[-1])
-    for detector in range(design.detection.count):
+    for detector in range(design.exposure.detection.count):
         own = np.full(rails.shape[-1], True) if labels is None else labels.numpy() == detector
-        step = slice(detector, None, design.detection.count)
+        step = slice(detector, None, design.exposure.detection.count)
         rows = every[:, own] * np.array(scale)[step, None]
         unit = np.array(counts)[step] * design.summed_reflectance / 1e5
         gram = rows @ rows.T

@@ -1,7 +1,6 @@
 """Design files, changed and refused."""
 
 import json
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from safetensors.torch import load_file, save_file
 
 from deepfsi import Design
 from deepfsi.base.errors import InputError
-from deepfsi.designfile.design_file import DesignFile
 
 
 def header_of(path: Path) -> dict[str, Any]:
@@ -41,9 +39,3 @@ def assert_refused(design: Design, folder: Path, change: Callable[..., object]) 
     path = design.save(folder / "changed.safetensors")
     rewrite(path, change)
     refused(path)
-
-
-def file_of(design: Design) -> DesignFile:
-    """File of a design, written and read."""
-    with tempfile.TemporaryDirectory() as folder:
-        return DesignFile.read(design.save(Path(folder) / "design.safetensors"))

@@ -30,7 +30,9 @@ def test_counts_in_the_mean_are_those_asked_for(digits, design, light, rails):
     settings = {**RECIPE, "masks": masks, "light": light, "rails": rails, "device": "cpu", **own}
     made = learn(digits, counts=40.0, design=design, **settings)
     near = learning.NEAR if design in ("deepfsi", "control") else 1e-4
-    assert made.info["job"]["photons"] * float(made.shares.sum()) == pytest.approx(40, rel=near)
+    assert made.info["job"]["photons"] * float(made.exposure.shares.sum()) == pytest.approx(
+        40, rel=near
+    )
 
 
 @pytest.mark.usefixtures("uncharacterised")

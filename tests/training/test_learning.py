@@ -77,7 +77,7 @@ NOISES = {
 def is_standardised(design, digits, noise, **numbers) -> bool:
     photons = light_on(design, digits.x_train).repeat(20, 1).float()
     features = design.scanner(noise, **numbers)(photons, generator())
-    scaled = ((features / PHOTONS - design.mean) / design.std).double()
+    scaled = ((features / PHOTONS - design.exposure.mean) / design.exposure.std).double()
     n, fourth = len(scaled), scaled.pow(4).mean(dim=0)
     off = (scaled.var(dim=0) - 1).abs() <= 5 * ((fourth - 1) / n).sqrt()
     return bool(scaled.mean(dim=0).abs().max() <= 5 / math.sqrt(n) and off.all())

@@ -10,10 +10,10 @@ from scipy.special import softmax
 from conftest import generator
 from deepfsi import learn
 from deepfsi.adaptive.exposure import AdaptiveExposure, AdaptiveTraining, LeftOutAnswers
-from deepfsi.evaluation.confidence import logits_at_stops
+from deepfsi.evaluation.confidence import draw_logits
+from deepfsi.exposure.kind import temperatures_at
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import find_job
-from deepfsi.networks.classifiers import stop_temperatures
 from deepfsi.training import characterisation
 
 PHOTONS, LOOKS = 1e4, 6
@@ -61,12 +61,10 @@ def test_each_fold_leaves_out_what_its_training_does_not_hold(digits):
 
 def chances(design, data, photons=PHOTONS, seed=3):
     """Probabilities (E, C) of the test scenes, and the classes that are true."""
+    logits = draw_logits(design, design.camera, data.x_test, photons, 1, seed)
     if design.exposure.makes_masks:
-        options = design.camera, data.x_test, photons, 1, seed
-        return np.exp(logits_at_stops(design, *options, [LOOKS - 1])[0])
-    scanner = design.front_end(design.camera)
-    logits = logits_at_stops(design, scanner, data.x_test, photons, 1, seed)[-1]
-    return softmax(logits / stop_temperatures(design.temperatures, photons)[-1], axis=1)
+        return np.exp(logits)
+    return softmax(logits / temperatures_at(design.temperatures, 0, photons), axis=1)
 
 
 @pytest.mark.parametrize("sureness", [0.5, 1.4, 4.0])
@@ -74,7 +72,9 @@ def test_a_posterior_that_is_too_sure_by_a_factor_gets_it_as_its_temperature(few
     """Classes are drawn from the odds over the factor; Fisher's information is that of log τ."""
     job = find_job({"design": "adaptive", "masks": 2, "photons": PHOTONS})
     training = AdaptiveTraining(few, AdaptiveMasks(looks=2))
-    made = AdaptiveExposure(training.prior, training.settings, few.image_shape, torch.zeros(2))
+    made = AdaptiveExposure(
+        training.prior, training.settings, few.image_shape, torch.zeros(2), job.camera
+    )
     draws = generator(2)
     true = 3 * torch.randn(20_000, 3, generator=draws)
     shares = made.prior.class_shares.log()

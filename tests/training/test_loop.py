@@ -10,8 +10,8 @@ import torch
 
 from conftest import OPTICS, RECIPE, quick, same
 from deepfsi import Design
+from deepfsi.design.networks import Replicas
 from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.networks.classifiers import Replicas
 from deepfsi.training import loop
 from deepfsi.training.learning import train
 from shared.jobs import job as job_of

@@ -53,9 +53,7 @@ def next_masks(state: AdaptivePosterior, share: float, generator: torch.Generato
 
 
 def candidate_masks(state: AdaptivePosterior) -> Tensor:
-    """Masks (b, P, N) that separate the likeliest classes in two groups, or a dictionary's."""
-    if state.ready is not None:
-        return state.ready.expand(len(state), -1, -1)
+    """Masks (b, P, N) that separate the likeliest classes in two groups."""
     differ = group_differences(state)
     scene = state.scene.clamp(min=1e-3)[:, None]  # reflectance of the mean scene at least
     areas = state.optics.areas(scene)

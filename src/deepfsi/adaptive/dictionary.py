@@ -18,6 +18,7 @@ same masks.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 import torch
@@ -62,7 +63,7 @@ SAME_SHARE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class MaskTables:
+class _MaskTables:
     """Tables of the counts of a look: n scenes behind each of P masks, in parts of masks."""
 
     share: float  # of the exposure, of a look
@@ -74,7 +75,7 @@ class MaskTables:
     members: np.ndarray  # (n, C + 1), 1 for the class of a scene, and for all together
 
     @classmethod
-    def of(cls, masks: Tensor, prior: ScenePrior, optics: LookOptics, share: float) -> "MaskTables":
+    def of(cls, masks: Tensor, prior: ScenePrior, optics: LookOptics, share: float) -> Self:
         """Tables of masks (P, N) for a share of the exposure."""
         many = len(masks)
         scenes = len(prior)
@@ -137,7 +138,7 @@ class MaskDictionary:
     """Masks among which adaptive masks are chosen."""
 
     masks: Tensor  # (P, N), of 0 and 1, none twice, none without a mirror that is ON
-    _tables: dict[str, tuple[ScenePrior, tuple[float, ...], MaskTables]] = field(
+    _tables: dict[str, tuple[ScenePrior, tuple[float, ...], _MaskTables]] = field(
         default_factory=dict, repr=False
     )
     _indices: dict[bytes, int] = field(default_factory=dict, repr=False)
@@ -167,7 +168,7 @@ class MaskDictionary:
         """The masks, 8 pixels a byte, as a design file has them."""
         return {"dictionary": np.packbits(self.masks.bool().numpy(), axis=1)}
 
-    def tables(self, prior: ScenePrior, optics: LookOptics, share: float) -> MaskTables:
+    def tables(self, prior: ScenePrior, optics: LookOptics, share: float) -> _MaskTables:
         """Tables for scenes and a budget; the last ones are kept."""
         light = optics.photons, optics.fluctuation, optics.dark_sum
         if "last" in self._tables:
@@ -175,7 +176,7 @@ class MaskDictionary:
             like = scenes is prior and known == light
             if like and math.isclose(share, tables.share, rel_tol=SAME_SHARE):
                 return tables
-        tables = MaskTables.of(self.masks, prior, optics, share)
+        tables = _MaskTables.of(self.masks, prior, optics, share)
         self._tables["last"] = (prior, light, tables)
         return tables
 
@@ -205,7 +206,6 @@ class DictionaryPosterior(AdaptivePosterior):
                 "these, or leave `dictionary` out"
             )
         self.dictionary = dictionary
-        self.ready = dictionary.masks
         self.tables = dictionary.tables(prior, optics, share)
         # scenes of the prior for each that is drawn
         drawn = int(np.clip(len(prior) // 1800, *COMPARED_SCENES))

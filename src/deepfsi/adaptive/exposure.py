@@ -14,9 +14,9 @@ clusters stay, as each stands for many scenes.
 
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import dataclass, replace
 from pkgutil import resolve_name
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -26,6 +26,8 @@ from deepfsi.adaptive.choice import Look, look_at
 from deepfsi.adaptive.dictionary import DictionaryPosterior, MaskDictionary
 from deepfsi.adaptive.posterior import (
     LEAST_WEIGHT,
+    LIKELIHOODS_AT_ONCE,
+    MOST_EXPOSURES,
     AdaptivePosterior,
     LookOptics,
     ScenePrior,
@@ -38,17 +40,17 @@ from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.designfile.design_file import AdaptiveHeader
-from deepfsi.exposure.kind import Answer, CountedLight, ExposureKind, Observation, ReadsCounts, Use
+from deepfsi.exposure.kind import (
+    Answer,
+    CountedLight,
+    ExposureKind,
+    Exposures,
+    Network,
+    Use,
+)
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import Job
 from deepfsi.physics.detection import Detection
-
-LIKELIHOODS_AT_ONCE = 2**22
-"""Log-likelihoods that are held at a time."""
-
-MOST_EXPOSURES = 32
-"""Exposures that are computed at a time, at most: a thousand of them take twice as long each."""
-
 
 MASKS_ARE_MADE = (
     "this design makes its masks while the camera looks, and this takes masks that are known "
@@ -70,11 +72,6 @@ def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
         spread=settings.spread,
         clusters=settings.clusters,
     )
-
-
-def exposures_at_once(prior: ScenePrior) -> int:
-    """Exposures of which the memory holds the likelihoods, and the caches the masks."""
-    return max(1, min(MOST_EXPOSURES, LIKELIHOODS_AT_ONCE // len(prior)))
 
 
 MISFIT_BUDGETS = (0.1, 1.0, 10.0)
@@ -172,7 +169,7 @@ def measure(
     counted = torch.zeros(len(optics), settings.looks, dtype=torch.double)
     odds = torch.zeros(*totals.shape, exposure.prior.classes)
     for row, each in enumerate(optics):
-        for rows, some in left_out.parts(exposure.exposed_at_once):
+        for rows, some in left_out.parts(exposure.prior.exposed_at_once):
             state = exposure.posterior(len(rows), each)
             some.leave(state)
             for look, share in enumerate(settings.shares):
@@ -217,43 +214,20 @@ def _last_looks(confidence: np.ndarray, threshold: float) -> np.ndarray:
     return enough.argmax(axis=1)
 
 
-@dataclass(frozen=True)
-class PosteriorObservation(Observation):
-    """Knowledge of the class after a look with adaptive masks.
-
-    Features (b, Q) are the counts of the look over the budget; 0 of exposures that stopped before.
-    """
-
-    _: KW_ONLY
-    chances: Tensor
-    counts: float
-    used: float | None = None
-    arriving: float | None = None
-
-
-class LookedAt(NamedTuple):
-    """One exposure look by look: masks and mean scenes (K, N) of the posterior, chances (K, C)."""
-
-    masks: np.ndarray  # (K, N)
-    scenes: np.ndarray  # (K, N)
-    chances: np.ndarray  # (K, C)
-
-
 @dataclass(frozen=True, eq=False)
 class AdaptiveExposure(ExposureKind):
     """Exposure of which each mask is made of the counts so far."""
 
     prior: ScenePrior  # of scenes: the training scenes, in components
     settings: AdaptiveMasks  # looks, and the share of the exposure that each takes
-    shape: tuple[int, ...]
-    counted: Tensor  # (K,)
+    image_shape: tuple[int, ...]
+    shares: Tensor  # (K,), share of the budget that each look counts
+    camera: Camera  # that it was made for
     usual_misfit: UsualMisfit | None = None
-    optics: Mapping[str, Any] | None = None  # fields of the camera that it was made for
     dictionary: MaskDictionary | None = None  # masks of which each look shows one
 
     makes_masks: ClassVar[bool] = True
     comparable: ClassVar[bool] = False
-    own_draws: ClassVar[bool] = True
     refusals: ClassVar[dict[Use, str]] = {
         "masks": MASKS_ARE_MADE,
         "frames": MASKS_ARE_MADE,
@@ -270,13 +244,15 @@ class AdaptiveExposure(ExposureKind):
         cls, header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]
     ) -> "AdaptiveExposure":
         """The kind of a design file, or an error where its arrays do not fit the header."""
+        with as_input_error("the design's camera", "train it again"):
+            camera = Camera.restored(dict(header.info["job"]["camera"]))
         return cls(
             prior=ScenePrior.restored(arrays),
             settings=header.settings,
-            shape=header.image_shape,
-            counted=torch.from_numpy(arrays["shares"]),
+            image_shape=header.image_shape,
+            shares=torch.from_numpy(arrays["shares"]),
+            camera=camera,
             usual_misfit=UsualMisfit.restored(arrays, header.settings.looks),
-            optics=header.info.get("job", {}).get("camera"),
             dictionary=MaskDictionary.restored(arrays),
         )
 
@@ -289,22 +265,13 @@ class AdaptiveExposure(ExposureKind):
                 "a design without `dictionary`"
             )
 
-    def entry(self) -> AdaptiveMasks:
-        """Settings of the looks."""
-        return self.settings
-
     @property
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays of a design file: prior, shares and misfit."""
-        arrays = self.prior.arrays | {"shares": self.counted.numpy()}
+        arrays = self.prior.arrays | {"shares": self.shares.numpy()}
         if self.dictionary is not None:
             arrays |= self.dictionary.arrays
         return arrays if self.usual_misfit is None else arrays | self.usual_misfit.arrays
-
-    @property
-    def image_shape(self) -> tuple[int, ...]:
-        """Shape of a scene."""
-        return self.shape
 
     @property
     def count(self) -> int:
@@ -312,27 +279,14 @@ class AdaptiveExposure(ExposureKind):
         return self.settings.looks
 
     @property
-    def shares(self) -> Tensor:
-        """Share of the budget that each look counts, in the training mean, (K,)."""
-        return self.counted
-
-    @property
-    def summed_reflectance(self) -> float:
-        """s, the training scenes' mean summed reflectance; λ = Φ x / s."""
+    def summed_reflectance(self) -> float:  # type: ignore[override]
+        """That of the scenes of the prior."""
         return self.prior.summed_reflectance
 
     @property
-    def camera(self) -> Camera:
-        """The camera that it was made for."""
-        if self.optics is None:
-            raise InputError("this design does not say which camera it is for: make it again")
-        with as_input_error("the design's camera", "train it again"):
-            return Camera.restored(dict(self.optics))
-
-    @property
-    def detection(self) -> Detection:
+    def detection(self) -> Detection:  # type: ignore[override]
         """Detectors on parts of the device."""
-        return Detection.of(self.camera, self.shape)
+        return Detection.of(self.camera, self.image_shape)
 
     @property
     def title(self) -> str:
@@ -342,13 +296,13 @@ class AdaptiveExposure(ExposureKind):
         return f"{self.count} looks{most}{choice}, {len(self.prior)} scenes known"
 
     @property
-    def exposed_at_once(self) -> int:  # type: ignore[override]
-        """Exposures of which the memory holds the likelihoods, and the caches the masks."""
-        return exposures_at_once(self.prior)
+    def size_text(self) -> str:
+        """Number of looks."""
+        return f"{self.count} looks"
 
     def optics_at(self, photons: float, camera: Camera | None = None) -> LookOptics:
         """Optics of a look at a budget of a whole exposure, of another camera if one is given."""
-        return LookOptics.of(self.camera if camera is None else camera, self.shape, photons)
+        return LookOptics.of(camera or self.camera, self.image_shape, photons)
 
     def posterior(self, exposures: int, optics: LookOptics) -> AdaptivePosterior:
         """Posterior of so many exposures before all looks, which also chooses their masks."""
@@ -357,41 +311,24 @@ class AdaptiveExposure(ExposureKind):
         share = self.settings.shares[0]
         return DictionaryPosterior(self.dictionary, self.prior, exposures, optics, share=share)
 
-    def front_end(self, camera: Camera) -> Camera:
-        """The camera itself: its optics, and its dark counts."""
-        return camera
+    def exposures(self, scenes: Tensor, camera: Camera, network: Network) -> Exposures:
+        """Exposures of scenes (n, N), each of which stops where it is sure enough."""
 
-    def rates(self, front: Camera, scenes: Tensor) -> Tensor:
-        """The reflectances (n, N) themselves: what is counted follows from masks to come."""
-        return scenes
+        def expose(photons: float, generator: torch.Generator) -> tuple[Answer, CountedLight]:
+            optics = self.optics_at(photons, camera)
+            chances = []
+            counted = 0.0
+            used = 0.0
+            for some in scenes.split(self.prior.exposed_at_once):
+                state = self.posterior(len(some), optics)
+                found, counts, shares = self._run(state, some, generator)
+                chances.append(found)
+                counted += float(counts.sum())
+                used += shares
+            taken = used * photons if self.settings.until < 1 else None
+            return answer_of(torch.cat(chances)), CountedLight(counted, counted, taken)
 
-    def observe(
-        self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> Iterator[PosteriorObservation]:
-        """Exposures after each of all looks, of at most `exposed_at_once` scenes."""
-        state = self.posterior(len(rates), self.optics_at(photons, front))
-        counts = 0.0
-        for look in _looks(state, rates, self.settings.shares, generator):
-            counts += float(look.light.double().sum())
-            yield PosteriorObservation(look.counts / photons, chances=state.chances, counts=counts)
-
-    def expose(
-        self, front: Camera, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> PosteriorObservation:
-        """Exposures at their end, each of which stops where it is sure enough."""
-        optics = self.optics_at(photons, front)
-        parts = []
-        counted = 0.0
-        used = 0.0
-        for some in rates.split(self.exposed_at_once):
-            state = self.posterior(len(some), optics)
-            chances, counts, shares = self._run(state, some, generator)
-            parts.append(chances)
-            counted += float(counts.sum())
-            used += shares
-        every = torch.cat(parts)
-        stops = used if self.settings.until < 1 else None
-        return PosteriorObservation(every[:, :0], chances=every, counts=counted, used=stops)
+        return expose
 
     def _run(
         self, state: AdaptivePosterior, x: Tensor, generator: torch.Generator
@@ -421,21 +358,6 @@ class AdaptiveExposure(ExposureKind):
                 break
         return chances, counts, used
 
-    def light(
-        self, front: Camera, rates: Tensor, seen: Observation, photons: float
-    ) -> CountedLight:
-        """Light of exposures together."""
-        assert isinstance(seen, PosteriorObservation)
-        used = None if seen.used is None else seen.used * photons
-        arriving = seen.counts if seen.arriving is None else seen.arriving
-        return CountedLight(seen.counts, arriving, used)
-
-    def answer(self, seen: Observation, photons: Tensor | float, network: ReadsCounts) -> Answer:
-        """Answer of the posterior: nothing else reads the counts."""
-        assert isinstance(seen, PosteriorObservation)
-        chances = seen.chances
-        return Answer(chances.clamp(min=LEAST_WEIGHT).log(), chances, chances.argmax(dim=-1))
-
     def few(self, coefficients: int, seed: int) -> "AdaptiveExposure":
         """The kind that knows some of the scenes, with so many coefficients.
 
@@ -447,17 +369,18 @@ class AdaptiveExposure(ExposureKind):
         whole = self.settings.model_copy(update={"until": 1.0})
         return replace(self, prior=prior, settings=whole)
 
-    def look_by_look(self, scene: Tensor, photons: float, generator: torch.Generator) -> LookedAt:
-        """One exposure of a scene (N,), look by look."""
+    def look_by_look(
+        self, scene: Tensor, photons: float, generator: torch.Generator
+    ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """Mask and mean scene (1, N), and chances (1, C), after each look at a scene (N,)."""
         state = self.posterior(1, self.optics_at(photons))
-        masks = []
-        scenes = []
-        chances = []
         for look in _looks(state, scene[None], self.settings.shares, generator):
-            masks.append(look.masks[0])
-            scenes.append(state.scene[0])
-            chances.append(state.chances[0])
-        return LookedAt(*(torch.stack(each).numpy() for each in (masks, scenes, chances)))
+            yield look.masks, state.scene, state.chances
+
+
+def answer_of(chances: Tensor) -> Answer:
+    """Answer of a posterior (b, C): nothing else reads the counts."""
+    return Answer(chances.clamp(min=LEAST_WEIGHT).log(), chances, chances.argmax(dim=-1))
 
 
 class LeftOutScenes(NamedTuple):
@@ -519,7 +442,7 @@ class _LongestExposures(NamedTuple):
         going = torch.arange(made.count) <= torch.from_numpy(_last_looks(sure, threshold))[:, None]
         counted = (self.light * going).mean(dim=0) / self.photons
         settings = made.settings.model_copy(update={"until": threshold})
-        return replace(made, settings=settings, counted=counted)
+        return replace(made, settings=settings, shares=counted)
 
 
 class AdaptiveTraining:
@@ -552,7 +475,7 @@ class AdaptiveTraining:
         optics = made.optics_at(job.photons, job.optics)
         odds = torch.empty(*size, self.prior.classes)
         light = torch.empty(size)
-        for rows, some in left_out.parts(made.exposed_at_once, report):
+        for rows, some in left_out.parts(made.prior.exposed_at_once, report):
             state = made.posterior(len(rows), optics)
             some.leave(state)
             looks = _looks(state, some.scenes, self.settings.shares, generator)
@@ -579,9 +502,7 @@ class AdaptiveTraining:
             masks += [look.masks.bool() for look in looks]
         return MaskDictionary.drawn(torch.cat(masks), count, generator)
 
-    def make(
-        self, job: Job, optics: Mapping[str, Any], report: Progress
-    ) -> tuple[AdaptiveExposure, LeftOutAnswers]:
+    def make(self, job: Job, report: Progress) -> tuple[AdaptiveExposure, LeftOutAnswers]:
         """The exposure of a job, not calibrated, and answers to left-out scenes."""
         dictionary = self.dictionary(job)
         shares, misfit, answers = self.finish(job, dictionary)
@@ -589,10 +510,10 @@ class AdaptiveTraining:
         made = AdaptiveExposure(
             self.prior,
             self.settings,
-            shape=self.data.image_shape,
-            counted=shares,
+            image_shape=self.data.image_shape,
+            shares=shares,
+            camera=job.camera,
             usual_misfit=misfit,
-            optics=optics,
             dictionary=dictionary,
         )
         return made, answers
@@ -609,7 +530,9 @@ class AdaptiveTraining:
         """
         shape = self.data.image_shape
         counted = torch.zeros(self.settings.looks)
-        made = AdaptiveExposure(self.prior, self.settings, shape, counted, dictionary=dictionary)
+        made = AdaptiveExposure(
+            self.prior, self.settings, shape, counted, job.camera, dictionary=dictionary
+        )
         generator = torch.Generator().manual_seed(job.seed)
         if left_out is None:
             left_out = self.left_out(256, generator)  # they tell misfit and temperatures

@@ -29,8 +29,8 @@ from deepfsi.camera.light import summed_reflectance
 from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.designfile.design_file import Temperatures
 from deepfsi.designfile.view_test import SceneModel
+from deepfsi.exposure.kind import temperatures_at
 from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.networks.classifiers import temperatures_at
 
 CENTRE_SPREAD = 1.4
 """How far scenes are taken to lie from centres of clusters, over the distance of their members.
@@ -47,6 +47,13 @@ LEAST_WEIGHT = 1e-30
 
 LARGEST_SIZE = 1e9
 """Size of the negative binomial law beyond which it is Poisson's within float32."""
+
+
+LIKELIHOODS_AT_ONCE = 2**22
+"""Log-likelihoods that are held at a time."""
+
+MOST_EXPOSURES = 32
+"""Exposures that are computed at a time, at most: a thousand of them take twice as long each."""
 
 
 class ScenePrior:
@@ -112,6 +119,11 @@ class ScenePrior:
         shares = [part.sum() for part in (self.members / self.members.sum()).split(self.sizes)]
         return torch.stack(shares)
 
+    @property
+    def exposed_at_once(self) -> int:
+        """Exposures of which the memory holds the likelihoods, and the caches the masks."""
+        return max(1, min(MOST_EXPOSURES, LIKELIHOODS_AT_ONCE // len(self)))
+
     def with_temperatures(self, temperatures: Temperatures) -> "ScenePrior":
         """These scenes with the temperatures of a budget."""
         own = copy(self)
@@ -126,8 +138,7 @@ class ScenePrior:
         shares = self.class_shares.log()
         if self.temperatures is None:
             return (odds + shares).softmax(dim=-1)
-        budget = torch.tensor([photons], dtype=torch.double)
-        temperature = temperatures_at(self.temperatures, looks - 1, budget).to(shares)
+        temperature = temperatures_at(self.temperatures, looks - 1, photons).to(shares)
         return (odds / temperature + shares).softmax(dim=-1)
 
     def light(self, masks: Tensor) -> tuple[Tensor, Tensor]:
@@ -319,9 +330,6 @@ def confidence_of(chances: Tensor) -> Tensor:
 
 class AdaptivePosterior:
     """Posterior of the scene in b exposures that see masks of their own."""
-
-    ready: Tensor | None = None
-    """Masks (P, N) of a dictionary, one of which is shown; None where they are made."""
 
     def __init__(self, prior: ScenePrior, exposures: int, optics: LookOptics) -> None:
         if optics.fluctuation and not prior.spread:

@@ -208,8 +208,8 @@ def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[s
                 "arrive"
             )
         yield (
-            f"{design.name} with {design.size_text} at {budget_text(result.photons)} photons: "
-            f"{score_text(result)}, {counts} (a share of {result.throughput:.3f})\n"
+            f"{design.name} with {design.exposure.size_text} at {budget_text(result.photons)} "
+            f"photons: {score_text(result)}, {counts} (a share of {result.throughput:.3f})\n"
             f"{details_text(result, design.classes)}"
         )
         if (light := result.score("mean_light")) is not None:
@@ -344,7 +344,7 @@ class ExportClassifier(Command):
                 "graph": str(target),
                 "rails": design.rails.count,
                 "masks": design.masks,
-                "detectors": design.detection.count,
+                "detectors": design.exposure.detection.count,
                 "classes": design.classes,
             },
             [

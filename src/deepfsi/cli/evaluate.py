@@ -78,8 +78,8 @@ class EvaluateDesign(Command):
         return Outcome(
             {
                 "design": str(self.file),
-                "detectors": design.detection.count,
-                "readout": design.detection.readout,
+                "detectors": design.exposure.detection.count,
+                "readout": design.exposure.detection.readout,
                 "notes": notes,
                 "results": [with_classes(design, result) for result in results],
                 "ideal": [with_classes(design, result) for result in bounds],
@@ -88,7 +88,7 @@ class EvaluateDesign(Command):
                 *data_lines(scenes, notes),
                 *results_lines(
                     results,
-                    title=f"{design.name}, {design.size_text}, {camera.noise_name} noise",
+                    title=f"{design.name}, {design.exposure.size_text}, {camera.noise_name} noise",
                     classes=design.classes,
                     bounds=bounds,
                 ),
@@ -153,7 +153,7 @@ class PredictClasses(Command):
         return Outcome(
             {"design": str(self.file), "table": table, **predictions.as_dict()},
             [
-                *predictions.lines(f"{design.name}, {design.size_text}"),
+                *predictions.lines(f"{design.name}, {design.exposure.size_text}"),
                 *([] if self.out is None else [f"table: {self.out}"]),
             ],
         )
@@ -172,5 +172,5 @@ def with_classes(design: "Design", result: Result | Estimates) -> dict[str, Any]
 def full_gates_lines(design: "Design", results: Sequence[Result | Estimates]) -> Iterator[str]:
     """Say at which budgets nearly all gates click, so that clicks tell little of a scene."""
     for result in results:
-        if result.clicks and (remark := design.full_gates(result.counts, result.photons)):
+        if result.clicks and (remark := design.exposure.full_gates(result.counts, result.photons)):
             yield f"note: {remark}"

@@ -1,7 +1,6 @@
 """A finished design: masks, classifier and provenance, in one file that holds no code."""
 
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
@@ -11,27 +10,33 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.adaptive.exposure import AdaptiveExposure, LookedAt
+from deepfsi.adaptive.exposure import AdaptiveExposure
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, check_ending, write_atomically
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget
-from deepfsi.camera.names import LIGHT_LAWS, LightLawName, NoiseName
+from deepfsi.camera.names import LIGHT_LAWS, NoiseName
 from deepfsi.design.file import fields_of, file_of
+from deepfsi.design.networks import Given, OwnClassifier, make_custom
 from deepfsi.designfile.design_file import DesignFile, Temperatures, find_design
 from deepfsi.designfile.distribution import ConsistencyResult, ReadoutDistribution
 from deepfsi.designfile.provenance import (
     TrainingScenes,
     click_gates,
-    trained_budgets,
     trained_camera,
 )
 from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, ViewTest
-from deepfsi.exposure.kind import EXPOSED_AT_ONCE, Answer, ExposureKind, MaskExposure, Observation
-from deepfsi.networks.classifiers import Values, check_classes, temperatures_at
-from deepfsi.networks.custom import Given, OwnClassifier, rebuilt
-from deepfsi.physics.detection import Detection, Rails
-from deepfsi.physics.noise import NoiseFunction, full_gates
+from deepfsi.exposure.kind import (
+    EXPOSED_AT_ONCE,
+    Answer,
+    ExposureKind,
+    Exposures,
+    MaskExposure,
+    temperatures_at,
+)
+from deepfsi.exposure.training_set import Values, check_classes
+from deepfsi.physics.detection import Rails
+from deepfsi.physics.noise import NoiseFunction, noise_of
 from deepfsi.physics.scanner import Scanner
 from deepfsi.physics.surroundings import library_defaults, torch_device
 
@@ -114,27 +119,7 @@ class Design:
     @property
     def rails(self) -> Rails:
         """Rails `plus` and `minus` (m, N) of the masks; `stacked` (2 or 1, m, N)."""
-        return self.mask_exposure.optics.rails
-
-    @property
-    def light(self) -> LightLawName:
-        """Light law that the rails obey."""
-        return self.mask_exposure.optics.light
-
-    @property
-    def mean(self) -> Tensor:
-        """Mean (k,) of the features y / Φ; k = m of one detector that reads a difference."""
-        return self.mask_exposure.optics.mean
-
-    @property
-    def std(self) -> Tensor:
-        """Standard deviation (k,) of the features y / Φ."""
-        return self.mask_exposure.optics.std
-
-    @property
-    def shares(self) -> Tensor:
-        """Share (k,) of the budget that is counted for each feature, in the training mean."""
-        return self.exposure.shares
+        return self.mask_exposure.rails
 
     @property
     def summed_reflectance(self) -> float:
@@ -147,11 +132,6 @@ class Design:
         return self.exposure.image_shape
 
     @property
-    def detection(self) -> Detection:
-        """Detectors on parts of the device, and what is read of two rails."""
-        return self.exposure.detection
-
-    @property
     def matrix(self) -> np.ndarray:
         """Sensing matrix M (m, N), float32: the share of each pixel's photons, signed by rail."""
         return self.rails.difference.cpu().numpy()
@@ -162,20 +142,9 @@ class Design:
         return self.exposure.count
 
     @property
-    def mask_shape(self) -> tuple[int, ...]:
-        """Shape of a mask."""
-        return self.mask_exposure.mask_shape
-
-    @property
     def counts_shape(self) -> tuple[int, ...]:
         """Shape ([2,] m [, D]) of the counts of one exposure, as `classify` takes them."""
-        several = (self.detection.count,) if self.detection.count > 1 else ()
-        return ((2,) if self.rails.count == 2 else ()) + (self.masks, *several)
-
-    @property
-    def features(self) -> int:
-        """k, number of features that the classifier reads."""
-        return self.masks * self.detection.width(self.rails.count)
+        return self.mask_exposure.counts_shape
 
     @property
     def camera(self) -> Camera:
@@ -185,79 +154,54 @@ class Design:
     @property
     def trained_budgets(self) -> tuple[float, float] | None:
         """Lowest and highest budget of the training; None for a design that does not say."""
-        entry = None if self.exposure.makes_masks else self.mask_exposure.entry()
-        return trained_budgets(self.info, entry)
+        facts = dict(self.info.get("job", {}))
+        if not self.exposure.makes_masks:
+            facts |= self.mask_exposure.entry.model_dump()
+        if "photons" not in facts:
+            return None
+        return float(facts["photons"]), float(facts["photons"]) * facts.get("span", 1.0)
 
     @property
     def gates(self) -> int | None:
         """Clicks of a readout at most, where its detectors click."""
         return click_gates(self.info)
 
-    def full_gates(self, counts: float, photons: float) -> str | None:
-        """Remark on clicks in nearly all gates of an exposure; None where they are not so many."""
-        if self.gates is None or self.exposure.makes_masks:  # of which a click has a price
-            return None
-        return full_gates(counts / (prod(self.counts_shape) * self.gates), photons)
-
-    @property
-    def size_text(self) -> str:
-        """Masks, or looks, and detectors: 5 masks, 4 detectors, both rails read."""
-        if self.exposure.makes_masks:
-            return f"{self.masks} looks"
-        parts = [f"{self.masks} masks"]
-        if self.detection.count > 1:
-            parts.append(f"{self.detection.count} detectors")
-        if self.rails.count == 2 and self.detection.readout == "both":
-            parts.append("both rails read")
-        return ", ".join(parts)
-
     # Exposing
 
     def scanner(
         self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
-        """The optical front end, with a noise of your choice.
-
-        Parameters
-        ----------
-        noise : str or callable
-            A name such as ``"poisson"``, an import path, or a function of rates and a generator.
-        sigma : float
-            Read noise of ``"gaussian"`` and ``"camera"`` noise, counts rms per readout.
-        dark : float
-            Dark counts of a detector in a whole exposure, of ``"camera"`` noise.
-
-        Raises
-        ------
-        InputError
-            For an unknown noise, impossible numbers, or adaptive masks, which have no front end.
-        """
+        """Optical front end with a noise of your choice; parameters as of `Scanner.from_rails`."""
         return self.mask_exposure.scanner(noise, sigma, dark)
 
-    def front_end(self, camera: Camera) -> Any:
-        """Front end that `rates` and `observe` take: the scanner with the noise of a camera.
-
-        Of adaptive masks it is the camera. Raises `InputError` where it cannot be tested under that
-        noise.
-        """
-        return self.exposure.front_end(camera)
+    @library_defaults()
+    def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
+        """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
+        return self.mask_exposure.rates(scanner, scenes)
 
     @library_defaults()
-    def rates(self, front: Any, scenes: Tensor) -> Tensor:
-        """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
-        return self.exposure.rates(front, scenes)
+    def exposures(self, scenes: Tensor, camera: Camera) -> Exposures:
+        """Exposures of scenes (n, N) by a camera: answers and light at a budget, at each call.
 
-    def observe(
-        self, front: Any, rates: Tensor, generator: torch.Generator, photons: float
-    ) -> Iterator[Observation]:
-        """Exposures at each stop, after masks or looks; parameters as of `ExposureKind.observe`."""
-        return self.exposure.observe(front, rates, photons, generator)
+        Raises `InputError` where it cannot be tested under the noise of the camera.
+        """
+        return self.exposure.exposures(scenes, camera, self.answer)
 
     @library_defaults(grad=False)
-    def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> LookedAt:
-        """One exposure of a scene (N,) with adaptive masks; parameters as of `expose`."""
+    def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> tuple[np.ndarray, ...]:
+        """One exposure of a scene (N,) with adaptive masks; parameters as of `expose`.
+
+        After each of K looks: masks and mean scenes (K, N) of the posterior, chances (K, C).
+        """
         generator = torch.Generator().manual_seed(seed)
-        return self.prior_exposure.look_by_look(torch.from_numpy(scene), photons, generator)
+        looks = self.prior_exposure.look_by_look(torch.from_numpy(scene), photons, generator)
+        parts = list(zip(*looks, strict=True))
+        if not parts:
+            raise InputError(
+                "no look is worth its clicks in this exposure, so that none is shown: give more "
+                "`counts` to the training"
+            )
+        return tuple(torch.cat(each).numpy() for each in parts)
 
     @library_defaults(grad=False)
     def expose(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
@@ -279,60 +223,26 @@ class Design:
         Raises
         ------
         InputError
-            If scenes or photons are not as above; if masks follow from the counts, which `predict`
-            and `looks_at` expose.
+            If scenes or photons are not as above; if masks follow from the counts, which
+            `deepfsi.predict` and `looks_at` expose.
         """
         exposure = self.mask_exposure
         scenes, lead = self._scenes(x)
         budget = check_budget(photons)
-        front = self.front_end(self._named_camera)
-        generator = torch.Generator(exposure.device).manual_seed(seed)
-        parts = [
-            front.read(exposure.placed(self.rates(front, some), generator) * budget, generator)
-            for some in scenes.split(EXPOSED_AT_ONCE)
-        ]
-        counts = torch.cat(parts)
-        return counts.view(*lead, *exposure.part_axis, *self.counts_shape).cpu().numpy()
-
-    @library_defaults(grad=False)
-    def predict(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
-        """Names (...) of the classes of scenes, each from one simulated exposure.
-
-        Adaptive masks are exposed, too.
-
-        Parameters
-        ----------
-        x : array or tensor, shape (..., H, W) or (..., N)
-            Reflectance, in [0, 1].
-        photons : float
-            Budget Φ.
-        seed : int
-            Of the noise, which is that of the design's camera.
-
-        Raises
-        ------
-        InputError
-            If scenes or photons are not as above, or if the design estimates values.
-        """
-        check_classes(self.values, "predict")
-        scenes, lead = self._scenes(x)
-        budget = check_budget(photons)
-        front = self.front_end(self._named_camera)
-        generator = torch.Generator(self.exposure.device).manual_seed(seed)
-        tests = self.exposure.test_in_parts(front, scenes, budget, generator, network=self)
-        classes = torch.cat([answer.classes for answer, _ in tests])
-        return np.array(self.classes)[classes.cpu().numpy()].reshape(lead)
-
-    @property
-    def _named_camera(self) -> Camera:
-        """The design's camera, or `InputError` if its noise is code, which a file does not run."""
         camera = self.camera
         if camera.noise_name not in get_args(NoiseName):
             raise InputError(
                 f"this design is for {camera.noise_name} noise, code of its maker's that a file "
                 "does not run: use deepfsi.predict or evaluate with `noise`"
             )
-        return camera
+        scanner = exposure.scanner(noise_of(camera))
+        generator = torch.Generator(exposure.device).manual_seed(seed)
+        parts = [
+            scanner.read(exposure.placed(self.rates(scanner, some), generator) * budget, generator)
+            for some in scenes.split(EXPOSED_AT_ONCE)
+        ]
+        counts = torch.cat(parts)
+        return counts.view(*lead, *exposure.part_axis, *self.counts_shape).cpu().numpy()
 
     def _scenes(self, x: Any) -> tuple[Tensor, tuple[int, ...]]:
         """Reflectances (n, N) of scenes (..., H, W) or (..., N), checked, and their lead (...)."""
@@ -352,33 +262,17 @@ class Design:
 
     # Answering
 
-    def logits(self, features: Tensor, photons: Tensor | float) -> Tensor:
-        """Logits (..., C) of features (..., k) in counts, at a budget of each exposure (...)."""
-        scale = self.mask_exposure.scale(photons)
-        return self.logits_of(Observation(features / scale), photons)
-
     @library_defaults()
-    def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
-        """Logits (..., C) of an exposure so far, of a budget of `photons` in all."""
-        inputs = self.mask_exposure.network_inputs(seen, photons)
+    def answer(self, features: Tensor, photons: Tensor | float) -> Answer:
+        """Answer to features (..., k) over the budget, at a budget of each exposure (...)."""
+        exposure = self.mask_exposure
         assert self.classifier is not None
-        return self.classifier(inputs)
-
-    def answer(self, seen: Observation, photons: Tensor | float) -> Answer:
-        """Answer to an exposure so far; parameters of `logits_of`."""
-        return self.exposure.answer(seen, photons, self)
-
-    def chances(self, seen: Observation, photons: Tensor | float) -> Tensor:
-        """Calibrated probabilities (..., C) of an exposure so far; parameters of `logits_of`."""
-        return self.answer(seen, photons).chances
-
-    def temperature(self, seen: Observation, photons: Tensor | float) -> Tensor | float:
-        """Temperature (..., 1) of the logits of an exposure so far; 1 where none is known."""
-        if self.temperatures is None:
-            return 1.0
-        shown = self.mask_exposure
-        budget = shown.budget(torch.as_tensor(photons).to(seen.features))
-        return temperatures_at(self.temperatures, 0, budget)
+        logits = self.classifier(exposure.inputs(features, photons))
+        temperature: Tensor | float = 1.0
+        if self.temperatures is not None:
+            budget = exposure.budget(torch.as_tensor(photons).to(features))
+            temperature = temperatures_at(self.temperatures, 0, budget)
+        return Answer(logits, (logits / temperature).softmax(dim=-1), logits.argmax(dim=-1))
 
     @library_defaults(grad=False)
     def classify(self, counts: Any, photons: Any) -> np.ndarray:
@@ -399,32 +293,22 @@ class Design:
             If shapes do not match the design, counts are not finite or the budget is not above 0.
         """
         check_classes(self.values, "classify")
-        return self.chances(*self._observed(counts, photons)).cpu().numpy()
+        return self.answer(*self._observed(counts, photons)).chances.cpu().numpy()
 
     @library_defaults(grad=False)
     def estimate(self, counts: Any, photons: Any) -> np.ndarray:
         """Values (..., q) of one or many exposures, in the units that the training had.
 
-        Parameters
-        ----------
-        counts : array, shape (..., [P,] [2,] m [, D])
-            Counts of each readout, in the shape that `classify` takes.
-        photons : float or array, shape (...)
-            Budget Φ of each exposure, or an estimate of it.
-
-        Raises
-        ------
-        InputError
-            If shapes do not match the design, counts are not finite, the budget is not above 0, or
-            the design answers classes.
+        Parameters as of `classify`. Raises `InputError` as that does, or if the design answers
+        classes.
         """
         if self.values is None:
             raise InputError("this design answers classes and estimates no values: use classify")
-        outputs = self.logits_of(*self._observed(counts, photons))
-        return self.values.estimated(outputs).cpu().numpy()
+        answer = self.answer(*self._observed(counts, photons))
+        return self.values.estimated(answer.logits).cpu().numpy()
 
-    def _observed(self, counts: Any, photons: Any) -> tuple[Observation, Tensor]:
-        """Exposures and their budgets, checked; parameters of `classify`."""
+    def _observed(self, counts: Any, photons: Any) -> tuple[Tensor, Tensor]:
+        """Features over the budget, and budgets, checked; parameters of `classify`."""
         exposure = self.mask_exposure
         read, budget = _check_readouts(counts, photons, self.counts_shape, exposure.part_axis)
         gates = self.gates
@@ -435,12 +319,7 @@ class Design:
             )
         device = exposure.device
         budget = budget.to(device)
-        return Observation(self.features_of(read.to(device)) / exposure.scale(budget)), budget
-
-    def features_of(self, counts: Tensor) -> Tensor:
-        """Features (..., k) of counts in the shape that `classify` takes."""
-        every = counts.flatten(-2) if self.detection.count > 1 else counts
-        return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
+        return exposure.features(read.to(device)) / exposure.scale(budget), budget
 
     @library_defaults()
     def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> ConsistencyResult:
@@ -470,7 +349,8 @@ class Design:
         if not read.numel():
             raise InputError("there are no exposures to test: give one or more")
         dark = np.broadcast_to(np.asarray(background, dtype=float), read.shape)
-        shape = (*budget.shape[:-1], self.rails.count, self.masks * self.detection.count)
+        readouts = self.masks * self.exposure.detection.count
+        shape = (*budget.shape[:-1], self.rails.count, readouts)
         return self.distribution.test(read.reshape(shape), budget[..., 0], dark.reshape(shape))
 
     def readouts(self, rails: np.ndarray) -> np.ndarray:
@@ -562,35 +442,36 @@ class Design:
         return design.to(device)
 
     @library_defaults()
-    def with_classifier(self, classifier: Given) -> "Design":
+    def with_classifier(self, given: Given) -> "Design":
         """The design with its classifier made by the user's code, and the weights it has."""
-        inputs = self.mask_exposure.input_count(self.features)
-        answers = len(self.values.names) if self.values else len(self.classes)
-        assert self.classifier is not None
-        made = rebuilt(self.classifier, classifier, inputs, answers)
-        return replace(self, classifier=made.to(self.rails.device))
+        known = self.classifier
+        if not isinstance(known, OwnClassifier):
+            raise InputError("this design has a classifier of the package's own: give none")
+        if not given:
+            raise InputError(
+                "this design does not say where its classifier is imported from: give `classifier`"
+            )
+        features = self.masks * self.exposure.detection.width(self.rails.count)
+        inputs = self.mask_exposure.input_count(features)
+        answers = len(self.values.names if self.values else self.classes)
+        arguments = {} if isinstance(given, nn.Module) else known.arguments
+        made = make_custom(given, arguments, inputs, answers)
+        assert made.module is not None
+        try:
+            made.module.load_state_dict(known.weights)
+        except (RuntimeError, TypeError) as error:
+            told = " ".join(str(error).split())
+            raise InputError(f"the classifier is not the one of this design: {told}") from None
+        return replace(self, classifier=made.eval().to(self.rails.device))
 
 
 def load_design(
     path: str | os.PathLike[str], device: str | torch.device = "cpu", *, trust: bool = False
 ) -> Design:
-    """Open a design file, or a published design by its name.
+    """Open a design file, or a published design by its name, ``"dmd-mnist"`` for example.
 
-    Parameters
-    ----------
-    path : str or path
-        Design file; or the name of a published design, ``"dmd-mnist"`` or
-        ``"adaptive-mnist"``.
-    device : str or torch.device
-        Adaptive masks are computed on the processor.
-    trust : bool
-        As of `Design.load`: run the factory of a classifier of one's own, if there is one.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged, truncated, not a design, or of a newer schema; if a
-        published design is unknown.
+    Other parameters as of `Design.load`, and so are errors. Adaptive masks are computed on the
+    processor.
 
     Examples
     --------
@@ -633,60 +514,44 @@ def _check_readouts(
     return read, budget
 
 
-@dataclass(frozen=True, eq=False)
-class RunCounts:
-    """Counts of S scenes, with R exposures of each."""
+def judge(
+    design: Design, signal: np.ndarray, budgets: np.ndarray, *,
+    often: np.ndarray, sums: np.ndarray, noise: np.ndarray,
+) -> tuple[np.ndarray, ConsistencyResult | None, ViewResult | None]:  # fmt: skip
+    """Answer counts of a run by a design as its patterns realise it, and test them.
 
-    signal: np.ndarray  # (S, R, rails, m, D), counts less the background
-    budgets: np.ndarray  # (S,), budget Φ of an exposure of each scene
-    often: np.ndarray  # (S,), sound exposures of each scene
-    sums: np.ndarray  # (S, rails, m, D), signal of the sound exposures of each scene together
-    noise: np.ndarray  # (S, rails, m, D), their variance beyond that of Poisson counts
-
-
-@dataclass(frozen=True, eq=False)
-class _Judgement:
-    """Answers to counts, and what the tests of these say."""
-
-    chances: np.ndarray  # (S, R, C), probabilities of the classes of each exposure
-    consistency: ConsistencyResult | None  # of the scenes with sound exposures
-    view: ViewResult | None  # None of a design without a model of its scenes, and of clicks
-
-
-def judge(design: Design, counts: RunCounts) -> _Judgement:
-    """Answer the counts of a run by a design as its patterns realise it, and test them."""
+    Of S scenes with R exposures each: counts less the background (S, R, rails, m, D), budget of an
+    exposure (S,), number of sound exposures (S,), their counts together (S, rails, m, D), and the
+    variance of these beyond that of Poisson counts. Chances (S, R, C), the consistency of the
+    scenes with sound exposures, and the test of the view, which takes photon counts.
+    """
     consistency = None
     if design.distribution is not None:
-        some = counts.often > 0
-        budget = (counts.budgets * counts.often)[some]
-        signal, noise = (design.readouts(each[some]) for each in (counts.sums, counts.noise))
-        consistency = design.consistency(signal, budget, noise)
+        some = often > 0
+        counts, beyond = (design.readouts(each[some]) for each in (sums, noise))
+        consistency = design.consistency(counts, (budgets * often)[some], beyond)
     view = None
     if design.scene_model is not None and design.gates is None:
-        view = _view_of(design, counts)
-    chances = design.classify(design.readouts(counts.signal), counts.budgets[:, None])
-    return _Judgement(chances, consistency, view)
+        view = _view_of(design, design.scene_model, budgets * often, sums=sums, noise=noise)
+    return design.classify(design.readouts(signal), budgets[:, None]), consistency, view
 
 
-def _view_of(design: Design, counts: RunCounts) -> ViewResult | None:
-    """Test of how the camera saw the scenes, of photon counts."""
-    assert design.scene_model is not None
+def _view_of(
+    design: Design, model: SceneModel, light: np.ndarray, *, sums: np.ndarray, noise: np.ndarray
+) -> ViewResult:
+    """Test of how the camera saw scenes whose sound exposures have so much light (S,) together."""
     rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
-    labels = design.detection.labels
-    if labels is not None:
-        rails = rails * (labels.cpu().numpy() == np.arange(design.detection.count)[:, None])
+    detection = design.exposure.detection
+    if detection.labels is not None:
+        rails = rails * (detection.labels.cpu().numpy() == np.arange(detection.count)[:, None])
     shape = rails.shape[:-1]  # (rails, m, D)
-    two_arms = LIGHT_LAWS[design.light].arms == 2
+    two_arms = LIGHT_LAWS[design.mask_exposure.light].arms == 2
     arms = np.arange(shape[0]) if two_arms else np.zeros(shape[0], int)
     inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
-    test = ViewTest(design.scene_model, design.image_shape)
-    for scene in np.flatnonzero(counts.often).tolist():
-        gain = counts.budgets[scene] * counts.often[scene] / design.summed_reflectance
-        readouts = SceneReadouts(
-            masks=gain * rails.reshape(-1, rails.shape[-1]),
-            counts=counts.sums[scene].ravel(),
-            noise=counts.noise[scene].ravel(),
-            inputs=inputs.ravel(),
-        )
-        test.add(readouts)
+    test = ViewTest(model, design.image_shape)
+    for scene in np.flatnonzero(light).tolist():
+        gain = light[scene] / design.summed_reflectance
+        masks = gain * rails.reshape(-1, rails.shape[-1])
+        counts, more = sums[scene].ravel(), noise[scene].ravel()
+        test.add(SceneReadouts(masks, counts, noise=more, inputs=inputs.ravel()))
     return test.result

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from importlib.metadata import version
+from math import prod
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
@@ -9,9 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deepfsi.adaptive.exposure import training_of
+from deepfsi.adaptive.exposure import AdaptiveExposure, training_of
 from deepfsi.base.errors import InputError
-from deepfsi.camera.detectors import DetectorMap
+from deepfsi.design.networks import Classifier, OwnClassifier, find_network
 from deepfsi.designfile.design_file import (
     STATISTICS,
     AdaptiveHeader,
@@ -19,12 +20,14 @@ from deepfsi.designfile.design_file import (
     DesignFile,
     DesignHeader,
     MaskHeader,
+    Temperatures,
     damaged_design,
 )
-from deepfsi.exposure.kind import Clicks, TrainedMasks
-from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.networks.classifiers import Classifier, Values, find_network
-from deepfsi.networks.custom import OwnClassifier
+from deepfsi.designfile.distribution import ReadoutDistribution
+from deepfsi.designfile.provenance import TrainingScenes
+from deepfsi.designfile.view_test import SceneModel
+from deepfsi.exposure.kind import Clicks
+from deepfsi.exposure.training_set import Values
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
 
@@ -37,13 +40,13 @@ WORDS = ("name", "classes", "info")
 
 def file_of(design: "Design") -> DesignFile:
     """File of a design, or `InputError` if its classifier cannot be described."""
-    entry = design.exposure.entry()
-    words = {name: getattr(design, name) for name in WORDS}
-    words |= {"deepfsi": version("deepfsi"), "image_shape": design.image_shape}
-    arrays = design.exposure.arrays
+    exposure = design.exposure
+    words = {name: getattr(design, name) for name in (*WORDS, "image_shape")}
+    words |= {"deepfsi": version("deepfsi")}
+    arrays = exposure.arrays
     header: DesignHeader
-    if isinstance(entry, AdaptiveMasks):
-        header = AdaptiveHeader(settings=entry, **words)
+    if isinstance(exposure, AdaptiveExposure):
+        header = AdaptiveHeader(settings=exposure.settings, **words)
     else:
         classifier = design.classifier
         if not isinstance(classifier, Classifier):
@@ -51,28 +54,26 @@ def file_of(design: "Design") -> DesignFile:
                 f"a design with a {type(classifier).__name__} classifier cannot be saved: "
                 "give it as deepfsi.OwnClassifier(module)"
             )
-        optics = design.mask_exposure.optics
+        masks = design.mask_exposure
         header = MaskHeader(
-            exposure=entry,
+            exposure=masks.entry,  # type: ignore[arg-type]
             classifier=classifier.header,  # type: ignore[arg-type]
-            light=optics.light,
-            readout=optics.detection.readout,
-            summed_reflectance=optics.summed_reflectance,
+            light=masks.light,
+            readout=masks.detection.readout,
+            summed_reflectance=masks.summed_reflectance,
             values=design.values.names if design.values else (),
             **words,
         )
-        arrays = arrays | _network_arrays(design)
+        arrays |= _network_arrays(design, classifier)
     if design.training_scenes is not None:
-        arrays = arrays | design.training_scenes.arrays
+        arrays |= design.training_scenes.arrays
     return DesignFile(header, arrays)
 
 
-def _network_arrays(design: "Design") -> dict[str, np.ndarray]:
+def _network_arrays(design: "Design", classifier: Classifier) -> dict[str, np.ndarray]:
     """Arrays of the classifier, of values, and of what was fitted to counts and logits."""
-    classifier = design.classifier
-    own = isinstance(classifier, OwnClassifier)
     networks: dict[str, Mapping[str, Tensor]] = {
-        "classifier": classifier.weights if own else classifier.state_dict(),  # type: ignore[union-attr,dict-item]
+        "classifier": classifier.weights,
         "exposure": design.mask_exposure.weights,
         "values": design.values.tensors if design.values else {},
     }
@@ -114,7 +115,7 @@ def fields_of(file: DesignFile) -> dict[str, Any]:
             fields = _mask_fields(file, header)
         return fields | {
             **{name: getattr(header, name) for name in WORDS},
-            "training_scenes": file.training_scenes,
+            "training_scenes": TrainingScenes.restored(file.arrays),
         }
     except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
         raise damaged_design(file.path or "this", file.text or "") from error
@@ -124,31 +125,40 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
     """Fields of a design of masks, or an error where header and arrays do not fit together."""
     rails = Rails.of(torch.from_numpy(file.rails))
     detection = Detection(header.readout)
-    if file.arrays.get("detectors") is not None:
-        detectors = DetectorMap.of(file.arrays["detectors"], header.image_shape)
-        detection = Detection.by(detectors, header.readout)
+    if file.detectors is not None:
+        detection = Detection.by(file.detectors, header.readout)
     light_law(header.light).check(rails.stacked)
-    optics = TrainedMasks(
+    statistics = {name: torch.from_numpy(file.arrays[name]) for name in STATISTICS}
+    features = rails.masks * detection.width(rails.count)
+    alike = {each.shape for each in statistics.values()} == {(features,)}
+    if not alike or not bool((statistics["std"] > 0).all()):
+        raise ValueError("statistics are not those of the masks")
+    exposure = resolve_name(header.exposure.restored_by)(
+        entry=header.exposure,
         rails=rails,
         light=header.light,
         image_shape=header.image_shape,
         detection=detection,
         summed_reflectance=header.summed_reflectance,
         clicks=Clicks.of(header.info),
-        **{name: torch.from_numpy(file.arrays[name]) for name in STATISTICS},
+        weights=_tensors(file, "exposure"),
+        **statistics,
     )
-    kind = resolve_name(header.exposure.restored_by)
-    exposure = kind.restored(header.exposure, _tensors(file, "exposure"), optics)
-    return {
+    fields = {
         "exposure": exposure,
-        "classifier": _classifier(file, header, exposure.input_count(file.feature_count)),
-        "distribution": file.distribution,
-        "scene_model": file.scene_model,
-        "temperatures": file.temperatures,
-        "values": (
-            Values.restored(header.values, _tensors(file, "values")) if header.values else None
-        ),
+        "classifier": _classifier(file, header, exposure.input_count(features)),
     }
+    if header.values:
+        fields["values"] = Values.restored(header.values, _tensors(file, "values"))
+    if arrays := file.arrays_of("distribution"):
+        readouts = rails.count, rails.masks * detection.count
+        fields["distribution"] = ReadoutDistribution.restored(arrays, readouts)
+    if arrays := file.arrays_of("scenes"):
+        sizes = prod(header.image_shape), len(header.classes) or 1
+        fields["scene_model"] = SceneModel.restored(arrays, *sizes)
+    if arrays := file.arrays_of("temperatures"):
+        fields["temperatures"] = Temperatures.restored(arrays, 1)
+    return fields
 
 
 def _tensors(file: DesignFile, owner: str) -> dict[str, Tensor]:

@@ -16,9 +16,8 @@ from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.design.design import Design
-from deepfsi.exposure.kind import Observation
-from deepfsi.networks.classifiers import Mlp, check_classes
-from deepfsi.networks.custom import OwnClassifier
+from deepfsi.design.networks import Mlp, OwnClassifier
+from deepfsi.exposure.training_set import check_classes
 from deepfsi.physics.surroundings import library_defaults
 
 OUTPUT = "probabilities"
@@ -44,10 +43,9 @@ class _Module(nn.Module):
 
     def forward(self, counts: Tensor, photons: Tensor) -> Tensor:
         budget = photons.unsqueeze(-1)
-        seen = Observation(
-            self.design.features_of(counts) / self.design.mask_exposure.scale(budget)
-        )
-        return self.design.chances(seen, budget)
+        exposure = self.design.mask_exposure
+        features = exposure.features(counts) / exposure.scale(budget)
+        return self.design.answer(features, budget).chances
 
 
 @library_defaults()
@@ -68,11 +66,10 @@ def to_onnx(design: Design) -> bytes:
             "OwnClassifier can"
         )
     design.exposure.check("graph")
-    design = copy.deepcopy(design).to("cpu")
-    module = _Module(design)
-    module.classifier(torch.zeros(1, design.mask_exposure.input_count(design.features)))
+    module = _Module(copy.deepcopy(design).to("cpu")).eval()
+    module(*(torch.ones(1, *shape) for shape in module.inputs.values()))
     # every runtime since 2020 has 13; a network of one's own may need more
-    model = onnx.load_from_string(_traced(module.eval(), 17 if own else 13))
+    model = onnx.load_from_string(_traced(module, 17 if own else 13))
     about = {key: json.dumps(value) for key, value in _metadata(design).items()}
     onnx.helper.set_model_props(model, about)
     model.producer_name = "deepfsi"
@@ -114,7 +111,9 @@ def _compare(content: bytes, module: _Module) -> None:
     for batch in (*[1] * 8, 7):
         photons = 10 ** (6 * torch.rand(batch, 1, generator=generator))
         scaled = torch.randn(batch, *shape, generator=generator)
-        counts = (design.shares.mean() * (1 + scaled)).relu() * photons.view(-1, *[1] * len(shape))
+        counts = (design.exposure.shares.mean() * (1 + scaled)).relu() * photons.view(
+            -1, *[1] * len(shape)
+        )
         budget = photons.squeeze(1)
         with torch.no_grad():
             wanted = module(counts, budget)
@@ -128,14 +127,15 @@ def _compare(content: bytes, module: _Module) -> None:
 
 def _metadata(design: Design) -> dict[str, Any]:
     """Metadata of a design's graph, JSON types only."""
+    masks = design.mask_exposure
     return {
         "schema": 1,  # of inputs, output and metadata
         "name": design.name,
         "masks": design.masks,
         "rails": design.rails.count,
-        "detectors": design.detection.count,
-        "readout": design.detection.readout,
-        "light": design.light,
+        "detectors": masks.detection.count,
+        "readout": masks.detection.readout,
+        "light": masks.light,
         "summed_reflectance": design.summed_reflectance,
         "image_shape": list(design.image_shape),
         "classes": list(design.classes),

@@ -29,9 +29,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.camera.names import LightLawName, Readout, SummedReflectance
-from deepfsi.designfile.distribution import ReadoutDistribution
-from deepfsi.designfile.provenance import TrainingScenes, trained_camera
-from deepfsi.designfile.view_test import SceneModel
+from deepfsi.designfile.provenance import trained_camera
 from deepfsi.jobs.designs import DESIGNS, check_design
 from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
 from deepfsi.jobs.training import Widths, find_classifier
@@ -187,7 +185,7 @@ DAMAGED = (KeyError, TypeError, ValueError, IndexError, AttributeError, Overflow
 class DesignFile:
     """A design as its file holds it.
 
-    Sizes: m masks of N cells, on 2 rails or 1; D detectors; k features, which the network reads.
+    Sizes: m masks of N cells, on 2 rails or 1.
     """
 
     header: DesignHeader
@@ -230,8 +228,8 @@ class DesignFile:
         every = self.arrays.items()
         return {name.removeprefix(start): array for name, array in every if name.startswith(start)}
 
-    def check(self, whole: bool = True) -> None:
-        """Raise an error of `DAMAGED` unless arrays are finite and, as a whole, fit the header."""
+    def check(self, whole: bool) -> None:
+        """Raise an error of `DAMAGED` unless arrays are finite, and of the header's masks."""
         custom = isinstance(self.header, MaskHeader) and self.header.classifier.kind == "own"
         networks = ("classifier.", "exposure.")
         for name, array in self.arrays.items():
@@ -240,25 +238,15 @@ class DesignFile:
             computed = name in ("rails", *STATISTICS) or name.startswith(networks)
             if (computed and array.dtype != np.float32) or not np.isfinite(array).all():
                 raise ValueError(f"{name} holds other numbers than a design")
-        _ = self.training_scenes
         if isinstance(self.header, AdaptiveHeader):
             if whole:
                 _check_prior(self.header, self.arrays)
-            return
-        if not whole and "rails" not in self.arrays:
-            return
-        rails, _, pixels = self.arrays["rails"].shape
-        if rails not in (1, 2) or pixels != math.prod(self.header.mask_shape):
-            raise ValueError("rails are not of the masks of these scenes")
-        if not whole:
-            return
-        alike = {self.arrays[name].shape for name in STATISTICS} == {(self.feature_count,)}
-        cells = pixels * self.header.classifier.parts
-        if not (alike and (self.arrays["std"] > 0).all()):
-            raise ValueError("statistics are not those of the masks")
-        if math.prod(self.header.image_shape) != cells:
-            raise ValueError("images have other pixels than masks of all parts")
-        _ = self.distribution, self.scene_model, self.temperatures
+        elif whole or "rails" in self.arrays:
+            rails, _, pixels = self.rails.shape
+            if rails not in (1, 2) or pixels != math.prod(self.header.mask_shape):
+                raise ValueError("rails are not of the masks of these scenes")
+            if math.prod(self.header.image_shape) != pixels * self.header.classifier.parts:
+                raise ValueError("images have other pixels than masks of all parts")
 
     # What it is
 
@@ -278,16 +266,6 @@ class DesignFile:
         """The camera that it was trained for; None of files of older versions."""
         return trained_camera(self.header.info)
 
-    @property
-    def photons(self) -> float | None:
-        """Budget Φ of the training, counts of an exposure; None where that is not known."""
-        return self.header.info.get("job", {}).get("photons")
-
-    @cached_property
-    def training_scenes(self) -> TrainingScenes | None:
-        """Hashes of the scenes that it was made with; None of files of older versions."""
-        return TrainingScenes.restored(self.arrays)
-
     # Of masks that are known before
 
     @property
@@ -296,52 +274,15 @@ class DesignFile:
         return self.arrays["rails"]
 
     @property
-    def rail_count(self) -> int:
-        """Number of rails: 2 of signed masks, or 1."""
-        return len(self.arrays["rails"])
-
-    @property
     def masks(self) -> int:
         """m, number of masks."""
         return self.arrays["rails"].shape[1]
 
     @cached_property
-    def detectors(self) -> np.ndarray | None:
-        """Detector (N,) of each pixel, 0 .. D-1; None where one sees all."""
+    def detectors(self) -> DetectorMap | None:
+        """Detectors of the pixels; None where one sees all."""
         labels = self.arrays.get("detectors")
-        return None if labels is None else DetectorMap.of(labels, self.header.image_shape).labels
-
-    @property
-    def detector_count(self) -> int:
-        """D, number of detectors."""
-        return 1 if self.detectors is None else int(self.detectors.max()) + 1
-
-    @cached_property
-    def feature_count(self) -> int:
-        """k, numbers that the network reads of the counts."""
-        width = self.rail_count if self.mask_header.readout == "both" else 1
-        return self.masks * self.detector_count * width
-
-    @cached_property
-    def distribution(self) -> ReadoutDistribution | None:
-        """Distribution of the readouts of training scenes; None where there were too few."""
-        arrays = self.arrays_of("distribution")
-        readouts = self.rail_count, self.masks * self.detector_count
-        return ReadoutDistribution.restored(arrays, readouts) if arrays else None
-
-    @cached_property
-    def scene_model(self) -> SceneModel | None:
-        """Model of the training scenes; None where there were too few."""
-        arrays = self.arrays_of("scenes")
-        pixels = math.prod(self.header.image_shape)
-        classes = len(self.header.classes) or 1
-        return SceneModel.restored(arrays, pixels, classes) if arrays else None
-
-    @cached_property
-    def temperatures(self) -> Temperatures | None:
-        """Divisors of the logits at each budget; None where none were fitted."""
-        arrays = self.arrays_of("temperatures")
-        return Temperatures.restored(arrays, 1) if arrays else None
+        return None if labels is None else DetectorMap.of(labels, self.header.image_shape)
 
 
 def damaged_design(path: str | os.PathLike[str], header: str = "") -> InputError:

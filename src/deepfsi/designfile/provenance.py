@@ -19,7 +19,6 @@ from deepfsi.base.numeric.intervals import wilson
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import find_noise
 from deepfsi.datasets.dataset import Dataset, Origin
-from deepfsi.jobs.exposures import ExposureEntry
 
 IMAGE_LEVELS = 255
 """Highest level to which images are rounded before they are hashed: that of a picture's file."""
@@ -148,17 +147,6 @@ def new_scenes(training: TrainingScenes | None, data: Dataset) -> tuple[Dataset,
 
 NO_MEASURE = "no number here says how good the design is"
 """Said of answers to scenes that were all trained on."""
-
-
-def trained_budgets(
-    info: Mapping[str, Any], exposure: ExposureEntry | None = None
-) -> tuple[float, float] | None:
-    """Lowest and highest budget of a training; None if its design does not say."""
-    facts = {**info.get("job", {}), **({} if exposure is None else exposure.model_dump())}
-    if "photons" not in facts:
-        return None
-    low = float(facts["photons"])
-    return low, low * facts.get("span", 1.0)
 
 
 def trained_camera(info: Mapping[str, Any]) -> Camera | None:

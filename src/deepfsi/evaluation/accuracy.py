@@ -23,7 +23,7 @@ from deepfsi.designfile.provenance import new_scenes
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, CountedLight
 from deepfsi.measures.results import Estimates, Result
 from deepfsi.measures.table import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
-from deepfsi.physics.scanner import Scanner
+from deepfsi.physics.noise import noise_of
 from deepfsi.physics.surroundings import library_defaults
 
 AnyAnswers = TypeVar("AnyAnswers", bound=Answers)
@@ -96,9 +96,8 @@ def evaluate(
         covers="; ".join([COVERS, *known, *([left] if left else [])]),
     )
     title = f"{design.name}, {design.masks} masks"
-    front = design.front_end(camera)
-    light = design.shares.view(design.masks, -1).sum(dim=1)
-    answer = partial(_answering, design, front)
+    light = design.exposure.shares.view(design.masks, -1).sum(dim=1)
+    answer = partial(_answering, design, camera)
     with progress_bar(report, title) as bar:
         if design.values is None:
             classes = expose_scenes(
@@ -112,7 +111,7 @@ def evaluate(
             replace(
                 estimates,
                 names=names,
-                bound=_linear_bound(design, front, scenes, estimates.photons),
+                bound=_linear_bound(design, camera, scenes, estimates.photons),
             )
         )
         for estimates in every
@@ -127,12 +126,12 @@ Guess = Callable[[torch.Generator, float], Guessed]
 """Exposes scenes once at a budget, and answers."""
 
 
-def _answering(design: Design, front: Any, x: Tensor) -> Guess:
+def _answering(design: Design, camera: Camera, x: Tensor) -> Guess:
     """Rule that exposes scenes (b, N) and answers their classes, or their values."""
-    rates = design.rates(front, x)
+    expose = design.exposures(x, camera)
 
     def guess(generator: torch.Generator, budget: float) -> Guessed:
-        answer, light = design.exposure.test(front, rates, budget, generator, network=design)
+        answer, light = expose(budget, generator)
         if design.values is not None:
             return (design.values.estimated(answer.logits),), light
         return (answer.classes, answer.chances), light
@@ -243,7 +242,7 @@ def check_draws(draws: object, seed: object) -> None:
 
 
 def _linear_bound(
-    design: Design, scanner: Scanner, data: Dataset, photons: float
+    design: Design, camera: Camera, data: Dataset, photons: float
 ) -> list[float] | None:
     """Root mean squared error (q,) of the best linear estimator of the values of test scenes.
 
@@ -253,6 +252,7 @@ def _linear_bound(
     this V. Elsewhere a network may do better, and a linear estimator never. None of exposures whose
     places are drawn, and of a noise of a user's own.
     """
+    scanner = design.mask_exposure.scanner(noise_of(camera))
     if not (design.exposure.comparable and scanner.noise.has_moments):
         return None
     with torch.no_grad():

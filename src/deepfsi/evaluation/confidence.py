@@ -20,6 +20,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 from torch import Tensor
 
+from deepfsi.camera.camera import Camera
 from deepfsi.design.design import Design
 from deepfsi.designfile.design_file import LOG_BOUNDS, Temperatures
 from deepfsi.designfile.distribution import (
@@ -31,14 +32,14 @@ from deepfsi.designfile.distribution import (
     ReadoutDistribution,
     ReadoutModel,
 )
-from deepfsi.networks.classifiers import stop_temperatures
+from deepfsi.exposure.kind import EXPOSED_AT_ONCE, temperatures_at
 
 
 class Exposed(NamedTuple):
     """Scenes of known classes, and the design that answers them."""
 
     design: Design
-    front: Any  # of the design, as of `Design.front_end`
+    camera: Camera  # of its exposures
     x: np.ndarray  # (n, N)
     labels: np.ndarray  # (n,)
 
@@ -61,12 +62,10 @@ class CalibrationScenes:
     def logits(self, photons: float, seed: int, places: Sequence[int]) -> np.ndarray:
         """Logits (len(places), E, C) of the exposures after some stops, from 0, less `base`."""
         logits = [
-            logits_at_stops(
-                each.design, each.front, each.x, photons, draws=self.draws, seed=seed, places=places
-            )
+            draw_logits(each.design, each.camera, each.x, photons, self.draws, seed)
             for each in self.parts
         ]
-        return np.concatenate(logits, axis=1) - self.base
+        return np.concatenate(logits)[None] - self.base
 
     @property
     def base(self) -> np.ndarray | float:
@@ -137,7 +136,7 @@ def measure_left_out(
     """Test of the answers to scenes that a training left out, beside guesses (C,)."""
     last = scenes.stops - 1
     [logits] = scenes.logits(photons, seed, [last])
-    losses = scenes.losses(logits, float(stop_temperatures(temperatures, photons)[last]))
+    losses = scenes.losses(logits, float(temperatures_at(temperatures, last, photons)))
     guessed = -np.log(guess.clip(min=1e-6))[scenes.labels]
     # exposures of one scene are no scenes of their own
     gains = (losses - guessed).reshape(-1, scenes.draws).mean(axis=1)
@@ -151,34 +150,17 @@ def measure_left_out(
     )
 
 
-def logits_at_stops(
-    design: Design,
-    front: Any,
-    x: np.ndarray,
-    photons: float,
-    draws: int,
-    seed: int,
-    places: Sequence[int] | None = None,
+def draw_logits(
+    design: Design, camera: Camera, x: np.ndarray, photons: float, draws: int, seed: int
 ) -> np.ndarray:
-    """Logits (K, E, C) of exposures of scenes (n, N) at some stops, or all.
-
-    Draws of a scene follow one another.
-    """
-    exposure = design.exposure
-    generator = torch.Generator(exposure.device).manual_seed(seed)
-    if exposure.own_draws:
-        x = x.repeat(draws, axis=0)
-        draws = 1
+    """Logits (E, C) of exposures of scenes (n, N); draws of a scene follow one another."""
+    generator = torch.Generator(design.exposure.device).manual_seed(seed)
     chunks = []
     with torch.no_grad():
-        for rows in torch.arange(len(x)).split(exposure.exposed_at_once):
+        for rows in torch.arange(len(x)).split(EXPOSED_AT_ONCE):
             # NumPy takes a tensor of one number for the number itself
-            rates = design.rates(front, torch.from_numpy(x[rows.numpy()]))
-            several = []
-            for _ in range(draws):
-                seen = list(design.observe(front, rates, generator, photons))
-                kept = seen if places is None else [seen[place] for place in places]
-                several.append(torch.stack([design.answer(each, photons).logits for each in kept]))
+            expose = design.exposures(torch.from_numpy(x[rows.numpy()]), camera)
+            several = [expose(photons, generator)[0].logits for _ in range(draws)]
             chunks.append(torch.stack(several, dim=-2).flatten(-3, -2))
     return torch.cat(chunks, dim=-2).cpu().numpy()
 

@@ -28,9 +28,9 @@ from deepfsi.evaluation.accuracy import (
     expose_scenes,
 )
 from deepfsi.exposure.kind import CountedLight
+from deepfsi.exposure.training_set import check_classes
 from deepfsi.measures.results import Result
 from deepfsi.measures.table import ClassAnswers
-from deepfsi.networks.classifiers import check_classes
 from deepfsi.physics.scanner import Scanner
 from deepfsi.physics.surroundings import library_defaults
 

@@ -21,11 +21,13 @@ from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.dead_time import StopRule
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
+from deepfsi.design.networks import Mlp
 from deepfsi.designfile.design_file import Temperatures
 from deepfsi.designfile.provenance import new_scenes
 from deepfsi.evaluation.accuracy import check_data, evaluate
-from deepfsi.networks.classifiers import Mlp, check_classes
+from deepfsi.exposure.training_set import check_classes
 from deepfsi.physics.laws import ROUNDING_SLACK
+from deepfsi.physics.noise import noise_of
 from deepfsi.physics.surroundings import library_defaults
 
 SLIDER_BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 0.5))
@@ -59,14 +61,15 @@ def playable(
     else:
         budgets = sorted({*SLIDER_BUDGETS, *inside})
         optics = _networks(design)
+    detection = design.exposure.detection
     results = evaluate(design, tested, budgets, draws=1, seed=seed, report=report)
     return {
         **optics,
         "name": design.name,
         "image_shape": design.image_shape,
         "classes": design.classes,
-        "detectors": design.detection.count,
-        "labels": None if design.detection.labels is None else design.detection.labels.tolist(),
+        "detectors": detection.count,
+        "labels": None if detection.labels is None else detection.labels.tolist(),
         "budget": trained and {"low": trained[0], "high": trained[1]},
         "temperatures": _temperatures(design.temperatures),
         "rules": _rules(design),
@@ -156,24 +159,25 @@ def _networks(design: Design) -> dict[str, Any]:
     if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
         flat = np.ptp(total, axis=1).max() < ROUNDING_SLACK * total.max()
         sums = _pack(total.mean(axis=1, keepdims=True) if flat else total)
-    scanner = design.front_end(design.camera)
+    masks = design.mask_exposure
+    scanner = masks.scanner(noise_of(design.camera))
     dark = scanner.noise.settings.get("dark", 0.0)  # of a detector in an exposure
     return {
         "summed_reflectance": design.summed_reflectance,
-        "light": design.light,
+        "light": masks.light,
         "rails": rails.count,
-        "readout": design.detection.readout,
+        "readout": masks.detection.readout,
         "dark": dark,
         "dark_counts": _pack(scanner.dark_counts(rails.count).cpu().numpy()) if dark else None,
         "matrix": _pack(difference),
         "total": sums,
-        "mean": _pack(design.mean.cpu().numpy()),
-        "std": _pack(design.std.cpu().numpy()),
+        "mean": _pack(masks.mean.cpu().numpy()),
+        "std": _pack(masks.std.cpu().numpy()),
         "network": [
             {"weight": _pack(weight), "bias": _pack(bias)}
             for weight, bias in _classifier(design).arrays
         ],
-        "exposure": design.mask_exposure.entry().model_dump(),
+        "exposure": masks.entry.model_dump(),
     }
 
 
@@ -189,7 +193,7 @@ def _posterior(design: Design, whole: Design) -> dict[str, Any]:
         "rails": optics.arms,
         "dark": optics.dark,
         "shares": exposure.settings.shares,
-        "counted": design.shares.tolist(),
+        "counted": exposure.shares.tolist(),
         "prior": {name: _pack(prior.arrays[name]) for name in names}  # whole numbers as float32
         | {
             "sizes": prior.sizes,

@@ -1,34 +1,21 @@
 """Exposures of which every mask is shown once and all are needed, at one budget or a range."""
 
 import math
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import torch
 from torch import Tensor
 
-from deepfsi.exposure.kind import UNTRAINED, MaskExposure, TrainedMasks
+from deepfsi.exposure.kind import MaskExposure
 from deepfsi.exposure.training import CHUNK, LEAST_POWER, ExposureTraining, JobGroup, standardise
-from deepfsi.jobs.exposures import ConditionedEntry, FixedEntry
+from deepfsi.jobs.exposures import ConditionedEntry
 from deepfsi.jobs.training import Scale
 from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import LearnedMasks
 from deepfsi.physics.noise import root
 from deepfsi.physics.scanner import project_rails
 from deepfsi.physics.training_noise import Draws, SeedStream, ml_gauss_features, side_by_side
-
-
-@dataclass(frozen=True, eq=False)
-class FixedExposure(MaskExposure):
-    """Exposure of which all masks are needed, each with its own dwell."""
-
-    _: KW_ONLY
-    optics: TrainedMasks = UNTRAINED  # its masks, with the statistics of their features
-    kind = "fixed"
-
-    def entry(self) -> FixedEntry:
-        """Entry of the design file's header."""
-        return FixedEntry()
 
 
 class _FixedTraining(ExposureTraining):
@@ -40,7 +27,6 @@ class _FixedTraining(ExposureTraining):
 
     def __init__(self, group: JobGroup) -> None:
         super().__init__(group)
-        self.exposures = [FixedExposure()] * len(self.jobs)
         self.masks = group.masks or self.fixed_masks(self.named_rails(group.matrix))
 
     def prepare(self) -> None:
@@ -103,7 +89,6 @@ class _LearnedTraining(ExposureTraining):
 
     def __init__(self, group: JobGroup) -> None:
         super().__init__(group)
-        self.exposures = [FixedExposure()] * len(self.jobs)
         self.masks = self.learned_masks()
 
     def prepare(self) -> None:
@@ -158,53 +143,43 @@ def fixed_training(group: JobGroup) -> ExposureTraining:
     return (_LearnedTraining if group.jobs[0].code.learned else _FixedTraining)(group)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ConditionedExposure(MaskExposure):
     """Exposure of fixed dwells whose classifier has two inputs more, as it must know the budget.
 
     They are the logarithm of the budget, mapped from the range to -1 .. 1, and 1, the share of
-    masks shown, which designs of earlier versions could have below that. Its fields are those of
-    `ConditionedEntry`.
+    masks shown, which designs of earlier versions could have below that.
     """
 
-    photons: float
-    span: float
-    masks: int
-    width: int = 1
-    used: float = 1.0
-    _: KW_ONLY
-    optics: TrainedMasks = UNTRAINED
-    kind = "conditioned"
+    entry: ConditionedEntry
 
-    def entry(self) -> ConditionedEntry:
-        """Entry of the design file's header."""
-        every = {name: value for name, value in vars(self).items() if name != "optics"}
-        return ConditionedEntry(**every)
-
-    def check_masks(self) -> None:
+    def __post_init__(self) -> None:
         """Raise `ValueError` unless the masks can be exposed so."""
-        if self.count > self.masks:
+        if self.count > self.entry.masks:
             raise ValueError("more masks than in the whole sequence")
 
     def input_count(self, features: int) -> int:
         """Number of the classifier's inputs."""
-        return self.masks * self.width + 2
+        return self.entry.masks * self.entry.width + 2
 
-    def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
-        """Inputs of the classifier, from those of `Observation.inputs` and the budget."""
-        ratio = torch.as_tensor(photons).to(inputs) / (self.used * self.photons)
-        return self.inputs(inputs, ratio)
+    def inputs(self, features: Tensor, photons: Tensor | float) -> Tensor:
+        """Inputs of the classifier, of features over the budget, and the budget."""
+        scaled = super().inputs(features, photons)
+        ratio = torch.as_tensor(photons).to(scaled) / (self.entry.used * self.entry.photons)
+        return _with_budget(scaled, ratio, self.entry.span)
 
     def as_shown(self, rails: Rails, dimmed: float) -> Self:
         """The kind as patterns realise it."""
-        return replace(super().as_shown(rails, dimmed), used=self.used / dimmed)
+        entry = self.entry.model_copy(update={"used": self.entry.used / dimmed})
+        return replace(super().as_shown(rails, dimmed), entry=entry)
 
-    def inputs(self, scaled: Tensor, ratio: Tensor) -> Tensor:
-        """Inputs of the classifier: standardised features (..., k) and two more."""
-        middle = math.log(self.span) / 2
-        level = (torch.log(ratio) - middle) / max(middle, 1.0)  # -1 to 1 over the range
-        column = scaled[..., :1]
-        return torch.cat([scaled, level.expand_as(column), torch.ones_like(column)], dim=-1)
+
+def _with_budget(scaled: Tensor, ratio: Tensor, span: float) -> Tensor:
+    """Inputs (..., k + 2): standardised features, the budget over the lowest of a range, and 1."""
+    middle = math.log(span) / 2
+    level = (torch.log(ratio) - middle) / max(middle, 1.0)  # -1 to 1 over the range
+    column = scaled[..., :1]
+    return torch.cat([scaled, level.expand_as(column), torch.ones_like(column)], dim=-1)
 
 
 def standardised(features: Tensor, scale: Scale) -> Tensor:
@@ -218,17 +193,15 @@ def standardised(features: Tensor, scale: Scale) -> Tensor:
 class ConditionedTraining(ExposureTraining):
     """Masks of which each scene has a budget of its own in each step."""
 
-    exposures: list[ConditionedExposure]
-
     def __init__(self, group: JobGroup) -> None:
         super().__init__(group)
-        span = self.job.exposure.highest(1.0)
+        self.span = self.job.exposure.highest(1.0)
         width = self.input_count // self.job.masks
-        self.exposures = [
-            ConditionedExposure(job.photons, span, job.masks, width=width) for job in self.jobs
+        self.entries = [
+            ConditionedEntry(photons=job.photons, span=self.span, masks=job.masks, width=width)
+            for job in self.jobs
         ]
-        self.lowest = self.exposures[0]  # of the lowest budget
-        self.input_count = self.lowest.input_count(self.input_count)
+        self.input_count += 2
         self.masks = (
             self.learned_masks()
             if self.learns
@@ -250,16 +223,16 @@ class ConditionedTraining(ExposureTraining):
         for stream in draws.streams:
             # 1, whose gradient is that of rounding: trainings are bit for bit those of before
             whole = stream.of_jobs(used / used).T.unsqueeze(-1)
-            ratio = stream.budgets(self.lowest.span, self.lowest.masks) / whole
+            ratio = stream.budgets(self.span, self.job.masks) / whole
             normal = stream.normal(masks.shape[-2] * parts) * stream.noise.unit / ratio.sqrt()
             x = self.x.index_select(0, stream.with_mean)
             of_seed = stream.of_jobs(masks, -3)
             features.append(ml_gauss_features(x, of_seed, normal, False, parts=parts))
             ratios.append(ratio.expand(*features[-1].shape[:2], 1))
         scaled = standardised(side_by_side(features), self.scale)
-        return self.lowest.inputs(scaled, side_by_side(ratios))
+        return _with_budget(scaled, side_by_side(ratios), self.span)
 
     def finish(self) -> list[MaskExposure]:
         """Masks of each job, with the statistics of the mean over their budgets, too."""
-        span = self.lowest.span
-        return self.trained(self.statistics((1 - 1 / span) / math.log(span)))
+        factor = (1 - 1 / self.span) / math.log(self.span)
+        return self.trained(self.statistics(factor))

@@ -1,14 +1,15 @@
 """Base of all kinds of exposure: what each shows of a scene, and what its counts tell.
 
-One class for each kind. Most hold masks that are known before (`MaskExposure`); adaptive masks hold
-a prior of scenes, of which they make theirs. What needs one or the other asks `makes_masks`.
+One class for each kind. Most hold masks that are known before (`MaskExposure`, itself the kind of
+fixed dwells); adaptive masks hold a prior of scenes, of which they make theirs. What needs one or
+the other asks `makes_masks`.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from math import prod
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -17,11 +18,12 @@ from torch import Tensor
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName
+from deepfsi.designfile.design_file import Temperatures
 from deepfsi.designfile.provenance import click_gates
-from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
+from deepfsi.jobs.exposures import Entry
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
-from deepfsi.physics.noise import NoiseFunction, noise_of, to_training_light
+from deepfsi.physics.noise import NoiseFunction, full_gates, noise_of, to_training_light
 from deepfsi.physics.scanner import Scanner
 
 Use = Literal["masks", "frames", "graph", "page", "comparison", "ideal observer"]
@@ -30,17 +32,6 @@ a device; an ONNX graph; a page; the comparison of counts alone; the ideal obser
 
 EXPOSED_AT_ONCE = 1024
 """Scenes that are exposed at a time."""
-
-
-@dataclass(frozen=True)
-class Observation:
-    """Readouts of an exposure so far."""
-
-    features: Tensor  # (..., k)
-
-    def inputs(self, mean: Tensor, std: Tensor) -> Tensor:
-        """Standardised features (..., k)."""
-        return (self.features - mean) / std
 
 
 class Answer(NamedTuple):
@@ -59,8 +50,21 @@ class CountedLight(NamedTuple):
     used: float | None = None  # light on the coding device, of exposures that stop
 
 
+Exposures = Callable[[float, torch.Generator], tuple[Answer, CountedLight]]
+"""Scenes before a camera: answers to one exposure of each at a budget, and their light together."""
+
+Network = Callable[[Tensor, Tensor | float], Answer]
+"""Answers to features (..., k) of exposures, over the budget, at a budget of each."""
+
+
 class ExposureKind(ABC):
     """One kind of exposure, of a design that was made: what it shows, reads and answers."""
+
+    image_shape: tuple[int, ...]  # of a scene
+    summed_reflectance: float  # s, the training scenes' mean summed reflectance; λ = Φ x / s
+    shares: Tensor  # (k,), share of the budget counted for each feature, in the training mean
+    camera: Camera  # of a design that does not say for which one it was trained
+    detection: Detection  # detectors on parts of the device, and what is read of two rails
 
     makes_masks: ClassVar[bool] = False
     """Whether masks are made of the counts so far."""
@@ -71,47 +75,11 @@ class ExposureKind(ABC):
     refusals: ClassVar[dict[Use, str]] = {}
     """Why the kind cannot be used for something."""
 
-    exposed_at_once: ClassVar[int] = EXPOSED_AT_ONCE
-    """Scenes of which a test holds the counts at a time, at most."""
-
-    own_draws: ClassVar[bool] = False
-    """Whether each draw of a scene is an exposure of its own from the first look on."""
-
     def check(self, use: Use, name: str | None = None) -> None:
         """Raise `InputError` where a design, of such a name, cannot be used for something."""
         text = self.refusals.get(use)
         if text is not None:
             raise InputError(text if name is None else text.replace("this design", name, 1))
-
-    @property
-    @abstractmethod
-    def image_shape(self) -> tuple[int, ...]:
-        """Shape of a scene."""
-
-    @property
-    @abstractmethod
-    def count(self) -> int:
-        """Number of masks, or of looks of adaptive masks."""
-
-    @property
-    @abstractmethod
-    def shares(self) -> Tensor:
-        """Share of the budget that is counted for each feature, in the training mean, (k,)."""
-
-    @property
-    @abstractmethod
-    def summed_reflectance(self) -> float:
-        """s, the training scenes' mean summed reflectance; λ = Φ x / s."""
-
-    @property
-    @abstractmethod
-    def camera(self) -> Camera:
-        """The camera of a design that does not say for which one it was trained."""
-
-    @property
-    @abstractmethod
-    def detection(self) -> Detection:
-        """Detectors on parts of the device, and what is read of two rails."""
 
     @property
     def device(self) -> torch.device:
@@ -120,12 +88,18 @@ class ExposureKind(ABC):
 
     @property
     @abstractmethod
+    def count(self) -> int:
+        """Number of masks, or of looks of adaptive masks."""
+
+    @property
+    @abstractmethod
     def title(self) -> str:
         """The kind in a few words, for a reader."""
 
+    @property
     @abstractmethod
-    def entry(self) -> ExposureEntry | AdaptiveMasks:
-        """Entry of a design file's header."""
+    def size_text(self) -> str:
+        """Masks, or looks, and detectors: 5 masks, 4 detectors, both rails read."""
 
     @property
     @abstractmethod
@@ -133,57 +107,12 @@ class ExposureKind(ABC):
         """Arrays of a design file that are the kind's own."""
 
     @abstractmethod
-    def front_end(self, camera: Camera) -> Any:
-        """Front end that exposes scenes, with the noise of a camera."""
+    def exposures(self, scenes: Tensor, camera: Camera, network: Network) -> Exposures:
+        """Exposures of scenes (n, N) by a camera, answered by what reads the counts of masks."""
 
-    @abstractmethod
-    def rates(self, front: Any, scenes: Tensor) -> Tensor:
-        """Expected counts for a budget of one, as `observe` takes them, of reflectances (n, N)."""
-
-    @abstractmethod
-    def observe(
-        self, front: Any, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> Iterator[Observation]:
-        """Exposures at each stop: after each number of masks that do, or after each look."""
-
-    def expose(
-        self, front: Any, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> Observation:
-        """Exposures at their end."""
-        *_, seen = self.observe(front, rates, photons, generator)
-        return seen
-
-    @abstractmethod
-    def light(self, front: Any, rates: Tensor, seen: Observation, photons: float) -> CountedLight:
-        """Light of exposures together."""
-
-    @abstractmethod
-    def answer(self, seen: Observation, photons: Tensor | float, network: "ReadsCounts") -> Answer:
-        """Answer to exposures so far, of a budget in all, by what reads their counts."""
-
-    def test(
-        self,
-        front: Any,
-        rates: Tensor,
-        photons: float,
-        generator: torch.Generator,
-        network: "ReadsCounts",
-    ) -> tuple[Answer, CountedLight]:
-        """Answers to exposures at their end, and their light together."""
-        seen = self.expose(front, rates, photons, generator)
-        return self.answer(seen, photons, network), self.light(front, rates, seen, photons)
-
-    def test_in_parts(
-        self,
-        front: Any,
-        scenes: Tensor,
-        photons: float,
-        generator: torch.Generator,
-        network: "ReadsCounts",
-    ) -> Iterator[tuple[Answer, CountedLight]]:
-        """Answers and light of scenes (n, N), some at a time."""
-        for some in scenes.split(EXPOSED_AT_ONCE):
-            yield self.test(front, self.rates(front, some), photons, generator, network=network)
+    def full_gates(self, counts: float, photons: float) -> str | None:
+        """Remark on clicks in nearly all gates of an exposure; None where none is to be said."""
+        return None
 
     def quantised(self, levels: int) -> "ExposureKind":
         """The kind as a device of so many grey levels shows it."""
@@ -192,16 +121,6 @@ class ExposureKind(ABC):
     def to(self, device: str | torch.device) -> "ExposureKind":
         """The kind on a device."""
         return self
-
-
-class ReadsCounts(Protocol):
-    """Reader of counts: a network, with its calibration."""
-
-    def logits_of(self, seen: Observation, photons: Tensor | float) -> Tensor:
-        """Logits (..., C) of exposures so far, of a budget in all."""
-
-    def temperature(self, seen: Observation, photons: Tensor | float) -> Tensor | float:
-        """Temperature (..., 1) of these logits."""
 
 
 class Clicks(NamedTuple):
@@ -217,74 +136,40 @@ class Clicks(NamedTuple):
         return None if gates is None else cls(gates, info["job"]["photons"])
 
 
-@dataclass(frozen=True, eq=False)
-class TrainedMasks:
-    """Masks after a training, and what is read of them in the mean over its scenes."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MaskExposure(ExposureKind):
+    """Exposure of masks that are known before: each is shown once, for its own dwell.
 
+    Training and design file make it of its entry, in one way: `Entry.restored_by` names the class.
+    """
+
+    entry: Entry  # of the design file's header
     rails: Rails  # `plus` and `minus` (m, N), shares of each pixel's photons
     light: LightLawName  # light law that the rails obey
     image_shape: tuple[int, ...]
-    detection: Detection  # detectors on parts of the device, and what is read of two rails
-    summed_reflectance: float  # s, the training scenes' mean summed reflectance
-    mean: Tensor  # (k,)
+    detection: Detection
+    summed_reflectance: float
+    mean: Tensor  # (k,), of the features y / Φ over training scenes
     std: Tensor  # (k,)
-    shares: Tensor  # (k,), share of the budget that is counted for each feature
+    shares: Tensor
     clicks: Clicks | None = None
+    weights: Mapping[str, Tensor] = field(default_factory=dict)  # further tensors of the file
 
-    def to(self, device: str | torch.device) -> "TrainedMasks":
-        """Masks and statistics on a device."""
-        return replace(
-            self,
-            rails=self.rails.to(device),
-            mean=self.mean.to(device),
-            std=self.std.to(device),
-            shares=self.shares.to(device),
-        )
-
-
-UNTRAINED: Any = None
-"""Masks before the end of a training."""
-
-
-class MaskExposure(ExposureKind):
-    """Base of the kinds whose masks are known before: each is shown once, for its own dwell."""
-
-    optics: TrainedMasks
-    kind: ClassVar[str]  # name in the design file
-
-    @property
-    def image_shape(self) -> tuple[int, ...]:
-        """Shape of a scene."""
-        return self.optics.image_shape
+    def __post_init__(self) -> None:
+        """Raise `ValueError` unless the masks can be exposed so."""
 
     @property
     def count(self) -> int:
         """m, number of masks."""
-        return self.optics.rails.masks
+        return self.rails.masks
 
     @property
-    def shares(self) -> Tensor:
-        """Share of the budget that is counted for each feature, in the training mean, (k,)."""
-        return self.optics.shares
-
-    @property
-    def summed_reflectance(self) -> float:
-        """s, the training scenes' mean summed reflectance; λ = Φ x / s."""
-        return self.optics.summed_reflectance
-
-    @property
-    def detection(self) -> Detection:
-        """Detectors on parts of the device, and what is read of two rails."""
-        return self.optics.detection
-
-    @property
-    def camera(self) -> Camera:
+    def camera(self) -> Camera:  # type: ignore[override]
         """The camera of a design that does not say for which one it was trained."""
-        optics = self.optics
-        fields: dict[str, Any] = {"light": optics.light, "rails": optics.rails.kind}
-        fields["readout"] = optics.detection.readout
-        if optics.detection.labels is not None and LIGHT_LAWS[optics.light].one_device:
-            fields["detectors"] = optics.detection.labels.cpu()
+        fields: dict[str, Any] = {"light": self.light, "rails": self.rails.kind}
+        fields["readout"] = self.detection.readout
+        if self.detection.labels is not None and LIGHT_LAWS[self.light].one_device:
+            fields["detectors"] = self.detection.labels.cpu()
         with as_input_error("the design's camera", "train it again"):
             return Camera.restored(fields)
 
@@ -292,58 +177,52 @@ class MaskExposure(ExposureKind):
     def title(self) -> str:
         """Number and shape of the masks, and their light law."""
         shape = "x".join(map(str, self.mask_shape))
-        optics = self.optics
-        return f"{self.count} masks of {shape}, {optics.light}, {optics.rails.kind} rails"
+        return f"{self.count} masks of {shape}, {self.light}, {self.rails.kind} rails"
 
-    # Files
-
-    @abstractmethod
-    def entry(self) -> ExposureEntry:
-        """Entry of the design file's header, of which `restored` makes the kind again."""
+    @property
+    def size_text(self) -> str:
+        """Masks, and detectors where there are several."""
+        parts = [f"{self.count} masks"]
+        if self.detection.count > 1:
+            parts.append(f"{self.detection.count} detectors")
+        if self.rails.count == 2 and self.detection.readout == "both":
+            parts.append("both rails read")
+        return ", ".join(parts)
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays of a design file of the masks; others are `weights`."""
-        optics = self.optics
-        tensors = {"mean": optics.mean, "std": optics.std, "shares": optics.shares}
-        tensors["rails"] = optics.rails.stacked
-        if optics.detection.labels is not None:
-            tensors["detectors"] = optics.detection.labels
+        tensors = {"mean": self.mean, "std": self.std, "shares": self.shares}
+        tensors["rails"] = self.rails.stacked
+        if self.detection.labels is not None:
+            tensors["detectors"] = self.detection.labels
         return {
             name: tensor.detach().cpu().contiguous().numpy() for name, tensor in tensors.items()
         }
 
-    @classmethod
-    def restored(
-        cls, entry: ExposureEntry, weights: dict[str, Tensor], optics: TrainedMasks
-    ) -> "MaskExposure":
-        """The kind of an entry, with its tensors of a design file; an error where they differ."""
-        made = cls(**entry.model_dump(exclude={"kind", "nested"}), optics=optics)  # type: ignore[call-arg]
-        made.check_masks()
-        return made
-
-    def check_masks(self) -> None:
-        """Raise `ValueError` unless the masks can be exposed so."""
-
-    @property
-    def weights(self) -> dict[str, Tensor]:
-        """Tensors of the design file besides rails, statistics and classifier."""
-        return {}
-
     def to(self, device: str | torch.device) -> Self:
         """The kind on a device."""
-        return replace(self, optics=self.optics.to(device))  # type: ignore[type-var]
+        return replace(
+            self,
+            rails=self.rails.to(device),
+            mean=self.mean.to(device),
+            std=self.std.to(device),
+            shares=self.shares.to(device),
+            weights={name: tensor.to(device) for name, tensor in self.weights.items()},
+        )
 
     # What is shown
-
-    def with_optics(self, **fields: Any) -> Self:
-        """The kind with other fields of its `optics`."""
-        return replace(self, optics=replace(self.optics, **fields))  # type: ignore[type-var]
 
     @property
     def mask_shape(self) -> tuple[int, ...]:
         """Shape of a mask."""
-        return self.image_shape
+        return self.entry.mask_shape(self.image_shape)
+
+    @property
+    def counts_shape(self) -> tuple[int, ...]:
+        """Shape ([2,] m [, D]) of the counts of one exposure."""
+        several = (self.detection.count,) if self.detection.count > 1 else ()
+        return ((2,) if self.rails.count == 2 else ()) + (self.count, *several)
 
     @property
     def part_axis(self) -> tuple[int, ...]:
@@ -352,33 +231,33 @@ class MaskExposure(ExposureKind):
 
     def quantised(self, levels: int) -> Self:
         """The kind as a device of so many grey levels shows it."""
-        rails = light_law(self.optics.light).quantise(self.optics.rails.stacked, levels)
-        return self.with_optics(rails=Rails.of(rails))
+        rails = light_law(self.light).quantise(self.rails.stacked, levels)
+        return replace(self, rails=Rails.of(rails))
 
     def as_shown(self, rails: Rails, dimmed: float) -> Self:
         """The kind as patterns realise it, of which one device gives so much less light.
 
         Features are as much smaller, and so are the statistics that scale them.
         """
-        optics = self.optics
-        return self.with_optics(
+        return replace(
+            self,
             rails=rails,
-            light=optics.light if LIGHT_LAWS[optics.light].one_device else "free-dwell",
-            mean=optics.mean * dimmed,
-            std=optics.std * dimmed,
-            shares=optics.shares * dimmed,
+            light=self.light if LIGHT_LAWS[self.light].one_device else "free-dwell",
+            mean=self.mean * dimmed,
+            std=self.std * dimmed,
+            shares=self.shares * dimmed,
         )
 
     def mask_dwells(self) -> Tensor | None:
         """Share (m,) of the exposure that each mask is shown; None where the law has no dwells."""
-        if not LIGHT_LAWS[self.optics.light].one_device:
+        if not LIGHT_LAWS[self.light].one_device:
             return None
-        shares = light_law(self.optics.light).used(self.optics.rails.stacked)
+        shares = light_law(self.light).used(self.rails.stacked)
         return torch.diff(shares, prepend=shares.new_zeros(1))
 
     def drawing(self) -> tuple[Tensor, tuple[int, ...]]:
         """Picture (m, N) of what is shown, and the shape of a row."""
-        return self.optics.rails.difference, self.mask_shape
+        return self.rails.difference, self.mask_shape
 
     # Exposing
 
@@ -387,81 +266,90 @@ class MaskExposure(ExposureKind):
     ) -> Scanner:
         """The optical front end; parameters as for `Scanner`."""
         return Scanner.from_rails(
-            self.optics.rails.stacked, noise, sigma=sigma, dark=dark, detection=self.detection
+            self.rails.stacked, noise, sigma=sigma, dark=dark, detection=self.detection
         )
 
-    def front_end(self, camera: Camera) -> Scanner:
-        """The scanner with the noise of a camera."""
-        return self.scanner(noise_of(camera))
-
-    def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
+    def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
-        return front.rates(scenes.to(self.device) / self.summed_reflectance)
+        return scanner.rates(scenes.to(self.device) / self.summed_reflectance)
 
-    def scale(self, photons: Tensor | float) -> Tensor | float:
-        """Divisor of features in counts: the budget; of clicks that of the training, always."""
-        clicks = self.optics.clicks
-        return photons if clicks is None else 0 * photons + clicks.photons
-
-    def read(
-        self, front: Scanner, expected: Tensor, generator: torch.Generator | None, photons: float
-    ) -> Tensor:
-        """Features (..., k) over the budget of expected counts (..., rails, m · D)."""
-        counts = front.read(expected, generator) * (photons / self.scale(photons))
-        return self.detection.features(counts) / photons
-
-    def observe(
-        self, front: Scanner, rates: Tensor, photons: float, generator: torch.Generator
-    ) -> Iterator[Observation]:
-        """Exposures of all masks, the one stop."""
-        rates = self.placed(rates, generator)
-        yield Observation(self.read(front, rates * photons, generator, photons))
-
-    def placed(self, rates: Tensor, generator: torch.Generator | None) -> Tensor:
+    def placed(self, rates: Tensor, generator: torch.Generator) -> Tensor:
         """Expected counts (..., rails, m · D) of exposures of `rates`, each where its scene is."""
         return rates
 
-    def expected(self, rates: Tensor, seen: Observation) -> Tensor:
-        """Photons (..., rails, m · D) of an exposure that are expected, for a budget of one."""
+    def expected(self, rates: Tensor) -> Tensor:
+        """Photons (..., rails, m · D) of an exposure, in the mean over places of its scene."""
         return rates
 
-    def light(
-        self, front: Scanner, rates: Tensor, seen: Observation, photons: float
-    ) -> CountedLight:
-        """Light of exposures together."""
-        arriving = photons * self.expected(rates, seen)
-        return CountedLight(float(front.noise.mean(arriving).sum()), float(arriving.sum()))
+    def scale(self, photons: Tensor | float) -> Tensor | float:
+        """Divisor of features in counts: the budget; of clicks that of the training, always."""
+        return photons if self.clicks is None else 0 * photons + self.clicks.photons
+
+    def exposures(self, scenes: Tensor, camera: Camera, network: Network) -> Exposures:
+        """Exposures of scenes (n, N) by a camera, answered by a network."""
+        scanner = self.scanner(noise_of(camera))
+        rates = self.rates(scanner, scenes)
+
+        def expose(photons: float, generator: torch.Generator) -> tuple[Answer, CountedLight]:
+            counts = scanner.read(self.placed(rates, generator) * photons, generator)
+            counts = counts * (photons / self.scale(photons))
+            answer = network(self.detection.features(counts) / photons, photons)
+            arriving = photons * self.expected(rates)
+            counted = float(scanner.noise.mean(arriving).sum())
+            return answer, CountedLight(counted, float(arriving.sum()))
+
+        return expose
 
     # Answering
+
+    def full_gates(self, counts: float, photons: float) -> str | None:
+        """Remark on clicks in nearly all gates of an exposure; None where they are not so many."""
+        if self.clicks is None:
+            return None
+        return full_gates(counts / (prod(self.counts_shape) * self.clicks.gates), photons)
+
+    def features(self, counts: Tensor) -> Tensor:
+        """Features (..., k) of counts (..., [2,] m [, D])."""
+        every = counts.flatten(-2) if self.detection.count > 1 else counts
+        return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
 
     def input_count(self, features: int) -> int:
         """Number of the classifier's inputs for k features."""
         return features
 
-    def network_inputs(self, seen: Observation, photons: Tensor | float) -> Tensor:
-        """Inputs of the classifier of an exposure so far, of a budget in all."""
-        optics = self.optics
-        if optics.clicks is not None:
-            trained = optics.clicks.photons
+    def inputs(self, features: Tensor, photons: Tensor | float) -> Tensor:
+        """Inputs of the classifier, of features (..., k) over the budget, at a budget of each."""
+        if self.clicks is not None:
+            trained = self.clicks.photons
             gain, offset = to_training_light(
                 photons / trained,
-                optics.mean * trained,
-                optics.shares * trained / prod(self.part_axis),
-                optics.clicks.gates,
+                self.mean * trained,
+                self.shares * trained / prod(self.part_axis),
+                self.clicks.gates,
             )
-            seen = replace(seen, features=seen.features * gain + offset / trained)
-        return self.condition(seen.inputs(optics.mean, optics.std), photons)
-
-    def condition(self, inputs: Tensor, photons: Tensor | float) -> Tensor:
-        """Inputs of the classifier, from those of `Observation.inputs` and the budget."""
-        return inputs
+            features = features * gain + offset / trained
+        return (features - self.mean) / self.std
 
     def budget(self, photons: Tensor) -> Tensor:
         """Budget (..., 1) of an exposure, of that of each of its parts."""
         return photons
 
-    def answer(self, seen: Observation, photons: Tensor | float, network: ReadsCounts) -> Answer:
-        """Answer to exposures so far, of a budget in all, by what reads their counts."""
-        logits = network.logits_of(seen, photons)
-        chances = (logits / network.temperature(seen, photons)).softmax(dim=-1)
-        return Answer(logits, chances, logits.argmax(dim=-1))
+
+def temperatures_at(fitted: Temperatures, place: Tensor | int, photons: Tensor | float) -> Tensor:
+    """Temperatures (..., 1) at places among the stops, from 0, and at budgets (..., 1)."""
+    if not isinstance(photons, Tensor):
+        photons = torch.tensor([photons], dtype=torch.double)
+    start = np.log(fitted.budgets[0])
+    step = np.log(fitted.budgets[1] / fitted.budgets[0])
+    level = (photons.log() - start) / step
+    logs = torch.from_numpy(fitted.logs).to(level)
+    rows = _hats(torch.as_tensor(place).to(level), len(logs)) @ logs
+    log = (rows * _hats(level, logs.shape[1])).sum(dim=-1, keepdim=True)
+    return (log - level.clamp(max=0) * step).exp()
+
+
+def _hats(place: Tensor, count: int) -> Tensor:
+    """Weights (..., count) of linear interpolation between equidistant values; ends stay."""
+    # place (..., 1) or ()
+    away = place.clamp(0, count - 1) - torch.arange(count).to(place)
+    return (1 - away.abs()).relu()

@@ -7,7 +7,7 @@ gives what each job has learned. The step itself, and the classifiers, are in `t
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pkgutil import resolve_name
 from typing import NamedTuple
 
@@ -18,9 +18,10 @@ from torch.nn import functional
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.names import LIGHT_LAWS
-from deepfsi.exposure.kind import MaskExposure, TrainedMasks
+from deepfsi.exposure.kind import MaskExposure
 from deepfsi.exposure.training_set import TrainingSet, product_dtype
 from deepfsi.jobs.designs import DESIGNS, count_allowed
+from deepfsi.jobs.exposures import Entry, FixedEntry
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Scale
 from deepfsi.physics.detection import Detection, Rails
@@ -74,6 +75,10 @@ class JobGroup:
         noise = TrainingNoise.of(noises, gains, seeds, training_set.device)
         return cls(training_set, jobs, noise, matrix=matrix, start=start)
 
+    def training(self) -> "ExposureTraining":
+        """Masks of the jobs before their training, by the class that their exposure names."""
+        return resolve_name(self.jobs[0].exposure.trained_by)(self)
+
 
 class FeatureStatistics(NamedTuple):
     """Statistics (R, k) of features in units of the scene, over scenes and noise."""
@@ -88,11 +93,14 @@ class ExposureTraining(ABC):
     """Masks of R jobs side by side in a training, and what classifiers get of a step's scenes."""
 
     masks: FixedMasks | LearnedMasks  # of R replicas, or of one where all share them
-    exposures: Sequence[MaskExposure]
+    entries: Sequence[Entry]  # of each job, of which its exposure is made
+    weights: Sequence[dict[str, Tensor]]  # further tensors of each job's design file
     counts: Tensor | None = None  # (R,)
 
     def __init__(self, group: JobGroup) -> None:
         self.jobs = group.jobs
+        self.entries = [FixedEntry()] * len(group.jobs)
+        self.weights = [{}] * len(group.jobs)
         self.noise = group.noise
         self.training_set = group.training_set
         self.job = group.jobs[0]
@@ -219,8 +227,9 @@ class ExposureTraining(ABC):
         s = self.training_set.summed_reflectance
         rails = self.masks().stacked
         made = []
-        for job, exposure in enumerate(self.exposures):
-            optics = TrainedMasks(
+        for job, entry in enumerate(self.entries):
+            exposure = resolve_name(entry.restored_by)(
+                entry=entry,
                 rails=Rails.of(self.law.check(rails[job % len(rails)].clone())),
                 light=self.camera.light,
                 image_shape=self.training_set.data.image_shape,
@@ -229,8 +238,9 @@ class ExposureTraining(ABC):
                 mean=statistics.mean[job] / s,
                 std=statistics.std[job] / s,
                 shares=statistics.light[job] / s * self.parts,
+                weights=self.weights[job],
             )
-            made.append(replace(exposure, optics=optics))  # type: ignore[type-var]
+            made.append(exposure)
         return made
 
     def _matrices(self) -> Tensor:
@@ -298,8 +308,3 @@ def moments(parts: Iterable[Tensor]) -> tuple[Tensor, Tensor]:
         sums.append(torch.stack([wide.sum(dim=0), wide.square().sum(dim=0)]))
     mean, square = torch.stack(sums).sum(dim=0) / count
     return mean.to(part), (square - mean.square()).clamp(min=0).to(part)
-
-
-def build_training(group: JobGroup) -> ExposureTraining:
-    """Masks of jobs before their training, and networks beside the classifiers."""
-    return resolve_name(group.jobs[0].exposure.trained_by)(group)

@@ -103,7 +103,7 @@ class Entry(StrictModel, strict=True):
     no_frames: ClassVar[str] = ""
     """Why frames of a device cannot show the masks, where they cannot."""
 
-    restored_by: ClassVar[str] = "deepfsi.exposure.fixed:FixedExposure"
+    restored_by: ClassVar[str] = "deepfsi.exposure.kind:MaskExposure"
     """Import path of the exposure of the masks of a file."""
 
     def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:

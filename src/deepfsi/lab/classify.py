@@ -35,7 +35,7 @@ from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.results import LOG, LiveAnswers, LiveScene, read_log
 
 if TYPE_CHECKING:  # they import torch, which the command line loads late
-    from deepfsi.design.design import Design, RunCounts
+    from deepfsi.design.design import Design
 
 UNTESTED = (
     "these counts were not compared with those of the training, which takes 50 training scenes of "
@@ -305,7 +305,7 @@ def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bo
     """Design of a file or a folder of patterns, as its patterns realise it."""
     with require_extras():
         from deepfsi.design.design import Design
-        from deepfsi.networks.classifiers import check_classes
+        from deepfsi.exposure.training_set import check_classes
 
     file = Path(design) if patterns is None else _check_design(design, patterns.manifest)
     made = Design.load(file, trust=trust)
@@ -380,13 +380,21 @@ class _CountedScenes:
 
         design = self.design
         counts = self.counts
-        judgement = judge(design, self._run_counts)
-        consistency = judgement.consistency
-        view = judgement.view
+        exposures = counts.by_readout(self.usable)
+        number = exposures.sum(axis=1)
+        noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
+        signal = counts.signal()
+        chances, consistency, view = judge(
+            design,
+            signal,
+            self.budgets,
+            often=self._often,
+            sums=signal.sum(axis=1, where=exposures),
+            noise=noise + counts.excess.sum(axis=1, where=exposures),
+        )
         for test in (consistency, view):
             if test is not None and test.refused and not self.force:
                 raise InputError(f"{test.refusal}; `force` classifies them all the same")
-        chances = judgement.chances
         trained = was_trained_on(design.training_scenes, [scene.hash for scene in self.scenes])
         tested = np.cumsum(self._often > 0) - 1  # scenes in the order of the consistency
         scenes = []
@@ -431,24 +439,6 @@ class _CountedScenes:
     def _often(self) -> np.ndarray:
         """Number of sound exposures of each scene, (S,)."""
         return self.usable.sum(axis=1)
-
-    @property
-    def _run_counts(self) -> "RunCounts":
-        """Counts of all exposures, and of each scene's sound ones together."""
-        from deepfsi.design.design import RunCounts
-
-        counts = self.counts
-        exposures = counts.by_readout(self.usable)
-        number = exposures.sum(axis=1)
-        noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
-        signal = counts.signal()
-        return RunCounts(
-            signal=signal,
-            budgets=self.budgets,
-            often=self._often,
-            sums=signal.sum(axis=1, where=exposures),
-            noise=noise + counts.excess.sum(axis=1, where=exposures),
-        )
 
     def _remarks(
         self, consistency: ConsistencyResult | None, view: ViewResult | None

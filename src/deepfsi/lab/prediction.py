@@ -176,26 +176,25 @@ def _predict(
     import torch
 
     from deepfsi.evaluation.accuracy import camera_for, check_draws
-    from deepfsi.networks.classifiers import check_classes
+    from deepfsi.exposure.kind import EXPOSED_AT_ONCE
+    from deepfsi.exposure.training_set import check_classes
 
     check_classes(design.values, "predict")
     check_draws(1, seed)
     camera = camera_for(design, **tested)
     budget = check_budget(_budget(design, camera) if photons is None else photons)
-    scanner = design.front_end(camera)
     shown = design_scenes(design.info, design.image_shape, source, skip_bad)
     generator = torch.Generator(design.exposure.device).manual_seed(seed)
     scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
     chances = []
     clicks = 0.0
-    exposure = design.exposure
-    for answer, light in exposure.test_in_parts(scanner, scenes, budget, generator, network=design):
+    for some in scenes.split(EXPOSED_AT_ONCE):
+        answer, light = design.exposures(some, camera)(budget, generator)
         chances.append(answer.chances.cpu())
         clicks += light.counts
     confidence, best = torch.cat(chances).max(dim=-1)
     remarks = [fault.detail for fault in dim_scenes(design, np.array([budget]))]
-    if design.gates is not None:
-        remarks += filter(None, [design.full_gates(clicks / len(scenes), budget)])
+    remarks += filter(None, [design.exposure.full_gates(clicks / len(scenes), budget)])
     labels = shown.labels or [None] * len(shown.names)
     trained = was_trained_on(design.training_scenes, scene_hashes(shown.x, design.image_shape))
     return Predictions(

@@ -128,10 +128,10 @@ def design_figure(design: "Design", count: int) -> Figure:
     """Masks of a design, with its light, its dwells and what its detectors see."""
     exposure = design.mask_exposure
     dwells = exposure.mask_dwells()
-    labels = design.detection.labels
+    labels = exposure.detection.labels
     matrix, shape = exposure.drawing()
     budget = design.info.get("job", {}).get("photons")
-    title = f"{design.name}, {design.size_text}, {design.light}" + (
+    title = f"{design.name}, {exposure.size_text}, {exposure.light}" + (
         f", {budget_text(budget)} photons" if budget else ""
     )
     lit = lit_masks(design.rails.stacked.cpu().numpy())

@@ -13,9 +13,9 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
+from deepfsi.design.networks import OwnClassifier
 from deepfsi.evaluation.accuracy import camera_for, evaluate
 from deepfsi.exposure.training_set import Matrices, TrainingSet
-from deepfsi.networks.custom import OwnClassifier
 from deepfsi.sweeps.plan import Trial
 from deepfsi.sweeps.records import FinishedTrial, Record
 from deepfsi.sweeps.results import RESULTS_SCHEMA

@@ -13,14 +13,13 @@ from deepfsi.camera.names import LightLawName
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
+from deepfsi.design.networks import OwnClassifier, make_custom
 from deepfsi.designfile.provenance import TrainingScenes
-from deepfsi.exposure.fixed import FixedExposure
-from deepfsi.exposure.kind import Clicks, TrainedMasks
+from deepfsi.exposure.kind import Clicks, MaskExposure
 from deepfsi.exposure.training import ExposureTraining
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi.exposure.training_set import TrainingSet, Values
+from deepfsi.jobs.exposures import FixedEntry
 from deepfsi.jobs.job import Job
-from deepfsi.networks.classifiers import Values
-from deepfsi.networks.custom import OwnClassifier, make_custom
 from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import LearnedMasks, light_law
 from deepfsi.physics.scanner import Scanner
@@ -75,7 +74,8 @@ def design_of(
     front = Scanner.from_rails(rails.stacked, detection=scanner.detection)
     counts = scanner.detection.totals(front.rates(mean.to(rails.difference)))
     info = provenance(job, scenes, rails.device)
-    optics = TrainedMasks(
+    exposure = MaskExposure(
+        entry=FixedEntry(),
         rails=rails,
         light=light,
         image_shape=scenes.image_shape,
@@ -89,7 +89,7 @@ def design_of(
     design = Design(
         name="custom",
         classes=scenes.classes,
-        exposure=FixedExposure(optics=optics),
+        exposure=exposure,
         classifier=_copy(classifier, read, scenes.answers).to(rails.device),
         info=info,
         values=Values.of(scenes),

@@ -101,10 +101,7 @@ def _calibration_scenes(
 ) -> CalibrationScenes:
     """Scenes that calibrate a design."""
     if left_out and not data.held_out:
-        parts = [
-            Exposed(made, made.front_end(job.camera), fold.x_test, fold.y_test)
-            for fold, made in left_out
-        ]
+        parts = [Exposed(made, job.camera, fold.x_test, fold.y_test) for fold, made in left_out]
         # about 1000 exposures in all
         draws = max(1, 1000 // sum(len(fold.x_test) for fold, _ in left_out))
         return CalibrationScenes(parts, 1, draws, doubt=DOUBT)
@@ -112,7 +109,7 @@ def _calibration_scenes(
     x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
     readouts = prod(design.counts_shape) * prod(design.mask_exposure.part_axis)
     rows = sample_scenes(len(x), readouts, job.seed)
-    part = Exposed(design, design.front_end(job.camera), x[rows], labels[rows])
+    part = Exposed(design, job.camera, x[rows], labels[rows])
     return CalibrationScenes([part], 1, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
 
 
@@ -128,8 +125,9 @@ def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> Readout
     rows = sample_scenes(len(scenes), prod(design.counts_shape))
     light = None
     if fluctuation := design.camera.fluctuation:
-        rails = design.rails.map(design.detection.arrange)
-        light = FrameLight(fluctuation, design.detection.frames(rails).cpu().numpy())
+        detection = design.exposure.detection
+        rails = design.rails.map(detection.arrange)
+        light = FrameLight(fluctuation, detection.frames(rails).cpu().numpy())
     with torch.no_grad():
         rates = design.rates(design.scanner(), scenes[rows])
         return find_distribution(rates, labels[rows], len(design.classes) or 1, light=light)

@@ -8,7 +8,7 @@ set back, so that hooks change no bit of it.
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,9 @@ from torch import Tensor, nn
 from torch.optim.lr_scheduler import LRScheduler
 
 from deepfsi.design.design import Design
+from deepfsi.design.networks import Replicas
 from deepfsi.exposure.kind import Clicks
 from deepfsi.exposure.training import CHUNK, ExposureTraining
-from deepfsi.networks.classifiers import Replicas
 from deepfsi.training.assembly import designs_of
 from deepfsi.training.checkpoint import LoopState
 from deepfsi.training.losses import SceneLoss
@@ -199,7 +199,7 @@ class _LoopWatch:
         designs = designs_of(exposure, self.networks[: len(exposure.jobs)])
         for job, design in zip(exposure.jobs, designs, strict=True):
             clicks = Clicks.of({"job": job.model_dump(mode="json")})
-            design.exposure = design.mask_exposure.with_optics(clicks=clicks)
+            design.exposure = replace(design.mask_exposure, clicks=clicks)
         self._fixed = None if exposure.learns else designs
         return designs
 
@@ -209,14 +209,12 @@ class _LoopWatch:
         device = training_set.device
         photons = (job.photons * job.exposure.highest(job.photons)) ** 0.5
         truth = training_set.truth_of(training_set.data.y_test)
-        front = design.front_end(job.camera)
         generator = torch.Generator(device).manual_seed(job.seed)
         losses = []
         right = []
         scenes = torch.from_numpy(np.require(training_set.data.x_test, requirements="W"))
         for x, answers in zip(scenes.split(CHUNK), truth.split(CHUNK), strict=True):
-            seen = design.exposure.expose(front, design.rates(front, x), photons, generator)
-            logits = design.logits_of(seen, photons)
+            logits = design.exposures(x, job.camera)(photons, generator)[0].logits
             with torch.enable_grad():  # the check of a user's loss needs a gradient
                 losses.append(self.loss(logits.requires_grad_(), answers).detach())
             if design.values is None:

@@ -31,13 +31,13 @@ from deepfsi.camera.light import check_budget
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
+from deepfsi.design.networks import Classifier
 from deepfsi.exposure.kind import Clicks
-from deepfsi.exposure.training import ExposureTraining, JobGroup, build_training, matrix_seeds
+from deepfsi.exposure.training import ExposureTraining, JobGroup, matrix_seeds
 from deepfsi.exposure.training_set import TrainingSet, network_dtype, product_dtype
 from deepfsi.jobs.exposures import DICTIONARY_SPREAD, AdaptiveMasks, ExposureSource
 from deepfsi.jobs.job import Job, find_job
 from deepfsi.jobs.training import TrainingSource
-from deepfsi.networks.classifiers import Classifier
 from deepfsi.physics.surroundings import library_defaults
 from deepfsi.training.assembly import designs_of
 from deepfsi.training.characterisation import (
@@ -224,7 +224,7 @@ def train(
         if start is not None:
             design.info["start"] = array_hash(start)
         clicks = Clicks.of(design.info)
-        design.exposure = design.mask_exposure.with_optics(clicks=clicks)
+        design.exposure = replace(design.mask_exposure, clicks=clicks)
         design.training_scenes = training_set.scenes
     left_out = []
     for fold, span in zip(folds, others, strict=True):
@@ -235,7 +235,7 @@ def train(
     seconds = (checkpoint.seconds + time.perf_counter() - began) / len(jobs)
     for design in designs:
         design.info["seconds"] = seconds
-        labels = design.detection.labels
+        labels = design.exposure.detection.labels
         if labels is not None:
             design.info["detector_light"] = detector_shares(
                 training_set.data.x_train, training_set.data.groups, labels.cpu().numpy()
@@ -250,7 +250,7 @@ def train_for_counts(
     for number in range(MOST_TRAININGS):
         photons = counts / share
         design = train(photons, report.between(1 - 2.0**-number, 1 - 2.0 ** -(number + 1)))
-        share = float(design.shares.sum())
+        share = float(design.exposure.shares.sum())
         if abs(photons * share / counts - 1) <= NEAR:
             break
     return design
@@ -345,7 +345,7 @@ def _optimised(
     group: JobGroup, report: Progress, *, checkpoint: Checkpoint, hooks: LoopHooks
 ) -> tuple[ExposureTraining, list[Classifier]]:
     """Masks, fixed from here on, and networks after training."""
-    exposure = build_training(group)
+    exposure = group.training()
     classifiers = optimise(exposure, report, checkpoint, hooks)
     exposure.fix()
     weights = [parameter for network in classifiers for parameter in network.parameters()]
@@ -367,7 +367,7 @@ def _first_share(
     _check(training_set, [job], matrix, start)
     if job.code.adaptive:
         return 0.5  # nearly half of the mirrors are ON
-    exposure = build_training(JobGroup.of(training_set, [job], matrix=matrix, start=start))
+    exposure = JobGroup.of(training_set, [job], matrix=matrix, start=start).training()
     exposure.fix()
     light = exposure.masks().total[0] @ exposure.scenes.full.mean(dim=0)
     return float(light.sum()) * exposure.parts / training_set.summed_reflectance
@@ -393,7 +393,7 @@ def _adaptive_designs(
     designs: list[Design] = []
     for job, span in zip(jobs, report.split(len(jobs)), strict=True):
         info = provenance(job, data, torch.device("cpu"))
-        made, answers = training.make(job, info["job"]["camera"], span)
+        made, answers = training.make(job, span)
         if clicks:
             made, info["left_out"] = calibrate_posterior(made, answers, data, job)
         else:

@@ -21,11 +21,10 @@ from torch.optim.lr_scheduler import LRScheduler, OneCycleLR
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
+from deepfsi.design.networks import Classifier, Mlp, Replicas, find_network, make_custom, seeded
 from deepfsi.exposure.training import ExposureTraining
 from deepfsi.exposure.training_set import network_dtype
 from deepfsi.jobs.training import Training
-from deepfsi.networks.classifiers import Classifier, Mlp, Replicas, Sizes, find_network
-from deepfsi.networks.custom import make_custom, seeded
 from deepfsi.physics.training_noise import Draws
 from deepfsi.training.checkpoint import Checkpoint, LoopState
 from deepfsi.training.hooks import LoopHooks
@@ -156,8 +155,8 @@ def _classifiers(exposure: ExposureTraining) -> list[Classifier]:
         return [made.to(device).train()]
     seeds = [torch.Generator(device).manual_seed(job.seed) for job in exposure.jobs]
     network = find_network(settings.classifier)
-    sizes = Sizes(inputs, classes, exposure.parts)
-    return [network.of_settings(settings, sizes, seed) for seed in seeds]
+    sizes = inputs, classes, exposure.parts
+    return [network.of_settings(settings, *sizes, seed) for seed in seeds]
 
 
 @contextmanager

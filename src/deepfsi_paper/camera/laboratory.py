@@ -230,11 +230,12 @@ def _mount(design: Design, scenes: np.ndarray) -> _MountedDesign:
 def _export(design: Design, repeats: int, folder: Path) -> Patterns:
     """Patterns whose frames last for so many of the longest exposures, and a little more."""
     rails = design.rails.stacked.numpy()
+    light = design.mask_exposure.light
     frames = int((rails.max(axis=-1) > 0).sum())
-    share = float(rails.max()) if LIGHT_LAWS[design.light].equal_times else 1 / frames
+    share = float(rails.max()) if LIGHT_LAWS[light].equal_times else 1 / frames
     dwell = 1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6
     return Patterns.from_rails(
-        DesignRails(rails, design.light, design.image_shape, design.summed_reflectance),
+        DesignRails(rails, light, design.image_shape, design.summed_reflectance),
         DEVICE,
         dwell,
         layout=LAYOUT,

@@ -211,7 +211,7 @@ def _classify_pixels(
     with torch.no_grad():
         rates = scanner.rates(spectra / design.summed_reflectance) * photons
         counts = scanner.read(rates, torch.Generator().manual_seed(0))
-        guess = design.logits(design.detection.features(counts), photons).argmax(dim=-1)
+        guess = design.answer(scanner.detection.features(counts) / photons, photons).classes
     seen = np.zeros(known.shape, int)
     seen[known] = guess.numpy() + 1
     return seen

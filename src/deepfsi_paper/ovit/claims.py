@@ -81,7 +81,7 @@ def _measure(
             LearnedMasks(
                 point.photons,
                 side=math.isqrt(matrices[0].shape[1]),
-                throughput=[sum(each.shares.tolist()) for each in made],
+                throughput=[sum(each.exposure.shares.tolist()) for each in made],
                 directions=[effective_directions(matrix) for matrix in matrices],
                 matrix=np.round(matrices[0], 6).tolist(),
             )

@@ -1,29 +1,26 @@
 """Exposures of images that are seen patch by patch, with a detector for each patch and mask."""
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass
 from math import prod
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from torch import Tensor
 
-from deepfsi.exposure.kind import UNTRAINED, MaskExposure, TrainedMasks, Use
+from deepfsi.exposure.kind import MaskExposure, Use
 from deepfsi.exposure.training import ExposureTraining, JobGroup, deviation
 from deepfsi.physics.scanner import Scanner, project
 from deepfsi.physics.training_noise import Draws
 from deepfsi_paper.patches.settings import OF_PATCHES, Patches, PatchesEntry, cut_patches
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PatchExposure(MaskExposure):
     """Exposure of fixed dwells, with a detector for each patch of an image.
 
     Features have the shape (..., P, m), and a budget is of the whole image.
     """
 
-    side: int  # of a patch, pixels
-    _: KW_ONLY
-    optics: TrainedMasks = UNTRAINED
-    kind = "patches"
+    entry: PatchesEntry
     comparable: ClassVar[bool] = False
     refusals: ClassVar[dict[Use, str]] = {
         "frames": OF_PATCHES,
@@ -32,30 +29,21 @@ class PatchExposure(MaskExposure):
         "shows one device: give a design of whole scenes",
     }
 
-    def entry(self) -> Any:
-        """Entry of the design file's header."""
-        return PatchesEntry(side=self.side)
-
-    def check_masks(self) -> None:
+    def __post_init__(self) -> None:
         """Raise `ValueError` unless the masks are of patches."""
         height, width = self.image_shape
-        pixels = self.optics.rails.difference.shape[-1]
-        if pixels != self.side**2 or height % self.side or width % self.side:
+        side = self.entry.side
+        if self.rails.difference.shape[-1] != side**2 or height % side or width % side:
             raise ValueError("masks are not of a patch")
-
-    @property
-    def mask_shape(self) -> tuple[int, ...]:
-        """Shape of a mask, that of a patch."""
-        return self.side, self.side
 
     @property
     def part_axis(self) -> tuple[int, ...]:
         """Axis (P,) of counts, in which patches follow row by row."""
-        return (prod(self.image_shape) // self.side**2,)
+        return (prod(self.image_shape) // self.entry.side**2,)
 
-    def rates(self, front: Scanner, scenes: Tensor) -> Tensor:
+    def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
         """Expected counts (..., P, rails, m) of the patches of images (..., H · W)."""
-        return super().rates(front, cut_patches(scenes, self.image_shape, self.side))
+        return super().rates(scanner, cut_patches(scenes, self.image_shape, self.entry.side))
 
     def budget(self, photons: Tensor) -> Tensor:
         """Budget (..., 1) of an image: every patch has it."""
@@ -69,7 +57,7 @@ class PatchTraining(ExposureTraining):
         super().__init__(group)
         asked = self.job.exposure
         assert isinstance(asked, Patches)
-        self.exposures = [PatchExposure(asked.patch)]
+        self.entries = [PatchesEntry(side=asked.patch)]
         self.masks = self.learned_masks() if self.learns else self.fixed_masks(self.named_rails())
 
     def prepare(self) -> None:

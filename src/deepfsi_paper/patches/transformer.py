@@ -6,11 +6,11 @@ import torch
 from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
+from deepfsi.design.networks import Classifier
 from deepfsi.jobs.training import Training
-from deepfsi.networks.classifiers import NamedClassifier, Sizes
 
 
-class Vit(NamedClassifier):
+class Vit(Classifier):
     """A vision transformer on the features of image patches: torch's own encoder, before a mean.
 
     Each patch's features are embedded by one linear layer and get a learned position; `depth`
@@ -54,10 +54,12 @@ class Vit(NamedClassifier):
                 nn.init.constant_(parameter, float("norm" in name and "weight" in name))
 
     @classmethod
-    def of_settings(cls, settings: Training, sizes: Sizes, generator: torch.Generator) -> Self:
-        """Untrained classifier of a training, as `NamedClassifier` says."""
-        chosen = {"patches": sizes.parts, **settings.classifier_arguments}
-        return cls(sizes.inputs, classes=sizes.classes, **chosen, generator=generator)
+    def of_settings(
+        cls, settings: Training, inputs: int, classes: int, parts: int, generator: torch.Generator
+    ) -> Self:
+        """Untrained classifier of a training, as `Mlp.of_settings` says."""
+        chosen = {"patches": parts, **settings.classifier_arguments}
+        return cls(inputs, classes=classes, **chosen, generator=generator)
 
     @property
     def header(self) -> dict[str, Any]:

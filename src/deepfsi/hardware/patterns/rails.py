@@ -64,13 +64,8 @@ class DesignRails:
         with as_input_error(str(design.path)):
             brightness = Brightness.of(header.info)
             if design.detectors is not None:
-                detectors = DetectorMap.model_validate(
-                    {
-                        "count": design.detector_count,
-                        "cells": tuple(design.detectors.tolist()),
-                        **(header.info.get("detector_light") or {}),
-                    }
-                )
+                light = header.info.get("detector_light") or {}
+                detectors = DetectorMap.model_validate({**design.detectors.model_dump(), **light})
         return cls(
             rails=design.rails,
             light=header.light,

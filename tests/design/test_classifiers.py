@@ -7,7 +7,7 @@ import torch
 
 from conftest import generator
 from deepfsi import Mlp
-from deepfsi.networks.classifiers import Replicas
+from deepfsi.design.networks import Replicas
 
 
 @pytest.mark.parametrize("dropout", [0.1, 0.25, 0.5, 0.9])

@@ -13,8 +13,8 @@ from conftest import PHOTONS, RECIPE, generator, light_on, same
 from deepfsi import Design, evaluate
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
+from deepfsi.design import networks as own
 from deepfsi.design.onnx import to_onnx
-from deepfsi.networks import custom as own
 from deepfsi.physics.detection import Detection
 from deepfsi.physics.laws import LearnedMasks
 from shared.design_files import header_of
@@ -50,7 +50,8 @@ def test_any_module_or_factory_learns_and_survives_its_file(digits, tmp_path, ki
     said = {"trust": True} if factory else {"classifier": given}
     after = Design.load(tmp_path / "own.safetensors", **said)
     features = before.scanner()(light_on(before, digits.x_test), generator()).float()
-    assert torch.equal(before.logits(features, PHOTONS), after.logits(features, PHOTONS))
+    answers = [each.answer(features / PHOTONS, PHOTONS).logits for each in (before, after)]
+    assert torch.equal(*answers)
     assert same(before, after)
 
 

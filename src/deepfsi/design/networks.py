@@ -1,0 +1,345 @@
+"""Networks that read counts: a perceptron, networks side by side, and a module of a user's own.
+
+A user's is any module from features (batch, inputs) to logits (batch, C). It is given as a module,
+as a factory that makes one of the number of its inputs and classes, or as the import path of a
+factory, ``"module:name"``. A design file holds its weights and that path, never code; `Design.load`
+imports it only where the user says so.
+"""
+
+import copy
+import functools
+import inspect
+import itertools
+import json
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pkgutil import resolve_name
+from typing import Any, Self
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.registry import UNNAMED_PLUGIN, load_plugin
+from deepfsi.jobs.training import MLP, Training, describe_classifier, find_classifier
+
+
+class Classifier(nn.Module, ABC):
+    """A classifier that a design file can hold."""
+
+    @property
+    @abstractmethod
+    def header(self) -> dict[str, Any]:
+        """Entry of the file's header: kind, and parameters but inputs and classes."""
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """Name for people."""
+
+    @property
+    def weights(self) -> dict[str, Tensor]:
+        """Tensors that the file keeps of it."""
+        return self.state_dict()
+
+
+class Mlp(Classifier):
+    """The paper's classifier: fully connected hidden layers, each with dropout, then ReLU.
+
+    Parameters
+    ----------
+    inputs : int
+        m, number of features.
+    classes : int
+        C.
+    hidden : sequence of int
+        Widths of the hidden layers.
+    dropout : float
+        Probability, in steps of 2⁻¹⁶.
+    generator : torch.Generator, optional
+        For the initial weights (uniform in ±1/√inputs, as `nn.Linear`) and for dropout; torch's
+        global one unless given.
+
+    Examples
+    --------
+    >>> classifier = Mlp(inputs=6, classes=10, hidden=(8,), generator=torch.Generator())
+    >>> classifier(torch.zeros(5, 6)).shape
+    torch.Size([5, 10])
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        classes: int,
+        hidden: Sequence[int] = (40, 128),
+        dropout: float = 0.0,
+        generator: torch.Generator | None = None,
+    ) -> None:
+        super().__init__()
+        self.hidden = tuple(hidden)
+        self.dropout = dropout
+        self.generator = generator
+        device = torch.get_default_device() if generator is None else generator.device
+        self.layers = nn.ModuleList()
+        for fan_in, fan_out in itertools.pairwise((inputs, *hidden, classes)):
+            layer = nn.utils.skip_init(nn.Linear, fan_in, fan_out, device=device)
+            for parameter in layer.parameters():
+                bound = 1 / math.sqrt(fan_in)
+                nn.init.uniform_(parameter, -bound, bound, generator=generator)
+            self.layers.append(layer)
+
+    @classmethod
+    def of_settings(
+        cls, settings: Training, inputs: int, classes: int, parts: int, generator: torch.Generator
+    ) -> Self:
+        """Untrained classifier of a training: of so many inputs from each part of a scene."""
+        return cls(inputs, classes, settings.hidden, settings.dropout, generator)
+
+    @property
+    def arrays(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Weights (outputs, inputs) and biases (outputs,) of the layers, in their order."""
+        layers = (
+            [parameter.detach().cpu().numpy() for parameter in each.parameters()]
+            for each in self.layers
+        )
+        return [(weight, bias) for weight, bias in layers]
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """Entry of a design file's header: kind, and parameters but inputs and classes."""
+        return {"kind": "mlp", "hidden": self.hidden, "dropout": self.dropout}
+
+    @property
+    def title(self) -> str:
+        """Name, and widths of the hidden layers."""
+        return "-".join(["mlp", *map(str, self.hidden)])
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Logits (..., C) of features (..., m)."""
+        *inner, last = self.layers
+        h = features
+        for layer in inner:
+            h = layer(h)
+            if self.training and self.dropout:
+                h = h * self.kept(h)
+            h = h.relu()
+        return last(h)
+
+    def kept(self, h: Tensor) -> Tensor:
+        """Draw what dropout multiplies hidden units with: 0, or 1 / (1 − dropout)."""
+        # torch's own dropout takes no generator, and draws one random word a unit where 16 bits do
+        words = torch.empty(-(-h.numel() // 4), dtype=torch.int64, device=h.device)
+        words.random_(-(2**63), None, generator=self.generator)
+        drawn = words.view(torch.int16)[: h.numel()].view(h.shape)
+        kept = drawn >= round(self.dropout * 2**16) - 2**15
+        return kept * (1 / (1 - self.dropout))
+
+
+def find_network(name: str) -> Any:
+    """Class of a classifier that settings and design files name; it has `of_settings` of `Mlp`."""
+    return Mlp if name == MLP else resolve_name(find_classifier(name).network)
+
+
+class Replicas(nn.Module):
+    """Networks of one shape that learn side by side, each from its own features."""
+
+    def __init__(
+        self, networks: Sequence[nn.Module], stacked: bool, dtype: torch.dtype = torch.float32
+    ) -> None:
+        super().__init__()
+        self.stacked = stacked
+        self.dtype = dtype
+        self.networks: list[Any] = list(networks)
+        self.weights = nn.ParameterList()
+        self.biases = nn.ParameterList()
+        if not stacked:
+            self.registered = nn.ModuleList(networks)
+            return
+        for layers in zip(*(network.layers for network in networks), strict=True):
+            weights, biases = zip(*(layer.parameters() for layer in layers), strict=True)
+            self.weights.append(torch.stack([weight.detach().T for weight in weights]))
+            self.biases.append(torch.stack([bias.detach()[None] for bias in biases]))
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Logits (B, R, C) of features (B, R, m)."""
+        if self.dtype == torch.float32:
+            return self._logits(features)
+        with torch.autocast(features.device.type, self.dtype):
+            return self._logits(features).float()
+
+    def _logits(self, features: Tensor) -> Tensor:
+        if len(self.networks) == 1 and not self.stacked:
+            return self.networks[0](features.squeeze(1)).unsqueeze(1)
+        if not self.stacked:
+            pairs = zip(self.networks, features.unbind(1), strict=True)
+            return torch.stack([network(own) for network, own in pairs], dim=1)
+        h = features.transpose(0, 1)
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            h = torch.baddbmm(bias, h, weight)
+            if self.networks[0].dropout:
+                drawn = zip(self.networks, h, strict=True)
+                h = h * torch.stack([network.kept(own) for network, own in drawn])
+            h = h.relu()
+        return torch.baddbmm(self.biases[-1], h, self.weights[-1]).transpose(0, 1)
+
+    def hand_back(self) -> None:
+        """Give the networks what they have learned."""
+        with torch.no_grad():
+            for place, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+                for network, w, b in zip(self.networks, weight, bias, strict=True):
+                    own_weight, own_bias = network.layers[place].parameters()
+                    own_weight.copy_(w.T)
+                    own_bias.copy_(b[0])
+
+
+Factory = Callable[..., nn.Module]
+"""Makes a module of the number of features and, if it takes two numbers, that of classes."""
+
+Given = nn.Module | Factory | str
+"""A module, a factory or the import path of one."""
+
+
+class OwnClassifier(Classifier):
+    """A user's module as the classifier of a design.
+
+    Parameters
+    ----------
+    module : nn.Module or None
+        From features (batch, inputs) to logits (batch, C). None where a file is loaded without
+        saying whose code to run: then it keeps the weights and answers nothing.
+    factory : str
+        Import path of what made it, or "".
+    arguments : mapping
+        Keyword arguments of the factory besides the numbers, JSON types only.
+    weights : mapping of tensor, optional
+        State of the module, where it is None.
+
+    Examples
+    --------
+    >>> import deepfsi, torch
+    >>> classifier = deepfsi.OwnClassifier(torch.nn.Linear(6, 10))
+    >>> classifier(torch.zeros(2, 6)).shape
+    torch.Size([2, 10])
+    """
+
+    def __init__(
+        self,
+        module: nn.Module | None,
+        factory: str = "",
+        arguments: Mapping[str, Any] | None = None,
+        weights: Mapping[str, Tensor] | None = None,
+    ) -> None:
+        super().__init__()
+        self.module = module
+        self.factory = factory
+        self.arguments = dict(arguments or {})
+        self._kept = dict(weights or {})
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """Entry of a design file's header."""
+        try:
+            arguments = json.loads(json.dumps(self.arguments))
+        except (TypeError, ValueError):
+            raise InputError(
+                f"arguments of the classifier cannot be saved: give numbers, words and lists, not "
+                f"{self.arguments}"
+            ) from None
+        return {"kind": "own", "factory": self.factory, "arguments": arguments}
+
+    @property
+    def weights(self) -> dict[str, Tensor]:
+        """State of the module, tensors only."""
+        state = self._kept if self.module is None else self.module.state_dict()
+        if not all(isinstance(value, Tensor) for value in state.values()):
+            raise InputError("the classifier's state_dict() holds other things than tensors")
+        return dict(state)
+
+    @property
+    def title(self) -> str:
+        """Name of the module's class, or of the factory whose code was not run."""
+        return self.factory if self.module is None else type(self.module).__name__
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Logits (..., C) of features (..., inputs)."""
+        if self.module is None:
+            code = self.factory or "a module of its maker"
+            raise InputError(
+                f"the classifier of this design is {code}, whose code was not run: load it with "
+                "`trust` if you trust its file, or give the code to Design.load"
+            )
+        rows = features if features.ndim == 2 else features.reshape(-1, features.shape[-1])
+        try:
+            logits = self.module(rows)
+        except (Exception, SystemExit) as error:
+            if torch.compiler.is_exporting() or isinstance(error, torch.OutOfMemoryError):
+                raise  # who exports, or trains side by side, knows what to do
+            told = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(
+                f"the classifier {self.title} fails at features of shape {tuple(rows.shape)}: "
+                f"{told}; mend it, so that it takes any number of rows"
+            ) from error
+        return logits.reshape(*features.shape[:-1], logits.shape[-1])
+
+
+def make_custom(
+    given: Given, arguments: Mapping[str, Any], inputs: int, classes: int, seed: int = 0
+) -> OwnClassifier:
+    """Classifier for so many inputs and classes, tried on zeros."""
+    name, every = describe_classifier(given, arguments)
+    factory = given.func if isinstance(given, functools.partial) else given
+    factory = load_plugin(factory) if isinstance(factory, str) else factory
+    with seeded(seed):
+        try:
+            if isinstance(factory, nn.Module):
+                module = copy.deepcopy(factory)
+            else:
+                module = _called(factory, every, inputs, classes)
+            if not isinstance(module, nn.Module):
+                raise TypeError(f"{type(module).__name__} is no torch.nn.Module")
+            _try(module, inputs, classes)
+        except InputError:
+            raise
+        except (Exception, SystemExit) as error:
+            told = " ".join(str(error).split())
+            raise InputError(
+                f"the classifier cannot be used: {told or type(error).__name__}; give a module "
+                f"from (batch, {inputs}) features to (batch, {classes}) logits, or a factory of it"
+            ) from error
+    return OwnClassifier(module, "" if name == UNNAMED_PLUGIN else name, every)
+
+
+def _try(module: nn.Module, inputs: int, classes: int) -> None:
+    """Raise an error unless a module makes logits of zeros."""
+    first = next(iter(module.parameters()), torch.empty(0))
+    zeros = torch.zeros(3, inputs, device=first.device)
+    with torch.no_grad():
+        shape = tuple(module.eval()(zeros).shape)
+    if shape != (3, classes):
+        raise InputError(
+            f"the classifier makes logits of shape {shape} of features of shape (3, {inputs}): "
+            f"give one that makes (3, {classes})"
+        )
+
+
+def _called(factory: Factory, arguments: Mapping[str, Any], inputs: int, classes: int) -> nn.Module:
+    """Outcome of a factory that takes both numbers, or the first alone."""
+    try:
+        inspect.signature(factory).bind(inputs, classes, **arguments)
+    except TypeError:
+        return factory(inputs, **arguments)
+    except ValueError:  # no signature to be had
+        pass
+    return factory(inputs, classes, **arguments)
+
+
+@contextmanager
+def seeded(seed: int) -> Iterator[None]:
+    """Draw from torch's global generators as of a seed; their state is put back at the end."""
+    # A module of a user's own draws its weights and its dropout there
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        yield

@@ -1,1 +1,0 @@
-"""Networks that read counts, and what their answers mean."""
