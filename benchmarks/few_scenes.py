@@ -71,7 +71,7 @@ def answers(design: Any, data: Dataset, photons: float, seed: int) -> tuple[np.n
             found.append(np.exp(draw_logits(each, each.camera, data.x_test, photons, 1, seed)))
         return found[0], found[1]
     logits = draw_logits(design, design.camera, data.x_test, photons, 1, seed)
-    temperature = temperatures_at(design.temperatures, 0, photons)
+    temperature = float(temperatures_at(design.temperatures, 0, photons))
     return softmax(logits / temperature, axis=1), softmax(logits, axis=1)
 
 

@@ -15,7 +15,6 @@ from deepfsi.adaptive.dictionary import MaskDictionary
 from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
 from deepfsi.base.errors import InputError
 from deepfsi.evaluation import page_data
-from deepfsi.evaluation.accuracy import evaluate
 from deepfsi.physics.noise import Poisson
 from shared.design_files import assert_refused
 
@@ -138,17 +137,12 @@ def test_a_file_gives_the_same_choices(ready, digits, tmp_path):
     assert set(masks.unique().tolist()) == {0, 1}
 
 
-def test_shown_masks_are_of_the_dictionary_and_nearly_as_good_as_made_ones(ready, digits):
+def test_shown_masks_are_of_the_dictionary(ready, digits):
     own = {mask.numpy().tobytes() for mask in ready.prior_exposure.dictionary.masks}
     shown, _, _ = ready.looks_at(digits.x_test[0], 1e3)
     distinct = {mask.tobytes() for mask in shown}
     assert distinct <= own
     assert len(distinct) > 4
-    made = deepfsi.learn(digits, design="adaptive", masks=12, photons=1e3)
-    results = [evaluate(each, digits, 1e3, draws=3)[0] for each in (ready, made)]
-    assert results[0].accuracy > results[1].accuracy - 0.05
-    assert made.prior_exposure.dictionary is None
-    assert "dictionary" not in made.prior_exposure.settings.model_dump()
 
 
 def test_damaged_dictionaries_are_refused(ready, tmp_path):

@@ -6,12 +6,10 @@ from scipy.spatial.distance import cdist
 from scipy.special import softmax
 from scipy.stats import multivariate_normal
 
-from deepfsi import evaluate, learn
 from deepfsi.adaptive import posterior
 from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
 
 PIXELS, SIZES = 8, (30, 60, 90)
-PHOTONS = 1e3
 
 
 def unequal(seed: int = 0):
@@ -64,12 +62,3 @@ def test_centres_are_means_of_their_scenes_and_components_the_distances_from_the
         away.append((scenes - centres[nearest]) @ np.linalg.inv(components))
     covariance = np.cov(np.concatenate(away).T, bias=True) * prior.spread**2
     np.testing.assert_allclose(covariance, np.eye(PIXELS), atol=2e-3)
-
-
-def test_centres_answer_as_the_scenes_do(digits):
-    settings = {"design": "adaptive", "masks": 8, "photons": PHOTONS}
-    designs = [learn(digits, **settings, training={"clusters": k}) for k in (20, None)]
-    some, whole = (evaluate(each, digits, PHOTONS, draws=1)[0].accuracy for each in designs)
-    spread = np.sqrt(0.5 / len(digits.y_test))  # images as the trials, of two tests
-    assert some > whole - 3 * spread
-    assert some > 0.1 + 5 * np.sqrt(0.09 / len(digits.y_test))

@@ -42,7 +42,7 @@ def fixed(digits):
 def answers(design, x, photons, draws=1, seed=1):
     """Classes of the answers to scenes, and how sure the network and the design are of them."""
     logits = draw_logits(design, Camera(), x, photons, draws, seed)
-    temperature = temperatures_at(design.temperatures, 0, photons)
+    temperature = float(temperatures_at(design.temperatures, 0, photons))
     raw, sure = (softmax(each, axis=1).max(axis=1) for each in (logits, logits / temperature))
     return logits.argmax(axis=1), raw, sure
 

@@ -30,7 +30,8 @@ def test_the_network_is_told_the_budget(digits, light, rails):
     last = torch.tensor([level, 1.0]).expand(20, 2)
     with torch.no_grad():
         logits = design.classifier(torch.cat([scaled, last], dim=-1))
-    by_hand = (logits / temperatures_at(design.temperatures, 0, 5e3)).softmax(dim=-1)
+    temperature = float(temperatures_at(design.temperatures, 0, 5e3))
+    by_hand = (logits / temperature).softmax(dim=-1)
     np.testing.assert_allclose(design.classify(counts, 5e3), by_hand.numpy(), atol=2e-5)
 
 

@@ -51,14 +51,6 @@ def test_test_scenes_take_the_budget_in_the_mean_and_at_most_the_cap(digits, sha
     assert sum(shared.exposure.settings.shares) == pytest.approx(2)
 
 
-def test_shared_light_is_more_accurate_than_equal_light(digits, tested):
-    equal = deepfsi.learn(digits, design="adaptive", masks=8, photons=PHOTONS)
-    [result] = evaluate(equal, digits, PHOTONS, draws=DRAWS)
-    gains = np.subtract(tested.right, result.right)
-    assert gains.mean() > 2 * gains.std() / len(gains) ** 0.5
-    assert result.score("mean_light") is None
-
-
 def test_a_file_and_a_camera_know_the_rule(shared, tmp_path):
     path = tmp_path / "shared.safetensors"
     shared.save(path)

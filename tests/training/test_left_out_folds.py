@@ -64,7 +64,7 @@ def chances(design, data, photons=PHOTONS, seed=3):
     logits = draw_logits(design, design.camera, data.x_test, photons, 1, seed)
     if design.exposure.makes_masks:
         return np.exp(logits)
-    return softmax(logits / temperatures_at(design.temperatures, 0, photons), axis=1)
+    return softmax(logits / float(temperatures_at(design.temperatures, 0, photons)), axis=1)
 
 
 @pytest.mark.parametrize("sureness", [0.5, 1.4, 4.0])
