@@ -18,7 +18,7 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.numeric.tables import NumberTable
-from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.device import find_device
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
@@ -93,7 +93,7 @@ def classify(shown: Shown, detector: Detector, dead: DeadTime, labels: np.ndarra
     counts = draw(detector, shown.rates, manifest.picture_s, np.random.default_rng(1))
     table, settings = (
         NumberTable(counts.astype(float)),
-        TableSettings(effects=CounterEffects(dead_time=dead)),
+        TableSettings(dead_time=dead),
     )
     try:
         found, _ = count_table(table, manifest, settings)

@@ -5,7 +5,7 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.numeric.tables import NumberTable
-from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.camera.dead_time import DeadTime
 from deepfsi.hardware.counting.recording import CountSettings, Recording
 from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.lab.virtual_detector import Detector
@@ -76,7 +76,7 @@ def run(request, tmp_path_factory):
 
 
 def corrected(kind, dead):
-    return kind(effects=CounterEffects(dead_time=dead))
+    return kind(dead_time=dead)
 
 
 def off_by(counts, shown, rates) -> np.ndarray:
@@ -106,7 +106,7 @@ def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
     again = Recording.read(folder).read_counts()
     for name in ("counts", "arrivals", "variance"):
         assert np.array_equal(getattr(again, name), getattr(counts, name))
-    assert again.effects.dead_time == dead
+    assert again.dead_time == dead
     assert (counts.variance > counts.arrivals).all()
 
 

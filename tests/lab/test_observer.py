@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.camera.dead_time import DeadTime
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.light.flux import PARTS_OF_FRAME
@@ -77,8 +77,7 @@ def test_dead_time_changes_no_decision_where_it_is_known(digits, patterns, paral
     def registered(rates, lists):
         return detector.registered(rates)
 
-    effects = CounterEffects(dead_time=dead)
-    (corrected,), _ = observe(patterns, scenes, registered, effects=effects)
+    (corrected,), _ = observe(patterns, scenes, registered, dead_time=dead)
     (blind,), _ = observe(patterns, scenes, registered)
     check_alike(clean, corrected)
     assert blind[-1].photons < 0.96 * clean[-1].photons
@@ -110,8 +109,8 @@ def test_an_all_on_frame_too_bright_for_its_dead_time_ends_the_run(digits, patte
         return change
 
     with pytest.raises(InputError, match="corrected up to"):
-        observe(patterns, scenes, scaled(1.01), effects=CounterEffects(dead_time=dead))
-    observe(patterns, scenes, scaled(0.98), effects=CounterEffects(dead_time=dead))
+        observe(patterns, scenes, scaled(1.01), dead_time=dead)
+    observe(patterns, scenes, scaled(0.98), dead_time=dead)
 
 
 @pytest.mark.parametrize("dead_s", [0.0, 25e-9])
@@ -131,8 +130,7 @@ def test_law_all_on_frames_have_the_noise_of_what_is_subtracted_and_of_a_dead_ti
         bright.append(arrived[ON])
         return arrived / (1 + arrived * dead_s)
 
-    effects = CounterEffects(dead_time=dead)
-    _, asked = observe(patterns, digits.x_test[:1], change, effects=effects)
+    _, asked = observe(patterns, digits.x_test[:1], change, dead_time=dead)
     [on], arm = seen, manifest.arm
     seconds = sum(each.gate_ns[ON] for each in (asked[0], asked[-1])) * 1e-9
     assert on.seconds == pytest.approx(seconds)
@@ -164,7 +162,7 @@ def test_a_mask_beyond_the_rate_that_is_sure_is_corrected_as_there(digits, patte
         return counted * factor
 
     scenes = digits.x_test[:1]
-    (found,), _ = observe(patterns, scenes, too_bright, effects=CounterEffects(dead_time=dead))
+    (found,), _ = observe(patterns, scenes, too_bright, dead_time=dead)
     (clean,), _ = observe(patterns, scenes, arrived)
     assert len(found) == len(clean) == LOOKS
     check_alike(found, clean)

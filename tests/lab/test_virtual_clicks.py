@@ -5,7 +5,7 @@ import pytest
 from virtual_samples import SUMMED_REFLECTANCE, every_optics, expected, patterns, record, scenes
 
 from deepfsi.base.errors import InputError
-from deepfsi.camera.dead_time import CounterEffects, DeadTime
+from deepfsi.camera.dead_time import DeadTime
 from deepfsi.hardware.counting.recording import CountSettings, Recording
 from deepfsi.lab.calibration import gains_of, reconstruct
 from deepfsi.lab.registration import check_view
@@ -80,9 +80,9 @@ def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, 
 def test_what_is_of_photons_refuses_clicks(tmp_path):
     patterns(tmp_path / "p")
     gated = record(tmp_path, scenes(), camera=VirtualCamera(gates=GATES), **LIGHT, repeats=1)
-    dead = CounterEffects(dead_time=DeadTime(seconds=2e-8))
+    dead = DeadTime(seconds=2e-8)
     with pytest.raises(InputError, match="dead time is of photon counts"):
-        Recording.read(gated).count(CountSettings(clicks=GATES, effects=dead))
+        Recording.read(gated).count(CountSettings(clicks=GATES, dead_time=dead))
     with pytest.raises(InputError, match="first photons alone of 4 gates"):
         Recording.read(gated).count(CountSettings(clicks=2))
     assert not (gated / "counts.npz").exists()

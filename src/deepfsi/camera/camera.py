@@ -23,7 +23,7 @@ from deepfsi.base.files import read_toml
 from deepfsi.base.models.strict import Seconds, UserModel
 from deepfsi.base.numeric.arrays import read_npy
 from deepfsi.base.quantities import count_text, time_text
-from deepfsi.camera.dead_time import LONGEST_DEAD_TIME_S, CounterEffects, DeadTime
+from deepfsi.camera.dead_time import LONGEST_DEAD_TIME_S, DeadTime
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import DmdLayout, Region, find_grid
@@ -441,10 +441,10 @@ class Camera(UserModel):
         """Dead time of the counter."""
         return DeadTime(seconds=self.dead_time, paralysable=self.dead_time_model == "paralysable")
 
-    def counter_effects(self, settings: Container[str] = ()) -> CounterEffects | None:
-        """Effects to be corrected; None where there are none and no setting is of one."""
+    def corrected_dead_time(self, settings: Container[str] = ()) -> DeadTime | None:
+        """Dead time to be corrected, if there is one; `InputError` for a model of none."""
         if self.dead_time:
-            return CounterEffects(dead_time=self.counter_dead_time)
+            return self.counter_dead_time
         if "dead_time_model" in settings:
             raise InputError("`dead_time_model` is of a dead time: give `dead_time`, such as 20ns")
         return None

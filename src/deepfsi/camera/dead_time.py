@@ -1,4 +1,4 @@
-"""Dead time of a counter: how much light arrived, of what was registered. Settings of live runs.
+"""Dead time of a counter: how much light arrived, of what was registered.
 
 After an arrival the counter is blind for the dead time τ. At a steady rate n of arrivals, and with
 y = n τ, it registers
@@ -14,14 +14,12 @@ gates come N = m n/r arrivals, of variance
 for all gates of the frame together; of one gate among several it is at most that.
 """
 
-import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base.models.strict import Count, Positive, Share, StrictModel
+from deepfsi.base.models.strict import StrictModel
 
 LONGEST_DEAD_TIME_S = 1e-5
 """Longest dead time that is corrected for, seconds: a gate must hold many of them."""
@@ -76,51 +74,3 @@ class CorrectionFactors:
 
 NO_DEAD_TIME = DeadTime(seconds=0.0)
 """Nothing is lost."""
-
-
-class CounterEffects(StrictModel):
-    """Effects of a counter on the light that arrives, for which counts are corrected.
-
-    Settings and files that carry them are of this class, so that another effect is a field here.
-    """
-
-    dead_time: DeadTime = NO_DEAD_TIME  # Of the counter, to be corrected for
-
-    @property
-    def effects(self) -> "CounterEffects":
-        """The effects alone."""
-        return CounterEffects(**{name: getattr(self, name) for name in CounterEffects.model_fields})
-
-
-NO_EFFECTS = CounterEffects()
-"""Each photon is counted."""
-
-
-class StopRule(StrictModel):
-    """When an exposure stops."""
-
-    # Confidence above which the exposure stops; 1 for never before the last look
-    threshold: Share
-    # Budget that it was chosen at, and within a factor of √10 of which it holds; any if None
-    photons: Positive | None = None
-
-    def stops(self, confidence: float, photons: float) -> bool:
-        """True if an exposure of a budget may stop at a confidence."""
-        near = self.photons is None or abs(math.log10(photons / self.photons)) <= 0.5
-        return near and confidence > self.threshold
-
-
-class _LiveLooks(StrictModel):
-    """Settings of the looks of a live run, which its file has first."""
-
-    shortest_ns: Count  # Shortest gate; frames whose dwells are shorter are not shown
-    # Budget of an exposure where it is known; that of the all-ON frames so far if None
-    photons: Positive | None = None
-    rule: StopRule | None = None  # When an exposure stops; never before its last look if None
-
-
-class LiveSettings(CounterEffects, _LiveLooks):
-    """Settings of a live run, with the effects of the counter that are corrected for."""
-
-    background: Literal[False] = False  # Of earlier versions
-    latencies: dict[str, float] | None = None  # Of virtual devices, seconds

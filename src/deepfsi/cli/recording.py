@@ -317,7 +317,8 @@ class RecordRun(_DeviceRun):
             for scene in scenes_so_far:
                 terminal.say(str(scene))
         settings = CountSettings(
-            effects=camera.counter_effects(self.settings), clicks=camera_of(self.patterns).clicks
+            dead_time=camera.corrected_dead_time(self.settings),
+            clicks=camera_of(self.patterns).clicks,
         )
         with terminal.progress("counting") as report:
             run = Recording.read(self.out)
@@ -370,8 +371,8 @@ class RunLive(_DeviceRun):
         camera = camera_of(self.source, self.settings)
         exposure_s = _exposure_of(camera)
         others = self.explicit(("inputs", "marker_bit"))
-        if effects := camera.counter_effects(self.settings):
-            others["effects"] = effects
+        if dead_time := camera.corrected_dead_time(self.settings):
+            others["dead_time"] = dead_time
         if self.is_virtual:
             flux = _flux_of(camera)
             virtual = virtual_camera(self.virtual, self.source, self.settings)

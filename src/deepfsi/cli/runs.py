@@ -89,7 +89,7 @@ class CountRun(Command):
         with terminal.progress("counting") as report:
             settings = CountSettings(
                 **options,
-                effects=camera_of(self.folder, self.settings).counter_effects(self.settings),
+                dead_time=camera_of(self.folder, self.settings).corrected_dead_time(self.settings),
                 gains=() if self.flat is None else gains_of(self.flat),
                 clicks=camera_of(self.folder).clicks,
             )

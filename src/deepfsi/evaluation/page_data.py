@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
-from deepfsi.camera.dead_time import StopRule
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
 from deepfsi.design.networks import Mlp
@@ -72,7 +71,7 @@ def playable(
         "labels": None if detection.labels is None else detection.labels.tolist(),
         "budget": trained and {"low": trained[0], "high": trained[1]},
         "temperatures": _temperatures(design.temperatures),
-        "rules": _rules(design),
+        "rules": [design.info["stopping"]] if "stopping" in design.info else [],
         "scenes": _scenes(fresh, seed),
         "curve": [
             {
@@ -217,16 +216,6 @@ def _temperatures(fitted: Temperatures | None) -> dict[str, Any] | None:
         "budgets": fitted.budgets.tolist(),
         "dimmest": fitted.dimmest,
     }
-
-
-def _rules(design: Design) -> list[dict[str, Any]]:
-    """The rule of when an exposure stops that the design holds, if it holds one."""
-    numbers = design.info.get("stopping")
-    if numbers is None:
-        return []
-    with as_input_error("the design's stopping rule", "train it again"):
-        rule = StopRule.model_validate(numbers)
-    return [rule.model_dump()]
 
 
 def _scenes(data: Dataset, seed: int) -> dict[str, Any]:

@@ -18,9 +18,9 @@ from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import hash_file, read_regular
 from deepfsi.base.numeric.arrays import LARGEST_TENSORS
-from deepfsi.camera.dead_time import StopRule
 from deepfsi.design.design import Design
 from deepfsi.designfile.distribution import UNSURE
+from deepfsi.hardware.counting.acquisition import StopRule
 from deepfsi.hardware.light.flux import Arrivals
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.manifest import Brightness, LookPlan, Manifest

@@ -151,7 +151,7 @@ def calibrate_run(
         dark=dark,
         ambient=ambient,
     )
-    dead_time = counts.effects.dead_time if counts.effects.dead_time.seconds else None
+    dead_time = counts.dead_time if counts.dead_time.seconds else None
     return fitted.model_copy(update={"dead_time": dead_time})
 
 

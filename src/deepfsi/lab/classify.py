@@ -19,7 +19,7 @@ from deepfsi.base.numeric.tables import read_table
 from deepfsi.base.quantities import Table
 from deepfsi.base.registry import require_extras
 from deepfsi.camera.camera import Camera
-from deepfsi.camera.dead_time import NO_EFFECTS
+from deepfsi.camera.dead_time import NO_DEAD_TIME
 from deepfsi.camera.light import TOO_DIM, check_budget
 from deepfsi.designfile.distribution import ConsistencyResult
 from deepfsi.designfile.provenance import Score, was_trained_on
@@ -281,11 +281,11 @@ def classify_table(
     made = _opened(design, patterns, trust)
     settings = (settings or TableSettings()).model_copy(update={"clicks": made.gates})
     if camera:
-        effects = Camera.of_run(made.camera, **camera).counter_effects(camera)
-        settings = settings.model_copy(update={"effects": effects or NO_EFFECTS})
+        dead_time = Camera.of_run(made.camera, **camera).corrected_dead_time(camera)
+        settings = settings.model_copy(update={"dead_time": dead_time or NO_DEAD_TIME})
     if patterns is not None:
         manifest = patterns.manifest
-    elif settings.settle_s or settings.effects.dead_time.seconds:
+    elif settings.settle_s or settings.dead_time.seconds:
         raise InputError(
             f"`settle` and `dead_time` need the times of the frames, and {design} has none: give "
             "the folder of its patterns"

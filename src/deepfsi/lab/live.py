@@ -22,9 +22,9 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import GrowingFile
 from deepfsi.base.interrupts import note_saved_work
 from deepfsi.base.progress import Progress, progress_bar
-from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects, LiveSettings, StopRule
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.designfile.provenance import was_trained_on
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene
+from deepfsi.hardware.counting.acquisition import Acquisition, LiveSettings, Scene, StopRule
 from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
 from deepfsi.hardware.light.checks import NO_LIGHT
@@ -60,7 +60,7 @@ def plan_live(
     looks: LookChooser,
     photons: float | None = None,
     until: float | None = None,
-    effects: CounterEffects = NO_EFFECTS,
+    dead_time: DeadTime = NO_DEAD_TIME,
     **others: object,
 ) -> Acquisition:
     """Settings of a live run of the patterns in a folder.
@@ -81,8 +81,8 @@ def plan_live(
         Budget of an exposure, counts; measured by the all-ON frames unless given.
     until : float, optional
         Confidence above which an exposure stops; that of the design's rule unless given.
-    effects : CounterEffects
-        To be corrected.
+    dead_time : DeadTime
+        Dead time of the counter, to be corrected.
     **others
         Fields of the `Acquisition`.
 
@@ -91,8 +91,7 @@ def plan_live(
     InputError
         If the patterns are of no such design, or the device cannot show its looks so.
     """
-    patterns = Patterns.read(patterns_folder)
-    manifest = patterns.manifest
+    manifest = Patterns.read(patterns_folder).manifest
     if not (math.isfinite(exposure_s) and exposure_s > 0):
         raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
     if photons is not None and not (math.isfinite(photons) and photons > 0):
@@ -114,7 +113,7 @@ def plan_live(
                 shortest_ns=shortest_ns,
                 photons=photons,
                 rule=rule,
-                **dict(effects),
+                dead_time=dead_time,
             ),
             **{"inputs": tuple(range(manifest.inputs)), **others},
         )

@@ -21,12 +21,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from deepfsi.base.errors import InputError
-from deepfsi.camera.dead_time import StopRule
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.designfile.distribution import REFUSED, UNSURE
 from deepfsi.designfile.provenance import TrainingScenes
 from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, ViewTest
-from deepfsi.hardware.counting.acquisition import Acquisition
+from deepfsi.hardware.counting.acquisition import Acquisition, StopRule
 from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.light.checks import SPOILING, Fault, LightMonitor
 from deepfsi.hardware.light.flux import Arrivals
@@ -230,7 +229,7 @@ class SceneObserver:
                 final=False,
             )
             confidence = float(chances.max())
-            sure = rule is not None and rule.stops(confidence, state.photons)
+            sure = rule is not None and confidence > rule.threshold
             if sure or look == last:
                 break
             yield decision
@@ -255,7 +254,7 @@ class SceneObserver:
         frames = tuple(self._manifest.frames[index] for index in asked.frames)
         gate_s = asked.gate_ns * 1e-9
         ends = frames if asked.look == SCENE_ENDS else None
-        factors = counts.correct(self._settings, self._manifest, gate_s, ends=ends)
+        factors = counts.correct(self._settings.dead_time, self._manifest, gate_s, ends=ends)
         parts = counts.parts.shape[1]
         seconds = np.repeat((gate_s / parts)[:, None], parts, axis=1)
         return Arrivals(

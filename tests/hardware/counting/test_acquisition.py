@@ -24,7 +24,7 @@ run, whole = recording_samples.run, recording_samples.whole
         ({"inputs": [3]}, "no light on input 4: .* 25764 photons on input 3"),
         ({"marker_bit": 1}, "0 frame markers on .* 0; there are some on 2: give --marker 2"),
         ({"manifest_sha256": "0" * 64}, "manifest.json is not the one"),
-        ({"schema_version": 2}, "schema 2, newer than this one"),
+        ({"schema_version": 2}, "has schema 2, and this deepfsi reads schema 1"),
     ],
 )
 def test_acquisitions_that_do_not_fit_are_refused(run, changes, match):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recording_samples import schedule
 
-from deepfsi.camera.dead_time import NO_EFFECTS
+from deepfsi.camera.dead_time import NO_DEAD_TIME
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.hardware.counting.counts import Ambient, Corrections, Estimate
@@ -106,7 +106,7 @@ def test_law_the_variance_that_is_stated_is_that_of_draws(exposures):
 @pytest.mark.parametrize("gain", [0.5, 3.0])
 def test_law_counts_divided_by_a_gain_have_their_variance(gain):
     mean, draws = 2000.0, 20_000
-    factors = Corrections(NO_EFFECTS.dead_time, np.array([gain])).factors(np.zeros(1))
+    factors = Corrections(NO_DEAD_TIME, np.array([gain])).factors(np.zeros(1))
     seen = np.random.default_rng(4).poisson(gain * mean, draws)
     found = seen * factors.arrivals
     assert abs(found.mean() - mean) < 5 * found.std() / draws**0.5

@@ -94,6 +94,6 @@ def test_cut_or_missing_counts_are_refused(run):
     path = run.folder / "counts.npz"
     whole = path.read_bytes()
     path.write_bytes(whole[:-100])
-    refuse(run.folder, r"counts\.npz .*cut or damaged.* camera count")
+    refuse(run.folder, r"counts\.npz .*not a zip file.* camera count")
     path.unlink()
     refuse(run.folder, r"counts\.npz is missing.* camera count")

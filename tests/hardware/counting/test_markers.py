@@ -93,19 +93,3 @@ def test_gates_that_do_not_fit_frames_as_they_were_are_refused(run):
     said = "1.00% shorter than planned.*--exposure 0.01067 or less"
     run.refused(said, exposure_s=11 * DWELL * 0.972)
     assert Recording.read(run.folder).count(CountSettings(exposure_s=11 * DWELL * 0.97)).valid.all()
-
-
-@pytest.mark.parametrize("rate", [-0.01, 0.005, 0.01])
-def test_frames_of_another_length_are_counted_and_the_drift_is_said(run, rate):
-    manifest = run.patterns.manifest
-    starts = train(manifest, 3, rate)
-    run.record(starts, starts.ravel(), run.photons)
-    counts = Recording.read(run.folder).count(CountSettings(exposure_s=11 * DWELL * 0.9))
-    assert counts.valid.all()
-    assert counts.drift == pytest.approx(rate, abs=1e-5)
-    assert Recording.read(run.folder).read_counts().drift == counts.drift
-    length = manifest.picture_s[0] - 4e-5  # in which photons come, evenly
-    rail, mask, column, _ = manifest.read
-    opened = (counts.gate_s + 2e-5 - 3e-5) / length
-    wanted = (run.photons[:, manifest.shown, 0] * opened)[:, column]
-    assert (np.abs(counts.counts[:, 0, rail, mask] - wanted) < 1.5).all()

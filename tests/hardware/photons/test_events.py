@@ -47,7 +47,7 @@ def test_a_tagger_may_be_on_for_any_time(tmp_path, start):
     ("name", "content", "said"),
     [
         ("half.npy", np.array([[0.5, 1]]), "holds 0.5: give whole numbers"),
-        ("rounded.npy", np.add(TABLE, [2.0**54, 0]), "above 2.53, here to the nearest 4"),
+        ("rounded.npy", np.add(TABLE, [2.0**54, 0]), "in floating point up to 2.53"),
     ],
 )
 def test_what_tells_no_events_is_one_line(tmp_path, name, content, said):

@@ -12,9 +12,9 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_text, write_atomically
-from deepfsi.base.models.strict import Amount, Positive, Share, StrictModel
+from deepfsi.base.models.strict import Amount, Count, Positive, Share, StrictModel
 from deepfsi.base.quantities import plural, time_text
-from deepfsi.camera.dead_time import CounterEffects, DeadTime, LiveSettings
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.camera.detectors import MOST_INPUTS
 from deepfsi.hardware.patterns.manifest import GatePlan, Manifest
 
@@ -32,6 +32,25 @@ class Scene(StrictModel):
     hash: str | None = Field(
         default=None, pattern="^[0-9a-f]{8}$", exclude_if=lambda known: known is None
     )
+
+
+class StopRule(StrictModel):
+    """When an exposure stops."""
+
+    threshold: Share  # Confidence above which the exposure stops
+    photons: None = None  # Of earlier versions
+
+
+class LiveSettings(StrictModel):
+    """Settings of a live run."""
+
+    shortest_ns: Count  # Shortest gate; frames whose dwells are shorter are not shown
+    # Budget of an exposure where it is known; that of the all-ON frames so far if None
+    photons: Positive | None = None
+    rule: StopRule | None = None  # When an exposure stops; never before its last look if None
+    dead_time: DeadTime = NO_DEAD_TIME  # Of the counter, to be corrected for
+    background: Literal[False] = False  # Of earlier versions
+    latencies: dict[str, float] | None = None  # Of virtual devices, seconds
 
 
 class Acquisition(StrictModel):
@@ -221,11 +240,6 @@ class Calibration(StrictModel):
         if abs(np.linalg.det(np.array(self.homography))) < 1e-9:
             raise ValueError("the homography cannot be inverted")
         return self
-
-    @property
-    def effects(self) -> CounterEffects | None:
-        """Effects of the counter, as far as they are known."""
-        return CounterEffects(dead_time=self.dead_time) if self.dead_time else None
 
     @property
     def doubts(self) -> list[str]:

@@ -39,9 +39,7 @@ from deepfsi.base.models.strict import Amount, Count, Positive, StrictModel
 from deepfsi.base.numeric.arrays import read_npz
 from deepfsi.camera.dead_time import (
     NO_DEAD_TIME,
-    NO_EFFECTS,
     CorrectionFactors,
-    CounterEffects,
     DeadTime,
 )
 from deepfsi.hardware.light.checks import SPOILING, Fault
@@ -83,7 +81,7 @@ class Counts:
     drift: float  # by how much passes lasted longer than planned on the counter's clock, a share
     inputs: tuple[int, ...]  # of the counter, 0 for input 1: those whose photons were counted
     faults: tuple[Fault, ...]
-    effects: CounterEffects = NO_EFFECTS  # for which the arrivals and all rates are corrected
+    dead_time: DeadTime = NO_DEAD_TIME  # for which the arrivals and all rates are corrected
     gains: tuple[float, ...] = ()  # relative efficiency of each detector, corrected too
     gates: int | None = None  # G of clicks, the first photons of the gates of a frame's exposure
 
@@ -147,8 +145,7 @@ class Counts:
 
     def save(self, path: Path, photons: Path, acquisition: str) -> None:
         """Write counts of a photon file, and of an acquisition with this hash."""
-        fields = vars(self) | {"dead_time": self.effects.dead_time}
-        del fields["effects"]
+        fields = vars(self)
         arrays: dict[str, Any] = {
             name: value for name, value in fields.items() if isinstance(value, np.ndarray)
         }
@@ -189,7 +186,7 @@ class Counts:
             drift=provenance.drift,
             inputs=provenance.inputs,
             faults=provenance.faults,
-            effects=CounterEffects(dead_time=provenance.dead_time),
+            dead_time=provenance.dead_time,
             gains=provenance.gains,
             gates=provenance.gates,
         )
@@ -232,14 +229,14 @@ class Corrections:
     gains: np.ndarray  # (inputs,): how many times as much of the light as usual each counts
 
     @classmethod
-    def of(cls, effects: CounterEffects, manifest: Manifest, gains: Gains = ()) -> Self:
+    def of(cls, dead_time: DeadTime, manifest: Manifest, gains: Gains = ()) -> Self:
         """Corrections on the inputs of a manifest, or `InputError` for gains of others."""
         if gains and len(gains) != manifest.inputs:
             raise InputError(
                 f"the flat field is of {len(gains)} detectors, and these patterns are for "
                 f"{manifest.inputs}: record it with the same detectors"
             )
-        return cls(effects.dead_time, np.array(gains or (1.0,) * manifest.inputs))
+        return cls(dead_time, np.array(gains or (1.0,) * manifest.inputs))
 
     def factors(self, rates: np.ndarray) -> CorrectionFactors:
         """Factors (S, F, inputs) of the counts of frames with these registered rates, counts/s.

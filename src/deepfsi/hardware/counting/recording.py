@@ -26,7 +26,7 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import hash_file, new_folder, read_regular, read_text, write_atomically
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.quantities import count_text, time_text
-from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import Acquisition, Calibration
 from deepfsi.hardware.counting.counts import (
     ALL_OFF,
@@ -63,7 +63,7 @@ class CountSettings:
     tolerance_s: float | None = None  # by how much a marker may be off, seconds
     inputs: tuple[int, ...] | None = None  # inputs of the counter, from 0, one for each detector
     marker_bit: int | None = None  # 1, 2, 4 or 8: the marker input of the device's trigger
-    effects: CounterEffects | None = None  # to be corrected for
+    dead_time: DeadTime | None = None  # to be corrected for
     background: str | None = None  # name of a dark scene, or folder of a recording of one
     gains: tuple[float, ...] = ()
     clicks: int | None = None
@@ -172,7 +172,7 @@ class Recording:
         )
         if settings.clicks is not None:
             refused = {
-                "dead time": settings.effects is not None,
+                "dead time": settings.dead_time is not None,
                 "a background": settings.background is not None,
                 "a flat field": bool(settings.gains),
             }
@@ -226,8 +226,8 @@ class Recording:
             "dark_rate": counts.dark_rate.tolist(),
             "drift": counts.drift,
             "inputs": [number + 1 for number in counts.inputs],
-            "dead_time_s": counts.effects.dead_time.seconds,
-            "paralysable": counts.effects.dead_time.paralysable,
+            "dead_time_s": counts.dead_time.seconds,
+            "paralysable": counts.dead_time.paralysable,
             "arrivals": float(counts.arrivals.sum()),
             "ambient": float(counts.ambient.sum()),
             "gains": list(counts.gains),
@@ -246,10 +246,10 @@ class Recording:
         for fault in counts.faults:
             yield fault.line(names)
         counted = int(counts.counts.sum())
-        if counts.effects.dead_time.seconds:
+        if counts.dead_time.seconds:
             lost = 1 - counted / max(float(counts.arrivals.sum()), 1.0)
             yield (
-                f"dead time of {counts.effects.dead_time}: {lost:.1%} of the photons were lost, "
+                f"dead time of {counts.dead_time}: {lost:.1%} of the photons were lost, "
                 "and are added"
             )
         if counts.gains:
@@ -409,12 +409,12 @@ def _count_photons(
     """Photons of each readout, and what arrived, corrected and less no background yet."""
     manifest = recording.manifest
     acquisition = recording.acquisition
-    effects = settings.effects
+    dead_time = settings.dead_time
     calibration = recording.folder / "calibration"
-    if effects is None and (calibration / "calibration.json").is_file():
-        effects = Calibration.load(calibration).effects
-    effects = effects or NO_EFFECTS
-    corrections = Corrections.of(effects, manifest, settings.gains)
+    if dead_time is None and (calibration / "calibration.json").is_file():
+        dead_time = Calibration.load(calibration).dead_time
+    dead_time = dead_time or NO_DEAD_TIME
+    corrections = Corrections.of(dead_time, manifest, settings.gains)
     names = [scene.name for scene in acquisition.scenes]
     dark = names.index(settings.background) if settings.background in names else None
     ambient = Ambient.none(manifest)
@@ -471,7 +471,7 @@ def _count_photons(
         exposure_s=settings.exposure_s or acquisition.exposure_s,
         ambient=ambient.counts,
         ambient_variance=ambient.variance,
-        effects=effects,
+        dead_time=dead_time,
         gains=settings.gains,
     )
 

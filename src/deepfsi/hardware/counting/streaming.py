@@ -17,7 +17,7 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import time_text
-from deepfsi.camera.dead_time import CorrectionFactors, LiveSettings
+from deepfsi.camera.dead_time import CorrectionFactors, DeadTime
 from deepfsi.hardware.counting.counts import Corrections
 from deepfsi.hardware.counting.windows import MOST_EXTRA, MOST_RATE
 from deepfsi.hardware.light.flux import PARTS_OF_FRAME
@@ -64,7 +64,7 @@ class FrameCounts:
 
     def correct(
         self,
-        live: LiveSettings,
+        dead_time: DeadTime,
         manifest: Manifest,
         gate_s: np.ndarray,
         *,
@@ -73,7 +73,7 @@ class FrameCounts:
         """Factors (F, inputs) of the counts in gates of these lengths (F,), seconds."""
         # Frames that are ends of a scene must not be too bright; others are corrected as the
         # brightest that can be
-        corrections = Corrections.of(live, manifest)
+        corrections = Corrections.of(dead_time, manifest)
         rates = self.counts / gate_s[:, None]
         if ends is not None:
             corrections.check(rates[None], ends, range(manifest.inputs), "a scene")

@@ -19,7 +19,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.models.strict import Amount, Count, Positive, UserModel
 from deepfsi.base.numeric.tables import NumberTable
 from deepfsi.base.quantities import time_text
-from deepfsi.camera.dead_time import NO_EFFECTS, CounterEffects
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.hardware.counting.acquisition import MOST_READOUTS, Scene
 from deepfsi.hardware.counting.counts import (
     ALL_OFF,
@@ -55,7 +55,7 @@ class TableSettings(UserModel):
     )
     gain: Positive | None = None  # counts for a unit of the table, of an analogue detector
     read_noise: Amount | None = None  # of each value of an analogue detector, counts rms
-    effects: CounterEffects = NO_EFFECTS  # of a photon counter, to be corrected for
+    dead_time: DeadTime = NO_DEAD_TIME  # of a photon counter, to be corrected for
     dark: NumberTable | None = None  # exposures with the scene dark, whose counts are subtracted
     clicks: int | None = None  # gates of a frame, of tables of clicks: values from 0 to this
 
@@ -66,7 +66,7 @@ class TableSettings(UserModel):
 
     def check(self) -> None:
         """Raise `InputError` for settings that exclude each other."""
-        dead_time = bool(self.effects.dead_time.seconds)
+        dead_time = bool(self.dead_time.seconds)
         if self.analogue and dead_time:
             raise InputError(
                 "an analogue detector counts no photons: leave `dead_time` out, or `gain` and "
@@ -136,7 +136,7 @@ def count_table(
         ambient=ambient.counts,
         ambient_variance=ambient.variance,
         inputs=tuple(range(manifest.inputs)),
-        effects=settings.effects,
+        dead_time=settings.dead_time,
         gates=settings.clicks,
     )
     if settings.photons is None and not exposures.sentinels:
@@ -202,7 +202,7 @@ class _Exposures:
             counts = values * (settings.gain or 1.0)
             return Estimate(counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2)
         rates = values / self.seconds[:, None]
-        corrections = Corrections.of(settings.effects, self.manifest)
+        corrections = Corrections.of(settings.dead_time, self.manifest)
         corrections.check(rates, self.manifest.frames, range(self.manifest.inputs), self.name)
         factors = corrections.factors(rates)
         return Estimate(values * factors.arrivals, values * factors.variance)

@@ -310,14 +310,14 @@ class Patterns:
         """JSON types only: what is shown, for how long, and what it costs."""
         manifest = self.manifest
         device = manifest.device
-        gates = self._longest_gates
+        cost = self._cost
         return {
             "frames": len(manifest.frames),
             "mask_frames": len(manifest.shown),
             "mean_picture_s": float(manifest.picture_s[manifest.shown].mean()),
             "pass_s": manifest.pass_s,
-            "longest_exposure_s": None if gates is None else self._longest_s,
-            "uncounted": None if gates is None else gates.cost(manifest),
+            "longest_exposure_s": None if cost is None else self._longest_s,
+            "uncounted": cost,
             "dimmed": manifest.dimmed,
             "looks": manifest.looks.count if manifest.looks else 1,
             "load_s": device.load_us and device.load_us * 1e-6,
@@ -381,11 +381,21 @@ class Patterns:
         return self.manifest.longest_exposure_s(self.manifest.device.settle_us * 1e-6)
 
     @property
-    def _longest_gates(self) -> GatePlan | None:
-        """Gates of that exposure; None where masks are chosen while it runs."""
-        if self.manifest.looks is not None:
+    def _cost(self) -> dict[str, float] | None:
+        """Shares of a pass that this exposure does not count; None of adaptive masks."""
+        manifest = self.manifest
+        if manifest.looks is not None:
             return None
-        return GatePlan.of(self.manifest, self._longest_s)
+        gates = GatePlan.of(manifest, self._longest_s)
+        masks_s = float(manifest.picture_s[manifest.shown].sum())
+        settling_s = gates.settle_s * len(manifest.shown)
+        idle_s = masks_s - settling_s - gates.repeats * float(gates.length_s.sum())
+        total_s = manifest.pass_s
+        return {
+            "sentinels": (total_s - masks_s) / total_s,
+            "settling": settling_s / total_s,
+            "idle": max(idle_s, 0.0) / total_s,
+        }
 
     def _pass_lines(self) -> Iterator[str]:
         """Say the frames of a pass, its longest exposure and what it costs."""
@@ -396,7 +406,7 @@ class Patterns:
             f"{plural(len(manifest.shown), 'frame')} of masks and "
             f"{len(manifest.frames) - len(manifest.shown)} all-ON and all-OFF ones"
         )
-        gates = self._longest_gates
+        cost = self._cost
         if looks and looks.dictionary:
             yield (
                 f"{frames}: {plural(looks.count, 'look')}, each at one of these masks by its "
@@ -414,11 +424,10 @@ class Patterns:
                 f"one before each look, {device.load_us} µs a frame on {device.name}, in which no "
                 "photon is counted; show them with `deepfsi camera live`"
             )
-        elif gates is not None:
+        elif cost is not None:
             reason = f"no picture is shorter than {device.shortest_us} µs"
             if device.video_us:
                 reason = "all pictures last as long as the longest"
-            cost = gates.cost(manifest)
             yield (
                 f"{frames}, {time_text(manifest.pass_s)} a pass, exposures up to "
                 f"{time_text(self._longest_s)}"

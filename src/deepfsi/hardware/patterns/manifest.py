@@ -411,15 +411,3 @@ class GatePlan:
     def starts_s(self) -> np.ndarray:
         """Starts of the gates, shape (f, R)."""
         return self.settle_s + self.length_s[:, None] * np.arange(self.repeats)
-
-    def cost(self, manifest: Manifest) -> dict[str, float]:
-        """Shares of a pass in which no gate is open: sentinels, mirrors settling, and the rest."""
-        masks = float(manifest.picture_s[manifest.shown].sum())
-        settling = self.settle_s * len(manifest.shown)
-        idle = masks - settling - self.repeats * float(self.length_s.sum())
-        total = manifest.pass_s
-        return {
-            "sentinels": (total - masks) / total,
-            "settling": settling / total,
-            "idle": max(idle, 0.0) / total,
-        }
