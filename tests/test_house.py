@@ -16,12 +16,12 @@ SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
     "adaptive": 1501,
-    "base": 1214,
+    "base": 1203,
     "base.models": 85,
-    "base.numeric": 926,
-    "camera": 1327,
+    "base.numeric": 865,
+    "camera": 1312,
     "cli": 3036,
-    "datasets": 2528,
+    "datasets": 2488,
     "design": 1225,
     "designfile": 1416,
     "evaluation": 989,

@@ -35,7 +35,8 @@ def test_learn_takes_the_fields_of_a_job_and_its_words_name_each():
 def test_public_callables_show_their_keywords_and_the_package_its_types():
     for name in {*deepfsi.__all__} - {"InputError"}:
         given = inspect.signature(getattr(deepfsi, name)).parameters.values()
-        assert inspect.Parameter.VAR_KEYWORD not in {each.kind for each in given}, name
+        others = {each.name for each in given if each.kind is inspect.Parameter.VAR_KEYWORD}
+        assert others <= {"settings"}, name  # fields of the camera
     assert files("deepfsi").joinpath("py.typed").is_file()
 
 

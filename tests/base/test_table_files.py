@@ -4,7 +4,6 @@ import struct
 import zlib
 from itertools import product
 
-import h5py
 import numpy as np
 import polars as pl
 import pytest
@@ -18,17 +17,6 @@ VALUES = np.random.default_rng(2).integers(0, 1000, (3, 5))
 NAMES = tuple("abcde")
 
 
-def matlab_73(path, values):
-    """What MATLAB's save(..., '-v7.3') writes: its header, and axes turned around."""
-    with h5py.File(path, "w", userblock_size=512) as file:
-        for name, array in {"counts": values.T, "note": np.zeros((4, 1), np.uint16)}.items():
-            dataset = file.create_dataset(name, data=array)
-            dataset.attrs["MATLAB_class"] = np.bytes_("char" if name == "note" else "double")
-        file.create_dataset("#refs#/a", data=np.zeros((2, 2)))
-    with path.open("r+b") as file:
-        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
-
-
 def parquet(path, values):
     pl.DataFrame(values, schema=[*NAMES[: values.shape[1]]]).write_parquet(path)
 
@@ -37,7 +25,6 @@ WRITERS = {
     "npy": np.save,
     "parquet": parquet,
     "mat": lambda path, values: savemat(path, {"counts": values.astype(float), "gain": 2.0}),
-    "mat 7.3": matlab_73,
     "csv named": lambda path, values: np.savetxt(
         path, values, "%d", ",", header=",".join(NAMES), comments=""
     ),
@@ -82,7 +69,7 @@ def test_text_is_read_as_other_programs_write_it(tmp_path, text):
         assert np.array_equal(read_table(path).values, [[1, 2], [3, 4]])
 
 
-@pytest.mark.parametrize("kind", ["csv", "npy", "parquet", "mat 7.3"])
+@pytest.mark.parametrize("kind", ["csv", "npy", "parquet"])
 def test_whole_numbers_are_exact_to_64_bits(tmp_path, kind):
     values = np.array([[2**62 + 1, 1], [2**53 + 1, -(2**60) - 1]])
     path = write(tmp_path, kind, values)

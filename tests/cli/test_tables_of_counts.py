@@ -5,7 +5,6 @@ import re
 import shutil
 from pathlib import Path
 
-import h5py
 import numpy as np
 import ptufile
 import pytest
@@ -78,24 +77,14 @@ def test_what_is_no_table_of_these_patterns_is_one_line(refuse, lab, classify, v
     assert "manifest.json is missing: make patterns" in refuse(*table)
 
 
-@pytest.mark.parametrize("version", ["7", "7.3"])
-def test_the_lines_for_matlab_read_classes(
-    done, lab, classify, values, tmp_path, monkeypatch, version
-):
+def test_the_lines_for_matlab_read_classes(done, lab, classify, values, tmp_path, monkeypatch):
     """Those of the page: what they save, the command, and the fields that they read."""
     page = (Path(__file__).parents[2] / "docs/do/counts.md").read_text()
     block = re.search(r"```matlab\n(.*?)```", page, re.S)[1]
     name, variable = re.search(r"save\('(\S+)', '(\w+)'\)", block).groups()
     command = re.search(r"system\('deepfsi (.*)'\)", block)[1]
     fields = re.findall(r"found\.scenes\.(\w+)", block)
-    if version == "7":
-        savemat(tmp_path / name, {variable: values.astype(float)})
-    else:
-        with h5py.File(tmp_path / name, "w", userblock_size=512) as file:
-            file[variable] = values.astype(float).T
-            file[variable].attrs["MATLAB_class"] = np.bytes_("double")
-        with (tmp_path / name).open("r+b") as file:
-            file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    savemat(tmp_path / name, {variable: values.astype(float)})
     shutil.copytree(lab / "patterns", tmp_path / "patterns")
     monkeypatch.chdir(tmp_path)
     scenes = json.loads(done(*command.split()))["scenes"]

@@ -143,9 +143,9 @@ def test_all_damaged_images_are_named_at_once(images):
 
 
 def test_images_that_need_too_much_memory(images, monkeypatch):
-    monkeypatch.setattr(pictures, "MAX_PIXELS", 20 * 48 - 1)
+    monkeypatch.setattr(pictures, "free_memory", lambda: 20 * 48 - 1)
     not_loaded(images, "20 images of 6x8 pixels need", "smaller size")
-    monkeypatch.setattr(pictures, "MAX_PIXELS", 20 * 48)
+    monkeypatch.setattr(pictures, "free_memory", lambda: 20 * 48)
     load_dataset(images)
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import matplotlib.pyplot as plt
 import numpy as np
 import polars
@@ -186,7 +185,6 @@ READERS = {
     "npy masks": Reader("masks.npy", load_masks, (mangled,)),
     "mat masks": Reader("masks.mat", load_masks, (mangled,), 5),
     "old mat masks": Reader("old.mat", load_masks, (mangled,), 3),
-    "hdf5 masks": Reader("masks.h5", load_masks, (mangled,)),
     "tiff masks": Reader("masks.tif", load_masks, (mangled,)),
     "csv": Reader("table.csv", load_table, TABLE, 8),
     "parquet": Reader("table.parquet", load_table, (mangled,)),
@@ -305,9 +303,6 @@ def _arrays(folder: Path, rng: np.random.Generator) -> None:
         envi.save_image(header, values.astype("<f4"), interleave="bip")
     np.save(folder / "plain.npy", cube)
     np.save(folder / "plain_gt.npy", labels)
-    for name, values in (("masks", masks), ("table", table)):
-        with h5py.File(folder / f"{name}.h5", "w") as file:
-            file.create_dataset("counts", data=values, compression="gzip")
     frame = polars.DataFrame(table, schema=[f"mask{k}" for k in range(6)], orient="row")
     frame = frame.with_columns(scene=polars.Series(list("abcde")))
     frame.write_csv(folder / "table.csv")

@@ -8,7 +8,6 @@ import zipfile
 import zlib
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from PIL import Image, PngImagePlugin
@@ -232,17 +231,6 @@ def test_a_matrix_of_usual_size_is_no_bomb(tmp_path):
     matrix = hadamard(2048).astype(float)
     savemat(tmp_path / "x.mat", {"x": matrix}, do_compression=True)
     assert np.array_equal(read_matrix(str(tmp_path / "x.mat")), matrix)
-
-
-def test_a_bomb_in_hdf5_and_numbers_of_other_files(tmp_path):
-    path = tmp_path / "x.h5"
-    with h5py.File(path, "w") as file:
-        file.create_dataset("x", (10_000, 20_000), "f8", chunks=True)
-    refused("hdf5 masks", path, "would unpack")
-    (tmp_path / "secret").write_bytes(bytes(128))
-    with h5py.File(path, "w") as file:
-        file.create_dataset("x", (4, 4), "f8", external=[(str(tmp_path / "secret"), 0, 128)])
-    refused("hdf5 masks", path, "not one variable")
 
 
 def test_a_table_of_more_columns_is_refused(tmp_path):

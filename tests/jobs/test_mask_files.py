@@ -1,6 +1,5 @@
 """Masks of one's own, from everything that holds them."""
 
-import h5py
 import numpy as np
 import pytest
 from PIL import Image
@@ -32,17 +31,13 @@ ARRAYS = {
 
 
 @pytest.mark.parametrize(("given", "wanted"), ARRAYS.values(), ids=ARRAYS)
-@pytest.mark.parametrize("end", ["npy", "mat", "mat:own", "h5", "h5:own"])
+@pytest.mark.parametrize("end", ["npy", "mat", "mat:own"])
 def test_arrays(tmp_path, given, wanted, end):
     if end == "npy":
         np.save(tmp_path / "m.npy", given)
     else:
         more = {"note": "of ours", "own": given} | ({"other": np.eye(2)} if ":" in end else {})
-        if end.startswith("mat"):
-            savemat(tmp_path / "m.mat", more)
-        else:
-            with h5py.File(tmp_path / "m.h5", "w") as file:
-                file.update(more)
+        savemat(tmp_path / "m.mat", more)
     np.testing.assert_allclose(read_matrix(f"{tmp_path}/m.{end}"), wanted, rtol=1e-12)
 
 
@@ -79,7 +74,7 @@ BAD = {
     "text.mat": (lambda path: save(path, {"a": "b"}), "but none"),
     "complex.mat": (lambda path: save(path, {"a": np.eye(2) * 1j}), "complex"),
     "cut.mat": (lambda path: save_cut(path, TWO, 150), "save it again"),
-    "new.mat": (lambda path: path.write_bytes(NEW), "save it again"),
+    "new.mat": (lambda path: path.write_bytes(NEW), "-v7"),
     "junk.png": (lambda path: path.write_bytes(b"no image"), "cannot read the image"),
     # decoding it would start another program
     "postscript.png": (

@@ -127,18 +127,7 @@ def check_unpacked(unpacked: float, packed: int, what: str, advice: str) -> None
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
-    """Write a file so that it is either whole or not there; parent folders are made.
-
-    Parameters
-    ----------
-    path : path
-    content : bytes
-
-    Returns
-    -------
-    Path
-        That of the file.
-    """
+    """Write a file so that it is either whole or not there, and give its path."""
     with open_atomically(path) as file:
         file.write(content)
     return Path(path)

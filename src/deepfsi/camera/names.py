@@ -34,7 +34,6 @@ class LightLawFacts:
     """Facts of a light law, whatever its masks are."""
 
     optics: str  # what realises it, in words
-    words: str  # what it allows, and with which optics, for pages
     in_turn: bool = True
     one_device: bool = True  # True if one micromirror device shows the masks
     lights_all: bool = False
@@ -48,26 +47,14 @@ class LightLawFacts:
 LIGHT_LAWS: dict[str, LightLawFacts] = {
     "column": LightLawFacts(
         "optics that split each pixel's light among all readouts, with a detector for each",
-        "optics split the light of each pixel among all masks at once, with a detector for each "
-        "readout, which no single mirror device does",
         in_turn=False,
         one_device=False,
         usual_rails="dual",
     ),
-    "equal-dwell": LightLawFacts(
-        "one DMD, every frame for the same time",
-        "one device shows one pattern after another, all for the same time",
-        equal_times=True,
-    ),
-    "free-dwell": LightLawFacts(
-        "one DMD, every frame for a time of its own",
-        "one device shows one pattern after another, each for a time of its own",
-        looks=True,
-    ),
+    "equal-dwell": LightLawFacts("one DMD, every frame for the same time", equal_times=True),
+    "free-dwell": LightLawFacts("one DMD, every frame for a time of its own", looks=True),
     "two-arm": LightLawFacts(
         "one DMD with a detector on each arm",
-        "one device shows one mask after another; each mirror sends its light in one of two "
-        "directions, both with detectors, so that none is lost",
         lights_all=True,
         arms=2,
         looks=True,
@@ -76,8 +63,6 @@ LIGHT_LAWS: dict[str, LightLawFacts] = {
     ),
     "dose": LightLawFacts(
         "a projector that lights the scene with the masks, and one detector",
-        "a projector lights the scene with one mask after another, and one detector counts the "
-        "photons that come back; what one pixel does not get goes to others",
         one_device=False,
         lights_all=True,
     ),

@@ -394,7 +394,6 @@ def assemble(
         image_shape=train[0].shape[1:],
         classes=classes,
         values=values,
-        measure="R²" if values else "accuracy",
         preprocessing=f"{described}{ends}.",
         wavelengths=wavelengths,
     )
@@ -430,20 +429,27 @@ def draw_stratified(
     return np.sort(order[np.argsort(rank, kind="stable")[:count]])
 
 
-def load_npz(path: Path, options: Origin) -> Dataset:
-    """Data set of the arrays `x` and `y`, and of a test part where it is there."""
-    arrays = read_npz(path)
-    if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test", "values"}:
+def load_arrays(source: Path | tuple[Any, ...], options: Origin) -> Dataset:
+    """Data set of arrays x and y, and of a test part where it is there, in a tuple or a file."""
+    if isinstance(source, Path):
+        name, arrays = source.stem, read_npz(source)
+        if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test", "values"}:
+            raise InputError(
+                f"{source} holds {', '.join(arrays) or 'nothing'}; "
+                "give x and y, optionally x_test, y_test and names of values, and no other names"
+            )
+    elif len(source) in (2, 4):
+        name, arrays = "arrays", dict(zip(("x", "y", "x_test", "y_test"), source, strict=False))
+    else:
         raise InputError(
-            f"{path} holds {', '.join(arrays) or 'nothing'}; "
-            "give x and y, optionally x_test, y_test and names of values, and no other names"
+            f"a tuple of {len(source)} arrays was given; give (x, y) or (x, y, x_test, y_test)"
         )
     values = arrays.get("values")
     return split_arrays(
         (arrays["x"], arrays["y"]),
         (arrays.get("x_test"), arrays.get("y_test")),
         values=None if values is None else np.atleast_1d(values).astype(str).tolist(),
-        name=path.stem,
+        name=name,
         seed=options.seed,
         rescale=options.rescale,
         white=options.white,

@@ -31,7 +31,7 @@ import numpy.typing as npt
 from deepfsi.base.errors import InputError
 from deepfsi.datasets.arrays import assemble, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, Ends, Origin, Reflectance
-from deepfsi.datasets.decoding import PictureSize
+from deepfsi.datasets.levels import PictureSize
 from deepfsi.datasets.pictures import Listing, Picture, dataset_of_pictures, open_listing
 from deepfsi.datasets.spectra import SpectralImage, read_cube
 
@@ -44,18 +44,6 @@ CARRIAGE_RETURN = 13
 
 LINE_FEED = 10
 """Byte that it became."""
-
-RANK = 20
-"""Components of spectra by which lost bytes are restored."""
-
-FITTED = 4
-"""Of so many pixels one is fitted to."""
-
-SOFT = 4
-"""Passes of the restoration before values are chosen."""
-
-PASSES = 12
-"""Passes of it, all."""
 
 
 def _cache_folder(name: str) -> Path:
@@ -344,12 +332,12 @@ def restore_high_bytes(
     lower = cube.reshape(-1, cube.shape[2]).astype(float)
     unsure = _high_bytes(cube).reshape(lower.shape) == low
     gap = 256.0 * (CARRIAGE_RETURN - LINE_FEED)
-    fitted = np.arange(len(lower)) % FITTED == 0
+    fitted = np.arange(len(lower)) % 4 == 0  # of four pixels one is fitted to
     values = np.where(unsure, 0.0, lower)
     values = np.where(unsure, values.sum(axis=0) / np.maximum((~unsure).sum(axis=0), 1), lower)
-    for number in range(PASSES):
+    for number in range(12):  # in four passes values are expected, in the others chosen
         scaled = (values - values.mean(axis=0)) / np.maximum(values.std(axis=0), 1.0)
-        axes = np.linalg.eigh(scaled.T @ scaled)[1][:, -RANK:]
+        axes = np.linalg.eigh(scaled.T @ scaled)[1][:, -20:]  # components of spectra
         scores = scaled @ axes
         for band in np.flatnonzero(unsure.any(axis=0)):
             asked = np.flatnonzero(unsure[:, band])
@@ -362,7 +350,7 @@ def restore_high_bytes(
             expected = unknown @ weights
             either = lower[asked, band]
             nearer = abs(either + gap - expected) < abs(either - expected)
-            values[asked, band] = expected if number < SOFT else either + gap * nearer
+            values[asked, band] = expected if number < 4 else either + gap * nearer
     return values.reshape(cube.shape).astype(np.uint16)
 
 

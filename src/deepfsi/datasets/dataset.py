@@ -87,9 +87,6 @@ class Dataset:
         Training scenes that `hold_out` left out.
     values : tuple of str
         Names of the q values of a scene, such as its position; none where scenes have classes.
-    measure : {"accuracy", "R²"}
-        Measure of the answers: of scenes with classes the accuracy, of values the share of their
-        variance that the answers explain.
     drawn : bool
         Whether the test part was drawn from the scenes at random, so that `folds` may draw others.
 
@@ -116,7 +113,6 @@ class Dataset:
     origin: Origin | None = None
     held_out: int = 0
     values: tuple[str, ...] = ()
-    measure: MeasureTitle = "accuracy"
     drawn: bool = False
 
     def __repr__(self) -> str:
@@ -141,6 +137,11 @@ class Dataset:
     def groups(self) -> Labels:
         """Class of each training scene (n,); where scenes have values all are of one."""
         return self.y_train if self.classes else np.zeros(len(self.y_train), dtype=np.int64)
+
+    @property
+    def measure(self) -> MeasureTitle:
+        """Measure of the answers: of values the share of their variance that answers explain."""
+        return "R²" if self.values else "accuracy"
 
     @property
     def chance(self) -> float:

@@ -16,8 +16,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import new_folder, readable_name
 from deepfsi.base.numeric.tables import LABEL_HEADS, normal_name, read_cells
 from deepfsi.datasets.dataset import Dataset, Reflectance
-from deepfsi.datasets.decoding import WRITTEN, PictureSize
-from deepfsi.datasets.levels import ValueRange, measure_levels, reflectance
+from deepfsi.datasets.levels import WRITTEN, PictureSize, ValueRange, measure_levels, reflectance
 from deepfsi.datasets.pictures import (
     decode_pictures,
     is_image,

@@ -7,13 +7,20 @@ scenes together, unless it is given. A data set and a design remember it, so tha
 divided by the same.
 """
 
+import math
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import plural
+
+if TYPE_CHECKING:
+    from PIL.Image import Image as PillowImage
 
 LUMA = (0.299, 0.587, 0.114)
 """Weights of red, green and blue in a grey level (ITU-R BT.601, those of Pillow)."""
@@ -26,6 +33,23 @@ LARGEST_ROUNDING = 1e-6
 
 GREY_AT_ONCE = 4096
 """Scenes whose colours are turned to grey at once."""
+
+PictureSize = tuple[int, int]
+
+PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
+"""Formats that are decoded, by Pillow's names: those of others may start programs, as EPS does."""
+
+GREY_MODES = ("1", "L", "LA", "I", "F")
+"""Pillow's modes of grey images, besides those that begin with I;16."""
+
+BITS_TAG = 258
+"""Tag of a TIFF file for the bits of its samples."""
+
+WRITTEN = "deepfsi"
+"""Word in the head of a PNG file that holds reflectance as a data set had it."""
+
+DEPTHS: dict[str, str] = {"byte": "8 bits", "integer": "more than 8 bits", "float": "floats"}
+"""For messages."""
 
 AnyArray = npt.NDArray[Any]
 
@@ -58,16 +82,16 @@ class ValueRange(NamedTuple):
 
 def measure_levels(parts: Mapping[str, AnyArray], white: float | None = None) -> ValueRange:
     """Range of the values of scenes of one type, and their white."""
-    families = {family_of(part.dtype, what) for what, part in parts.items()}
+    families = {_family_of(part.dtype, what) for what, part in parts.items()}
     if len(families) > 1:
         types = " and ".join(f"{what} {part.dtype}" for what, part in parts.items())
         raise InputError(f"{types} have no white in common; give one type")
     kind = str(next(iter(parts.values())).dtype)
     reach = {what: (float(part.min()), float(part.max())) for what, part in parts.items()}
-    return levels_of(reach, families.pop(), kind, white)
+    return _levels_of(reach, families.pop(), kind, white)
 
 
-def levels_of(
+def _levels_of(
     reach: Mapping[str, tuple[float, float]], family: Family, kind: str, white: float | None
 ) -> ValueRange:
     """Levels of values that reach so far."""
@@ -98,7 +122,7 @@ def levels_of(
     return ValueRange(kind, low, high, white=white, chosen=family == "integer")
 
 
-def family_of(dtype: np.dtype[Any], what: str) -> Family:
+def _family_of(dtype: np.dtype[Any], what: str) -> Family:
     """Rule for white of values of a type; `what` is their name in messages."""
     if dtype == np.uint8:
         return "byte"
@@ -127,7 +151,7 @@ def grey(values: AnyArray, what: str) -> AnyArray:
 
     Integers keep their type, rounded; `what` is the name of the values in messages.
     """
-    family = family_of(values.dtype, what)
+    family = _family_of(values.dtype, what)
     if values.shape[3] == 1:
         return values[..., 0]
     out = np.empty(values.shape[:3], np.float32 if family == "truth" else values.dtype)
@@ -136,3 +160,86 @@ def grey(values: AnyArray, what: str) -> AnyArray:
         mixed = values[part, ..., :3] @ np.array(LUMA)
         out[part] = np.rint(mixed) if family in ("byte", "integer") else mixed
     return out
+
+
+@dataclass
+class Tally:
+    """Count of pictures that were read, and their range."""
+
+    count: int = 0  # pictures that were read
+    coloured: int = 0
+    written: int = 0  # those that `write_pictures` wrote, as reflectance
+    packed: int = 0  # bytes of their files
+    sizes: set[PictureSize] = field(default_factory=set)  # heights and widths
+    family: Family | None = None  # type of the values
+    first: str = ""  # name of the first, for messages
+    bad: tuple[str, ...] = ()  # names of those that could not be read, and were left out
+    kept: list[int] = field(default_factory=list)  # which of all pictures were read
+    low: float = math.inf
+    high: float = -math.inf
+
+    def grey(self, image: "PillowImage", where: str) -> "PillowImage":
+        """Count an image and give it in grey: mode L of 8 bits, else F in its own values."""
+        from PIL import Image, ImageOps
+
+        check_depth(image, where)
+        ImageOps.exif_transpose(image, in_place=True)
+        values = _values(image)
+        family = _family_of(values.dtype, where)
+        if self.family not in (None, family):
+            raise InputError(
+                f"images differ in depth: {self.first} has {DEPTHS[self.family]}, {where} has "
+                f"{DEPTHS[family]}; save all with one depth"
+            )
+        self.family = family
+        self.first = self.first or where
+        self.count += 1
+        self.coloured += image.mode not in GREY_MODES and not image.mode.startswith("I;16")
+        self.written += WRITTEN in image.info
+        self.low = min(self.low, float(values.min()))
+        self.high = max(self.high, float(values.max()))
+        self.sizes.add((image.height, image.width))
+        return Image.fromarray(values if family == "byte" else values.astype(np.float32))
+
+    def levels(self, white: float | None) -> ValueRange:
+        """Range of all pictures and their white, which is measured unless given."""
+        assert self.family is not None
+        name = f"{self.first} and {self.count - 1} others" if self.count > 1 else self.first
+        kind = {"byte": "8-bit", "float": "float"}.get(self.family, "16-bit")
+        if self.family == "integer" and self.high >= 2**16:
+            kind = "32-bit"
+        return _levels_of({name: (self.low, self.high)}, self.family, kind, white)
+
+    @property
+    def words(self) -> str:
+        """Pictures, sizes and colours, as the beginning of a sentence."""
+        sizes = [f"{height}x{width} pixels" for height, width in self.sizes]
+        size = sizes[0] if len(sizes) == 1 else "several sizes"
+        parts = [f"{plural(self.count, 'image')} of {size}"]
+        if self.coloured:
+            parts.append(f"{self.coloured} in colour, turned to grey")
+        if self.bad:
+            named = ", ".join(f"{Path(name).parent.name}/{Path(name).name}" for name in self.bad)
+            parts.append(f"{len(self.bad)} that cannot be read left out ({named})")
+        return ", ".join(parts)
+
+
+def _values(image: "PillowImage") -> npt.NDArray[Any]:
+    """Grey levels of an image: uint8, int64 or float32."""
+    if image.mode == "F":
+        return np.asarray(image)
+    if image.mode == "I" or image.mode.startswith("I;16"):
+        return np.asarray(image).astype(np.int64)
+    return np.asarray(image.convert("L"))
+
+
+def check_depth(image: Any, where: str) -> None:
+    """Raise `InputError` for an image that Pillow gives the upper bytes of each value alone."""
+    if image.mode in ("I", "F") or image.mode.startswith("I;16"):
+        return
+    bits = max(getattr(image, "tag_v2", {}).get(BITS_TAG, ()), default=8)
+    tiles = getattr(image, "tile", ())
+    if bits > 8 or any(
+        ";16" in str(tile[3]) or (tile[0] == "ppm" and tile[3][1] > 255) for tile in tiles
+    ):
+        raise InputError(f"{where} has colours of more than 8 bits: save it in grey levels")

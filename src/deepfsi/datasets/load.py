@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from deepfsi.base.errors import InputError, as_input_error, closest_choice
 from deepfsi.base.files import check_readable_name
-from deepfsi.datasets.arrays import load_npz, split_arrays
+from deepfsi.datasets.arrays import load_arrays
 from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.dataset import Dataset, Ends, Origin
 from deepfsi.datasets.display import Display, array_display, read_display
@@ -46,7 +46,7 @@ FILE_KINDS = (
         "a .csv of their names and labels", (".csv",), ("size", "white", "skip_bad"), load_pictures
     ),
     FileKind(f"a cube ({', '.join(CUBE_ENDINGS)})", CUBE_ENDINGS, ("split",), _load_cube),
-    FileKind("an .npz file of arrays x and y", (".npz",), ("white",), load_npz),
+    FileKind("an .npz file of arrays x and y", (".npz",), ("white",), load_arrays),
 )
 """Kinds of files that hold a data set: a new one is an entry here."""
 
@@ -125,10 +125,10 @@ def load_dataset(
             "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays; scenes "
             "and labels of a torch data set make two such arrays"
         )
-    given = () if isinstance(source, tuple) else absolute_source(os.fspath(source))
+    name = "arrays" if isinstance(source, tuple) else absolute_source(os.fspath(source))
     with as_input_error():
         options = Origin(
-            data=given or "arrays",
+            data=name,
             size=as_shape(size),
             seed=seed,
             rescale=rescale,
@@ -138,32 +138,15 @@ def load_dataset(
             skip_bad=skip_bad,
         )
     if isinstance(source, tuple):
-        return _load_arrays(source, options)
-    if given in DATASETS:
-        _refuse(options, given, DATASETS[given].options)
-        data = DATASETS[given].load(options)
+        _refuse(options, name, ("white",))
+        return load_arrays(source, options)
+    _refuse(options, Path(name).name, options_of(os.fspath(source)))
+    if name in DATASETS:
+        data = DATASETS[name].load(options)
     else:
         path = _existing(os.fspath(source))
-        kind = _kind_of(path)
-        _refuse(options, path.name, kind.options)
-        data = kind.load(path, options)
+        data = _kind_of(path).load(path, options)
     return replace(data, origin=options.model_copy(update={"white": data.white}))
-
-
-def _load_arrays(arrays: tuple[Any, ...], options: Origin) -> Dataset:
-    _refuse(options, "arrays", ("white",))
-    if len(arrays) not in (2, 4):
-        raise InputError(
-            f"a tuple of {len(arrays)} arrays was given; give (x, y) or (x, y, x_test, y_test)"
-        )
-    return split_arrays(
-        arrays[:2],
-        arrays[2:] or (None, None),
-        name="arrays",
-        seed=options.seed,
-        rescale=options.rescale,
-        white=options.white,
-    )
 
 
 def _kind_of(path: Path) -> FileKind:

@@ -2,8 +2,8 @@
 
 Folders and zip files hold one folder for each class, or such folders within their own ``train/``
 and ``test/``. A ``.csv`` file has the name and the label, or the values, of an image in each line.
-A zip file is read in place, never unpacked. It may come from anywhere, so that its names, the
-sizes it declares and the images' own sizes are all checked before memory is spent on them.
+A zip file is read in place, never unpacked. It may come from anywhere, so that the
+sizes it declares and the images' own sizes are checked before memory is spent on them.
 """
 
 import io
@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeAlias
 
@@ -23,11 +24,11 @@ import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_unpacked, read_regular, readable_name
-from deepfsi.base.numeric.arrays import open_zip
+from deepfsi.base.numeric.arrays import check_memory, free_memory, open_zip
 from deepfsi.base.numeric.tables import LABEL_HEADS, normal_name, read_cells
 from deepfsi.datasets.arrays import draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, Origin
-from deepfsi.datasets.decoding import PICTURE_FORMATS, PictureSize, Tally
+from deepfsi.datasets.levels import PICTURE_FORMATS, PictureSize, Tally
 
 Label: TypeAlias = str | tuple[float, ...]
 """Class of an image, or its values."""
@@ -37,9 +38,6 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tif
 
 MAX_FILE = 2**28
 """Bytes at most of one image, and of a list of images."""
-
-MAX_PIXELS = 2**34
-"""Pixels at most of all images together: 17 GB of bytes."""
 
 MOST_NAMES = 20
 """Images that one line names at most."""
@@ -151,9 +149,9 @@ def _list_named(path: Path) -> Listing:
         _, *words = cells.row(0)
         heads = tuple(word or "" for word in words)
         cells = cells[1:]
-    names, *columns = [column.to_list() for column in cells] or [[]]
-    if not (names and columns) or any(None in column for column in (names, *columns)):
+    if cells.is_empty() or cells.width < 2 or any(cells.null_count().row(0)):
         raise InputError(f"{path} does not give each image all its cells: {LIST_ADVICE}")
+    names, *columns = [column.to_list() for column in cells.iter_columns()]
     if wrong := [name for name in names if not is_image(Path(name).name)]:
         raise InputError(f"{path} names {_names_text(wrong)}, no image: {LIST_ADVICE}")
     values = _values_of(columns, path)
@@ -313,7 +311,8 @@ def _by_class(entries: Iterable[_Entry], where: str) -> list[Picture]:
             f"the class folder {where}/{empty[0]} holds no images; add some "
             f"({' '.join(IMAGE_SUFFIXES)}) or remove it"
         )
-    return [picture for label in sorted(classes) for _, picture in sorted(classes[label])]
+    in_order = (sorted(classes[label], key=itemgetter(0)) for label in sorted(classes))
+    return [picture for images in in_order for _, picture in images]
 
 
 # ---------------------------------------------------------------- reading
@@ -332,8 +331,6 @@ def decode_pictures(
     """Grey images (n, H, W), all of one shape, and a tally of what they were."""
     from PIL import Image
 
-    if shape is not None:
-        _check_total(len(pictures), shape)
     tally = Tally()
     bad: list[tuple[str, str]] = []
     grey: npt.NDArray[Any] = np.empty(0)
@@ -346,7 +343,12 @@ def decode_pictures(
                 bad.append((picture.where, str(error)))
                 continue
             if not tally.kept:
-                _check_total(len(pictures), image.shape)
+                check_memory(
+                    len(pictures) * image.nbytes,
+                    free_memory(),
+                    f"{len(pictures)} images of {image.shape[0]}x{image.shape[1]} pixels",
+                    "give a smaller size, or fewer",
+                )
                 grey = np.empty((len(pictures), *image.shape), image.dtype)
             if image.shape != grey.shape[1:]:
                 raise InputError(
@@ -362,16 +364,6 @@ def decode_pictures(
         raise InputError(_bad_text(bad, skip_bad is False))
     tally.bad = tuple(where for where, _ in bad)
     return grey[: len(tally.kept)], tally
-
-
-def _check_total(images: int, shape: tuple[int, ...]) -> None:
-    """Raise `InputError` for more pixels than memory is likely to hold."""
-    height, width = shape
-    if images * height * width > MAX_PIXELS:
-        raise InputError(
-            f"{images} images of {height}x{width} pixels need "
-            f"{images * height * width * 4e-9:.1f} GB; give a smaller size, or fewer images"
-        )
 
 
 def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:

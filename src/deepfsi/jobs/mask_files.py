@@ -9,7 +9,7 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_unpacked, open_regular
 from deepfsi.base.numeric.arrays import read_array, split_variable
-from deepfsi.datasets.decoding import PICTURE_FORMATS, check_depth
+from deepfsi.datasets.levels import PICTURE_FORMATS, check_depth
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")
 """Ends of the names of image files that lose nothing."""
@@ -19,7 +19,7 @@ LARGEST = 2**28
 """Values of a matrix at most: a small file may claim more than memory holds."""
 
 WAYS = (
-    "a .npy file, or a .mat or HDF5 file with one numeric variable (or FILE:VARIABLE), of shape "
+    "a .npy file, or a .mat file with one numeric variable (or FILE:VARIABLE), of shape "
     "(m, N) or (m, H, W), a folder of images, or a TIFF of m pages"
 )
 """All that can be read, as the end of an error message."""

@@ -32,7 +32,7 @@ def render(template: str, folder: Path = _TEMPLATES, /, **values: Any) -> str:
     return environment.get_template(template).render(
         colours=DESIGN_COLOURS,
         dark_colours=DARK_COLOURS,
-        laws={name: law.words for name, law in LIGHT_LAWS.items()},
+        laws={name: law.optics for name, law in LIGHT_LAWS.items()},
         **tomllib.loads(files(__package__).joinpath("terms.toml").read_text("utf-8")),
         **values,
     )

@@ -1,8 +1,4 @@
-"""Arrays in ``.npy``, ``.npz``, ``.mat`` and HDF5 files.
-
-A ``.mat`` file of version 7.3 is an HDF5 file, in which MATLAB turns the order of axes around; it
-is turned back here. Either needs h5py, an extra of the package.
-"""
+"""Arrays in ``.npy``, ``.npz`` and ``.mat`` files."""
 
 import io
 import os
@@ -21,22 +17,13 @@ import psutil
 from safetensors import safe_open
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import UNPACKED_RATIO, check_unpacked, open_regular
-
-HDF5_ENDINGS = (".h5", ".hdf5")
-"""Ends of the names of HDF5 files."""
-
-VARIABLE_ENDINGS = (".mat", *HDF5_ENDINGS)
-"""Ends of the names of files that may hold several arrays, each with a name."""
+from deepfsi.base.files import UNPACKED_RATIO, check_unpacked, open_regular, read_regular
 
 LARGEST_ARRAY_FILE = 2**36
 """Bytes of a file of arrays at most."""
 
-MATLAB_HDF5 = b"MATLAB 7.3"
-"""Beginning of a ``.mat`` file that is an HDF5 file."""
-
 MAT_HEADER = 128
-"""Bytes of the header of a ``.mat`` file before 7.3."""
+"""Bytes of the header of a ``.mat`` file."""
 
 MAT_DEFLATED = 15
 """Type of a variable in a ``.mat`` file that is compressed."""
@@ -50,11 +37,10 @@ MAT_PARTS = {*range(1, 8), 9, *range(12, 19)}
 
 def split_variable(source: str) -> tuple[Path, str]:
     """Path and variable of FILE or FILE:VARIABLE."""
-    for suffix in VARIABLE_ENDINGS:
-        end = source.lower().rfind(f"{suffix}:") + len(suffix)
-        if end >= len(suffix) and not Path(source).exists():
-            return Path(source[:end]), source[end + 1 :]
-    return Path(source), ""
+    end = source.lower().rfind(".mat:") + len(".mat")
+    if end < len(".mat") or Path(source).exists():
+        return Path(source), ""
+    return Path(source[:end]), source[end + 1 :]
 
 
 def read_array(
@@ -66,27 +52,22 @@ def read_array(
     usual: str = "",
     advice: str = "",
 ) -> npt.NDArray[Any]:
-    """Array of a ``.npy`` file, or a variable of a ``.mat`` or HDF5 file."""
-    if path.suffix.lower() not in VARIABLE_ENDINGS:
+    """Array of a ``.npy`` file, or a variable of a ``.mat`` file."""
+    if path.suffix.lower() != ".mat":
         return read_npy(path, largest)
-    with _open_variables(path) as held:
-        found = {name: values for name, values in held.items() if values.ndim in dimensions}
-        if not variable:
-            variable = next(iter(found)) if len(found) == 1 else usual
-        if variable not in found:
-            lacking = f"no variable {variable!r}" if variable else "not one variable alone"
-            axes = " or ".join(map(str, dimensions))
-            raise InputError(
-                f"{path} has {lacking} of real numbers in {axes} dimensions, but "
-                f"{', '.join(found) or 'none'}: {advice or f'name one as {path}:VARIABLE'}"
-            )
-        values = found[variable]
-        check_size(f"{path}: {variable}", values.shape, values.dtype.itemsize, largest)
-        size = path.stat().st_size
-        check_unpacked(np.prod(values.shape, dtype=float), size, str(path), "save it as .npy")
-        array = _native(np.asarray(values))
-    turned = _is_hdf5(path) and path.suffix.lower() == ".mat"
-    return np.ascontiguousarray(array.T if turned else array)
+    found = {name: each for name, each in _read_mat(path).items() if each.ndim in dimensions}
+    if not variable:
+        variable = next(iter(found)) if len(found) == 1 else usual
+    if variable not in found:
+        lacking = f"no variable {variable!r}" if variable else "not one variable alone"
+        axes = " or ".join(map(str, dimensions))
+        raise InputError(
+            f"{path} has {lacking} of real numbers in {axes} dimensions, but "
+            f"{', '.join(found) or 'none'}: {advice or f'name one as {path}:VARIABLE'}"
+        )
+    values = found[variable]
+    check_size(f"{path}: {variable}", values.shape, values.dtype.itemsize, largest)
+    return np.ascontiguousarray(_native(values))
 
 
 def read_npz(
@@ -137,54 +118,20 @@ def check_size(what: str, shape: Sequence[int], itemsize: int, largest: int) -> 
     check_memory(itemsize * size, free_memory(), f"the values of {what}", "give fewer")
 
 
-@contextmanager
-def _open_variables(path: Path) -> Iterator[dict[str, Any]]:
-    """Arrays of real numbers in a ``.mat`` or HDF5 file, by name."""
-    kind = "an HDF5 file" if _is_hdf5(path) else "a .mat file"
-    try:
-        if _is_hdf5(path):
-            import h5py
-
-            with h5py.File(path, "r") as file:
-                yield _hdf5_variables(file)
-        else:
-            yield _mat_variables(path)
-    except InputError:
-        raise
-    except ImportError as error:
-        raise InputError(f"{path} is {kind}: pip install h5py, or save it otherwise") from error
-    except Exception as error:  # libraries raise almost anything on a damaged file
-        raise InputError(f"cannot read {path} as {kind} ({error}); save it again") from error
-
-
-def _is_hdf5(path: Path) -> bool:
-    """True if a file's name says HDF5, or MATLAB's header in it says version 7.3."""
-    with open_regular(path, LARGEST_ARRAY_FILE, "give a file of arrays") as file:
-        return path.suffix.lower() != ".mat" or file.read(len(MATLAB_HDF5)) == MATLAB_HDF5
-
-
-def _hdf5_variables(file: Any) -> dict[str, Any]:
-    """Data sets of real numbers in an HDF5 file, but for those of MATLAB's own use."""
-    held: dict[str, Any] = {}
-
-    def visit(name: str, item: Any) -> None:
-        real = getattr(item, "dtype", np.dtype("O")).kind in "biuf"  # a group has no type
-        words = item.attrs.get("MATLAB_class") == b"char" or name.startswith("#")
-        if real and not (words or item.external or item.is_virtual):  # numbers of other files
-            held[name] = item
-
-    file.visititems(visit)
-    return held
-
-
-def _mat_variables(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of real numbers in a ``.mat`` file before 7.3."""
+def _read_mat(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of real numbers in a ``.mat`` file, by name."""
     from scipy.io import loadmat
 
-    _check_mat(path.read_bytes())
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of strings and tables, which have no names
-        found = loadmat(path)
+    content = read_regular(path, LARGEST_ARRAY_FILE, "give a .mat file")
+    try:
+        _check_mat(content)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of strings and tables, which have no names
+            found = loadmat(io.BytesIO(content))
+    except Exception as error:  # scipy raises almost anything on a damaged file
+        raise InputError(
+            f"cannot read {path} as a .mat file ({error}); save it again, with '-v7'"
+        ) from error
     return {
         name: values
         for name, values in found.items()

@@ -234,21 +234,13 @@ def mean_of_trials(values: Sequence[float]) -> Difference:
 
 
 def paired_difference(first: np.ndarray, second: np.ndarray) -> Difference:
-    """Mean of values of images less that of others of the same images.
+    """Mean of values (S, n) of images less that of others (T, n) of the same images.
 
-    Parameters
-    ----------
-    first, second : array, shape (S, n) and (T, n)
-        Values of each of n images by each of S and of T trainings. As many trainings are those of
-        the same seeds.
-
-    Notes
-    -----
-    Images and seeds are crossed random effects, as in `statistics.intervals`. Two more squares as
-    large as the largest are added to those of the images: where few images differ, those that do
-    may be of one sign by chance. Five images that one design alone reads do not tell it apart, and
-    six do, as in the sign test.
+    Where S is T, trainings of the same seeds are paired.
     """
+    # Two more squares as large as the largest are added to those of the images: where few images
+    # differ, those that do may be of one sign by chance. Five images that one design alone reads do
+    # not tell it apart, and six do, as in the sign test
     each = first.mean(axis=0) - second.mean(axis=0)
     mean = float(each.mean())
     freedom = max(len(each) - 1, 1)
