@@ -25,7 +25,6 @@ from deepfsi.exposure.kind import MaskExposure, Use
 from deepfsi.exposure.training import (
     CHUNK,
     ExposureTraining,
-    FeatureStatistics,
     JobGroup,
     deviation,
     matrix_seeds,
@@ -343,4 +342,4 @@ class PassingTraining(ExposureTraining):
             power = power + noise.variance(counts, counts, read)
         std = deviation(power, self.scale)
         light_of_jobs = counts.expand_as(std)
-        return self.trained(FeatureStatistics(mean.expand_as(std), std, light_of_jobs))
+        return self.trained((mean.expand_as(std), std, light_of_jobs))

@@ -8,9 +8,8 @@ import torch
 
 from conftest import RECIPE, every_optics, generator, once
 from deepfsi.camera.light import photons_per_pixel
-from deepfsi.exposure.fixed import standardised
 from deepfsi.exposure.kind import temperatures_at
-from deepfsi.exposure.training import standardise
+from deepfsi.exposure.training import standardise, standardised
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from deepfsi.training.learning import train

@@ -21,7 +21,6 @@ from deepfsi.design.networks import Given, OwnClassifier, make_custom
 from deepfsi.designfile.design_file import DesignFile, Temperatures, find_design
 from deepfsi.designfile.distribution import ConsistencyResult, ReadoutDistribution
 from deepfsi.designfile.provenance import (
-    TrainingScenes,
     click_gates,
     trained_camera,
 )
@@ -65,8 +64,8 @@ class Design:
         What divides the logits at each budget, so that probabilities are those of being right.
     values : Values, optional
         Names, mean and spread of the values that it estimates in place of classes.
-    training_scenes : TrainingScenes, optional
-        Hashes of the scenes that it was made with; None of files of older versions.
+    training_scenes : array, shape (n,), optional
+        Hashes, int32, of the scenes that it was made with; None of files of older versions.
 
     Examples
     --------
@@ -86,7 +85,7 @@ class Design:
     scene_model: SceneModel | None = None
     temperatures: Temperatures | None = None
     values: Values | None = None
-    training_scenes: TrainingScenes | None = None
+    training_scenes: np.ndarray | None = None
 
     def __repr__(self) -> str:
         budget = self.info.get("job", {}).get("photons")

@@ -24,7 +24,7 @@ from deepfsi.designfile.design_file import (
     damaged_design,
 )
 from deepfsi.designfile.distribution import ReadoutDistribution
-from deepfsi.designfile.provenance import TrainingScenes
+from deepfsi.designfile.provenance import SCENE_HASHES
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.exposure.kind import Clicks
 from deepfsi.exposure.training_set import Values
@@ -66,7 +66,7 @@ def file_of(design: "Design") -> DesignFile:
         )
         arrays |= _network_arrays(design, classifier)
     if design.training_scenes is not None:
-        arrays |= design.training_scenes.arrays
+        arrays |= {SCENE_HASHES: design.training_scenes}
     return DesignFile(header, arrays)
 
 
@@ -115,7 +115,7 @@ def fields_of(file: DesignFile) -> dict[str, Any]:
             fields = _mask_fields(file, header)
         return fields | {
             **{name: getattr(header, name) for name in WORDS},
-            "training_scenes": TrainingScenes.restored(file.arrays),
+            "training_scenes": file.arrays.get(SCENE_HASHES),
         }
     except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
         raise damaged_design(file.path or "this", file.text or "") from error

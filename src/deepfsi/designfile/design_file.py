@@ -29,7 +29,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.camera.names import LightLawName, Readout, SummedReflectance
-from deepfsi.designfile.provenance import trained_camera
+from deepfsi.designfile.provenance import SCENE_HASHES, trained_camera
 from deepfsi.jobs.designs import DESIGNS, check_design
 from deepfsi.jobs.exposures import AdaptiveMasks, ExposureEntry
 from deepfsi.jobs.training import Widths, find_classifier
@@ -238,6 +238,9 @@ class DesignFile:
             computed = name in ("rails", *STATISTICS) or name.startswith(networks)
             if (computed and array.dtype != np.float32) or not np.isfinite(array).all():
                 raise ValueError(f"{name} holds other numbers than a design")
+        hashes = self.arrays.get(SCENE_HASHES, np.zeros(0, np.int32))
+        if hashes.dtype != np.int32 or hashes.ndim != 1 or (hashes[1:] <= hashes[:-1]).any():
+            raise ValueError(f"{SCENE_HASHES} are no hashes in order")
         if isinstance(self.header, AdaptiveHeader):
             if whole:
                 _check_prior(self.header, self.arrays)

@@ -9,7 +9,7 @@ scenes from others.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from hashlib import blake2b
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -75,38 +75,13 @@ def scene_hashes(scenes: np.ndarray, image_shape: tuple[int, ...]) -> tuple[str,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class TrainingScenes:
-    """Short hashes of all scenes that a design was made with."""
+def training_hashes(data: Dataset) -> np.ndarray:
+    """Short hashes (n,) int32, rising, of all scenes that a design is made with.
 
-    hashes: np.ndarray  # (n,) int32, rising
-
-    @classmethod
-    def of(cls, data: Dataset) -> Self:
-        """Those of a data set: its training part, and the held-out part that thresholds are of."""
-        parts = [data.x_train, *([data.x_test] if data.held_out else [])]
-        hashes = (h for part in parts for h in scene_hashes(part, data.image_shape))
-        return cls(np.unique(_numbers(hashes)))
-
-    @classmethod
-    def restored(cls, arrays: Mapping[str, np.ndarray]) -> Self | None:
-        """Those that a design file holds, if it does; `ValueError` if they are none."""
-        hashes = arrays.get(SCENE_HASHES)
-        if hashes is None:
-            return None
-        rising = hashes.ndim == 1 and (np.diff(hashes.astype(np.int64)) > 0).all()
-        if hashes.dtype != np.int32 or not rising:
-            raise ValueError(f"{SCENE_HASHES} are no hashes in order")
-        return cls(hashes)
-
-    @property
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Array of a design file, by its name."""
-        return {SCENE_HASHES: self.hashes}
-
-    def contains(self, hashes: Iterable[str]) -> np.ndarray:
-        """True (n,) for each hash that is of a scene that the design was made with."""
-        return np.isin(_numbers(hashes), self.hashes)
+    They are those of the training part, and of the held-out part that thresholds are of.
+    """
+    parts = [data.x_train, *([data.x_test] if data.held_out else [])]
+    return np.unique(_numbers(h for part in parts for h in scene_hashes(part, data.image_shape)))
 
 
 def _numbers(hashes: Iterable[str]) -> np.ndarray:
@@ -114,19 +89,18 @@ def _numbers(hashes: Iterable[str]) -> np.ndarray:
     return np.frombuffer(bytes.fromhex("".join(hashes)), ">i4").astype(np.int32)
 
 
-def was_trained_on(
-    training: TrainingScenes | None, hashes: Iterable[str | None]
-) -> list[bool | None]:
-    """Tell scenes of the training from others."""
+def was_trained_on(training: np.ndarray | None, hashes: Iterable[str | None]) -> list[bool | None]:
+    """Tell scenes of the training, by its hashes (n,), from others."""
     scenes = list(hashes)
     if training is None:
         return [None] * len(scenes)
     # All at once: each look among a whole training takes milliseconds
-    answers = iter(training.contains(scene for scene in scenes if scene is not None).tolist())
+    known = _numbers(scene for scene in scenes if scene is not None)
+    answers = iter(np.isin(known, training).tolist())
     return [None if scene is None else next(answers) for scene in scenes]
 
 
-def new_scenes(training: TrainingScenes | None, data: Dataset) -> tuple[Dataset, str | None]:
+def new_scenes(training: np.ndarray | None, data: Dataset) -> tuple[Dataset, str | None]:
     """Data with those test scenes that are new to a design, and what was left out, in words.
 
     Where the design was trained on all of them they stay, and the words say so. The test part of a
@@ -134,7 +108,7 @@ def new_scenes(training: TrainingScenes | None, data: Dataset) -> tuple[Dataset,
     """
     if training is None or data.held_out:
         return data, None
-    old = training.contains(scene_hashes(data.x_test, data.image_shape))
+    old = np.isin(_numbers(scene_hashes(data.x_test, data.image_shape)), training)
     count = int(old.sum())
     if count == 0:
         return data, None

@@ -5,6 +5,7 @@ fixed dwells); adaptive masks hold a prior of scenes, of which they make theirs.
 the other asks `makes_masks`.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -20,7 +21,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName
 from deepfsi.designfile.design_file import Temperatures
 from deepfsi.designfile.provenance import click_gates
-from deepfsi.jobs.exposures import Entry
+from deepfsi.jobs.exposures import ConditionedEntry, Entry
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
 from deepfsi.physics.noise import NoiseFunction, full_gates, noise_of, to_training_light
@@ -333,6 +334,45 @@ class MaskExposure(ExposureKind):
     def budget(self, photons: Tensor) -> Tensor:
         """Budget (..., 1) of an exposure, of that of each of its parts."""
         return photons
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ConditionedExposure(MaskExposure):
+    """Exposure of fixed dwells whose classifier has two inputs more, as it must know the budget.
+
+    They are the logarithm of the budget, mapped from the range to -1 .. 1, and 1, the share of
+    masks shown, which designs of earlier versions could have below that.
+    """
+
+    entry: ConditionedEntry
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` unless the masks can be exposed so."""
+        if self.count > self.entry.masks:
+            raise ValueError("more masks than in the whole sequence")
+
+    def input_count(self, features: int) -> int:
+        """Number of the classifier's inputs."""
+        return self.entry.masks * self.entry.width + 2
+
+    def inputs(self, features: Tensor, photons: Tensor | float) -> Tensor:
+        """Inputs of the classifier, of features over the budget, and the budget."""
+        scaled = super().inputs(features, photons)
+        ratio = torch.as_tensor(photons).to(scaled) / (self.entry.used * self.entry.photons)
+        return with_budget(scaled, ratio, self.entry.span)
+
+    def as_shown(self, rails: Rails, dimmed: float) -> Self:
+        """The kind as patterns realise it."""
+        entry = self.entry.model_copy(update={"used": self.entry.used / dimmed})
+        return replace(super().as_shown(rails, dimmed), entry=entry)
+
+
+def with_budget(scaled: Tensor, ratio: Tensor, span: float) -> Tensor:
+    """Inputs (..., k + 2): standardised features, the budget over the lowest of a range, and 1."""
+    middle = math.log(span) / 2
+    level = (torch.log(ratio) - middle) / max(middle, 1.0)  # -1 to 1 over the range
+    column = scaled[..., :1]
+    return torch.cat([scaled, level.expand_as(column), torch.ones_like(column)], dim=-1)
 
 
 def temperatures_at(fitted: Temperatures, place: Tensor | int, photons: Tensor | float) -> Tensor:

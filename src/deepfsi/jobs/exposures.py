@@ -43,7 +43,7 @@ class Exposure(UserModel):
     features: ClassVar[str] = ""
     """Parts of scenes whose features classifiers get; none of whole scenes."""
 
-    trained_by: ClassVar[str] = "deepfsi.exposure.fixed:fixed_training"
+    trained_by: ClassVar[str] = "deepfsi.exposure.training:fixed_training"
     """Import path of the training of its masks."""
 
     entry_type: ClassVar[type["Entry"]]
@@ -138,7 +138,7 @@ class Range(Exposure):
     1000000.0
     """
 
-    trained_by: ClassVar[str] = "deepfsi.exposure.fixed:ConditionedTraining"
+    trained_by: ClassVar[str] = "deepfsi.exposure.training:ConditionedTraining"
     span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
 
     def highest(self, photons: float) -> float:
@@ -168,7 +168,7 @@ class ConditionedEntry(Entry):
     width: Count = 1  # features of each mask
     used: Positive = 1.0  # share of the light law that the masks take within the whole sequence
     kind: Literal["conditioned"] = "conditioned"
-    restored_by: ClassVar[str] = "deepfsi.exposure.fixed:ConditionedExposure"
+    restored_by: ClassVar[str] = "deepfsi.exposure.kind:ConditionedExposure"
 
 
 def _registered_entry(kind: Any) -> type[Entry] | None:

@@ -23,7 +23,6 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.designfile.distribution import REFUSED, UNSURE
-from deepfsi.designfile.provenance import TrainingScenes
 from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, ViewTest
 from deepfsi.hardware.counting.acquisition import Acquisition, StopRule
 from deepfsi.hardware.counting.streaming import FrameCounts
@@ -113,7 +112,7 @@ class LookChooser(Protocol):
     photons: float | None  # budget of the training
     rule: StopRule | None  # of the design, where it has one
     decision_s: float  # usual time of a decision on one core, seconds
-    training_scenes: TrainingScenes | None  # hashes of the scenes that the design was made with
+    training_scenes: np.ndarray | None  # hashes of the scenes that the design was made with
     scene_model: SceneModel | None  # of the training; none where runs are not tested against it
 
     def expose(self, scene: int, state: ExposureState) -> _LiveExposure:

@@ -14,7 +14,7 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.design.networks import OwnClassifier, make_custom
-from deepfsi.designfile.provenance import TrainingScenes
+from deepfsi.designfile.provenance import training_hashes
 from deepfsi.exposure.kind import Clicks, MaskExposure
 from deepfsi.exposure.training import ExposureTraining
 from deepfsi.exposure.training_set import TrainingSet, Values
@@ -93,7 +93,7 @@ def design_of(
         classifier=_copy(classifier, read, scenes.answers).to(rails.device),
         info=info,
         values=Values.of(scenes),
-        training_scenes=TrainingScenes.of(scenes),
+        training_scenes=training_hashes(scenes),
     )
     del design.info["job"]["training"], design.info["seconds"]  # unknown for a training elsewhere
     characterise(TrainingSet(scenes, rails.device), [job], [design])

@@ -225,7 +225,7 @@ def train(
             design.info["start"] = array_hash(start)
         clicks = Clicks.of(design.info)
         design.exposure = replace(design.mask_exposure, clicks=clicks)
-        design.training_scenes = training_set.scenes
+        design.training_scenes = training_set.hashes
     left_out = []
     for fold, span in zip(folds, others, strict=True):
         group = JobGroup.of(training_set.of(fold), jobs, **masks)
@@ -405,7 +405,7 @@ def _adaptive_designs(
                 classes=data.classes,
                 exposure=made,
                 info=info,
-                training_scenes=training_set.scenes,
+                training_scenes=training_set.hashes,
             )
         )
         span(1.0)
