@@ -243,13 +243,9 @@ class PassingExposure(MaskExposure):
         edges = self.transit.edges((count,), generator.manual_seed(0), device)
         return self.transit.means(every, edges).mean(dim=1)
 
-    def mask_dwells(self) -> None:
-        """None: bins have one length."""
-        return
-
-    def drawing(self) -> tuple[Tensor, tuple[int, ...]]:
-        """The pattern as one row, and its shape."""
-        return self.pattern.flatten().unsqueeze(0), tuple(self.pattern.shape)
+    def drawing(self) -> tuple[Tensor, tuple[int, ...], None]:
+        """The pattern as one row, and its shape; bins have one length."""
+        return self.pattern.flatten().unsqueeze(0), tuple(self.pattern.shape), None
 
 
 class PassingTraining(ExposureTraining):

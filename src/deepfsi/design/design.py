@@ -450,11 +450,9 @@ class Design:
             raise InputError(
                 "this design does not say where its classifier is imported from: give `classifier`"
             )
-        features = self.masks * self.exposure.detection.width(self.rails.count)
-        inputs = self.mask_exposure.input_count(features)
         answers = len(self.values.names if self.values else self.classes)
         arguments = {} if isinstance(given, nn.Module) else known.arguments
-        made = make_custom(given, arguments, inputs, answers)
+        made = make_custom(given, arguments, self.mask_exposure.input_count, answers)
         assert made.module is not None
         try:
             made.module.load_state_dict(known.weights)

@@ -146,7 +146,7 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
     )
     fields = {
         "exposure": exposure,
-        "classifier": _classifier(file, header, exposure.input_count(features)),
+        "classifier": _classifier(file, header, exposure.input_count),
     }
     if header.values:
         fields["values"] = Values.restored(header.values, _tensors(file, "values"))

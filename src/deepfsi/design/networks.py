@@ -300,7 +300,11 @@ def make_custom(
                 module = _called(factory, every, inputs, classes)
             if not isinstance(module, nn.Module):
                 raise TypeError(f"{type(module).__name__} is no torch.nn.Module")
-            _try(module, inputs, classes)
+            first = next(iter(module.parameters()), torch.empty(0))
+            with torch.no_grad():
+                tried = module.eval()(torch.zeros(3, inputs, device=first.device))
+            if tuple(tried.shape) != (3, classes):
+                raise ValueError(f"it makes logits of shape {tuple(tried.shape)} of 3 exposures")
         except InputError:
             raise
         except (Exception, SystemExit) as error:
@@ -310,19 +314,6 @@ def make_custom(
                 f"from (batch, {inputs}) features to (batch, {classes}) logits, or a factory of it"
             ) from error
     return OwnClassifier(module, "" if name == UNNAMED_PLUGIN else name, every)
-
-
-def _try(module: nn.Module, inputs: int, classes: int) -> None:
-    """Raise an error unless a module makes logits of zeros."""
-    first = next(iter(module.parameters()), torch.empty(0))
-    zeros = torch.zeros(3, inputs, device=first.device)
-    with torch.no_grad():
-        shape = tuple(module.eval()(zeros).shape)
-    if shape != (3, classes):
-        raise InputError(
-            f"the classifier makes logits of shape {shape} of features of shape (3, {inputs}): "
-            f"give one that makes (3, {classes})"
-        )
 
 
 def _called(factory: Factory, arguments: Mapping[str, Any], inputs: int, classes: int) -> nn.Module:

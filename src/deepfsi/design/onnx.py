@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.design.design import Design
-from deepfsi.design.networks import Mlp, OwnClassifier
+from deepfsi.design.networks import Mlp
 from deepfsi.exposure.training_set import check_classes
 from deepfsi.physics.surroundings import library_defaults
 
@@ -59,17 +59,11 @@ def to_onnx(design: Design) -> bytes:
             "an ONNX graph is written with the package onnx: pip install onnx onnxruntime"
         ) from None
     check_classes(design.values, "an ONNX graph")
-    own = isinstance(design.classifier, OwnClassifier)
-    if not own and not isinstance(design.classifier, Mlp):
-        raise InputError(
-            f"a {type(design.classifier).__name__} classifier cannot be exported: only Mlp and "
-            "OwnClassifier can"
-        )
     design.exposure.check("graph")
     module = _Module(copy.deepcopy(design).to("cpu")).eval()
     module(*(torch.ones(1, *shape) for shape in module.inputs.values()))
     # every runtime since 2020 has 13; a network of one's own may need more
-    model = onnx.load_from_string(_traced(module, 17 if own else 13))
+    model = onnx.load_from_string(_traced(module, 13 if isinstance(design.classifier, Mlp) else 17))
     about = {key: json.dumps(value) for key, value in _metadata(design).items()}
     onnx.helper.set_model_props(model, about)
     model.producer_name = "deepfsi"
@@ -94,9 +88,7 @@ def _traced(module: _Module, opset: int) -> bytes:
             )  # fmt: skip
     except Exception as error:
         told = " ".join(str(error).split())[:200]
-        raise InputError(
-            f"the classifier {module.classifier.title} cannot be exported, torch says: {told}"
-        ) from error
+        raise InputError(f"the classifier cannot be exported, torch says: {told}") from error
     return written.getvalue()
 
 

@@ -249,16 +249,16 @@ class MaskExposure(ExposureKind):
             shares=self.shares * dimmed,
         )
 
-    def mask_dwells(self) -> Tensor | None:
-        """Share (m,) of the exposure that each mask is shown; None where the law has no dwells."""
-        if not LIGHT_LAWS[self.light].one_device:
-            return None
-        shares = light_law(self.light).used(self.rails.stacked)
-        return torch.diff(shares, prepend=shares.new_zeros(1))
+    def drawing(self) -> tuple[Tensor, tuple[int, ...], Tensor | None]:
+        """Picture (m, N) of what is shown, the shape of a row, and shares (m,) of the exposure.
 
-    def drawing(self) -> tuple[Tensor, tuple[int, ...]]:
-        """Picture (m, N) of what is shown, and the shape of a row."""
-        return self.rails.difference, self.mask_shape
+        The shares are None where the law has no dwells.
+        """
+        dwells = None
+        if LIGHT_LAWS[self.light].one_device:
+            shares = light_law(self.light).used(self.rails.stacked)
+            dwells = torch.diff(shares, prepend=shares.new_zeros(1))
+        return self.rails.difference, self.mask_shape, dwells
 
     # Exposing
 
@@ -314,9 +314,10 @@ class MaskExposure(ExposureKind):
         every = counts.flatten(-2) if self.detection.count > 1 else counts
         return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
 
-    def input_count(self, features: int) -> int:
-        """Number of the classifier's inputs for k features."""
-        return features
+    @property
+    def input_count(self) -> int:
+        """Number of the classifier's inputs: k, its features."""
+        return self.count * self.detection.width(self.rails.count)
 
     def inputs(self, features: Tensor, photons: Tensor | float) -> Tensor:
         """Inputs of the classifier, of features (..., k) over the budget, at a budget of each."""
@@ -351,8 +352,9 @@ class ConditionedExposure(MaskExposure):
         if self.count > self.entry.masks:
             raise ValueError("more masks than in the whole sequence")
 
-    def input_count(self, features: int) -> int:
-        """Number of the classifier's inputs."""
+    @property
+    def input_count(self) -> int:
+        """Number of the classifier's inputs, two more than of the whole sequence's features."""
         return self.entry.masks * self.entry.width + 2
 
     def inputs(self, features: Tensor, photons: Tensor | float) -> Tensor:

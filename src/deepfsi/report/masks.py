@@ -127,9 +127,8 @@ def masks_figure(
 def design_figure(design: "Design", count: int) -> Figure:
     """Masks of a design, with its light, its dwells and what its detectors see."""
     exposure = design.mask_exposure
-    dwells = exposure.mask_dwells()
     labels = exposure.detection.labels
-    matrix, shape = exposure.drawing()
+    matrix, shape, dwells = exposure.drawing()
     budget = design.info.get("job", {}).get("photons")
     title = f"{design.name}, {exposure.size_text}, {exposure.light}" + (
         f", {budget_text(budget)} photons" if budget else ""
