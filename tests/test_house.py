@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
-    "adaptive": 1501,
+    "adaptive": 1492,
     "base": 1203,
     "base.models": 85,
     "base.numeric": 865,
@@ -24,14 +24,14 @@ LINES = {
     "datasets": 2488,
     "design": 1205,
     "designfile": 1393,
-    "evaluation": 1000,
+    "evaluation": 989,
     "exposure": 1120,
     "hardware.counting": 2182,
     "hardware.light": 940,
     "hardware.patterns": 1508,
     "hardware.photons": 1213,
     "jobs": 1666,
-    "lab": 4540,
+    "lab": 4539,
     "measures": 616,
     "physics": 1925,
     "report": 1447,

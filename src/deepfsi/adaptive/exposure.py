@@ -504,34 +504,24 @@ class AdaptiveTraining:
 
     def make(self, job: Job, report: Progress) -> tuple[AdaptiveExposure, LeftOutAnswers]:
         """The exposure of a job, not calibrated, and answers to left-out scenes."""
-        dictionary = self.dictionary(job)
-        shares, misfit, answers = self.finish(job, dictionary)
+        made = self.measured(job, self.dictionary(job))
         report(0.5)
-        made = AdaptiveExposure(
-            self.prior,
-            self.settings,
-            image_shape=self.data.image_shape,
-            shares=shares,
-            camera=job.camera,
-            usual_misfit=misfit,
-            dictionary=dictionary,
-        )
-        return made, answers
+        return made
 
-    def finish(
+    def measured(
         self,
         job: Job,
         dictionary: MaskDictionary | None = None,
         left_out: LeftOutScenes | None = None,
-    ) -> tuple[Tensor, UsualMisfit | None, LeftOutAnswers]:
-        """Share of the budget (K,) that each look counts, misfit and answers of left-out scenes.
+    ) -> tuple[AdaptiveExposure, LeftOutAnswers]:
+        """The exposure with light and misfit of left-out scenes, and answers to these.
 
         They are drawn of the training scenes unless given.
         """
         shape = self.data.image_shape
-        counted = torch.zeros(self.settings.looks)
+        none = torch.zeros(self.settings.looks)
         made = AdaptiveExposure(
-            self.prior, self.settings, shape, counted, job.camera, dictionary=dictionary
+            self.prior, self.settings, shape, none, job.camera, dictionary=dictionary
         )
         generator = torch.Generator().manual_seed(job.seed)
         if left_out is None:
@@ -542,7 +532,8 @@ class AdaptiveTraining:
         shares = (counts[MISFIT_BUDGETS.index(1.0)] / job.photons).float()
         few = len(left_out.scenes) < 50  # fewer measure nothing
         misfit = None if few else UsualMisfit(budgets, logarithms)
-        return shares, misfit, LeftOutAnswers(budgets, odds, left_out.labels)
+        answers = LeftOutAnswers(budgets, odds, left_out.labels)
+        return replace(made, shares=shares, usual_misfit=misfit), answers
 
 
 def training_of(clicks: bool) -> type[AdaptiveTraining]:

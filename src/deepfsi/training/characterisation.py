@@ -169,7 +169,7 @@ def fold_answers(
             most = min(settings.clusters, max(1, smallest // 2))
             settings = settings.model_copy(update={"clusters": most})
         scenes = LeftOutScenes(torch.from_numpy(fold.x_test), torch.from_numpy(fold.y_test), None)
-        parts.append(AdaptiveTraining(fold, settings).finish(job, dictionary, scenes)[2])
+        parts.append(AdaptiveTraining(fold, settings).measured(job, dictionary, scenes)[1])
     odds = torch.cat([part.odds for part in parts], dim=2)
     return LeftOutAnswers(parts[0].budgets, odds, torch.cat([part.labels for part in parts]))
 
