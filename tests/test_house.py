@@ -21,7 +21,7 @@ LINES = {
     "base.numeric": 865,
     "camera": 1312,
     "cli": 3036,
-    "datasets": 2488,
+    "datasets": 2484,
     "design": 1205,
     "designfile": 1393,
     "evaluation": 989,

@@ -17,6 +17,7 @@ import os
 import tarfile
 import tomllib
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.resources import files
@@ -89,14 +90,10 @@ class NamedDataset(ABC):
 
     def find(self) -> Path | str | None:
         """First folder that has all files, None without one, or words."""
-        return next(
-            (
-                folder
-                for folder in _data_folders(self.folder)
-                if all((folder / file).is_file() for file in self.hashes)
-            ),
-            None,
-        )
+        for folder in _data_folders(self.folder):
+            if all((folder / file).is_file() for file in self.hashes):
+                return folder
+        return None
 
     def download(self) -> Path:
         """Folder of the files, downloaded where they are missing or damaged."""
@@ -309,7 +306,11 @@ class IndianPines(NamedDataset):
         )
         if (_high_bytes(scene.cube) == CARRIAGE_RETURN).any():
             return scene
-        kept = Memory(_cache_folder(self.folder), verbose=0).cache(restore_high_bytes)
+        cache = _cache_folder(self.folder)
+        with suppress(OSError):
+            cache.mkdir(parents=True, exist_ok=True)
+        memory = Memory(cache if os.access(cache, os.W_OK) else None, verbose=0)
+        kept = memory.cache(restore_high_bytes)
         words = f"{scene.origin} with its lost bytes restored,"
         return replace(scene, cube=kept(scene.cube.astype(np.uint16)), origin=words)
 

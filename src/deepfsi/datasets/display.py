@@ -46,14 +46,9 @@ def array_display(pictures: npt.ArrayLike, white: float | None = None) -> Displa
     if not values.size:
         raise InputError(f"an array of shape {values.shape} holds no pictures: give one or more")
     levels = measure_levels({"pictures": values}, white)
-    return Display(
-        names=tuple(map(str, range(len(values)))),
-        labels=None,
-        x=reflectance(values, levels),
-        levels=levels,
-        preprocessing=levels.words,
-        written=0,
-    )
+    names = tuple(map(str, range(len(values))))
+    x = reflectance(values, levels)
+    return Display(names, None, x=x, levels=levels, preprocessing=levels.words, written=0)
 
 
 def read_display(
