@@ -17,7 +17,6 @@ data export digits --per-class 1 -o images
 camera simulate scan --scene images --flux 1e7 --exposure 10ms --virtual ideal -o run
 camera inspect run/photons.ptu
 camera count run
-camera image run
 """
 
 

@@ -12,14 +12,11 @@ from markdown import Made, table
 
 from deepfsi.cli import app
 
-REQUIRED = "*required*"
-FIRST = "Options"
-
 
 def headings():
     """Commands of ``deepfsi`` by their heading; the first has those of packages beside the core."""
     found = {heading: list(entries) for heading, entries in app.headings.items()}
-    found["Design"] += app.beside
+    found["Design"] += found.pop("Beside the core", [])
     return found
 
 
@@ -70,32 +67,19 @@ def section(command, context):
 
 
 def tables(command):
-    """Tables of arguments and options, each after the first below the heading of its options."""
-    panels = {}
-    for each in command.declared:
-        if each.hidden:
-            continue
-        panels.setdefault(FIRST if each.is_argument else each.heading, []).append(row(each))
-    for name, rows in panels.items():
-        if name != FIRST:
-            yield f"**{name}**"
-        rows.sort(key=lambda each: each[2] != REQUIRED)
-        yield table(["option", "meaning", "default"], rows)
-
-
-def row(parameter):
-    """Option, its meaning with the numbers allowed, and its default.
+    """Tables of arguments and options, each after the first below the heading of its options.
 
     ``<number,…>`` stands for several values between commas, ``<int …>`` for an option given often.
     """
-    words = f"{', '.join(sorted(parameter.names, key=len))} {parameter.metavar}".rstrip()
-    allowed = f" ({parameter.bounds})" if parameter.bounds else ""
-    default = f"`{parameter.default}`" if parameter.default else ""
-    return (
-        f"`{words}`",
-        escaped(parameter.field.description) + allowed,
-        REQUIRED if parameter.required else default,
-    )
+    context = click.Context(command)
+    panels = {}
+    for each in command.params:
+        words, meaning = each.get_help_record(context)
+        panels.setdefault(each.heading, []).append([f"`{words}`", escaped(meaning)])
+    for name, rows in panels.items():
+        if name not in ("Arguments", "Options"):
+            yield f"**{name}**"
+        yield table(["option", "meaning"], rows)
 
 
 def said(text):

@@ -82,8 +82,8 @@ os.system("deepfsi data export my-pictures --per-class 2 -o scenes")
 os.system("deepfsi camera simulate frames --scene scenes --repeats 1 -o run_0001")
 
 # %%
-# In the laboratory, ``deepfsi camera prepare`` makes the folder ``run_0001`` instead, and you put
-# your counter's file ``photons.ptu`` into it. The next commands are the same for both.
+# In the laboratory, ``deepfsi camera import`` makes the folder ``run_0001`` of your counter's file
+# instead. The next commands are the same for both.
 
 os.system("deepfsi camera count run_0001")
 os.system("deepfsi camera classify for-my-lab.safetensors run_0001")

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from deepfsi.base.files import write_atomically
-from deepfsi.base.models.strict import Count, Positive
+from deepfsi.base.models.strict import Count, Positive, Seconds
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
@@ -24,11 +24,11 @@ class WriteMask(Command):
     """
 
     file: PassingDesign
-    out: Annotated[Path, fields.Output((".svg", ".png"))] = fields.required(
-        "photomask: .svg (polygons, binary patterns) or .png"
+    out: Annotated[Path, fields.Output((".svg", ".png"))] = fields.option(
+        "photomask: .svg (polygons, binary patterns) or .png", ...
     )
-    pixel: Positive = fields.required(
-        "side of a pixel on the mask, micrometres: that of a scene there"
+    pixel: Positive = fields.option(
+        "side of a pixel on the mask, micrometres: that of a scene there", ...
     )
     force: fields.Force = False
 
@@ -68,10 +68,8 @@ class FindTransits(Command):
     """
 
     design: PassingDesign
-    file: Annotated[Path, fields.existing("a .ptu file")] = fields.argument(
-        "photon file, without markers", "PTU"
-    )
-    bin_s: fields.Time = fields.required("length of a time bin, such as 100us", alias="bin")
+    file: fields.ExistingPath = fields.argument("photon file, without markers", "PTU")
+    bin_s: Seconds = fields.option("length of a time bin, such as 100us", ..., alias="bin")
     photons: float | None = fields.option("budget of a transit; that of the training unless given")
     background: float | None = fields.option(
         "counts/s without a scene; from the record unless given"

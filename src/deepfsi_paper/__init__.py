@@ -4,6 +4,11 @@ from deepfsi.base.registry import Registry
 
 
 def register(registry: Registry) -> None:
-    """Name images seen patch by patch, and the transformer that reads them."""
+    """Name the experiments, images seen patch by patch, and the transformer that reads them."""
     registry.add_scheme("patches", ("patch",), "deepfsi_paper.patches.settings:Patches")
+    registry.add_command(
+        "reproduce",
+        "deepfsi_paper.commands:ReproducePaper",
+        "Repeat an experiment of the paper: figures, the numbers behind them, and its claims.",
+    )
     registry.add_part("classifier", "vit", "deepfsi_paper.patches.settings:VIT")

@@ -34,11 +34,6 @@ def find(name: str) -> tuple[Experiment, ...]:
     return STUDIES[name]
 
 
-def is_study(folder: Path) -> bool:
-    """True where a folder holds results of an experiment."""
-    return any((folder / f"{each.name}.json").is_file() for each in _every())
-
-
 def page(folder: Path) -> Path:
     """Write `report.html` from whatever experiments a folder holds, with its figures."""
     sections = [section for each in _every() if (section := each.section(folder))]

@@ -1,4 +1,4 @@
-"""An acquisition of one's own laboratory: prepared, wired, recorded, counted."""
+"""A recording of one's own laboratory: imported, wired, counted."""
 
 import json
 
@@ -10,58 +10,66 @@ from hardware.counting.recording_samples import DWELL, Run, patterns_of, shining
 
 @pytest.fixture
 def lab(tmp_path):
-    """Patterns, and a list of three scenes."""
+    """Patterns, a list of three scenes, and their photons on input 3, with markers on input 2."""
     patterns_of(tmp_path / "patterns")
     patterns_of(tmp_path / "arms", "two-arm")
     (tmp_path / "scenes.csv").write_text("name,label\nfirst,cat\nsecond,dog\nthird,\n")
-    return tmp_path
+    patterns = Patterns.read(tmp_path / "patterns")
+    starts = train(patterns.manifest, 3)
+    recorded = Run(tmp_path, patterns, starts, shining(patterns, 3))
+    recorded.record(starts, starts.ravel(), recorded.photons)
+    return recorded
 
 
 @pytest.fixture
-def prepare(done, lab):
-    """Prepare a run; gives its folder and what is written of it."""
+def words(lab):
+    """Give the words of an import."""
 
-    def run(*words, patterns="patterns"):
-        given = ["--scenes", lab / "scenes.csv", "-o", lab / "run", *words]
-        out = json.loads(done("camera", "prepare", lab / patterns, *given, "--json"))
-        content = json.loads((lab / "run" / "acquisition.json").read_text())
-        assert (out["folder"], out["acquisition"]) == (str(lab / "run"), content)
-        return lab / "run", content
+    def of(*others, patterns="patterns", run="run"):
+        folder = lab.folder
+        given = ["--scenes", folder / "scenes.csv", "-o", folder / run, *others]
+        photons = folder / "photons.ptu"
+        return ["camera", "import", photons, "--patterns", folder / patterns, *given]
+
+    return of
+
+
+@pytest.fixture
+def imported(done, lab, words):
+    """Import the recording; gives its folder and what is written of it."""
+
+    def run(*others, **where):
+        out = json.loads(done(*words(*others, **where), "--json"))
+        content = json.loads((lab.folder / "run" / "acquisition.json").read_text())
+        assert (out["folder"], out["acquisition"]) == (str(lab.folder / "run"), content)
+        return lab.folder / "run", content
 
     return run
 
 
 @pytest.mark.parametrize("repeats", [1, 4])
-def test_the_longest_exposure_ends_before_the_next_marker_may_come(prepare, repeats):
-    _, content = prepare("--repeats", repeats)
+def test_the_longest_exposure_ends_before_the_next_marker_may_come(imported, repeats):
+    _, content = imported("--repeats", repeats)
     assert content["exposure_s"] == pytest.approx(11 * (DWELL - 2e-5) / repeats)
     assert (content["inputs"], content["marker_bit"], content["repeats"]) == ([0], 1, repeats)
 
 
-def test_two_arms_have_two_inputs(prepare, refuse, lab):
-    _, content = prepare("--input", 2, "--input", 1, patterns="arms")
+def test_two_arms_have_two_inputs(imported, refuse, words):
+    _, content = imported("--input", 2, "--input", 1, patterns="arms")
     assert content["inputs"] == [1, 0]
-    words = ["camera", "prepare", lab / "arms", "--scenes", lab / "scenes.csv", "-o", lab / "other"]
-    assert "need 2" in refuse(*words, "--input", 1)
-    assert "an input of its own" in refuse(*words, "--input", 1, "--input", 1)
-
-
-def record(folder):
-    """Record photons on input 3 and markers with bit 4, marker input 2."""
-    patterns = Patterns.read(folder / "patterns")
-    starts = train(patterns.manifest, 3)
-    recorded = Run(folder, patterns, starts, shining(patterns, 3))
-    recorded.record(starts, starts.ravel(), recorded.photons)
-    return recorded
+    others = {"patterns": "arms", "run": "other"}
+    assert "need 2" in refuse(*words("--input", 1, **others))
+    assert "an input of its own" in refuse(*words("--input", 1, "--input", 1, **others))
 
 
 WIRED = ("--input", 3, "--marker", 2)
 
 
 @pytest.mark.parametrize("wired", [True, False])
-def test_a_lab_counts_what_it_prepared_and_wrong_wiring_is_put_right(done, refuse, prepare, wired):
-    run, _ = prepare(*(WIRED if wired else ()))
-    recorded = record(run)
+def test_a_lab_counts_its_recording_and_wrong_wiring_is_put_right(
+    done, refuse, lab, imported, wired
+):
+    run, _ = imported(*(WIRED if wired else ()))
     said = json.loads(done("camera", "inspect", run / "photons.ptu", "--json"))
     assert list(said["markers"]) == ["2"]
     assert "3" in said["photons"]
@@ -69,7 +77,20 @@ def test_a_lab_counts_what_it_prepared_and_wrong_wiring_is_put_right(done, refus
         assert "0 frame markers" in refuse("camera", "count", run)
         assert "--input 0: give 1 or more" in refuse("camera", "count", run, "--input", 0)
         assert "2 inputs are given" in refuse("camera", "count", run, "--input", 1, "--input", 2)
-        assert "--input 65" in refuse("camera", "count", run, "--input", 65)
     counted = json.loads(done("camera", "count", run, *(() if wired else WIRED), "--json"))
     assert (counted["whole"], counted["inputs"]) == (3, [3])
-    assert counted["photons_counted"] == recorded.photons[:, 2:-2].sum()
+    assert counted["photons_counted"] == lab.photons[:, 2:-2].sum()
+
+
+def test_time_stamps_become_a_run(done, refuse, lab, words):
+    """A trigger on channel 8 and three detections: what is imported is whole or not there."""
+    stamps, run = lab.folder / "tags.csv", lab.folder / "run"
+    stamps.write_text("time,channel\n0,8\n5,3\n9,3\n12,3\n")
+    given = words("--marker-channel", 8)
+    given[2] = stamps
+    assert "give their --unit" in refuse(*given)
+    assert "channel 7 has no events" in refuse(*given, "--unit", "1ps", "--channel", 7)
+    assert not run.exists()
+    done(*given, "--unit", "1ps")
+    said = json.loads(done("camera", "inspect", run / "photons.ptu", "--json"))
+    assert (said["photons"], said["markers"]) == ({"1": 3}, {"0": 1})

@@ -1,4 +1,4 @@
-"""A command is a model: its fields are options, with their types and bounds in the help."""
+"""A command is a model: its fields are options, with their types in the help."""
 
 import json
 from typing import Annotated, Any, Literal
@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from pydantic import BaseModel, Field
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import Share, WholeNumber
+from deepfsi.base.models.strict import Seconds, Share, WholeNumber
 from deepfsi.base.quantities import Table
 from deepfsi.cli import command
 from deepfsi.cli import fields as fields_module
@@ -34,7 +34,7 @@ class Show(command.Command):
         dict[str, Any],
         fields_module.OptionsOf({n: ("Things", f) for n, f in Thing.model_fields.items()}),
     ]
-    times: Annotated[fields_module.Time | None, Field(gt=0, description="how long")] = None
+    times: Annotated[Seconds | None, Field(gt=0, description="how long")] = None
     part: Annotated[Share, Field(description="share of it")] = 0.5
     places: Annotated[tuple[WholeNumber, ...], Field(alias="place", description="where")] = ()
     budgets: Annotated[fields_module.NumberList, Field(description="light")] = (1.0,)
@@ -86,44 +86,34 @@ def test_a_result_says_itself_and_its_exit_code():
 
 HELP = (
     "Show a thing. What it shows.",
-    "THING <text> of the thing [required]",
-    "--times <time> how long [above 0 s]",
-    "--part <number> share of it [default: 0.5; 0 to 1]",
+    "Arguments: THING of the thing",
+    "Options: --times <time> how long",
+    "--part <number> share of it [default: 0.5]",
     "--place <int …> where",
     "--budgets <number,…> light",
     "--size <HEIGHTxWIDTH> resize",
     "--deep all of it",
     "--json print JSON",
-    "--width <int> how wide it is [default: 3; 1 to 9]",
+    "Things: --width <int> how wide it is [default: 3]",
     "--folded fold it",
     "--kind <oak|ash> its wood [default: oak]",
-    "--weight <number> its weight [above 0]",
 )
 
 
-@pytest.mark.parametrize("words", HELP)
-def test_help_shows_types_and_bounds(words):
-    assert words in " ".join(run("--help")[1].split())
-
-
-def test_options_stand_under_headings_those_of_the_command_first():
-    out = run("--help")[1]
-    assert [line for line in out.splitlines() if line.endswith(":")] == [
-        "Arguments:", "Options:", "Things:",
-    ]  # fmt: skip
+def test_help_shows_types_and_defaults_under_headings():
+    told = " ".join(run("--help")[1].split())
+    assert [words for words in HELP if words not in told] == []
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("it --part 2", "--part 2: give 1 or less; see `show --help`"),
-        ("it --part x", "--part x: give a number; see `show --help`"),
-        ("it --place 1.5", "--place 1.5: give a whole number; see `show --help`"),
+        ("it --part 2", "--part 2: give 1 or less"),
+        ("it --place 1.5", "--place 1.5: give a whole number"),
         ("it --budgets 1,,2", "--budgets: '1,,2' has an empty place: give one value or more"),
-        ("it --budgets 1,many", "--budgets: 'many' is not a number"),
+        ("it --budgets 1,many", "--budgets many: give a number"),
         ("it --times soon", "--times: 'soon' is not a time"),
-        ("it --size 4x --part -1", "--size: '4x' is not allowed"),
-        ("it --size 4x --part -1", "--part -1: give 0 or more; "),
+        ("it --size 4x --part -1", "--part -1: give 0 or more; --size: '4x' is not allowed"),
     ],
 )
 def test_what_cannot_be_read_is_named_by_its_option(words, message):
@@ -140,15 +130,10 @@ def test_an_axis_takes_several_values():
 
         settings: Annotated[dict[str, Any], fields_module.OptionsOf(fields, axes=True)]
 
-    [_, width] = command.read_parameters(Compare)
-    assert width.metavar == "<int,…>"
-    assert not width.default
+    [width, _] = command.ClickCommand(Compare, "compare", "").params
+    assert (width.metavar, width.help) == ("<int,…>", "how wide it is")
 
 
 def test_a_missing_argument_is_named_by_click():
-    result = CliRunner().invoke(command.ClickCommand(Show, "show", "Show a thing."), [])
-    assert result.exit_code == 2
-    assert "THING" in result.output
-    assert isinstance(result.exception, SystemExit)
     with pytest.raises(click.MissingParameter):
         command.ClickCommand(Show, "show", "").main([], standalone_mode=False)

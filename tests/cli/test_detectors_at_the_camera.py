@@ -66,14 +66,13 @@ def test_an_acquisition_is_classified_as_the_design_was_tested(
 
 def test_a_calibration_tells_a_design_which_detector_sees_what(done, refuse, tmp_path):
     """Spots to a map of cells, a design for it, and its patterns on the same camera."""
-    camera, scan, spots, run, out, path, frames = (
-        tmp_path / name
-        for name in ("c.toml", "scan", "spots", "run", "view", "d.safetensors", "frames")
+    camera, scan, run, out, path, frames = (
+        tmp_path / name for name in ("c.toml", "scan", "run", "view", "d.safetensors", "frames")
     )
+    spots = scan / "spots"
     camera.write_text("detectors = [[3, 0], [1, 2]]\ndark = 100.0\n")
     words = ["--size", "8x8", "--device", "64x48", "--detectors", 4, "-o", scan]
     done("dmd", "export", "hadamard", *words)
-    done("camera", "spots", "--size", "16x16", "-o", spots)
     given = ["--scene", spots, "--flux", 6e6, "--exposure", "100ms", "--virtual", camera, "-o", run]
     done("camera", "simulate", scan, *given)
     done("camera", "count", run)

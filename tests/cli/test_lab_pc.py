@@ -22,9 +22,8 @@ dmd export single.safetensors --device dlp7000 --dwell 1ms -o frames
 camera simulate frames --scene images {LIGHT} -o run
 camera inspect run/photons.ptu
 camera count run
-camera image run
 camera count run --json
-camera prepare frames --scenes images --input 1 -o lab
+camera import run/photons.ptu --patterns frames --scenes images --input 1 -o lab
 """.strip().splitlines()
 DECIDED = "camera classify single.safetensors run"
 

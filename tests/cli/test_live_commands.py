@@ -9,7 +9,6 @@ import sys
 import pytest
 
 from deepfsi.datasets.display import write_pictures
-from deepfsi.hardware.counting.recording import Recording
 from shared.live_samples import make_patterns
 
 LIGHT = ["--flux", "1e7", "--exposure", "10ms", "--virtual", "ideal"]
@@ -39,16 +38,7 @@ def test_each_decision_is_printed_and_a_run_is_classified(done, refuse, lab, mad
     assert "a live run, as it was decided" in out
     fixed = made("deepfsi", "free-dwell", "single").save(tmp_path / "fixed.safetensors")
     assert "while it is recorded" in refuse("camera", "count", run)
-    assert "a live run" in refuse("camera", "image", run)
     assert "not the design" in refuse("camera", "classify", fixed, run)
-
-
-def test_a_design_file_is_exported_for_the_moment(done, lab, tmp_path):
-    scene = min((lab / "images").iterdir())
-    words = [lab / "adaptive.safetensors", "--scene", scene, *LIGHT]
-    done("camera", "live", *words, "-o", tmp_path / "run")
-    assert Recording.read(tmp_path / "run").patterns.manifest.device.name == "dlp7000"
-    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 @pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="needs pipes of Linux")

@@ -70,13 +70,14 @@ def test_pictures_that_were_trained_on_are_told_apart_in_a_recorded_run(
             assert f"72 of these 90 exposures were trained on ({old} " in printed
         else:
             assert f"right: {new} of 18 exposures, none of them trained on (" in printed
-    done("camera", "prepare", patterns, "--scenes", pictures, "-o", tmp_path / "lab")
-    prepared, simulated = (
+    words = ("--patterns", patterns, "--scenes", pictures, "-o", tmp_path / "lab")
+    done("camera", "import", run / "photons.ptu", *words)
+    imported, simulated = (
         json.loads((tmp_path / run / "acquisition.json").read_text())["scenes"]
         for run in ("lab", "run_leaves")
     )
-    assert prepared == simulated
-    assert all(len(scene["hash"]) == 8 for scene in prepared)
+    assert imported == simulated
+    assert all(len(scene["hash"]) == 8 for scene in imported)
 
 
 def test_of_scenes_by_name_it_is_not_known(done, pictures, file, patterns, tmp_path):
@@ -84,8 +85,8 @@ def test_of_scenes_by_name_it_is_not_known(done, pictures, file, patterns, tmp_p
     run, lab, names = tmp_path / "run", tmp_path / "lab", tmp_path / "scenes.csv"
     done("camera", "simulate", patterns, "--scene", pictures / "ash", *SHOWN, "-o", run)
     names.write_text("".join(f"{k:03}.png,ash\n" for k in range(30)))
-    done("camera", "prepare", patterns, "--scenes", names, "--exposure", "5ms", "-o", lab)
-    (run / "photons.ptu").rename(lab / "photons.ptu")
+    words = ("--patterns", patterns, "--scenes", names, "--exposure", "5ms", "-o", lab)
+    done("camera", "import", run / "photons.ptu", *words)
     done("camera", "count", lab)
     assert set(json.loads((lab / "acquisition.json").read_text())["scenes"][0]) == {"name", "label"}
     printed = done("camera", "classify", file, lab)
@@ -202,8 +203,6 @@ def test_unbalanced_data_shows_its_worst_class(done, file, tmp_path):
     table = done("evaluate", file, "--photons", "1e2")
     assert f"{tested['balanced']:.3f}" in table
     assert f"{min(tested['rates']):.3f} (" in table
-    done(*words, "--balance", "--force")
-    assert Design.load(file).info["job"]["training"]["balance"] is True
 
 
 def test_masks_that_have_no_time_are_told(done, pictures, file):
@@ -214,5 +213,5 @@ def test_masks_that_have_no_time_are_told(done, pictures, file):
     lit = int((Design.load(file).rails.stacked.amax(dim=-1) > 0).any(dim=0).sum())
     assert 0 < lit <= 12
     assert f"masks: 40 asked, {lit} lit: {40 - lit} have no time under this budget" in out
-    assert json.loads(done("design", *asked, "--json"))["lit_masks"] == lit
-    done("show", file)
+    assert json.loads(done("design", *asked, "--json", "--force"))["lit_masks"] == lit
+    done("show", file, "-o", file.with_suffix(".png"))

@@ -23,10 +23,8 @@ dmd export b.safetensors --exposure 10ms -o frames
 DRAWING = f"""
 compare {FEW} -o compared
 sweep baseline -o swept
-report .
 page b.safetensors -o page.html
 show b.safetensors -o b.png
-camera image frames
 reproduce list
 """.strip().splitlines()
 

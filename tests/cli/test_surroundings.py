@@ -32,8 +32,8 @@ def test_figures_are_drawn_whatever_matplotlib_is_told(tmp_path):
 
 def test_a_full_disk_is_said_before_the_work(tmp_path):
     with nearly_full(1000), pytest.raises(InputError, match=r"cannot write to .*: File"):
-        fields.check_new_folder(tmp_path / "run")
-    fields.check_new_folder(tmp_path / "run")
+        fields.Output(new=True).check(tmp_path / "run", False)
+    fields.Output(new=True).check(tmp_path / "run", False)
     assert not [*tmp_path.iterdir()]
 
 
@@ -52,12 +52,3 @@ def test_a_full_disk_takes_no_output_and_the_exit_code_says_so(tmp_path):
         said = "deepfsi: cannot write the output: No space left on device\n"
         assert (done.returncode, done.stderr) == (2, said)
         assert run(["show", "none"], tmp_path, stdout=subprocess.PIPE, stderr=full).returncode == 2
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows removes no folder that is in use")
-def test_a_folder_that_was_removed_is_said(tmp_path):
-    (tmp_path / "gone").mkdir()
-    leave = lambda: os.rmdir(tmp_path / "gone")  # noqa: E731 - in the process, once it is there
-    done = run(["--version"], tmp_path / "gone", stderr=subprocess.PIPE, preexec_fn=leave)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "the current folder is no longer there" in done.stderr

@@ -6,7 +6,7 @@ import re
 import pytest
 
 from deepfsi.base.quantities import Table, budget_text
-from deepfsi.cli import fields, terminal
+from deepfsi.cli import terminal
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -27,7 +27,7 @@ def lines_of(printed: str, width: int = WIDTH) -> list[str]:
 )
 def test_photons_have_one_notation_that_options_take(photons, text):
     assert budget_text(photons) == text
-    assert fields.number(text) == pytest.approx(photons, rel=5e-3)
+    assert float(text) == pytest.approx(photons, rel=5e-3)
 
 
 def test_a_comparison_is_one_matrix_one_sentence_and_one_path(done, tmp_path, monkeypatch):

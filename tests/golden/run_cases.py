@@ -167,14 +167,12 @@ def with_a_dark_run() -> dict[str, Any]:
 
 @CASES
 def inspected() -> dict[str, Any]:
-    """Photon files that are listed, one cut; a picture of a run."""
+    """Photon files that are listed, one cut."""
     run = recording("both-rails", "dual")
     answer("camera", "count", run)
     out = {
         "whole": answer("camera", "inspect", Path(run, "photons.ptu")),
         "arms": answer("camera", "inspect", INPUTS / "recordings/two-arms/photons.ptu"),
-        "image": answer("camera", "image", run, "-o", "picture.png"),
-        "picture": Path("picture.png").read_bytes(),
     }
     Path("cut.ptu").write_bytes(Path(run, "photons.ptu").read_bytes()[:-401])
     said = say("camera", "inspect", "cut.ptu", "--json")
@@ -321,29 +319,6 @@ def tables_of_each_format() -> dict[str, Any]:
 
 
 @CASES
-def prepared() -> dict[str, Any]:
-    """A folder for a real acquisition, and the scenes that are listed for it."""
-    Path("list.csv").write_text("name,label\nfirst,cat\nsecond,dog\nthird,\n")
-    Path("twice.csv").write_text("a\na\n")
-    out, patterns = {}, patterns_of("dual")
-    for number, words in enumerate(
-        (
-            "--scenes list.csv --input 1 --marker 0",
-            "--scenes list.csv --input 2 --marker 3 --exposure 2ms --repeats 2 --settle 12us",
-            f"--scenes {INPUTS / 'few'} --flux 1e6",
-            "--scenes twice.csv",
-            "--scenes nosuch.csv",
-            "--scenes list.csv --exposure 1s",
-        )
-    ):
-        said = answer("camera", "prepare", patterns, *words.split(), "-o", f"r{number}")
-        out[str(number)] = said
-        if Path(f"r{number}").exists():
-            out[f"files {number}"] = files(f"r{number}", "manifest.json")
-    return out
-
-
-@CASES
 def imported() -> dict[str, Any]:
     """Events of other counters."""
     events = INPUTS / "tables/events.csv"
@@ -374,14 +349,14 @@ def calibrated() -> dict[str, Any]:
     device = ("--device", "64x64", "--dwell", "2ms")
     out = {
         "export": answer("dmd", "export", "hadamard", "--size", "8x8", *device, "-o", "p"),
-        "spots": answer("camera", "spots", "--size", "32x32", "-o", "spots"),
-        "pictures": files("spots"),
     }
-    words = ("--scene", "spots", "--flux", "1e6", "--exposure", "0.2s", "--repeats", 1)
+    say("camera", "spots", "--size", "32x32", "-o", "p/spots")  # as the reference makes them
+    out["pictures"] = files("p/spots")
+    words = ("--scene", "p/spots", "--flux", "1e6", "--exposure", "0.2s", "--repeats", 1)
     camera = ("--virtual", "tilted.toml", "-o", "run")
     out["run"] = answer("camera", "simulate", "p", *words, *camera)
     out["count"] = answer("camera", "count", "run")
-    out["fit"] = answer("camera", "calibrate", "run", "--spots", "spots", "-o", "calibration")
+    out["fit"] = answer("camera", "calibrate", "run", "--spots", "p/spots", "-o", "calibration")
     out["files"] = files("calibration") if Path("calibration").exists() else None
     return out
 

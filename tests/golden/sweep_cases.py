@@ -79,20 +79,6 @@ def resumed() -> dict[str, Any]:
     }
 
 
-@CASES
-def reported() -> dict[str, Any]:
-    """Pages of results: as they are, and of a light law that a later version may have."""
-    _compare("--designs pca --photons 1e4 --masks 3 --trials 1")
-    out = {"report": answer("report", "out")}
-    path, page = Path("out/results.json"), Path("out/report.html")
-    content = json.loads(path.read_text())
-    for point in content["points"]:
-        point["light"] = "daylight"
-    path.write_text(json.dumps(content))
-    page.unlink()
-    return {**out, "of another law": answer("report", "out"), "page": page.exists()}
-
-
 RECIPES = {
     Path(path.name).stem: path
     for folder in (files("deepfsi") / "sweeps" / "recipes", files("deepfsi_paper") / "recipes")

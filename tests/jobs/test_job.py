@@ -11,7 +11,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
 from deepfsi.exposure import training_set
 from deepfsi.jobs.designs import sensing_matrix
-from deepfsi.jobs.job import Job, find_job
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.job import job_of as asked
 from deepfsi.jobs.training import Training
 from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import light_law
@@ -129,14 +130,13 @@ def test_a_job_comes_back_from_json():
     ("settings", "match"),
     [
         ({"epochs": 3}, r"give `training=\{'epochs': ...\}`"),
-        ({"train_noise": "none"}, r"give `training=\{'noise': ...\}`"),
         ({"photon": 1e3}, "did you mean 'photons'"),
         ({"camera": "dmt"}, "did you mean 'dmd'"),
         ({"exposure": {"spam": 3}}, "did you mean 'span'"),
         ({"exposure": "span"}, "exposure = 'span'"),
         ({"training": {"epochs": 0}}, "training.epochs = 0"),
         ({"training": 3}, "training = 3"),
-        ({"design": "pca", "training": {"start": "lda"}}, "pca has its own"),
+        ({"design": "pca", "training": {"start": "lda"}}, "no masks of PCA learn"),
         ({"photons": None}, "told once: .*or a camera with its flux"),
         ({"photons": None, "counts": -1.0}, "-1.0 counts"),
         ({"photons": None, "counts": 30.0, "exposure": {"span": 10.0}}, "leave .*`span`, out"),
@@ -144,11 +144,11 @@ def test_a_job_comes_back_from_json():
     ],
     ids=str,
 )
-def test_what_is_no_job_is_refused(settings, match):
+def test_what_is_no_job_is_refused(digits, settings, match):
     given = {"masks": 6, "photons": 1e3, **settings}
     counts = given.pop("counts", None)
     with pytest.raises(InputError, match=match):
-        find_job(given, counts)
+        asked(given, digits, counts=counts)
 
 
 ONE_ARM = ("column", "single", "difference", "1x1")

@@ -11,7 +11,7 @@ from selenium.webdriver.common.by import By
 
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import write_report
-from deepfsi.report.masks import masks_figure, pictures_figure
+from deepfsi.report.masks import masks_figure
 from deepfsi.report.style import DESIGN_COLOURS, NARROWEST_SHARE
 from deepfsi.sweeps.results import read_results, write_results
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
@@ -106,7 +106,6 @@ def hostile_pages(home, name):
     matrix = np.random.default_rng(0).normal(size=(2, 16))
     figures = (
         masks_figure(matrix, (4, 4), title=name),
-        pictures_figure(matrix.reshape(2, 4, 4), [name, "b"]),
         accuracy_figure(read_results(home / "results.json")),
     )
     section = Section(

@@ -5,7 +5,7 @@ import pytest
 
 from deepfsi.measures.results import lit_masks
 from deepfsi.report import masks
-from deepfsi.report.masks import brightest_masks, pictures_figure, signed
+from deepfsi.report.masks import brightest_masks, signed
 from shared.figures import assert_legible
 
 
@@ -109,24 +109,3 @@ def test_masks_without_light_are_none_of_the_brightest():
         np.testing.assert_array_equal(signed(one), rails[0])
     titles = {ax.get_title(loc="left") for ax in tiles_of(masks.masks_figure(rails, (4, 6)))}
     assert titles == {f"mask {number}" for number in (1, 2, 4, 5, 6, 7)}
-
-
-@pytest.mark.parametrize("shape", [(9, 12, 16), (4, 30), (60, 4, 4)])
-def test_pictures_share_a_scale(shape):
-    pictures = np.random.default_rng(0).normal(1, 1, shape)
-    pictures[0].flat[0] = np.nan
-    names = [f"scene_{k}.png" for k in range(len(pictures))]
-    figure = pictures_figure(pictures, names)
-    if len(pictures) > 3:
-        assert_legible(figure)
-    images = [image for ax in figure.axes for image in ax.get_images()]
-    assert len(images) == min(48, len(pictures))
-    for image, wanted in zip(images, pictures, strict=False):
-        shown = np.ma.filled(image.get_array(), np.nan)
-        np.testing.assert_array_equal(shown, np.atleast_2d(wanted))
-        assert image.get_clim() == (np.nanmin(pictures[:48]), np.nanmax(pictures[:48]))
-
-
-def test_pictures_that_are_all_lost_are_drawn():
-    figure = pictures_figure(np.full((2, 4, 4), np.nan), ["a", "b"])
-    figure.draw_without_rendering()

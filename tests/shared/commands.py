@@ -20,7 +20,7 @@ COMMANDS = below(app)
 """Every command: ``camera count``."""
 
 OPTIONS = {
-    path: {name for each in command.declared for name in each.names if name.startswith("-")}
+    path: {name for each in command.params for name in each.opts if name.startswith("-")}
     for path, command in COMMANDS.items()
 }
 """Names of its options: ``--dead-time``."""

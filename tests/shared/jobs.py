@@ -26,12 +26,13 @@ def sorted_of(**settings: Any) -> dict[str, Any]:
     """Fields of a job of single settings."""
     if "camera" not in settings:
         settings = {"light": "column", "rails": "dual", **settings}
-    if "noise" in settings and "train_noise" not in settings:
-        noise = settings.pop("noise")
-        settings["train_noise"] = noise
-        if noise not in ("ml_gauss", "poisson"):
-            settings["noise"] = noise
-    return sorted_settings(settings)
+    noise = settings.pop("train_noise", settings.get("noise"))
+    if noise == settings.get("noise") and noise in ("ml_gauss", "poisson"):
+        del settings["noise"]
+    fields = sorted_settings(settings)
+    if noise is not None:
+        fields["training"] = {**fields.get("training", {}), "noise": noise}
+    return fields
 
 
 def job(**settings: Any) -> Job:

@@ -13,7 +13,7 @@ from deepfsi.adaptive.exposure import AdaptiveExposure, AdaptiveTraining, LeftOu
 from deepfsi.evaluation.confidence import draw_logits
 from deepfsi.exposure.kind import temperatures_at
 from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.jobs.job import find_job
+from deepfsi.jobs.job import Job
 from deepfsi.training import characterisation
 
 PHOTONS, LOOKS = 1e4, 6
@@ -70,7 +70,7 @@ def chances(design, data, photons=PHOTONS, seed=3):
 @pytest.mark.parametrize("sureness", [0.5, 1.4, 4.0])
 def test_a_posterior_that_is_too_sure_by_a_factor_gets_it_as_its_temperature(few, sureness):
     """Classes are drawn from the odds over the factor; Fisher's information is that of log τ."""
-    job = find_job({"design": "adaptive", "masks": 2, "photons": PHOTONS})
+    job = Job(design="adaptive", masks=2, photons=PHOTONS)
     training = AdaptiveTraining(few, AdaptiveMasks(looks=2))
     made = AdaptiveExposure(
         training.prior, training.settings, few.image_shape, torch.zeros(2), job.camera

@@ -1,6 +1,6 @@
-"""The commands by their names, and how a command line is run.
+"""The commands by their words, and how a command line is run.
 
-Names and summaries are in `commands.toml`, so that `--help` of a group loads none of its commands.
+Words and summaries are in `commands.toml`, so that `--help` of a group loads none of its commands.
 """
 
 import contextlib
@@ -9,25 +9,23 @@ import io
 import os
 import sys
 import tomllib
-from collections.abc import Mapping
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, NoReturn
 
 import click
 
-import deepfsi
 from deepfsi.base.errors import InputError, one_line
 from deepfsi.base.interrupts import STOPPED_EXIT_CODE, say_stopped
 from deepfsi.base.registry import installed, require_extras
 
+COMMANDS = Path(__file__).with_name("commands.toml")
+"""File of the commands of the core."""
+
 
 @click.pass_context
-def _print_help(ctx: click.Context, version: bool = False) -> None:
-    """Print the version, or the help of a group that is given without a command."""
-    if version:
-        print(f"deepfsi {deepfsi.__version__}")
-        ctx.exit()
+def _print_help(ctx: click.Context) -> None:
+    """Print the help of a group that is given without a command."""
     if ctx.invoked_subcommand is None:
         print(ctx.get_help())
 
@@ -35,7 +33,7 @@ def _print_help(ctx: click.Context, version: bool = False) -> None:
 class Group(click.Group):
     """Commands under headings, each with its whole sentence, none of it cut."""
 
-    def __init__(self, name: str, help: str, headings: Mapping[str, Mapping[str, Any]]) -> None:
+    def __init__(self, name: str, help: str, above: tuple[str, ...] = ()) -> None:
         super().__init__(
             name,
             help=help,
@@ -44,33 +42,26 @@ class Group(click.Group):
             subcommand_metavar="COMMAND [ARGS]...",
             context_settings={"help_option_names": ["-h", "--help"]},
         )
-        self.headings = headings
-        self.entries = {name: entry for those in headings.values() for name, entry in those.items()}
-
-    @property
-    def beside(self) -> dict[str, tuple[str, str]]:
-        """Commands of packages beside the core."""
-        above = "" if self.name == "deepfsi" else f"{self.name} "
-        words = installed().commands.items()
-        return {
-            name.removeprefix(above): entry
-            for name, entry in words
-            if name.startswith(above) and " " not in name.removeprefix(above)
-        }
+        # By heading and name: target and summary, of a group its summary alone
+        self.headings: dict[str, dict[str, Any]] = {}
+        core = tomllib.loads(COMMANDS.read_text(encoding="utf-8"))
+        for heading, entries in {**core, "Beside the core": installed().commands}.items():
+            for words, entry in entries.items():
+                *first, last = words.split()
+                if tuple(first) == above:
+                    self.headings.setdefault(heading, {})[last] = entry
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names in the order of the help."""
-        return [*self.entries, *self.beside]
+        return [name for entries in self.headings.values() for name in entries]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of a name, or the group."""
-        entry = self.entries.get(cmd_name) or self.beside.get(cmd_name)
+        entry = next((each[cmd_name] for each in self.headings.values() if cmd_name in each), None)
         if entry is None:
             return None
-        if isinstance(entry, dict):
-            summary, example, *headings = entry
-            text = f"{entry[summary]}\n\nExample: {entry[example]}"
-            return Group(cmd_name, text, {heading: entry[heading] for heading in headings})
+        if isinstance(entry, str):
+            return Group(cmd_name, entry, (cmd_name,))
         target, summary = entry
         gc.disable()  # what imports make stays: to look through it takes a seventh of their time
         try:
@@ -82,29 +73,25 @@ class Group(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands under their headings."""
-        beside = {"Beside the core": self.beside} if self.beside else {}
         width = max(map(len, self.list_commands(ctx)))
-        for heading, entries in {**self.headings, **beside}.items():
+        for heading, entries in self.headings.items():
             with formatter.section(heading):
                 formatter.write_dl(
                     [
-                        (
-                            name.ljust(width),
-                            entry["summary"] if isinstance(entry, dict) else entry[1],
-                        )
+                        (name.ljust(width), entry if isinstance(entry, str) else entry[1])
                         for name, entry in entries.items()
                     ]
                 )
 
 
-app = Group(
-    "deepfsi",
-    "Design the masks of a photon-limited single-pixel camera with the network that reads them."
-    "\n\nStart with: deepfsi compare",
-    tomllib.loads(Path(__file__).with_name("commands.toml").read_text(encoding="utf-8")),
+app = click.version_option(package_name="deepfsi", message="deepfsi %(version)s")(
+    Group(
+        "deepfsi",
+        "Design the masks of a photon-limited single-pixel camera with the network that reads them."
+        "\n\nStart with: deepfsi compare",
+    )
 )
 """The command line."""
-app.params.append(click.Option(["--version"], is_flag=True, help="print the version and stop"))
 
 
 def run_command_line() -> NoReturn:
@@ -116,7 +103,6 @@ def run_command_line() -> NoReturn:
             stream.reconfigure(errors="backslashreplace")  # a console may lack a letter of a name
     code: Any = 0
     try:
-        _check_here()
         with require_extras():
             code = app(prog_name="deepfsi", standalone_mode=False)
     except (KeyboardInterrupt, click.Abort):
@@ -136,14 +122,6 @@ def run_command_line() -> NoReturn:
     if code == STOPPED_EXIT_CODE:
         say_stopped()
     sys.exit(code if isinstance(code, int) else 0)
-
-
-def _check_here() -> None:
-    """Raise `InputError` in a folder that was removed, in which libraries end the process."""
-    try:
-        os.getcwd()
-    except FileNotFoundError:
-        raise InputError("the current folder is no longer there: go to another one") from None
 
 
 def _fail(message: str) -> NoReturn:

@@ -1,6 +1,5 @@
 """Commands of a camera, of the patterns on its device, and of scenes to show to it."""
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -8,7 +7,7 @@ from pydantic import Field
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import write_atomically
-from deepfsi.base.models.strict import Count, WholeNumber
+from deepfsi.base.models.strict import Count, Seconds, WholeNumber
 from deepfsi.base.quantities import Table
 from deepfsi.camera.camera import PRESETS, Camera
 from deepfsi.camera.device import find_device
@@ -67,45 +66,27 @@ class DescribeCamera(Command):
         )
 
 
-class WriteSpots(Command):
-    """`deepfsi camera spots`.
-
-    Show them to the camera with the patterns of `deepfsi dmd export hadamard`, count, and give the
-    run to `deepfsi camera calibrate`.
-
-    Example: deepfsi camera spots --size 32x32 -o spots
-    """
-
-    out: Annotated[Path, fields.Output(new=True)] = fields.required("folder for the pictures, new")
-    size: fields.HeightWidth = fields.option("pixels of the display, HEIGHTxWIDTH", (32, 32))
-    side: Count = fields.option("pixels of a spot; larger is brighter", 2)
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Pictures that were written."""
-        from deepfsi.lab.calibration import write_spots
-
-        return _pictures_written(write_spots(self.out, self.size, self.side), self.out)
-
-
 class CalibrateCamera(Command):
     """`deepfsi camera calibrate`.
 
     `deepfsi design --view` then trains on what the camera sees. Of several detectors, the cells
     that each sees are written to detectors.npy, for `deepfsi design --detectors`.
 
-    Example: deepfsi camera calibrate run_spots --spots spots -o calibration
+    Example: deepfsi camera calibrate run_spots --spots scan/spots -o calibration
     """
 
     folder: fields.RunFolder
-    spots: Path = fields.required("the pictures that were shown")
-    out: Annotated[Path, fields.Output()] = fields.required("folder for calibration.json")
+    spots: Path = fields.option(
+        "the pictures that were shown: spots, in the folder of the scan", ...
+    )
+    out: Annotated[Path, fields.Output()] = fields.option("folder for calibration.json", ...)
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """View of the camera, in its file."""
         from deepfsi.lab.calibration import calibrate
 
-        fields.check_free(self.out / "calibration.json", self.force)
+        fields.Output((".json",)).check(self.out / "calibration.json", self.force)
         calibration, file, detectors = calibrate(self.folder, self.spots, self.out)
         if not terminal.as_json:
             for doubt in calibration.doubts:
@@ -155,6 +136,7 @@ class ExportPatterns(Command):
     flipped, export again with the --flip and --rotate that it names.
 
     A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan
+    Its folder spots has the pictures to show: bright spots, all white, all black.
 
     Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --exposure 10ms -o patterns
     """
@@ -163,7 +145,9 @@ class ExportPatterns(Command):
     settings: Annotated[
         dict[str, Any], fields.run_options("device", "exposure", "region", "stretch")
     ]
-    out: Annotated[Path, fields.Output(new=True)] = fields.required("folder for the patterns, new")
+    out: Annotated[Path, fields.Output(new=True)] = fields.option(
+        "folder for the patterns, new", ...
+    )
     size: fields.HeightWidth | None = fields.option(
         "cells of raster or hadamard, HEIGHTxWIDTH; 32x32 unless given"
     )
@@ -171,13 +155,11 @@ class ExportPatterns(Command):
         "number of detectors during raster or hadamard, so that `camera calibrate` finds the cells "
         "of each; 1 unless given"
     )
-    shortest: fields.Time | None = fields.option(
+    shortest: Seconds | None = fields.option(
         "shortest picture time of the device; its own unless given"
     )
-    settle: fields.Time | None = fields.option(
-        "time for its mirrors to settle; its own unless given"
-    )
-    dwell: fields.Time | None = fields.hidden(
+    settle: Seconds | None = fields.option("time for its mirrors to settle; its own unless given")
+    dwell: Seconds | None = fields.option(
         "mean picture time of a frame, settling included, such as 1ms or 44us; what the camera's "
         "exposure takes unless given, or 1ms"
     )
@@ -185,12 +167,12 @@ class ExportPatterns(Command):
         "mirrors of a grey cell: ordered (low discrepancy) or random", "ordered"
     )
     seed: WholeNumber = fields.option("seed of a random selection", 0)
-    flip: bool = fields.flag("exchange left and right of the masks, before --rotate")
+    flip: bool = fields.option("exchange left and right of the masks, before --rotate", False)
     rotate: int = fields.option(
         "turn the masks on the device, degrees clockwise: 0, 90, 180, 270", 0
     )
-    invert: bool = fields.flag(
-        "write 0 for a mirror that sends light to the detector, and 1 for OFF"
+    invert: bool = fields.option(
+        "write 0 for a mirror that sends light to the detector, and 1 for OFF", False
     )
     kind: str | None = fields.option(
         "npy or raw (packed bits), png or bmp (one a frame), or planes (24 frames a picture); what "
@@ -201,7 +183,7 @@ class ExportPatterns(Command):
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns that were written, on which device and for how long."""
         from deepfsi.hardware.patterns.folder import Patterns
-        from deepfsi.lab.calibration import SCAN_NAMES, scan_rails
+        from deepfsi.lab.calibration import SCAN_NAMES, scan_rails, write_spots
         from deepfsi.lab.design_data import camera_of, design_rails
         from deepfsi.lab.registration import write_reference
 
@@ -210,7 +192,11 @@ class ExportPatterns(Command):
             rails = scan_rails(str(source), self.size or (32, 32), self.detectors or 1)
         else:
             source = fields.check_design_file(self.file)
-            self._check_of_design()
+            if self.size or self.detectors:
+                raise InputError(
+                    f"--size and --detectors are for {' and '.join(SCAN_NAMES)}: {source} has its "
+                    "cells and detectors; leave them out"
+                )
             rails = design_rails(source)
         camera = camera_of(source, self.settings)
         device = (camera.device or find_device("dlp7000")).timed(self.shortest, self.settle)
@@ -230,23 +216,14 @@ class ExportPatterns(Command):
         with terminal.progress("patterns") as report:
             patterns = planned.write(self.out, report)
         write_reference(patterns, self.out)
+        if str(source) in SCAN_NAMES:
+            write_spots(self.out / "spots")
         is_raised = dwell * 1e6 < device.shortest_us * (1 - 1e-9)
         raised = (
             f"the mean picture time was raised to {device.shortest_us} µs: {device.name} shows no "
             "shorter picture (`shortest`)"
         )
         return _patterns_in(self.out, patterns, [raised] * is_raised)
-
-    def _check_of_design(self) -> None:
-        """Raise `InputError` for options of a scan, which a design decides."""
-        from deepfsi.lab.calibration import SCAN_NAMES
-
-        for option, words in (("size", "cells"), ("detectors", "detectors")):
-            if getattr(self, option) is not None:
-                raise InputError(
-                    f"--{option} is for {' and '.join(SCAN_NAMES)}: {self.file} has the {words} of "
-                    "its design; leave it out"
-                )
 
 
 class CheckPatterns(Command):
@@ -286,20 +263,12 @@ class DataList(Command):
     def run(self, terminal: Terminal) -> Outcome:
         """Names, sizes and places of all data sets."""
         entries = list_datasets()
-        rows = [(*map(str, entry[:-1]), _short_path(entry.where)) for entry in entries]
+        rows = [tuple(map(str, entry)) for entry in entries]
         heads = ("name", "images", "pixels", "classes", "where")
         return Outcome(
             {"data_sets": [entry._asdict() for entry in entries]},
             [Table("data sets", heads, rows)],
         )
-
-
-def _short_path(where: str) -> str:
-    """A folder from $DEEPFSI_DATA or the home folder on, for a table."""
-    for folder, name in ((os.environ.get("DEEPFSI_DATA"), "$DEEPFSI_DATA"), (Path.home(), "~")):
-        if folder and Path(where).is_relative_to(folder):
-            return str(Path(name) / Path(where).relative_to(folder))
-    return where
 
 
 class DataExport(Command):
@@ -312,7 +281,9 @@ class DataExport(Command):
         "name, folder of images or .npz file; or a design file, for the test scenes of what it was "
         "trained on, at its size"
     )
-    out: Annotated[Path, fields.Output(new=True)] = fields.required("folder for the pictures, new")
+    out: Annotated[Path, fields.Output(new=True)] = fields.option(
+        "folder for the pictures, new", ...
+    )
     per_class: Count = fields.option("test scenes of each class", 1)
     seed: WholeNumber = fields.option("seed of their choice", 0)
     size: fields.Size = None
@@ -326,12 +297,7 @@ class DataExport(Command):
         else:
             scenes = load_dataset(self.name, size=self.size)
         written = write_display(scenes, self.out, self.per_class, self.seed)
-        return _pictures_written(written, self.out)
-
-
-def _pictures_written(written: list[Path], folder: Path) -> Outcome:
-    """Pictures that a command wrote to a folder."""
-    return Outcome(
-        {"folder": str(folder), "pictures": [str(path) for path in written]},
-        [f"{len(written)} pictures: {folder}"],
-    )
+        return Outcome(
+            {"folder": str(self.out), "pictures": [str(path) for path in written]},
+            [f"{len(written)} pictures: {self.out}"],
+        )

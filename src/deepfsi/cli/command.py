@@ -9,8 +9,7 @@ import inspect
 import shlex
 import sys
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -24,19 +23,22 @@ from deepfsi.base.errors import InputError, field_errors
 from deepfsi.base.files import readable_name
 from deepfsi.base.interrupts import STOPPED_EXIT_CODE
 from deepfsi.base.models.strict import StrictModel
-from deepfsi.base.quantities import seconds, time_text
+from deepfsi.base.quantities import seconds
 from deepfsi.camera.camera import Camera
-from deepfsi.cli.fields import FIRST, OptionsOf, Output, Written, job_options
+from deepfsi.cli.fields import FIRST, OptionsOf, Output, height_width, job_options
 from deepfsi.cli.terminal import Outcome, Terminal, as_options, option_name
 
 ONE_VALUE = ("camera", "hidden")
 """Options of one value where others are axes."""
 
-MOST_DIGITS = 1e10
-"""Bound from which on bounds have an exponent."""
-
-KIND_WORDS = {int: "int", float: "number", Path: "path"}
-"""Words for what is written of a type; others are text."""
+FORMS: dict[Any, str] = {
+    seconds: "time",
+    height_width: "HEIGHTxWIDTH",
+    int: "int",
+    float: "number",
+    Path: "path",
+}
+"""Form of a value by the function that reads it, or by its type; others are text."""
 
 
 class Command(StrictModel):
@@ -55,190 +57,21 @@ class Command(StrictModel):
         """Those of these fields that stand on the command line, by name."""
         return {name: getattr(self, name) for name in fields if name in self.model_fields_set}
 
-    @classmethod
-    def option(cls, name: str) -> str:
-        """Option of a field, or of a setting among its options: --settle of `settle_s`."""
-        field = cls.model_fields.get(name)
-        return option_name((field and field.alias) or name)
+
+class _Argument(click.Argument):
+    """A value without a name, whose help stands under a heading."""
+
+    heading = "Arguments"
+    words = ""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str]:
+        return self.make_metavar(ctx), self.words
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """An argument or an option of a command."""
+class _Option(click.Option):
+    """An option whose help stands under a heading."""
 
-    key: str  # name of its value
-    field: FieldInfo
-    heading: str = FIRST
-    source: OptionsOf | None = None  # of a field that stands in a model of a lower room
-
-    @property
-    def is_argument(self) -> bool:
-        """True if it has no name on the command line."""
-        return "argument" in self._extra
-
-    @property
-    def hidden(self) -> bool:
-        """True if no help lists it."""
-        return "hidden" in self._extra
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """As it is written: ``("--out", "-o")``; of an argument that in the usage."""
-        if self.is_argument:
-            return (self._extra["argument"] or self.key,)
-        option = option_name(self.key)
-        return (option, "-o") if self.key == "out" else (option,)
-
-    @property
-    def kind(self) -> str:
-        """Form of a value: ``number``, ``time``, ``dual|single``; empty of an option alone."""
-        kind, metadata = self._value
-        word = "" if kind is bool else KIND_WORDS.get(kind, "text")
-        readers = _readers(metadata)
-        if seconds in readers:
-            word = "time"
-        elif forms := [each.form for each in metadata if isinstance(each, Written)]:
-            [word] = forms
-        elif get_origin(kind) is Literal:
-            word = "|".join(map(str, get_args(kind)))
-        elif get_origin(kind) in (tuple, list):
-            item, _ = next(_leaves(get_args(kind)[0]))
-            word = KIND_WORDS.get(item, "text") + ",…" * bool(readers)
-        axis = self.source is not None and self.source.axes and self.key not in ONE_VALUE
-        return f"{word},…" if word and axis else word
-
-    @property
-    def repeated(self) -> bool:
-        """True if it may be given more than once."""
-        kind, metadata = self._value
-        return get_origin(kind) in (tuple, list) and not _readers(metadata)
-
-    @property
-    def bounds(self) -> str:
-        """Values that are allowed, in words; empty where there is nothing to say."""
-        _, metadata = self._value
-        text = time_text if seconds in _readers(metadata) else _number_text
-        limits = {
-            name: text(getattr(each, name))
-            for each in metadata
-            for name in ("ge", "gt", "le", "lt")
-            if getattr(each, name, None) is not None
-        }
-        above = f"above {limits['gt']}" if "gt" in limits else ""
-        below = f"below {limits['lt']}" if "lt" in limits else ""
-        low = limits.get("ge", above)
-        high = limits.get("le", below)
-        if low and high:
-            return f"{low} to {high}"
-        return above or below or (f"{low} or more" if low else f"{high} or less" if high else "")
-
-    @property
-    def default(self) -> str:
-        """Value that holds where none is given; empty where it depends on what else is given."""
-        value = self.field.default
-        words = str(self.field.description)
-        if self.source is not None and (
-            self.source.axes or self.heading == "Camera" or "unless given" in words
-        ):
-            return ""
-        if value is None or value is PydanticUndefined or isinstance(value, bool):
-            return ""
-        between = next((each.between for each in self._value[1] if isinstance(each, Written)), ",")
-        return between.join(map(str, value)) if isinstance(value, tuple) else str(value)
-
-    @property
-    def required(self) -> bool:
-        """True if it must be given."""
-        return self.source is None and self.field.is_required()
-
-    @property
-    def metavar(self) -> str:
-        """Form of its value, as it stands after the name of an option."""
-        return f"<{self.kind}{' …' * self.repeated}>" if self.kind else ""
-
-    @property
-    def help(self) -> str:
-        """Help with default and bounds."""
-        default = f"default: {self.default}" if self.default else ""
-        notes = filter(None, [default, self.bounds, "required" if self.required else ""])
-        text = "; ".join(notes)
-        return f"{self.field.description}  [{text}]" if text else str(self.field.description)
-
-    def for_click(self) -> click.Parameter:
-        """Parser of it: of any text, which the model reads."""
-        if self.is_argument:
-            return click.Argument(
-                [self.key],
-                required=self.required,
-                nargs=-1 if self.repeated else 1,
-                metavar=self.names[0],
-                type=str,
-            )
-        return click.Option(
-            [self.key, *self.names],
-            is_flag=None if self.kind else True,
-            multiple=self.repeated,
-            required=self.required,
-            hidden=self.hidden,
-            type=str if self.kind else bool,
-        )
-
-    @property
-    def _extra(self) -> dict[str, Any]:
-        extra = self.field.json_schema_extra
-        return extra if isinstance(extra, dict) else {}
-
-    @property
-    def _value(self) -> tuple[Any, list[Any]]:
-        """Type of a value, the first of several, and what is declared of it."""
-        return next(_leaves(self.field.annotation, tuple(self.field.metadata)))
-
-
-def _number_text(number: float) -> str:
-    """A bound: 4096, 0.3, 1e15."""
-    exact = float(number).is_integer() and abs(number) < MOST_DIGITS
-    return str(int(number)) if exact else f"{number:g}".replace("e+", "e")
-
-
-def _readers(metadata: list[Any]) -> list[Any]:
-    """Functions that read a value of a text."""
-    return [each.func for each in metadata if isinstance(each, BeforeValidator)]
-
-
-def _leaves(annotation: Any, metadata: tuple[Any, ...] = ()) -> Iterator[tuple[Any, list[Any]]]:
-    """Types among which a value may be, but for None, each with what is declared of it."""
-    if get_origin(annotation) is Annotated:
-        base, *more = get_args(annotation)
-        yield from _leaves(base, (*metadata, *more))
-    elif get_origin(annotation) in (Union, UnionType):
-        for each in get_args(annotation):
-            if each is not NoneType:
-                yield from _leaves(each, metadata)
-    else:
-        groups = [each.metadata if isinstance(each, FieldInfo) else [each] for each in metadata]
-        yield annotation, [each for group in groups for each in group]
-
-
-JSON = Parameter(
-    "json", FieldInfo(annotation=bool, default=False, description="print JSON and nothing else")
-)
-"""The option that every command has."""
-
-
-def read_parameters(command: type[Command]) -> list[Parameter]:
-    """Arguments and options of a command in the order of its help."""
-    first: list[Parameter] = []
-    own: list[Parameter] = []
-    others: list[Parameter] = []
-    for name, field in command.model_fields.items():
-        source = next((each for each in field.metadata if isinstance(each, OptionsOf)), None)
-        if source is None:
-            own.append(Parameter(field.alias or name, field))
-            continue
-        for option, (heading, of_model) in source.fields.items():
-            made = Parameter(option, of_model, heading, source)
-            (first if heading == FIRST else others).append(made)
-    return [*first, *own, JSON, *others]
+    heading = FIRST
 
 
 class ClickCommand(click.Command):
@@ -246,13 +79,29 @@ class ClickCommand(click.Command):
 
     def __init__(self, command: type[Command], name: str, summary: str) -> None:
         self.command = command
-        self.declared = read_parameters(command)
+        params: list[click.Parameter] = []
+        for field_name, field in command.model_fields.items():
+            source = _metadata(field, OptionsOf)
+            if source is None:
+                params.append(_parameter(field.alias or field_name, field, field.is_required()))
+                continue
+            for key, (heading, of_model) in source.fields.items():
+                axis = source.axes and key not in ONE_VALUE
+                params.append(_parameter(key, of_model, False, heading=heading, axis=axis))
+        params.append(_Option(["--json"], is_flag=True, help="print JSON and nothing else"))
         _, _, rest = inspect.cleandoc(command.__doc__ or "").partition("\n\n")
-        super().__init__(
-            name,
-            params=[each.for_click() for each in self.declared],
-            help=f"{summary}\n\n{rest}",
-        )
+        super().__init__(name, params=params, help=f"{summary}\n\n{rest}")
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write arguments and options under their headings."""
+        headings: dict[str, list[tuple[str, str]]] = {_Argument.heading: [], FIRST: []}
+        for each in self.get_params(ctx):
+            if record := each.get_help_record(ctx):
+                headings.setdefault(getattr(each, "heading", FIRST), []).append(record)
+        for heading, rows in headings.items():
+            if rows:
+                with formatter.section(heading):
+                    formatter.write_dl(rows)
 
     def invoke(self, ctx: click.Context) -> None:
         """Run the command; an error names settings as options."""
@@ -264,7 +113,7 @@ class ClickCommand(click.Command):
     def _with_options(self, text: str) -> str:
         """A text with its settings as options, which are listed only where it may have some."""
         others = job_options().fields.keys() | Camera.model_fields.keys() if "`" in text else ()
-        return as_options(text, {*others, *(each.key for each in self.declared)})
+        return as_options(text, {*others, *(each.name or "" for each in self.params)})
 
     def _run(self, ctx: click.Context) -> None:
         """Read the settings, check what is written to, run, and print what was found."""
@@ -272,11 +121,11 @@ class ClickCommand(click.Command):
             name: value for name, value in ctx.params.items() if value not in (None, False, ())
         }
         as_json = given.pop("json", False)
-        settings = self._read(given, ctx.command_path)
+        settings = self._read(given)
         for name, field in self.command.model_fields.items():
-            for output in field.metadata:
-                if isinstance(output, Output) and (path := getattr(settings, name)) is not None:
-                    output.check(path, getattr(settings, "force", False))
+            output, path = _metadata(field, Output), getattr(settings, name)
+            if output is not None and path is not None:
+                output.check(path, getattr(settings, "force", False))
         typed = shlex.join(["deepfsi", *map(readable_name, sys.argv[1:])])
         terminal = Terminal(as_json, typed, self._with_options)
         try:
@@ -289,34 +138,12 @@ class ClickCommand(click.Command):
         if outcome.failed:
             ctx.exit(1)
 
-    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write arguments and options under their headings, in the order of those."""
-        headings: dict[str, list[tuple[str, str]]] = {}
-        for each in self.declared:
-            if each.is_argument:
-                row = f"{each.names[0]} {each.metavar}", each.help
-                headings.setdefault("Arguments", []).append(row)
-        help_option = self.get_help_option(ctx)
-        for each in self.declared:
-            if not (each.is_argument or each.hidden):
-                names = ", ".join(sorted(each.names, key=len))
-                row = f"{names} {each.metavar}".rstrip(), each.help
-                headings.setdefault(each.heading, []).append(row)
-            if each is JSON and help_option is not None:
-                headings[FIRST].append(help_option.get_help_record(ctx) or ("", ""))
-        for heading, rows in headings.items():
-            with formatter.section(heading):
-                formatter.write_dl(rows)
-
-    def _read(self, given: dict[str, Any], path: str) -> Command:
+    def _read(self, given: dict[str, Any]) -> Command:
         """Settings of texts, or `InputError` that names every option that cannot be read."""
         for name, field in self.command.model_fields.items():
-            for derived in field.metadata:
-                if isinstance(derived, OptionsOf):
-                    given[name] = {
-                        option: given.pop(option) for option in derived.fields if option in given
-                    }
-        names = {each.key: each.names[0] for each in self.declared}
+            if source := _metadata(field, OptionsOf):
+                given[name] = {key: given.pop(key) for key in source.fields if key in given}
+        names = {each.name: each.opts[0] for each in self.params}
 
         def name_of(fault: ErrorDetails) -> str:
             error = fault.get("ctx", {}).get("error")
@@ -328,6 +155,64 @@ class ClickCommand(click.Command):
         try:
             return self.command.model_validate(given)
         except ValidationError as error:
-            faults = "; ".join(field_errors(error, name_of))
-            more = f"; see `{path} --help`" if any(map(name_of, error.errors())) else ""
-            raise InputError(f"{faults}{more}") from None
+            raise InputError("; ".join(field_errors(error, name_of))) from None
+
+
+def _metadata(field: FieldInfo, kind: type) -> Any:
+    """What is declared of a field in a class of its own, if anything."""
+    return next((each for each in field.metadata if isinstance(each, kind)), None)
+
+
+def _parameter(
+    key: str, field: FieldInfo, required: bool, *, heading: str = FIRST, axis: bool = False
+) -> click.Parameter:
+    """Parser of the text of a field, which the model reads; what its help says."""
+    form, several = _form(field.annotation, tuple(field.metadata))
+    if axis and form:
+        form = f"{form},…"
+    words = str(field.description)
+    extra = field.json_schema_extra
+    if isinstance(extra, dict) and "argument" in extra:
+        metavar = str(extra["argument"] or key.upper())
+        argument = _Argument(
+            [key], required=required, nargs=-1 if several else 1, metavar=metavar, type=str
+        )
+        argument.words = words
+        return argument
+    default = field.default
+    known = default not in (None, PydanticUndefined, ()) and not isinstance(default, bool)
+    if known and not (axis or heading == "Camera" or "unless given" in words):
+        text = ",".join(map(str, default)) if isinstance(default, tuple) else default
+        words = f"{words}  [default: {text}]"
+    option = _Option(
+        [key, option_name(key), *(["-o"] if key == "out" else [])],
+        is_flag=None if form else True,
+        multiple=several,
+        required=required,
+        metavar=f"<{form}{' …' * several}>" if form else None,
+        help=words,
+        type=str if form else bool,
+    )
+    option.heading = heading
+    return option
+
+
+def _form(annotation: Any, metadata: tuple[Any, ...]) -> tuple[str, bool]:
+    """Form of a value, empty of a flag: ``number``, ``dual|single``; and if it may be repeated."""
+    parts = get_args(annotation)
+    kind = get_origin(annotation)
+    if kind is Annotated:
+        return _form(parts[0], (*metadata, *parts[1:]))
+    if kind in (Union, UnionType):
+        return _form(next(each for each in parts if each is not NoneType), metadata)
+    fields = [each.metadata if isinstance(each, FieldInfo) else [each] for each in metadata]
+    readers = [each.func for group in fields for each in group if isinstance(each, BeforeValidator)]
+    for reader in readers:
+        if reader in FORMS:
+            return FORMS[reader], False
+    if kind is Literal:
+        return "|".join(map(str, parts)), False
+    if kind in (tuple, list):
+        item, _ = _form(parts[0], ())
+        return (f"{item},…", False) if readers else (item, True)
+    return ("" if annotation is bool else FORMS.get(annotation, "text")), False

@@ -1,30 +1,22 @@
 """Commands that make a design, and that draw it or write it for others."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-
-import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
 from deepfsi.base.models.strict import Count
 from deepfsi.base.quantities import budget_text, confidence_text, count_text
-from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
-from deepfsi.cli.evaluate import (
-    data_lines,
-    full_gates_lines,
-    with_classes,
-)
+from deepfsi.cli.evaluate import data_lines, full_gates_lines, with_classes
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
-from deepfsi.jobs.job import Job, find_job, sorted_settings, usual_mask_count
+from deepfsi.jobs.job import job_of, sorted_settings
 from deepfsi.jobs.mask_files import read_matrix
-from deepfsi.jobs.training import MASK_SETTINGS
+from deepfsi.jobs.training import Training
 from deepfsi.measures.lines import details_text, score_text
 from deepfsi.measures.results import Result, lit_text
 
@@ -35,55 +27,51 @@ if TYPE_CHECKING:
 class LearnDesign(Command):
     """`deepfsi design`.
 
+    A training that was stopped goes on when it is run again: its state is in a file beside --out,
+    whose name ends in .checkpoint.
+
     Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
     """
 
-    settings: Annotated[dict[str, Any], fields.job_options()]
-    out: Path = fields.required("design file, .safetensors")
+    settings: Annotated[dict[str, Any], fields.job_options(leave=("counts",))]
+    out: Annotated[Path, fields.Output(DESIGN_ENDINGS)] = fields.option(
+        "design file, .safetensors", ...
+    )
     data: fields.TrainingData = "digits"
     size: fields.Size = None
     skip_bad: fields.SkipBad = False
     matrix: fields.Matrix = None
+    counts: float | None = fields.option(str(Training.model_fields["counts"].description))
     view: fields.View = None
     device: fields.TorchDevice = "auto"
-    resume: bool = fields.flag(
-        "go on with a training of these settings that was stopped, if there is one: its state is "
-        "in a file beside --out, whose name ends in .checkpoint"
-    )
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Train, save and test."""
         from deepfsi.lab.design_data import view_dataset
 
-        # one of the same settings may be replaced
-        fields.check_file(self.out, DESIGN_ENDINGS, force=True)
-        from deepfsi.evaluation.accuracy import evaluate
-        from deepfsi.training.learning import learn
-
         matrix = None if self.matrix is None else read_matrix(self.matrix)
-        settings = dict(self.settings)
-        counts = settings.pop("counts", None)
-        counts = None if counts is None else fields.parse_option("counts", fields.number, counts)
         scenes = load_dataset(self.data, size=self.size, skip_bad=self.skip_bad)
         if self.view is not None:
             scenes = view_dataset(scenes, self.view)
-        asked = _job_fields(settings, scenes, matrix)
-        job = find_job(asked, counts)
-        _check_mask_settings(settings, job)
-        fields.check_sigma(settings, (job.camera.noise_name, job.noise))
-        _check_test(job)
-        if self.out.exists() and not self.force:
-            _check_same(self.out, job, scenes, matrix)
+        job = job_of(_job_settings(self.settings), scenes, counts=self.counts, matrix=matrix)
+        from deepfsi.evaluation.accuracy import evaluate
+        from deepfsi.physics.noise import noise_of
+        from deepfsi.training.learning import learn_job
+
+        noise_of(job.camera)  # of the test: what it cannot be is said before the training
+        checkpoint = self.out.with_name(f"{self.out.name}.checkpoint")
+        if self.force:
+            checkpoint.unlink(missing_ok=True)
         with terminal.progress(f"{job.design}, {job.masks} masks") as report:
-            design = learn(
+            design = learn_job(
+                job,
                 scenes,
-                report=report,
-                counts=counts,
+                counts=self.counts,
                 matrix=matrix,
                 device=self.device,
-                checkpoint=self._checkpoint(),
-                **asked,
+                report=report,
+                checkpoint=checkpoint,
             )
         lowest = design.info["job"]["photons"]
         design.save(self.out)
@@ -108,82 +96,23 @@ class LearnDesign(Command):
             ],
         )
 
-    def _checkpoint(self) -> Path:
-        """File of a training's state, beside its design; one that is there is for `--resume`."""
-        path = self.out.with_name(f"{self.out.name}.checkpoint")
-        if path.exists() and not self.resume:
-            if not self.force:
-                raise InputError(
-                    f"{path} is of a training that was stopped: --resume goes on with it, --force "
-                    "begins anew"
-                )
-            path.unlink()
-        return path
 
-
-def _job_fields(
-    options: Mapping[str, Any], data: Dataset, matrix: np.ndarray | None
-) -> dict[str, Any]:
-    """Fields of the job of options, for `learn`; the matrix (m, N) is the user's own."""
-    settings = dict(options)
-    if "photons" in settings:
-        text = settings["photons"]
-        ends = [fields.parse_option("photons", fields.number, end) for end in text.split(":")]
-        if len(ends) > 2 or not 0 < ends[0] <= ends[-1]:
+def _job_settings(options: Mapping[str, str]) -> dict[str, Any]:
+    """Fields of the job of options; a range of budgets is LOW:HIGH."""
+    settings: dict[str, Any] = dict(options)
+    if text := settings.get("photons"):
+        low, _, high = text.partition(":")
+        try:
+            ends = float(low), float(high or low)
+        except ValueError:
+            ends = 0.0, 0.0
+        if not 0 < ends[0] <= ends[1]:
             raise InputError(
                 f"--photons {text!r} is not allowed: give a number above 0, or LOW:HIGH such as "
                 "1e3:1e6"
             )
-        settings |= {"photons": ends[0], "span": ends[-1] / ends[0]}
-    if "masks" in settings:
-        settings["masks"] = fields.parse_option("masks", fields.whole_number, settings["masks"])
-    job = sorted_settings(settings)
-    if job.get("design") == "adaptive" and str(settings.get("levels", 2)) != "2":
-        raise InputError(
-            "adaptive masks are ON and OFF, of 2 levels: leave `levels` out, or give "
-            '`design="deepfsi"`'
-        )
-    job["camera"] = Camera.load(job.get("camera"))
-    if matrix is not None:
-        if "masks" in job or job.get("design", "custom") != "custom":
-            raise InputError(
-                "--matrix is a design with its own masks: leave --masks and --design out"
-            )
-        return {**job, "design": "custom", "masks": len(matrix)}
-    return job if "masks" in job else {**job, "masks": usual_mask_count(job, data)}
-
-
-def _check_mask_settings(settings: Mapping[str, Any], job: Job) -> None:
-    """Raise `InputError` for options of learned masks where a design has its own."""
-    for setting in MASK_SETTINGS:
-        if setting in settings and not job.code.learns_masks:
-            raise InputError(
-                f"`{setting}` is of learned masks, and {job.design} has its own: leave it out, or "
-                "give another design"
-            )
-
-
-def _check_test(job: Job) -> None:
-    """Raise `InputError` unless a design can be tested under its camera's noise."""
-    from deepfsi.physics.noise import noise_of
-
-    noise_of(job.camera)
-
-
-def _check_same(file: Path, job: Job, data: Dataset, matrix: np.ndarray | None) -> None:
-    """Raise `InputError` unless a design file is what training this job would write again."""
-    from deepfsi.design.design import load_design
-    from deepfsi.designfile.provenance import trained_on
-
-    with suppress(InputError):
-        design = load_design(file)
-        training = trained_on(design.info)
-        of_data = training is not None and training.hash == data.hash
-        if of_data and matrix is None and design.info["job"] == job.model_dump(mode="json"):
-            return
-    raise InputError(
-        f"{file} exists already, of other settings: give another name, or --force to replace it"
-    )
+        settings |= {"photons": ends[0], "span": ends[1] / ends[0]}
+    return sorted_settings(settings)
 
 
 def _scenes_text(data: Dataset) -> str:
@@ -242,29 +171,24 @@ class ShowDesign(Command):
     Example: deepfsi show digits.safetensors -o masks.png
     """
 
-    file: Path = fields.argument("design file")
+    file: fields.DesignPath = fields.argument("design file")
     out: Path | None = fields.option(
-        "picture: .png, .svg or .pdf; .png beside the design unless given"
+        "picture: .png, .svg or .pdf; the design's name with .png unless given"
     )
     count: Count = fields.option("at most this many masks", 24)
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of the masks."""
-        from deepfsi.designfile.provenance import trained_on
-
-        out = self.out
-        if out is None:  # beside a file; of a published design's name here
-            name = Path(f"{self.file.name}.png")
-            out = self.file.with_suffix(".png") if self.file.exists() else name
-        file = fields.check_design_file(self.file)
-        fields.check_file(out, fields.PICTURES, self.force)
+        out = self.out or Path(f"{self.file.stem}.png")
+        fields.Output(fields.PICTURES).check(out, self.force)
         from deepfsi.design.design import load_design
+        from deepfsi.designfile.provenance import trained_on
         from deepfsi.lab.design_data import data_of
         from deepfsi.report.masks import design_figure, looks_figure
         from deepfsi.report.style import write_figure
 
-        design = load_design(file)
+        design = load_design(self.file)
         lines = [f"drawn: {out}"]
         if design.exposure.makes_masks:
             scenes, _ = data_of(design)
@@ -289,7 +213,7 @@ class WritePage(Command):
     """
 
     file: fields.DesignOrPatterns
-    out: Annotated[Path, fields.Output((".html",))] = fields.required("the page, .html")
+    out: Annotated[Path, fields.Output((".html",))] = fields.option("the page, .html", ...)
     data: fields.TestData = None
     size: fields.Size = None
     seed: fields.NoiseSeed = 0
@@ -323,25 +247,24 @@ class ExportClassifier(Command):
     Example: deepfsi export digits.safetensors -o digits.onnx
     """
 
-    file: Path = fields.argument("design file, or a folder of patterns that `dmd export` wrote")
+    file: fields.DesignOrPatterns
     out: Path | None = fields.option("the design's name with .onnx unless given")
     trust: fields.Trust = False
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """The graph, and the shapes of what goes in and out."""
-        target = self.out or self.file.with_suffix(".onnx")
-        file = fields.check_design_file(self.file)
-        fields.check_file(target, (".onnx",), self.force)
+        out = self.out or Path(f"{self.file.stem}.onnx")
+        fields.Output((".onnx",)).check(out, self.force)
         from deepfsi.design.onnx import to_onnx
         from deepfsi.lab.design_data import open_design
 
-        design = open_design(file, trust=self.trust, static=True)
-        write_atomically(target, to_onnx(design))
+        design = open_design(self.file, trust=self.trust, static=True)
+        write_atomically(out, to_onnx(design))
         shape = ", ".join(map(str, ("batch", *design.counts_shape)))
         return Outcome(
             {
-                "graph": str(target),
+                "graph": str(out),
                 "rails": design.rails.count,
                 "masks": design.masks,
                 "detectors": design.exposure.detection.count,
@@ -350,6 +273,6 @@ class ExportClassifier(Command):
             [
                 f"in: counts ({shape}), photons (batch,)",
                 f"out: probabilities (batch, {len(design.classes)})",
-                f"saved: {target}",
+                f"saved: {out}",
             ],
         )

@@ -9,6 +9,7 @@ from pydantic import Field
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.models.strict import Amount
+from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
@@ -31,7 +32,7 @@ class EvaluateDesign(Command):
     """
 
     file: fields.DesignOrPatterns
-    photons: fields.NumberList = fields.required("budgets, such as 1e2,1e3,1e4")
+    photons: fields.NumberList = fields.option("budgets, such as 1e2,1e3,1e4", ...)
     data: fields.TestData = None
     size: fields.Size = None
     noise: fields.NoiseOption = None
@@ -43,7 +44,7 @@ class EvaluateDesign(Command):
     draws: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = fields.option(
         "noise draws of each scene", 3
     )
-    ideal: bool = fields.flag("also give the accuracy of the ideal observer of the counts")
+    ideal: bool = fields.option("also give the accuracy of the ideal observer of the counts", False)
     seed: fields.NoiseSeed = 0
     view: fields.View = None
     trust: fields.Trust = False
@@ -59,14 +60,9 @@ class EvaluateDesign(Command):
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
         options = self.explicit(("noise", "sigma", "dark", "fluctuation"))
         camera = camera_for(design, None, **options)
-        fields.check_sigma(options, [camera.noise_name])
-        if self.ideal and not camera.noise_facts.exact:
-            other = camera.noise_name if camera.noise_facts.steady else "light that fluctuates"
-            raise InputError(
-                f"the ideal observer is of photon noise, not {other}: leave --ideal out"
-            )
+        fields.check_sigma(options, camera.noise_name)
         if self.ideal:
-            design.exposure.check("ideal observer")
+            _check_ideal(design, camera)
         scenes, notes = data_of(design, self.data, self.size, self.view)
         how: dict[str, Any] = {"draws": self.draws, "seed": self.seed}
         with terminal.progress("evaluate") as report:
@@ -106,13 +102,11 @@ class PredictClasses(Command):
     """
 
     file: fields.DesignOrPatterns
-    pictures: Annotated[Path, fields.existing("a picture, or a folder of pictures")] = (
-        fields.argument(
-            "picture, or folder of pictures, with or without a folder for each class, or .csv of "
-            "file names and labels"
-        )
+    pictures: fields.ExistingPath = fields.argument(
+        "picture, or folder of pictures, with or without a folder for each class, or .csv of "
+        "file names and labels"
     )
-    photons: fields.Number | None = fields.option(
+    photons: float | None = fields.option(
         "budget of an exposure, such as 1e4; the light of the design's camera, which it was "
         "trained for, unless given"
     )
@@ -137,7 +131,7 @@ class PredictClasses(Command):
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
         options = self.explicit(("noise", "sigma", "dark"))
-        fields.check_sigma(options, [camera_for(design, None, **options).noise_name])
+        fields.check_sigma(options, camera_for(design, None, **options).noise_name)
         with terminal.progress("predict"):
             predictions = predict(
                 design,
@@ -157,6 +151,14 @@ class PredictClasses(Command):
                 *([] if self.out is None else [f"table: {self.out}"]),
             ],
         )
+
+
+def _check_ideal(design: "Design", camera: Camera) -> None:
+    """Raise `InputError` where the counts of a design have no ideal observer here."""
+    if not camera.noise_facts.exact:
+        other = camera.noise_name if camera.noise_facts.steady else "light that fluctuates"
+        raise InputError(f"the ideal observer is of photon noise, not {other}: leave --ideal out")
+    design.exposure.check("ideal observer")
 
 
 def data_lines(data: "Dataset | Data", notes: Sequence[str] = ()) -> list[str]:

@@ -1,24 +1,22 @@
 """Settings of commands: how one is declared, the kinds that many have, and their checks.
 
-A setting is a field of a model. Its type is what is read of a text; its bounds and its words are
-what `--help` shows. Options of what has a model in a lower room are not written again: `OptionsOf`
-takes them from there.
+A setting is a field of a model. Its type is what is read of a text; its words are what `--help`
+shows. Options of what has a model in a lower room are not written again: `OptionsOf` takes them
+from there.
 """
 
-import math
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field
 from pydantic.fields import FieldInfo
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_ending
-from deepfsi.base.models.strict import Amount, Count, WholeNumber
-from deepfsi.base.quantities import seconds
+from deepfsi.base.models.strict import Amount, Count, Seconds, WholeNumber
 from deepfsi.base.registry import check_report
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import MOST_INPUTS
@@ -29,20 +27,20 @@ from deepfsi.jobs.exposures import exposure_kinds
 from deepfsi.jobs.job import SETTING_ALIASES, Job
 from deepfsi.jobs.training import Training
 
-T = TypeVar("T")
-
 FIRST = "Options"
 """Heading of the options that most need, first of all."""
 
 JOB_FIELDS = ("design", "masks", "photons", "camera", "seed")
 """Fields of a job that are settings themselves."""
 
-NO_OPTIONS = (
-    *("region", "stretch", "dead_time", "dead_time_model", "fluctuation", "contrast", "gates"),
-    *("classifier_arguments", "dropout", "scale", "lr", "decay", "loss"),
-    *("precision", "start_counts"),
-)
-"""Rarer fields, which a camera's file gives, and a recipe or Python."""
+TYPED: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
+    "camera": (
+        Camera,
+        ("light", "rails", "detectors", "device", "exposure", "levels", "flux", "dark", "noise"),
+    ),
+    "training": (Training, ("epochs", "batch", "mask_lr", "hidden", "counts", "clusters")),
+}
+"""Fields that are options; the rarer ones a camera's file gives, and a recipe or Python."""
 
 COUNTER_EFFECTS = ("dead_time", "dead_time_model")
 """Fields of a camera that say what its counts are corrected for."""
@@ -55,18 +53,8 @@ PICTURES = (".png", ".svg", ".pdf")
 
 
 def option(words: str, default: Any = None, **more: Any) -> Any:
-    """Field of an option of one command: ``until: float | None = option("confidence …")``."""
+    """Field of an option; the default ``...`` is of one that must be given."""
     return Field(default, description=words, **more)
-
-
-def required(words: str, **more: Any) -> Any:
-    """Field of an option that must be given."""
-    return option(words, ..., **more)
-
-
-def flag(words: str) -> Any:
-    """Field of an option without a value."""
-    return option(words, False)
 
 
 def argument(words: str, metavar: str = "", default: Any = ...) -> Any:
@@ -74,25 +62,12 @@ def argument(words: str, metavar: str = "", default: Any = ...) -> Any:
     return Field(default, description=words, json_schema_extra={"argument": metavar})
 
 
-def hidden(words: str) -> Any:
-    """Field of an option that no help lists, since another took its place."""
-    return Field(None, description=words, json_schema_extra={"hidden": True})
-
-
-@dataclass(frozen=True)
-class Written:
-    """Form in which an option is written, for its help: ``Written("HEIGHTxWIDTH", "x")``."""
-
-    form: str
-    between: str = ","
-
-
 @dataclass(frozen=True)
 class OptionsOf:
     """Options made from fields of models, for a command's `dict` of those that were given."""
 
-    fields: Mapping[str, tuple[str, FieldInfo]]
-    axes: bool = False
+    fields: Mapping[str, tuple[str, FieldInfo]]  # by name: heading, and field
+    axes: bool = False  # True if each takes several values
 
 
 @dataclass(frozen=True)
@@ -104,30 +79,33 @@ class Output:
 
     def check(self, path: Path, force: bool) -> None:
         """Raise `InputError` unless this can be written there; `force` lets it replace a file."""
+        if self.new and path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise InputError(f"{path} exists already: give a new folder")
+        if self.endings and path.is_dir():
+            ends = " or ".join(self.endings)
+            raise InputError(f"{path} is a folder: give a file name ending in {ends}")
         if self.endings:
-            check_file(path, self.endings, force)
-        elif self.new:
-            check_new_folder(path)
-        else:
-            check_writable(path, path)
+            check_ending(path, self.endings)
+            check_free(path, force)
+        if self.endings == PICTURES:
+            check_report()
+        _check_writable(path, path.parent if self.endings or self.new else path)
 
 
 def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
     """Options of the settings of a job: its camera, its exposure and its training."""
     names = {field: option for option, field in SETTING_ALIASES.items()}
     fields = {name: (FIRST, Job.model_fields[name]) for name in JOB_FIELDS}
-    for table, model in (("camera", Camera), ("training", Training)):
-        if table == "training":
-            fields |= {
-                name: ("Exposure", kind.model_fields[name])
-                for name, kind in exposure_kinds().items()
-                if name != "span"
-            }
+    for table, (model, typed) in TYPED.items():
         fields |= {
-            names.get((table, name), name): (table.capitalize(), field)
-            for name, field in model.model_fields.items()
-            if name not in NO_OPTIONS
+            names.get((table, name), name): (table.capitalize(), model.model_fields[name])
+            for name in typed
         }
+    fields |= {
+        name: ("Exposure", kind.model_fields[name])
+        for name, kind in exposure_kinds().items()
+        if name != "span"
+    }
     return OptionsOf({name: each for name, each in fields.items() if name not in leave}, axes)
 
 
@@ -138,49 +116,13 @@ def run_options(*names: str) -> OptionsOf:
     return OptionsOf({name: ("Camera", field) for name, field in fields.items()})
 
 
-def existing(what: str) -> AfterValidator:
-    """Validator of a path at which there must be something, said in words."""
-
-    def there(path: Path) -> Path:
-        if not path.exists():
-            raise InputError(f"there is nothing at {path}: give {what}")
-        return path
-
-    return AfterValidator(there)
-
-
-def _source(name: str) -> str:
-    check_source(name)
-    return name
-
-
-def check_file(path: Path, endings: tuple[str, ...], force: bool, made: Path | None = None) -> None:
-    """Raise `InputError` unless a file can be written to a path."""
-    if path.is_dir():
-        raise InputError(f"{path} is a folder: give a file name ending in {' or '.join(endings)}")
-    check_ending(path, endings)
-    if endings == PICTURES:
-        check_report()
-    check_free(path, force)
-    if (made is None or path.parent not in (made, *made.parents)) and not path.parent.is_dir():
-        raise InputError(f"cannot write {path}: there is no folder {path.parent}; make it first")
-    check_writable(path, path.parent)
-
-
 def check_free(path: Path, force: bool) -> None:
     """Raise `InputError` if there is something at the path that may not be replaced."""
     if path.exists() and not force:
         raise InputError(f"{path} exists already: give another name, or --force to replace it")
 
 
-def check_new_folder(path: Path) -> None:
-    """Raise `InputError` unless a command can make a folder, or fill an empty one."""
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise InputError(f"{path} exists already: give a new folder")
-    check_writable(path, path.parent)
-
-
-def check_writable(path: Path, folder: Path) -> None:
+def _check_writable(path: Path, folder: Path) -> None:
     """Write a file in the folder, or in the lowest one above that is there, and leave nothing."""
     there = next(each for each in (folder, *folder.parents) if each.exists())
     if not there.is_dir():
@@ -200,14 +142,11 @@ def check_design_file(path: Path) -> Path:
     return file
 
 
-def check_sigma(options: Mapping[str, Any], noises: Iterable[str]) -> None:
-    """Raise `InputError` if read noise is given and none of these noises has any."""
-    # a stand-in is of what it stands for
-    named = [noise for noise in dict.fromkeys(noises) if not find_noise(noise).stands_for]
-    if "sigma" in options and not any(find_noise(noise).read_noise for noise in named):
+def check_sigma(options: Mapping[str, Any], noise: str) -> None:
+    """Raise `InputError` if read noise is given and the noise has none."""
+    if "sigma" in options and not find_noise(noise).read_noise:
         raise InputError(
-            f"--sigma is not of {' and '.join(named)} noise: leave it out, or give --noise "
-            "gaussian or camera"
+            f"--sigma is not of {noise} noise: leave it out, or give --noise gaussian or camera"
         )
 
 
@@ -223,34 +162,8 @@ def split_commas(text: Any) -> Any:
     return parts
 
 
-def number(text: str) -> float:
-    """Number of a text; `ValueError` if it is none, or not finite."""
-    try:
-        value = float(text)
-    except ValueError:
-        raise ValueError(f"{text!r} is not a number") from None
-    if not math.isfinite(value):
-        raise ValueError(f"{text!r} is not allowed: give a finite number")
-    return value
-
-
-def parse_option(option: str, read: Callable[[str], T], text: str) -> T:
-    """Value of an option that a command has of a model, or `InputError` that names it."""
-    try:
-        return read(text)
-    except ValueError as error:
-        raise InputError(f"--{option}: {error}") from None
-
-
-def whole_number(text: str) -> int:
-    """Whole number of a text, which may be written as 1e3; `ValueError` if it is none."""
-    value = number(text)
-    if not value.is_integer():
-        raise ValueError(f"{text!r} is not a whole number")
-    return int(value)
-
-
-def _size(text: Any) -> Any:
+def height_width(text: Any) -> Any:
+    """Height and width of HEIGHTxWIDTH, or of one number for both."""
     if not isinstance(text, str):
         return text
     sides = text.lower().split("x")
@@ -263,27 +176,35 @@ def _size(text: Any) -> Any:
     return int(sides[0]), int(sides[-1])
 
 
-Number = Annotated[float, BeforeValidator(number)]
-"""A finite number."""
+def _known_source(name: str) -> str:
+    check_source(name)
+    return name
 
-NumberList = Annotated[tuple[Number, ...], BeforeValidator(split_commas)]
+
+def _existing(path: Path) -> Path:
+    if not path.exists():
+        raise InputError(f"there is nothing at {path}: give another path")
+    return path
+
+
+NumberList = Annotated[tuple[float, ...], BeforeValidator(split_commas)]
 """Numbers, separated by commas."""
 
 Names = Annotated[tuple[str, ...], BeforeValidator(split_commas)]
 """Names, separated by commas."""
 
-Time = Annotated[float, BeforeValidator(seconds)]
-"""Seconds, of a text such as 0.01, 10ms or 44us."""
-
-HeightWidth = Annotated[tuple[int, int], BeforeValidator(_size), Written("HEIGHTxWIDTH", "x")]
+HeightWidth = Annotated[tuple[int, int], BeforeValidator(height_width)]
 """Height and width of an image, of HEIGHTxWIDTH or one number for both."""
+
+ExistingPath = Annotated[Path, AfterValidator(_existing)]
+"""Path at which there is something."""
 
 # scenes
 
 Size = Annotated[
     HeightWidth | None, Field(description="resize images to HEIGHTxWIDTH, or one number for both")
 ]
-DataSource = Annotated[str, AfterValidator(_source)]
+DataSource = Annotated[str, AfterValidator(_known_source)]
 """Name or path of data that are there."""
 
 TrainingData = Annotated[
@@ -301,7 +222,7 @@ SkipBad = Annotated[
     bool, Field(description="leave pictures that cannot be read out, and name them")
 ]
 View = Annotated[
-    Annotated[Path, existing("the folder of a camera's calibration")] | None,
+    ExistingPath | None,
     Field(description="folder of a camera's calibration: take the scenes as this camera sees them"),
 ]
 
@@ -351,7 +272,7 @@ Force = Annotated[bool, Field(description="replace what is at --out")]
 PatternFolder = Annotated[Path, argument("folder of patterns")]
 RunFolder = Annotated[Path, argument("acquisition folder, with photons.ptu in it")]
 SettleTime = Annotated[
-    Time | None,
+    Seconds | None,
     Field(
         alias="settle",
         description="time for mirrors to settle in each frame; the device's, or the recorded one, "

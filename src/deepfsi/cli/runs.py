@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import Count
+from deepfsi.base.models.strict import Count, Seconds
 from deepfsi.base.numeric.tables import TABLE_ENDINGS, is_table, read_table
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
-from deepfsi.cli.terminal import Outcome, Terminal
+from deepfsi.cli.terminal import Outcome, Terminal, option_name
 
 if TYPE_CHECKING:
     from deepfsi.hardware.counting.tables import TableSettings
@@ -55,12 +55,12 @@ class CountRun(Command):
 
     folder: fields.RunFolder
     settings: Annotated[dict[str, Any], fields.run_options(*fields.COUNTER_EFFECTS)]
-    exposure_s: fields.Time | None = fields.option(
+    exposure_s: Seconds | None = fields.option(
         "total exposure, such as 0.01 or 10ms; the recorded one unless given", alias="exposure"
     )
     settle_s: fields.SettleTime = None
     repeats: fields.Repeats = None
-    tolerance_s: fields.Time | None = fields.option(
+    tolerance_s: Seconds | None = fields.option(
         "how far a marker may be off; 10us or a tenth of a frame unless given", alias="tolerance"
     )
     background: str | None = fields.option(
@@ -80,11 +80,6 @@ class CountRun(Command):
         from deepfsi.lab.calibration import gains_of
         from deepfsi.lab.design_data import camera_of
 
-        if self.folder.suffix.lower() == ".ptu":
-            raise InputError(
-                f"{self.folder} is a photon file without patterns: give the folder of an "
-                "acquisition, or use `deepfsi camera transits` for scenes that pass a pattern"
-            )
         options = self.model_dump(exclude={"folder", "settings", "flat"}, exclude_unset=True)
         with terminal.progress("counting") as report:
             settings = CountSettings(
@@ -121,7 +116,7 @@ class ClassifyRun(Command):
         "table: dark counts of an input in one exposure, those of the all-OFF frames unless given; "
         "or a table of exposures with the scene dark, to be subtracted"
     )
-    settle_s: fields.Time | None = fields.option(
+    settle_s: Seconds | None = fields.option(
         "table: time after each marker without counting; 0 unless given", alias="settle"
     )
     repeats: Count = fields.option("table: number of consecutive exposures of each scene", 1)
@@ -132,7 +127,9 @@ class ClassifyRun(Command):
         "table of an analogue detector: read noise of a value, counts rms"
     )
     trust: fields.Trust = False
-    force: bool = fields.flag("classify even if the counts do not look like those of the training")
+    force: bool = fields.option(
+        "classify even if the counts do not look like those of the training", False
+    )
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the exposures."""
@@ -141,9 +138,9 @@ class ClassifyRun(Command):
         if self.counted.is_dir():
             of_tables = ("background", "settle_s", "gain", "read_noise", "repeats")
             for name in (*self.explicit(of_tables), *self.settings):
+                option = option_name(name.removesuffix("_s"))
                 raise InputError(
-                    f"{self.option(name)} is for tables, and {self.counted} is a folder: leave it "
-                    "out"
+                    f"{option} is for tables, and {self.counted} is a folder: leave it out"
                 )
             answers = classify_run(
                 self.file, self.counted, photons=self.photons, force=self.force, trust=self.trust
@@ -172,32 +169,10 @@ class ClassifyRun(Command):
         if self.background is not None and is_table(self.background):
             settings["dark"] = read_table(self.background, TableSettings.WORDS)
         elif self.background is not None:
-            settings["background"] = fields.parse_option(
-                "background", fields.number, self.background
-            )
+            try:
+                settings["background"] = float(self.background)
+            except ValueError:
+                raise InputError(
+                    f"--background {self.background!r} is not allowed: give counts, or a table"
+                ) from None
         return TableSettings(**settings)
-
-
-class ReconstructScenes(Command):
-    """`deepfsi camera image`.
-
-    Example: deepfsi camera image run_0001 -o picture.png
-    """
-
-    folder: fields.RunFolder
-    out: Annotated[Path | None, fields.Output(fields.PICTURES)] = fields.option(
-        "picture; picture.png in the folder unless given"
-    )
-    force: fields.Force = False
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """Picture of each scene."""
-        from deepfsi.hardware.counting.recording import Recording
-        from deepfsi.lab.calibration import reconstruct
-        from deepfsi.report.masks import pictures_figure
-        from deepfsi.report.style import write_figure
-
-        out = self.out or self.folder / "picture.png"
-        names = [scene.name for scene in Recording.read(self.folder).acquisition.scenes]
-        write_figure(pictures_figure(reconstruct(self.folder), names), out)
-        return Outcome({"picture": str(out)}, [f"drawn: {out}"])

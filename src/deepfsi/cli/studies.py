@@ -1,9 +1,8 @@
-"""Commands that train many designs: compare, sweep, reproduce, report."""
+"""Commands that train many designs: compare and sweep."""
 
 from collections.abc import Mapping
 from contextlib import nullcontext
-from dataclasses import asdict, replace
-from importlib import import_module
+from dataclasses import replace
 from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,7 +13,6 @@ import numpy as np
 from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.files import read_toml
 from deepfsi.base.models.strict import Count
-from deepfsi.base.quantities import Table
 from deepfsi.base.registry import check_report
 from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
@@ -28,9 +26,9 @@ from deepfsi.jobs.mask_files import read_matrix
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
-    from types import ModuleType
 
     from deepfsi.sweeps.recipe import Recipe
+    from deepfsi.sweeps.records import Record
     from deepfsi.sweeps.results import Results
 
 PAPER_PACKAGE = "deepfsi_paper"
@@ -46,7 +44,42 @@ RECIPE_FIELDS = ("size", "skip_bad", "designs", "ratios", "trials", "folds")
 """Fields of a recipe, besides the data, that are options by themselves."""
 
 
-class CompareDesigns(Command):
+class _Study(Command):
+    """Training of many designs, into one folder."""
+
+    out: Path
+    workers: fields.WorkerCount = None
+    device: fields.TorchDevice = "auto"
+    force: fields.Force = False
+
+    def train(
+        self,
+        terminal: Terminal,
+        recipe: "Recipe",
+        scenes: Dataset,
+        matrix: np.ndarray | None = None,
+        ray: str | None = None,
+    ) -> "tuple[Results, list[Record]]":
+        """Results and records of the trials; those of other settings are lost with --force only."""
+        from deepfsi.sweeps.run import check_kept, compare
+
+        if not self.force:
+            check_kept(self.out, recipe, scenes, matrix)
+        with terminal.progress("trials") as report:
+            return compare(
+                recipe,
+                scenes,
+                self.out,
+                command=terminal.command_line,
+                matrix=matrix,
+                device=self.device,
+                workers=self.workers,
+                ray=ray,
+                report=report,
+            )
+
+
+class CompareDesigns(_Study):
     """`deepfsi compare`.
 
     Adaptive masks are among the designs where the camera can show them and the data has at most
@@ -74,12 +107,9 @@ class CompareDesigns(Command):
     recipe: str | None = fields.option(
         "name of a recipe, or TOML file; options given here override it"
     )
-    target: fields.Number | None = fields.option(
+    target: float | None = fields.option(
         "accuracy, such as 0.9: read off the curves the photons and masks that it needs"
     )
-    device: fields.TorchDevice = "auto"
-    workers: fields.WorkerCount = None
-    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Results, a page of them and the verdict."""
@@ -88,7 +118,6 @@ class CompareDesigns(Command):
         file = read_recipe(self.recipe) if self.recipe else {}
         from deepfsi.sweeps.plan import with_adaptive
         from deepfsi.sweeps.recipe import only
-        from deepfsi.sweeps.run import check_kept, compare
         from deepfsi.sweeps.target import check_target
 
         matrix = None if self.matrix is None else read_matrix(self.matrix)
@@ -105,24 +134,11 @@ class CompareDesigns(Command):
             recipe = with_adaptive(recipe, scenes)
         if self.target is not None:
             check_target(self.target, recipe, scenes)
-        fields.check_sigma(self.settings, (*recipe.noises, *recipe.test_noise))
-        if not self.force:
-            check_kept(self.out, recipe, scenes, matrix)
-        with terminal.progress("compare") as report:
-            results, _ = compare(
-                recipe,
-                scenes,
-                self.out,
-                command=terminal.command_line,
-                matrix=matrix,
-                device=self.device,
-                workers=self.workers,
-                report=report,
-            )
+        results, _ = self.train(terminal, recipe, scenes, matrix)
         return _results_outcome(results, self.out, self.target)
 
 
-class SweepRecipe(Command):
+class SweepRecipe(_Study):
     """`deepfsi sweep`.
 
     It may be stopped at any moment: run again with the same output folder, it goes on where it
@@ -137,42 +153,25 @@ class SweepRecipe(Command):
     camera: str | None = fields.option(
         "a camera in place of the recipe's: a preset, or a TOML file"
     )
-    quick: bool = fields.flag("the recipe's coarse version, where it has one")
-    out: Path = fields.option("output folder", Path("runs/sweep"))
+    quick: bool = fields.option("the recipe's coarse version, where it has one", False)
+    out: Annotated[Path, fields.Output()] = fields.option("output folder", Path("runs/sweep"))
     folds: fields.Folds = None
-    workers: fields.WorkerCount = None
     ray: fields.Ray = None
-    device: fields.TorchDevice = "auto"
-    table: Path | None = fields.option("write all records as one table, .csv or .parquet")
-    force: fields.Force = False
+    table: Annotated[Path | None, fields.Output((".csv", ".parquet"))] = fields.option(
+        "write all records as one table, .csv or .parquet"
+    )
 
     def run(self, terminal: Terminal) -> Outcome:
         """Results and a page of them."""
         check_report()
-        fields.check_writable(self.out, self.out)
-        if self.table is not None:
-            fields.check_file(self.table, (".csv", ".parquet"), self.force, made=self.out)
         file = read_recipe(self.recipe)
         from deepfsi.sweeps.recipe import only
         from deepfsi.sweeps.records import write_table
-        from deepfsi.sweeps.run import check_kept, compare
 
         recipe, scenes = _checked(
             {**only(file, self.part_name, self.quick), **self.explicit(("camera", "folds"))}
         )
-        if not self.force:
-            check_kept(self.out, recipe, scenes)
-        with terminal.progress("sweep") as report:
-            results, records = compare(
-                recipe,
-                scenes,
-                self.out,
-                command=terminal.command_line,
-                device=self.device,
-                workers=self.workers,
-                ray=self.ray,
-                report=report,
-            )
+        results, records = self.train(terminal, recipe, scenes, ray=self.ray)
         outcome = _results_outcome(results, self.out)
         if self.table is None:
             return outcome
@@ -180,146 +179,20 @@ class SweepRecipe(Command):
         return replace(outcome, lines=[*outcome.lines, f"table: {self.table}"])
 
 
-class ReproducePaper(Command):
-    """`deepfsi reproduce`.
-
-    Experiments in one folder share one page, and the trials that several of them need. A stopped
-    experiment goes on when it is run again; with more --trials it adds those that are missing.
-
-    Example: deepfsi reproduce mnist --quick -o runs/paper
-    """
-
-    name: str = fields.argument(
-        "mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, or list"
-    )
-    out: Path = fields.option("output folder", Path("runs/paper"))
-    quick: bool = fields.flag("a coarse grid, in a fraction of the time")
-    trials: Count | None = fields.option("training seeds for each point, if not the recipe's")
-    ratios: fields.Ratios = fields.option("compression ratios, if not the recipe's: 0.01,0.16,1")
-    part_name: str | None = fields.option(
-        "the only part to run, of a recipe with several parts", alias="part"
-    )
-    workers: fields.WorkerCount = None
-    ray: fields.Ray = None
-    device: fields.TorchDevice = "auto"
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """The page of the experiments, and which claims hold."""
-        studies = _paper_studies()
-        if self.name == "list":
-            return self._list(studies)
-        changes = {} if self.ratios is None else {"ratios": list(self.ratios)}
-        experiments = [
-            replace(each, changes=changes, part=self.part_name) for each in studies.find(self.name)
-        ]
-        for experiment in experiments:
-            experiment.recipes(self.quick, self.trials)
-        fields.check_writable(self.out, self.out)
-        for experiment in experiments:
-            with terminal.progress(experiment.name) as report:
-                experiment.run(
-                    self.out,
-                    command=terminal.command_line,
-                    quick=self.quick,
-                    trials=self.trials,
-                    device=self.device,
-                    workers=self.workers,
-                    ray=self.ray,
-                    report=report,
-                )
-        page = studies.page(self.out)
-        sections = [section for each in experiments if (section := each.section(self.out))]
-        answers = {True: "yes", False: "no", None: "open"}
-        return Outcome(
-            {
-                "report": str(page),
-                "claims": {
-                    section.name: [
-                        {**asdict(claim), "why": claim.reason} for claim in section.claims
-                    ]
-                    for section in sections
-                },
-            },
-            [
-                *(
-                    Table(
-                        section.title,
-                        ("claim", "holds", "measured", "why"),
-                        [
-                            (claim.text, answers[claim.holds], claim.measured, claim.reason)
-                            for claim in section.claims
-                        ],
-                        sentences=True,
-                    )
-                    for section in sections
-                ),
-                f"report: {page}",
-            ],
-        )
-
-    def _list(self, studies: "ModuleType") -> Outcome:
-        """Experiments by name, and their parts."""
-        parts = [(study, each) for study, every in studies.STUDIES.items() for each in every]
-        return Outcome(
-            {
-                "experiments": [
-                    {"name": study, "part": each.name, "title": each.title} for study, each in parts
-                ]
-            },
-            [
-                f"{study if each is studies.STUDIES[study][0] else '':14s}{each.title}"
-                for study, each in parts
-            ],
-            schema="reproduce.list",
-        )
-
-
-class WriteReport(Command):
-    """`deepfsi report`.
-
-    Example: deepfsi report runs/paper
-    """
-
-    folder: Annotated[Path, fields.existing("the output of compare, sweep or reproduce")] = (
-        fields.argument("output of compare, sweep or reproduce")
-    )
-
-    def run(self, terminal: Terminal) -> Outcome:
-        """The page, written again."""
-        from deepfsi.report.comparison_page import write_report
-
-        is_study = _has_paper() and _paper_studies().is_study(self.folder)
-        page = _paper_studies().page(self.folder) if is_study else write_report(self.folder)
-        return Outcome({"report": str(page)}, [f"report: {page}"])
-
-
 # recipes
 
 
-def shipped_recipes() -> "dict[str, Traversable]":
+def _shipped_recipes() -> "dict[str, Traversable]":
     """Recipes that come with the package and with the paper's experiments, by name."""
-    own = (files("deepfsi") / "sweeps" / "recipes").iterdir()
-    papers = (files(PAPER_PACKAGE) / "recipes").iterdir() if _has_paper() else ()
-    return {Path(each.name).stem: each for each in (*own, *papers)}
-
-
-def _has_paper() -> bool:
-    return find_spec(PAPER_PACKAGE) is not None
-
-
-def _paper_studies() -> "ModuleType":
-    """The paper's experiments by name, or `InputError` where they are missing."""
-    if not _has_paper():
-        raise InputError(
-            f"the paper's experiments are missing: {PAPER_PACKAGE}, which comes with deepfsi, is "
-            "not installed; install deepfsi again"
-        )
-    return import_module(f"{PAPER_PACKAGE}.studies")
+    folders = [files("deepfsi") / "sweeps" / "recipes"]
+    if find_spec(PAPER_PACKAGE) is not None:
+        folders.append(files(PAPER_PACKAGE) / "recipes")
+    return {Path(each.name).stem: each for folder in folders for each in folder.iterdir()}
 
 
 def read_recipe(source: str) -> dict[str, Any]:
     """Settings of a recipe with that name, or of a file; ``./mnist`` is a file of that name."""
-    recipes = shipped_recipes()
+    recipes = _shipped_recipes()
     path = Path(source)
     if source not in recipes and not path.exists():
         advice = closest_choice(source, sorted(recipes))
@@ -341,17 +214,16 @@ def _recipe_settings(
     tables: dict[str, dict[str, Any]] = {"camera": {}, "exposure": {}, "training": {}}
     for name, text in options.items():
         table, key = find_table(name)
-        axis: list[Any] = [text]  # of a flag
-        if isinstance(text, str):
-            axis = fields.parse_option(name, fields.split_commas, text)
+        try:
+            axis = fields.split_commas(text)
+        except ValueError as error:
+            raise InputError(f"--{name}: {error}") from None
         if name == "camera":
             tables["camera"] = Camera.load(text).given_fields
-        elif name == "hidden":  # widths of one network
-            tables[table][key] = [[_read(name, width) for width in axis]]
         elif table:
-            tables[table][key] = axis
+            tables[table][key] = [axis] if name == "hidden" else axis  # widths of one network
         else:
-            given[key] = [_read(name, value) for value in axis]
+            given[key] = axis
     replaced = {"masks": "ratios", "ratios": "masks"}
     left_out = {replaced[name] for name in given if name in replaced}
     merged = {name: value for name, value in base.items() if name not in left_out} | given
@@ -366,12 +238,6 @@ def _recipe_settings(
             for design, of in tuned.items()
         }
     return merged
-
-
-def _read(option: str, text: str) -> float:
-    """Number of an option, a whole one of masks and of widths."""
-    read = fields.number if option == "photons" else fields.whole_number
-    return fields.parse_option(option, read, text)
 
 
 def _checked(

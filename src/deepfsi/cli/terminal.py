@@ -24,7 +24,6 @@ class Outcome:
     lines: Iterable[str | Table] = ()
     failed: bool = False  # True if something that was checked is not as it should be: exit code 1
     refusal: str = ""
-    schema: str = ""  # name of the content, where it is not that of the command
 
 
 class Terminal:
@@ -54,17 +53,10 @@ class Terminal:
         if not sys.stdin.readline():
             raise InputError("nobody is there to show the scenes: run this in a terminal")
 
-    def confirm(self, question: str) -> bool:
-        """Ask whether to go on; False where there is no one to ask."""
-        if not sys.stdin.isatty():
-            return False
-        print(f"{question} [y/N]: ", end="", file=sys.stderr, flush=True)
-        return sys.stdin.readline().strip().lower() in ("y", "yes")
-
     def write(self, outcome: Outcome, command: str) -> None:
         """Print what a command found, as JSON with its schema first: "deepfsi.camera.count/1"."""
         if self.as_json:
-            print_json(outcome.schema or command, outcome.content)
+            print_json(command, outcome.content)
             return
         for line in outcome.lines:
             self._print(line)

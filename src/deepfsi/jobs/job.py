@@ -15,7 +15,6 @@ from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.models.strict import UserModel
 from deepfsi.base.registry import UNNAMED_PLUGIN
 from deepfsi.camera.camera import Camera, CameraSource
-from deepfsi.camera.detectors import ONE_DETECTOR
 from deepfsi.camera.light import PhotonBudget, check_budget, check_one_budget
 from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light_law, find_noise, noise_name
 from deepfsi.datasets.dataset import Dataset
@@ -394,14 +393,14 @@ def _check_dictionary_camera(camera: Camera) -> None:
         )
 
 
-SETTING_ALIASES = {"dmd": ("camera", "device"), "train_noise": ("training", "noise")}
+SETTING_ALIASES = {"dmd": ("camera", "device")}
 """Table and field of single settings whose field's name is taken by another."""
 
 
 def find_table(setting: str) -> tuple[str, str]:
     """Table of a job that holds a setting, "" for its own fields, and the setting's name there."""
-    # Three names have two owners. As single settings `dmd` is the camera's device, `train_noise`
-    # the noise of the training, and `exposure` the camera's time
+    # Three names have two owners. As single settings `dmd` is the camera's device, `noise` the
+    # camera's noise and `exposure` the camera's time
     if setting in SETTING_ALIASES:
         return SETTING_ALIASES[setting]
     tables: dict[str, Collection[str]] = {
@@ -430,61 +429,52 @@ def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
     return job | {name: table for name, table in tables.items() if table}
 
 
-def usual_mask_count(settings: Mapping[str, Any], data: Dataset) -> int:
-    """Number of masks of a design that has no choice of it."""
-    exposure = find_exposure(settings.get("exposure", {}))
-    if exposure.fixed_mask_count:
-        return exposure.fixed_mask_count
-    design = check_design(settings.get("design", "deepfsi"))
-    code = DESIGNS[design]
-    if not code.complete:
-        raise InputError(f"{design} needs a number of masks: add `masks`, for instance `masks=10`")
-    scene = exposure.scene(data)
-    camera = Camera.load(settings["camera"])
-    detectors = ONE_DETECTOR if code.every_pixel else camera.detector_map(scene.image_shape)
-    return count_allowed(design, scene, detectors)[1]
-
-
-def find_job(settings: Mapping[str, Any], counts: float | None = None) -> Job:
-    """Job of its fields: its light is a budget, that of its camera, or counts."""
-    within = counts is not None and settings.get("photons") is not None
-    if within:
-        training = _training_of(settings)
-        if isinstance(training, Mapping):
-            settings = {**settings, "training": {**training, "counts": counts}}
-    elif counts is not None:
-        settings = {**settings, "photons": check_one_budget(None, counts)}
-    job = Job(**settings)
-    if counts is not None and not within and job.camera.clicks is not None:
+def job_of(
+    settings: Mapping[str, Any],
+    data: Dataset,
+    *,
+    counts: float | None = None,
+    matrix: np.ndarray | None = None,
+) -> Job:
+    """Job that a user asks for: counts are those of `learn`, and a matrix (m, N) is the user's."""
+    given = {name: value for name, value in settings.items() if value is not None}
+    if matrix is not None:
+        given = {"design": "custom", "masks": len(matrix), **given}
+    training = _training_of(given)
+    if counts is not None and "photons" not in given:
+        given["photons"] = check_one_budget(None, counts)
+    elif counts is not None and isinstance(training, Mapping):
+        given["training"] = {**training, "counts": counts}
+    code = DESIGNS.get(given.get("design", "deepfsi"))
+    whole = code is not None and code.complete and "masks" not in given
+    if whole:
+        given["masks"] = 1  # until the data say how many
+    job = Job(**given)
+    if whole:
+        scene = job.exposure.scene(data)
+        detectors = job.optics.detector_map(scene.image_shape)
+        _, most = count_allowed(job.design, scene, detectors)
+        job = job.model_copy(update={"masks": most})
+    if counts is not None and job.training.counts is None and job.camera.clicks is not None:
         raise InputError("clicks are not in proportion to the light: give `photons`, too")
     if counts is not None and job.exposure.highest(1.0) != 1.0:
         raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
-    for name in () if job.code.adaptive else PRIOR_SETTINGS:
-        if getattr(job.training, name):
-            raise InputError(
-                f'`{name}` is of adaptive masks: leave it out, or give `design="adaptive"`'
-            )
-    given = _training_of(settings)
-    # counts are of clicks, or find the budget
-    idle = [*(given.keys() - PRIOR_SETTINGS - {"counts"})] if job.code.adaptive else []
-    if idle:
-        names = {table_field: name for name, table_field in SETTING_ALIASES.items()}
-        option = min(names.get(("training", name), name) for name in idle)
-        raise InputError(
-            f"adaptive masks learn by no steps: leave `{option}` out, or learn masks of another "
-            "design"
-        )
-    if "start_counts" in given and job.training.counts is None:
-        raise InputError(
-            "`start_counts` is of few counts within a budget: leave it out, or give `counts` and "
-            "`photons`"
-        )
-    if "start" in given and not job.code.learns_masks:
-        raise InputError(
-            f"`start` is of learned masks, and {job.design} has its own: leave it out, or give "
-            '`design="deepfsi"`'
-        )
+    for name in training:
+        if reason := _unused(job.code, name):
+            raise InputError(f"{reason}: leave `{name}` out, or give another design")
     return job
+
+
+def _unused(code: Code, setting: str) -> str:
+    """Why a design has no use for a setting of the training; empty if it has one."""
+    if code.adaptive:
+        taken = setting in (*PRIOR_SETTINGS, "counts")
+        return "" if taken else "adaptive masks learn by no steps"
+    if setting in PRIOR_SETTINGS:
+        return f"{code.title} has no adaptive masks"
+    if setting in ("start", "start_counts") and not code.learns_masks:
+        return f"no masks of {code.title} learn"
+    return ""
 
 
 def _training_of(settings: Mapping[str, Any]) -> Any:

@@ -152,8 +152,8 @@ def _widths(given: Any) -> Any:
 MASK_SETTINGS = ("start", "start_counts", "mask_lr")
 """Settings of the training that only learned masks have."""
 
-PRIOR_SETTINGS = {"clusters", "dictionary"}
-"""Settings of the training that adaptive masks take, which learn by no steps."""
+PRIOR_SETTINGS = ("clusters", "dictionary")
+"""Settings of the training that only adaptive masks have, which learn by no steps."""
 
 
 class Training(UserModel):

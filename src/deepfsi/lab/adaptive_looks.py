@@ -239,7 +239,7 @@ def open_looks(folder: Path) -> AdaptiveLooks:
     if manifest.looks is None:
         raise InputError(
             f"{folder} has the patterns of a design whose masks are known before: learn one of "
-            '`design="adaptive"` masks, or record it with `deepfsi camera simulate` or `prepare`'
+            '`design="adaptive"` masks, or record it with `deepfsi camera simulate`'
         )
     if hash_file(folder / Patterns.DESIGN) != manifest.design_sha256:
         raise InputError(

@@ -123,7 +123,7 @@ def calibrate_run(
     if others:
         raise InputError(
             f"the run has a scene {others[0]} that is none of the displayed pictures: give the "
-            "folder that `deepfsi camera spots` wrote"
+            "folder spots of the scan"
         )
     counted = np.any(counts.valid, axis=1)
     measured = dict(zip(names, pictures, strict=True))

@@ -1,7 +1,6 @@
 """Pictures of masks and their values, of one exposure, and of scenes as they were counted."""
 
 import textwrap
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,13 +28,6 @@ _LOOK_COLUMNS = 8
 
 _LOOK_WIDTH = 0.75
 """Width of a look, inches."""
-
-
-_MOST_PICTURES = 48
-"""Pictures that one figure holds."""
-
-_MOST_LETTERS = 16
-"""Letters of a picture's caption."""
 
 
 def signed(rails_or_matrix: np.ndarray) -> np.ndarray:
@@ -267,47 +259,4 @@ def looks_figure(design: "Design", scene: np.ndarray, label: str, photons: float
     rows = ("mask", "mean scene\nby then", "probability\nby then")
     for ax, words in zip(grid[:, 1], rows, strict=True):
         ax.set_ylabel(words, fontsize=8)
-    return figure
-
-
-@style.styled
-def pictures_figure(pictures: np.ndarray, names: Sequence[str]) -> Figure:
-    """Least-squares pictures (S, down, across), or spectra (S, bands), of counts, on one scale.
-
-    The scale ends at the brightest cell, and begins at 0 or at the darkest cell below it.
-    """
-    drawn = np.asarray(pictures, dtype=float)[:_MOST_PICTURES]
-    if drawn.ndim == 2:
-        drawn = drawn[:, None, :]
-    finite = drawn[np.isfinite(drawn)]
-    low = min(0.0, finite.min(initial=0.0))
-    high = finite.max(initial=0.0)
-    norm = Normalize(low, high if high > low else low + 1)
-    columns = min(6, len(drawn))
-    rows = -(-len(drawn) // columns)
-    tile = (style.PAGE_WIDTH - 0.8) / max(columns, 3)
-    shape = max(drawn.shape[1] / drawn.shape[2], 0.2)
-    figure = Figure(
-        figsize=(tile * columns + 0.8, rows * (tile * shape + 0.24) + 0.2), layout="constrained"
-    )
-    axes = figure.subplots(rows, columns, squeeze=False)
-    for ax, picture, name in zip(axes.flat, drawn, names, strict=False):
-        ax.imshow(
-            np.ma.masked_invalid(picture),
-            cmap=style.GREYS,
-            norm=norm,
-            aspect="auto" if drawn.shape[1] == 1 else "equal",
-            interpolation="none",
-        )
-        ax.set(xticks=[], yticks=[])
-        ax.spines[:].set(visible=True, color=style.GRID)
-        # of long names of files the ends differ
-        caption = name if len(name) <= _MOST_LETTERS else f"…{name[1 - _MOST_LETTERS :]}"
-        ax.set_title(caption, fontsize=style.SMALL)
-    for ax in list(axes.flat)[len(drawn) :]:
-        ax.remove()
-    bar = figure.colorbar(
-        ScalarMappable(norm, style.GREYS), ax=list(figure.axes), aspect=24, pad=0.015, label="light"
-    )
-    style.plain_bar(bar)
     return figure

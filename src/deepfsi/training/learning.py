@@ -36,7 +36,7 @@ from deepfsi.exposure.kind import Clicks
 from deepfsi.exposure.training import ExposureTraining, JobGroup, matrix_seeds
 from deepfsi.exposure.training_set import TrainingSet, network_dtype, product_dtype
 from deepfsi.jobs.exposures import DICTIONARY_SPREAD, AdaptiveMasks, ExposureSource
-from deepfsi.jobs.job import Job, find_job
+from deepfsi.jobs.job import Job, job_of
 from deepfsi.jobs.training import TrainingSource
 from deepfsi.physics.surroundings import library_defaults
 from deepfsi.training.assembly import designs_of
@@ -63,7 +63,6 @@ class Diverged(InputError):
     """Training ended in numbers that are not finite."""
 
 
-@library_defaults(grad=True)
 def learn(
     data: Source,
     *,
@@ -161,9 +160,36 @@ def learn(
     if start is not None:
         start = _start_matrix(start)
         settings["masks"] = len(start) if masks is None else masks
-    hooks = LoopHooks(callback, patience, optimiser=optimiser, schedule=schedule)
-    job = find_job(settings, counts)
-    training_set = TrainingSet(as_dataset(data), device)
+    scenes = as_dataset(data)
+    return learn_job(
+        job_of(settings, scenes, counts=counts, matrix=matrix),
+        scenes,
+        counts=counts,
+        matrix=matrix,
+        device=device,
+        report=report,
+        checkpoint=checkpoint,
+        start=start,
+        hooks=LoopHooks(callback, patience, optimiser=optimiser, schedule=schedule),
+    )
+
+
+@library_defaults(grad=True)
+def learn_job(
+    job: Job,
+    data: Dataset,
+    *,
+    counts: float | None = None,
+    matrix: np.ndarray | None = None,
+    device: str | torch.device = "auto",
+    report: Progress | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    start: np.ndarray | None = None,
+    hooks: LoopHooks | None = None,
+) -> Design:
+    """Train the design of a job; the other arguments are those of `learn`."""
+    hooks = hooks or LoopHooks()
+    training_set = TrainingSet(data, device)
     _check_hooks(hooks, job, training_set.data, resumable=checkpoint is not None)
     state = Checkpoint.of(
         checkpoint, training_set, [job], matrix=matrix, counts=counts, start=start

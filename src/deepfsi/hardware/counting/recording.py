@@ -107,7 +107,7 @@ class Recording:
     def read(cls, folder: str | os.PathLike[str]) -> Self:
         """Settings and patterns of a recording, or `InputError` where they do not fit."""
         path = Path(folder) / "acquisition.json"
-        prepare = "make the folder with `deepfsi camera prepare` or `simulate`"
+        prepare = "make the folder with `deepfsi camera import` or `simulate`"
         content = read_text(path, 2**24, prepare)
         with as_input_error(str(path), content=content):
             acquisition = Acquisition.model_validate_json(content)
