@@ -25,7 +25,7 @@ LACKS = {
         "unknown projector 'vialux'"
     ),
     "mask a.safetensors --pixel 5 -o mask.svg": "No such command 'mask'",
-    "reproduce mnist -o paper": "install deepfsi again",
+    "reproduce mnist -o paper": "No such command 'reproduce'",
 }
 """Commands for which a package is needed, and what is said without it."""
 

@@ -136,7 +136,8 @@ class ExportPatterns(Command):
     flipped, export again with the --flip and --rotate that it names.
 
     A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan
-    Its folder spots has the pictures to show: bright spots, all white, all black.
+
+    The folder spots of such a scan has the pictures to show: bright spots, all white, all black.
 
     Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --exposure 10ms -o patterns
     """
