@@ -8,7 +8,7 @@ from deepfsi.report.style import DESIGN_COLOURS, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.report.lines import Line, lines_figure
-from deepfsi_paper.report.maps import Pair, pair
+from deepfsi_paper.report.maps import Pair, difference_figure, pair
 from deepfsi_paper.report.section import Claim, Picture, Table
 
 NOTICED = 0.02
@@ -90,7 +90,7 @@ class Compared:
 
 
 def show(results: Results) -> Finding:
-    """Contour maps of both tests and of their difference, and a table of all designs."""
+    """Heat maps of both tests and of their difference, and a table of all designs."""
     tested = [point for point in results.points if point.recipe != "exact"]
     compared = {
         design: _compared(point for point in tested if point.design == design)
@@ -152,9 +152,9 @@ def _pictures(compared: Mapping[str, Compared]) -> tuple[Picture, ...]:
     """A map of each design with several ratios, and lines of those with one."""
     maps = [
         Picture(
-            each.pair.figure(TESTS, each.pixels),
+            difference_figure(each.pair, TESTS),
             f"{each.label}: accuracy by budget and compression ratio, trained with MLGauss.",
-            "Contour maps of accuracy under two test noises, and of their difference.",
+            "Heat maps of accuracy under two test noises, and of their difference.",
         )
         for each in compared.values()
         if len(each.pair.ratios) > 1

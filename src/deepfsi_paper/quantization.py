@@ -5,7 +5,7 @@ import numpy as np
 from deepfsi.base.numeric.intervals import Difference, all_above, mean_of_trials, signed_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding, points
-from deepfsi_paper.report.maps import pair
+from deepfsi_paper.report.maps import difference_figure, pair
 from deepfsi_paper.report.section import Claim, Picture
 
 LOSS = 0.005
@@ -18,7 +18,7 @@ PAPER = (
 
 
 def show(results: Results) -> Finding:
-    """Contour maps with continuous masks, with quantised ones, and their difference."""
+    """Heat maps with continuous masks, with quantised ones, and their difference."""
     levels = max(point.levels for point in results.points)
     both = pair(*(points(results, levels=each) for each in (0, levels)))
     loss = _mean_loss(results, levels)
@@ -34,9 +34,9 @@ def show(results: Results) -> Finding:
         f"{most}, at {where}."
     )
     picture = Picture(
-        both.figure(("continuous", f"1/{levels - 1} of the peak")),
+        difference_figure(both, ("continuous", f"1/{levels - 1} of the peak")),
         "Accuracy by budget and compression ratio, exact photon noise.",
-        "Contour maps of accuracy with and without quantised masks, and of their difference.",
+        "Heat maps of accuracy with and without quantised masks, and of their difference.",
     )
     return Finding(found, (picture,), (claim,))
 

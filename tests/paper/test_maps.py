@@ -1,10 +1,9 @@
-"""Heat maps and contour maps: what they show is what they were given, and words can be read."""
+"""Heat maps: what they show is what they were given, and words can be read."""
 
 import itertools
 
 import numpy as np
 import pytest
-from matplotlib.collections import PathCollection
 
 from deepfsi.jobs.designs import mask_count
 from deepfsi_paper.report import maps
@@ -24,12 +23,24 @@ def accuracies(seed):
 
 MAPS = {name: accuracies(k) for k, name in enumerate(("truncated Hadamard", "PCA", "DeepFSI"), 1)}
 FIRST, SECOND, _ = MAPS.values()
-NOISES = ("MLGauss", "Poisson")
+
+
+def both(first, second, apart=0.01):
+    """Two tests whose intervals are as wide as `apart` to both sides."""
+    points = [
+        [
+            a_point(accuracy, apart / 2**0.5, photons=photons, ratio=ratio, accuracies=(accuracy,))
+            for ratio, row in zip(RATIOS, grid, strict=False)
+            for photons, accuracy in zip(BUDGETS, row, strict=False)
+        ]
+        for grid in (first, second)
+    ]
+    return maps.pair(*points)
+
+
 FIGURES = {
     "heat": lambda: maps.heat_figure(MAPS, *GRID, trained_at=1e5),
-    "contour": lambda: maps.contour_figure(
-        FIRST, SECOND, *GRID, NOISES, pixels=1024, apart=np.abs(SECOND - FIRST) > 0.01
-    ),
+    "difference": lambda: maps.difference_figure(both(FIRST, SECOND), ("MLGauss", "Poisson")),
 }
 
 
@@ -65,22 +76,12 @@ def test_cells_hold_their_values_and_the_training_budget_is_framed():
         assert frame.get_height() == len(RATIOS)
 
 
-@pytest.mark.parametrize("largest", [0, 1e-4, 0.012, 0.0225, 0.1, 0.47, 1])
-def test_levels_of_differences_hold_all_and_never_magnify_noise(largest):
-    levels = maps.difference_levels(np.array([[largest, np.nan], [-largest / 2, 0.0]]))
-    np.testing.assert_allclose(levels, -levels[::-1], atol=1e-12)
-    assert max(largest, 0.0125) <= levels[-1] <= max(2.5 * largest, 0.0125)
-    assert 6 <= len(levels) <= 10
-
-
-def test_triangles_point_where_the_difference_goes():
+def test_differences_beyond_their_intervals_stand_in_their_cells():
     first = np.full((2, 3), 0.5)
-    second = first + np.array([[0.02, -0.02, 0.02], [-0.02, np.nan, 0.0]])
-    apart = np.array([[True, True, False], [True, False, False]])
-    figure = maps.contour_figure(first, second, [1e2, 1e3, 1e4], [0.1, 1], ("A", "B"), apart=apart)
-    marks = [c for c in figure.axes[2].collections if isinstance(c, PathCollection)]
-    places = [sorted(map(tuple, mark.get_offsets())) for mark in marks]
-    assert places == [[(4, -1), (4, 0)], [(2, -1)], [(2, 0), (3, -1)]]  # dots, up, down
-    words = [text.get_text() for text in figure.legends[0].get_texts()]
-    beyond = [f"{way}, beyond that interval" for way in ("higher", "lower")]
-    assert words == ["difference within its 95 % interval", *beyond]
+    second = first + np.array([[0.02, -0.02, 0.004], [-0.13, 0.0, 0.0]])
+    figure = maps.difference_figure(both(first, second), ("A", "B"))
+    words = [text.get_text() for text in figure.axes[2].texts]
+    assert words == ["+2", "−2", "", "−13", "", ""]
+    mesh = figure.axes[2].collections[0]
+    np.testing.assert_allclose(mesh.get_array().ravel(), (second - first).ravel(), atol=1e-12)
+    assert mesh.get_clim() == pytest.approx((-0.13, 0.13))

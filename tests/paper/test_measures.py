@@ -66,22 +66,6 @@ def test_similarity_is_the_share_of_masks_in_common(similarity):
     assert similarity(basis[:3], disguised(basis[:8])) == pytest.approx(1)
 
 
-@pytest.mark.parametrize(("few", "many", "pixels"), [(1, 1, 50), (5, 20, 60), (30, 30, 64)])
-def test_random_row_spaces_share_the_larger_part_of_all_directions(few, many, pixels):
-    """For projections P, Q of ranks r ≤ s on random spaces, E tr PQ = rs/N.
-
-    Its variance is 2rs(N − r)(N − s) / (N²(N − 1)(N + 2)).
-    """
-    rng, trials = np.random.default_rng(5), 200
-    found = [
-        measures.subspace_similarity(*(rng.normal(size=(rank, pixels)) for rank in (few, many)))
-        for _ in range(trials)
-    ]
-    variance = 2 * few * many * (pixels - few) * (pixels - many)
-    variance /= pixels**2 * (pixels - 1) * (pixels + 2) * few**2
-    assert np.mean(found) == pytest.approx(many / pixels, abs=5 * math.sqrt(variance / trials))
-
-
 def test_directions_that_are_rounding_do_not_count():
     basis = orthonormal(9, 64)
     once = np.random.default_rng(7).normal(size=(3, 3)) @ basis[:3]

@@ -3,11 +3,9 @@
 import itertools
 import math
 
-import numpy as np
 import pytest
 
 from deepfsi.jobs.designs import DESIGNS, mask_count
-from deepfsi.report.style import DESIGN_COLOURS
 from deepfsi_paper import measures
 from deepfsi_paper.mnist import figures
 from shared.figures import assert_legible, assert_sound
@@ -73,21 +71,3 @@ def test_both_noises_share_one_noise_axis():
     ]
     assert start > max(errors) > min(errors) > end
     assert all("less noise →" in ax.get_xlabel() for ax in (left, right))
-
-
-def test_starts_are_drawn_beside_their_paired_differences():
-    figure = starts(NOISES)
-    assert len(figure.axes) == 4
-    left, right = figure.axes[2:]
-    assert len(left.containers) == 3
-    assert [bars.lines[0].get_ydata()[0] for bars in right.containers] == [-0.01, -0.06]
-    ends = right.containers[1].lines[2][0].get_segments()[0][:, 1]
-    np.testing.assert_allclose(ends, [-0.064, -0.056])
-    for panel in (left, right):
-        colours = [bars.lines[0].get_color() for bars in panel.containers]
-        assert colours[-2:] == [DESIGN_COLOURS["truncated-hadamard"], DESIGN_COLOURS["random"]]
-    legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ["from PCA", "from truncated Hadamard", "from random ±1", "chance"]
-    across = [bars.lines[0].get_xdata()[0] for bars in left.containers]
-    assert len(set(across)) == 3
-    np.testing.assert_allclose(across, 100, rtol=0.2)

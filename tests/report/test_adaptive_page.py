@@ -9,12 +9,12 @@ import torch
 from selenium.webdriver.common.by import By
 
 from conftest import exposing, generator, synthetic
-from deepfsi import Camera, evaluate, learn
+from deepfsi import Camera, learn
 from deepfsi.adaptive import choice
 from deepfsi.adaptive.exposure import prior_of
 from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.evaluation import page_data as payload
-from deepfsi.evaluation.page_data import few_tests, of_page, playable
+from deepfsi.evaluation.page_data import of_page, playable
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.report.playground.page import write_page
 from shared.playground import ask, open_playground
@@ -167,24 +167,6 @@ def test_posterior_and_masks_are_those_of_the_package(opened, designs, exposures
         if kind == "arms":  # the arms changed over tell as much
             ways.append([1 - on for on in mine["mask"]])
         assert theirs["mask"] in ways
-
-
-def test_exposures_of_the_page_are_as_often_right_as_those_of_the_package(opened, designs, digits):
-    few = few_tests(digits, 1)
-    tests = replace(few, x_test=few.x_test[:150], y_test=few.y_test[:150])
-    answers = ask(
-        opened("one"),
-        "return given.scenes.map((x, i) => {"
-        "  const e = new LookExposure(model, Float64Array.from(x), 300, i + 1); e.rule = null;"
-        "  e.reach(model.looks); const { chances } = e.answer(model.looks);"
-        "  return chances.indexOf(Math.max(...chances)); })",
-        scenes=tests.x_test.tolist(),
-    )
-    mine = float(np.mean(np.array(answers) == tests.y_test))
-    [found] = evaluate(of_page(designs["one"]), tests, 300.0, draws=3)
-    error = np.sqrt(found.accuracy * (1 - found.accuracy) * (1 + 1 / 3) / len(answers))
-    assert abs(mine - found.accuracy) < 3 * error
-    assert 0.3 < mine < 0.95
 
 
 def test_an_exposure_is_watched_look_by_look(opened):

@@ -6,7 +6,7 @@ is a failure and no reason to skip.
 
 import numpy as np
 import pytest
-from selenium.webdriver import ActionChains, Keys
+from selenium.webdriver import Keys
 from selenium.webdriver.common.by import By
 
 from deepfsi.report.accuracy import accuracy_figure
@@ -162,24 +162,6 @@ def test_a_click_and_a_key_sort_numbers(opened):
     assert head.get_attribute("aria-sort") is None
     assert other_head.get_attribute("aria-sort") == "ascending"
     assert list(map(float, budgets())) == sorted(map(float, budgets()))
-
-
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_focus_and_hover_are_seen(opened, scheme):
-    look(opened, scheme=scheme)
-    button, _, _ = column(opened, the_table(opened), "accuracy")
-    assert style(button, "text-decoration-line") == "none"
-    ActionChains(opened).move_to_element(button).perform()
-    assert style(button, "text-decoration-line") == "underline"
-    opened.refresh()
-    stops = set()
-    for _ in range(8):
-        ActionChains(opened).send_keys(Keys.TAB).perform()
-        active = opened.switch_to.active_element
-        stops.add(active.id)
-        assert style(active, "outline-style") == "solid"
-        assert float(style(active, "outline-width").removesuffix("px")) >= 2
-    assert len(stops) == 8
 
 
 def test_paper_gets_everything_in_black_on_white(opened):

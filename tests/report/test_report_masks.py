@@ -82,15 +82,6 @@ def test_spectra_are_curves():
     assert low == -high
 
 
-def test_values_hold_every_entry_once():
-    matrix = np.random.default_rng(4).normal(size=(5, 20))
-    (ax,) = masks.values_figure(matrix).axes
-    heights, edges, _ = ax.patches[0].get_data()
-    assert heights.sum() == pytest.approx(1)
-    assert edges[0] == -edges[-1] == pytest.approx(-np.abs(matrix).max())
-    assert ax.get_yscale() == "log"
-
-
 def test_dark_masks_can_be_drawn():
     dark = np.zeros((1, 4))
     for figure in (masks.masks_figure(dark, (2, 2)), masks.values_figure(dark)):

@@ -68,14 +68,6 @@ def alone(nodes: Cluster) -> str:
     return nodes.address
 
 
-@pytest.fixture(params=["joins", "is connected"])
-def joined(request: pytest.FixtureRequest) -> Iterator[str]:
-    """Give the address, to a process that must connect or is connected already."""
-    connects = request.param == "joins"
-    yield request.getfixturevalue("alone" if connects else "connected")
-    assert ray.is_initialized() != connects
-
-
 @pytest.mark.slow
 def test_a_sweep_survives_the_death_of_a_node(nodes, connected, tmp_path):
     """A second node is killed at work; each record arrives once, as if it were made here."""
@@ -143,12 +135,12 @@ class Counted:
         return np.asarray, (self.array,)
 
 
-def test_every_result_arrives_once_and_shared_is_sent_once(joined):
+def test_every_result_arrives_once_and_shared_is_sent_once(connected):
     def work(shared: np.ndarray, task: int) -> tuple[float, bool]:
         return shared[task] * 2, shared.flags.owndata
 
     Counted.packed = 0
-    results = list(run_on_ray(work, Counted(), range(30), address=joined))
+    results = list(run_on_ray(work, Counted(), range(30), address=connected))
     assert sorted(results) == [(2.0 * task, False) for task in range(30)]
     assert Counted.packed == 1
 
