@@ -13,8 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.sweeps.results import read_results
-from deepfsi.sweeps.target import needs_of
+from deepfsi.sweeps.summary import needs_of, read_results
 
 # %%
 # From an accuracy to photons

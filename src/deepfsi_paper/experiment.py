@@ -18,14 +18,13 @@ from deepfsi.base.progress import SILENT, Progress
 from deepfsi.datasets.catalog import list_datasets
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
-from deepfsi.report.rendering import english_list
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.recipe import Recipe, only, parts
 from deepfsi.sweeps.records import write_table
 from deepfsi.sweeps.results import Point, Results, read_results, write_results
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.summary import provenance_of
-from deepfsi_paper.report.section import Claim, Picture, Section, Table
+from deepfsi_paper.report.section import Claim, Picture, Section, Table, english_list
 
 Measure = Callable[[Results, Dataset, Path, int | None, Progress], dict[str, Any]]
 

@@ -6,7 +6,7 @@ import pytest
 
 from conftest import quick
 from deepfsi import evaluate
-from deepfsi.measures.lines import results_lines
+from deepfsi.measures.results import results_lines
 from deepfsi.measures.table import MEASURES, ClassAnswers, Measure
 from deepfsi.report.comparison_page import write_report
 from deepfsi.sweeps.plan import plan_trials

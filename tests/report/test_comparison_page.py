@@ -8,9 +8,8 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.comparison_page import write_report
+from deepfsi.report.comparison_page import verdict_of, write_report
 from deepfsi.report.style import photons_text
-from deepfsi.report.verdict import verdict_of
 from deepfsi.sweeps.results import write_results
 from shared.pages import assert_headed, assert_whole, run_without_torch, words_of
 from shared.results import make_results, with_all

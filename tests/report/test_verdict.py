@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from deepfsi.report.verdict import verdict_of
+from deepfsi.report.comparison_page import verdict_of
 from shared.results import a_point, some_results
 
 BUDGETS = (1e2, 1e3, 1e4, 1e5)

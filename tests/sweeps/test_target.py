@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepfsi.sweeps.target import needs_of, needs_table
+from deepfsi.sweeps.summary import needs_of, needs_table
 from shared.results import a_point, some_results
 
 BUDGETS = (1e2, 1e3, 1e4, 1e5, 1e6)

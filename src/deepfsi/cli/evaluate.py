@@ -14,8 +14,7 @@ from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.measures.lines import results_lines
-from deepfsi.measures.results import Estimates, Result
+from deepfsi.measures.results import Estimates, Result, results_lines
 from deepfsi.measures.table import MOST_DRAWS
 
 if TYPE_CHECKING:

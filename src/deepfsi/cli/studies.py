@@ -118,7 +118,7 @@ class CompareDesigns(_Study):
         file = read_recipe(self.recipe) if self.recipe else {}
         from deepfsi.sweeps.plan import with_adaptive
         from deepfsi.sweeps.recipe import only
-        from deepfsi.sweeps.target import check_target
+        from deepfsi.sweeps.summary import check_target
 
         matrix = None if self.matrix is None else read_matrix(self.matrix)
         if self.recipe:
@@ -262,11 +262,10 @@ def _results_outcome(results: "Results", folder: Path, target: float | None = No
         comparison_lines,
         leader_differences,
         scenes_text,
+        verdict_of,
         write_report,
     )
-    from deepfsi.report.verdict import verdict_of
-    from deepfsi.sweeps.results import write_results
-    from deepfsi.sweeps.target import needs_of, needs_table
+    from deepfsi.sweeps.summary import needs_of, needs_table, write_results
 
     write_results(folder / "results.json", results)
     page = write_report(folder)

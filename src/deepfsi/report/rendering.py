@@ -48,11 +48,6 @@ def share_text(value: float | None) -> str:
     return "–" if value is None else f"{value:.3f}"
 
 
-def english_list(words: list[str]) -> str:
-    """Words as an English list."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
-
-
 def flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
     """Yield settings that are set as name and value, nested names joined with a dot."""
     for name, value in tree.items():

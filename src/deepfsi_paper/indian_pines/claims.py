@@ -18,7 +18,6 @@ from deepfsi.base.numeric.intervals import (
     mean_of_trials,
 )
 from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.rendering import english_list
 from deepfsi.report.style import INK, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Compared, Experiment, Finding, best, gains, no_gain
@@ -28,7 +27,7 @@ from deepfsi_paper.indian_pines.figures import (
     spectral_masks_figure,
 )
 from deepfsi_paper.indian_pines.measures import BAND, Measures, measure
-from deepfsi_paper.report.section import Claim, Picture, Table
+from deepfsi_paper.report.section import Claim, Picture, Table, english_list
 
 NOTICED = 0.02
 """Difference in accuracy that counts as an advantage."""

@@ -7,7 +7,6 @@ from typing import Any
 
 from deepfsi.base.numeric.intervals import Difference, all_above
 from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.rendering import english_list
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import (
@@ -20,7 +19,7 @@ from deepfsi_paper.experiment import (
     no_gain,
 )
 from deepfsi_paper.mnist.figures import error_figure
-from deepfsi_paper.report.section import Claim, Picture, Table
+from deepfsi_paper.report.section import Claim, Picture, Table, english_list
 
 PAPER_SECONDS_PER_RUN, PAPER_SECONDS = 71.0, 2.87e4
 STARVED = 1e6

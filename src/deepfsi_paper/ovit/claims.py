@@ -25,13 +25,12 @@ from deepfsi.base.progress import Progress
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
 from deepfsi.report.accuracy import accuracy_figure
-from deepfsi.report.rendering import english_list
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, cifar10_here
 from deepfsi_paper.measures import effective_directions
 from deepfsi_paper.ovit.figures import LearnedMasks, patch_masks_figure
-from deepfsi_paper.report.section import Claim, Picture, Table
+from deepfsi_paper.report.section import Claim, Picture, Table, english_list
 
 LEARNED = "deepfsi"
 """Design whose masks are learned."""

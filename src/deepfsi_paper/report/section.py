@@ -62,3 +62,8 @@ class Section:
     files: tuple[str, ...]  # CSV files behind the figures, relative to the page
     command: str  # what repeats the experiment
     facts: Mapping[str, Any]  # provenance, nested as you like
+
+
+def english_list(words: list[str]) -> str:
+    """Words as an English list."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
