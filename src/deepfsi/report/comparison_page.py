@@ -23,10 +23,16 @@ from deepfsi.designfile.design_file import DesignFile
 from deepfsi.jobs.designs import ADAPTIVE, DESIGNS
 from deepfsi.measures.results import error_text, lit_masks, lit_text, worst_text
 from deepfsi.measures.table import MEASURES, main_measure
-from deepfsi.report.accuracy import accuracy_figure, count_figure
+from deepfsi.report.accuracy import (
+    DESIGN_AND_OPTICS,
+    Series,
+    accuracy_figure,
+    count_figure,
+    noises,
+    shares_light,
+)
 from deepfsi.report.masks import masks_figure, peak_value, signed, values_figure
 from deepfsi.report.rendering import capital, flat, render, share_text
-from deepfsi.report.series import DESIGN_AND_OPTICS, Series, noises, shares_light
 from deepfsi.report.style import Figures, photons_text
 from deepfsi.sweeps.results import Data, Point, Results, read_results
 

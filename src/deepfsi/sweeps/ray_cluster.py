@@ -18,9 +18,6 @@ demand, and a hundred thousand do not flood the driver."""
 RETRIES = 3
 """Times that a task is done again whose node was lost."""
 
-ANSWER_SECONDS = 5.0
-"""Seconds in which a cluster must answer. Ray itself tries for minutes."""
-
 
 def run_on_ray(
     work: Callable[[Any, Any], Any],
@@ -41,17 +38,13 @@ def run_on_ray(
     except ImportError:
         raise InputError("Ray is not installed: pip install ray") from None
 
-    def run(shared: Any, task: Any) -> Any:
-        return work(shared, task)
-
     with _connected(address):
         if not _slots(cpus, gpus):
             raise InputError(
                 f"no node of the cluster has the {cpus:g} CPUs and {gpus:g} GPUs that one task "
                 "asks for: ask for less, or add a node that has them"
             )
-        remote = ray.remote(run).options(
-            name=getattr(work, "__name__", "work"),
+        remote = ray.remote(work).options(
             num_cpus=cpus,
             num_gpus=gpus,
             max_retries=RETRIES,
@@ -133,16 +126,15 @@ def _join(address: str) -> None:
     except (OSError, RuntimeError, ValueError, ImportError, ray.exceptions.RayError) as error:
         raise InputError(
             f"cannot join the Ray cluster at '{where}' ({str(error).strip().splitlines()[0]}): it "
-            "needs this process's versions of Ray and Python, its token (RAY_AUTH_MODE=token), "
-            "and this machine as a node"
+            "needs the same Ray and Python, its token (RAY_AUTH_MODE=token), and a node here"
         ) from error
 
 
 def answers(address: str) -> bool:
-    """True where something answers at an address, `host:port`."""
+    """True where something answers at an address, `host:port`, within 5 s; Ray tries minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), ANSWER_SECONDS).close()
+        socket.create_connection((host.strip("[]"), int(port)), 5.0).close()
     except (OSError, ValueError):
         return False
     return True

@@ -20,9 +20,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 from deepfsi.camera.names import noise_text
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report import style
-from deepfsi.report.accuracy import accuracy_axes, marker_key
+from deepfsi.report.accuracy import accuracy_axes, marker_key, noises, series_axes
 from deepfsi.report.masks import brightest_masks, mask_axes, peak_value, signed
-from deepfsi.report.series import noises, series_axes
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.measures import impulse_imaging_error
 from deepfsi_paper.report import scales
