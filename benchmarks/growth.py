@@ -28,7 +28,7 @@ from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import FinishedTrial, Records, write_table
 from deepfsi.sweeps.results import write_results
 from deepfsi.sweeps.run import run_trials
-from deepfsi.sweeps.summary import FoldRecords, summarise_records
+from deepfsi.sweeps.summary import summarise_records
 from deepfsi.training.learning import learn
 
 SIZES = {
@@ -102,9 +102,7 @@ def records(count: int) -> None:
         times.append(time.process_time())
         found = run_trials(trials, data, folder, device="cpu")
         times.append(time.process_time())
-        results = summarise_records(
-            recipe, data, [FoldRecords(data, found)], command="", seconds=0.0
-        )
+        results = summarise_records(recipe, data, [data], [found], command="", seconds=0.0)
         write_results(folder / "results.json", results)
         write_report(folder)
         times.append(time.process_time())

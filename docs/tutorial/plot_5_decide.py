@@ -13,7 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.sweeps.summary import needs_of, read_results
+from deepfsi.sweeps.results import read_results
+from deepfsi.sweeps.summary import needs_of
 
 # %%
 # From an accuracy to photons

@@ -265,11 +265,11 @@ def _results_outcome(results: "Results", folder: Path, target: float | None = No
         verdict_of,
         write_report,
     )
-    from deepfsi.sweeps.summary import needs_of, needs_table, write_results
+    from deepfsi.sweeps.results import write_results
+    from deepfsi.sweeps.summary import needs_of, needs_table
 
     write_results(folder / "results.json", results)
     page = write_report(folder)
-    verdict = verdict_of(results)
     notes = [scenes_text(results.data)]
     content = results.as_dict()
     for point in content["points"]:
@@ -278,7 +278,7 @@ def _results_outcome(results: "Results", folder: Path, target: float | None = No
     return Outcome(
         {
             "report": str(page),
-            "verdict": verdict.text,
+            "verdict": verdict_of(results).text,
             **({} if target is None else {"target": target, "needs": needs}),
             **content,
             "notes": notes,
