@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,6 +21,13 @@ from deepfsi_paper.report import scales
 
 LEAST_REACH = 0.05
 """Least end of a scale of differences: those of a thousandth look small."""
+
+
+class _Scale(NamedTuple):
+    """Colours of values."""
+
+    norm: Normalize
+    colours: str
 
 
 def accuracy_grid(
@@ -72,13 +80,13 @@ def heat_figure(
     return figure
 
 
-def _cells(ax: Axes, edges: np.ndarray, values: np.ndarray, scale: ScalarMappable) -> None:
+def _cells(ax: Axes, edges: np.ndarray, values: np.ndarray, scale: _Scale) -> None:
     """Draw a cell for each value, blank where there is none."""
     ax.pcolormesh(
         edges,
         np.arange(len(values) + 1),
         np.ma.masked_invalid(values),
-        cmap=scale.cmap,
+        cmap=scale.colours,
         norm=scale.norm,
         edgecolors=style.PAPER,
         linewidth=0.4,
@@ -98,9 +106,10 @@ def _name_axes(ax: Axes, heading: str, budgets: Sequence[float], ratios: Sequenc
     ax.label_outer()
 
 
-def _bar(figure: Figure, axes: Iterable[Axes], scale: ScalarMappable, label: str) -> None:
+def _bar(figure: Figure, axes: Iterable[Axes], scale: _Scale, label: str) -> None:
     """Draw the colour bar of some panels at their right."""
-    style.plain_bar(figure.colorbar(scale, ax=list(axes), label=label, aspect=30, pad=0.02))
+    colours = ScalarMappable(*scale)
+    style.plain_bar(figure.colorbar(colours, ax=list(axes), label=label, aspect=30, pad=0.02))
 
 
 def _frame_column(ax: Axes, edges: np.ndarray, column: int, rows: int) -> None:
@@ -125,7 +134,7 @@ def difference_figure(pair: "Pair", names: tuple[str, str]) -> Figure:
     difference = pair.second - pair.first
     reach = max(LEAST_REACH, np.nanmax(np.abs(difference), initial=0.0))
     scale = _accuracy_scale((pair.first, pair.second))
-    signed = ScalarMappable(Normalize(-reach, reach), style.DIVERGING)
+    signed = _Scale(Normalize(-reach, reach), style.DIVERGING)
     for ax, heading, values in zip(axes, names, (pair.first, pair.second), strict=False):
         _cells(ax, edges, values, scale)
         _name_axes(ax, heading, pair.budgets, pair.ratios)
@@ -203,12 +212,12 @@ def _edges(centres: np.ndarray) -> np.ndarray:
     return np.array([2 * centres[0] - middles[0], *middles, 2 * centres[-1] - middles[-1]])
 
 
-def _accuracy_scale(grids: Iterable[np.ndarray]) -> ScalarMappable:
+def _accuracy_scale(grids: Iterable[np.ndarray]) -> _Scale:
     """Scale from the tenth below the lowest accuracy, at most 0.9, to 1."""
     values = np.concatenate([np.asarray(grid, dtype=float).ravel() for grid in grids])
     known = values[np.isfinite(values)]
     low = math.floor(10 * known.min() + 1e-9) / 10 if known.size else 0.0
-    return ScalarMappable(Normalize(min(low, 0.9), 1.0), scales.SEQUENTIAL)
+    return _Scale(Normalize(min(low, 0.9), 1.0), scales.SEQUENTIAL)
 
 
 def _short(value: float) -> str:
@@ -226,14 +235,14 @@ def _cell_labels(
     edges: np.ndarray,
     values: np.ndarray,
     texts: Sequence[Sequence[str]],
-    scale: ScalarMappable,
+    scale: _Scale,
 ) -> list[Text]:
     """Write texts into the cells of values, in an ink that can be read there."""
     labels = []
     for (row, column), value in np.ndenumerate(values):
         ink = style.MUTED
         if np.isfinite(value):
-            ink = scales.readable_ink(scale.get_cmap().name, scale.norm(value))
+            ink = scales.readable_ink(scale.colours, scale.norm(value))
         labels.append(
             ax.text(
                 (edges[column] + edges[column + 1]) / 2,
