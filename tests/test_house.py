@@ -20,7 +20,7 @@ LINES = {
     "base.models": 85,
     "base.numeric": 865,
     "camera": 1312,
-    "cli": 2489,
+    "cli": 2487,
     "datasets": 2484,
     "design": 1205,
     "designfile": 1393,
@@ -32,11 +32,11 @@ LINES = {
     "hardware.photons": 1213,
     "jobs": 1656,
     "lab": 4539,
-    "measures": 616,
+    "measures": 613,
     "physics": 1925,
-    "report": 1396,
+    "report": 1378,
     "report.playground": 51,
-    "sweeps": 2494,
+    "sweeps": 2477,
     "training": 1752,
 }
 """Lines of each room, which may only fall: lower the number with them."""

@@ -17,8 +17,7 @@ from deepfsi.datasets.load import load_dataset
 from deepfsi.jobs.job import job_of, sorted_settings
 from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.jobs.training import Training
-from deepfsi.measures.results import details_text, score_text
-from deepfsi.measures.results import Result, lit_text
+from deepfsi.measures.results import Result, details_text, lit_text, score_text
 
 if TYPE_CHECKING:
     from deepfsi.design.design import Design
