@@ -20,7 +20,7 @@ LINES = {
     "base.models": 85,
     "base.numeric": 865,
     "camera": 1312,
-    "cli": 2486,
+    "cli": 2487,
     "datasets": 2484,
     "design": 1205,
     "designfile": 1393,
