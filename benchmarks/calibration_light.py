@@ -4,8 +4,9 @@
     python benchmarks/calibration_light.py --cells 8 --photons 1e4 --seeds 1
 
 The virtual laboratory's optics (tilted, blurred, darker at the edges), its photomultiplier with 100
-dark counts/s, and the spots of a scan as they are. Photons are those that the light of one spot brings to
-the device during one whole exposure: a raster counts one cell's at a time, Hadamard masks half.
+dark counts/s, and the spots of a scan as they are. Photons are those that the light of one spot
+brings to the device during one whole exposure: a raster counts one cell's at a time, Hadamard masks
+half.
 Errors are distances on the device from where the true view puts the display's corners, the largest
 of four, root mean square over seeds, beside what the calibration says of itself.
 """
