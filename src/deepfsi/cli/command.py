@@ -170,8 +170,7 @@ def _parameter(
     form, several = _form(field.annotation, tuple(field.metadata))
     if axis and form:
         form = f"{form},…"
-    words = str(field.description)
-    extra = field.json_schema_extra
+    words, extra = str(field.description), field.json_schema_extra
     if isinstance(extra, dict) and "argument" in extra:
         metavar = str(extra["argument"] or key.upper())
         argument = _Argument(
