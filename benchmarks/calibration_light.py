@@ -68,10 +68,9 @@ def main(words: list[str] | None = None) -> None:
     for name in SCAN_NAMES:
         scan = scan_rails(name, cells)
         with tempfile.TemporaryDirectory() as folder:
-            patterns = Patterns.from_rails(
-                scan, DEVICE, 1.1 * EXPOSURE_S * float(scan.rails.max())
-            ).write(Path(folder) / "scan")
-            rates = arrival_rates(Path(folder) / "scan", scenes, CAMERA, 1.0)
+            dwell_s = 1.1 * EXPOSURE_S * float(scan.rails.max())
+            patterns = Patterns.from_rails(scan, DEVICE, dwell_s).write(Path(folder) / "scan")
+            rates = arrival_rates(patterns, scenes, CAMERA, 1.0)
         for photons in arguments.photons:
             flux = photons / EXPOSURE_S * 32 * 32 / spots[0].sum()
             found = []

@@ -23,16 +23,14 @@ from deepfsi.camera.device import find_device
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.lab.adaptive_looks import open_looks
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import (
     LATENCIES,
     Setup,
     VirtualCounter,
-    VirtualOptics,
     VirtualProjector,
 )
-from deepfsi.lab.live import plan_live, run_live
+from deepfsi.lab.live import LiveRun
 from deepfsi.lab.results import LiveScene
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
 from deepfsi.lab.virtual_optics import MirrorLight, VirtualCamera, arrival_rates
@@ -76,7 +74,7 @@ CASES = {
 }
 
 
-class Dimmed(VirtualOptics):
+class Dimmed(VirtualProjector):
     """Virtual setup whose light goes out at some times."""
 
     def __init__(self, *given: object, outs_s: np.ndarray) -> None:
@@ -112,12 +110,13 @@ def run(
     x = data.x_test[places].reshape(-1, *data.image_shape)
     camera = VirtualCamera(**case.camera)
     dark, lamp = np.zeros_like(x[:1]), lamp_of(case, len(x))
-    rates = arrival_rates(patterns, x, camera, FLUX)
+    read = Patterns.read(patterns)
+    rates = arrival_rates(read, x, camera, FLUX)
     ambient = VirtualCamera(ambient=FLUX)
-    stray = arrival_rates(patterns, dark, ambient, FLUX)
+    stray = arrival_rates(read, dark, ambient, FLUX)
     share = case.ambient * FLUX / stray[0, 0].sum()
     rates = (rates + share * stray) * lamp[:, None, None]
-    manifest = Patterns.read(patterns).manifest
+    manifest = read.manifest
 
     def made(scene: int, packed: np.ndarray) -> np.ndarray:
         seen = MirrorLight(manifest, x[scene][None], camera, FLUX).rates([packed])
@@ -132,12 +131,11 @@ def run(
     outs = rng.uniform(0, took, case.blackouts)
     setup = Dimmed(rates, camera, LATENCIES, seed, made, outs_s=outs)
     counter = VirtualCounter(setup, (0,))
-    bench = Setup(VirtualProjector(setup), counter, setup.display, lambda: setup.now_s)
+    bench = Setup(setup, counter, setup.display, lambda: setup.now_s)
     stated = None if case.stated is None else case.stated * FLUX * EXPOSURE_S
-    looks = open_looks(patterns)
-    acquisition = plan_live(patterns, named, EXPOSURE_S, looks=looks, photons=stated)
+    live_run = LiveRun(read, named, EXPOSURE_S, photons=stated)
     with tempfile.TemporaryDirectory() as folder:
-        steps = run_live(Path(folder) / "run", patterns, acquisition, bench, looks)
+        steps = live_run.steps(Path(folder) / "run", bench)
         return [each.answer for each in steps if each.answer]
 
 

@@ -22,10 +22,9 @@ from deepfsi.camera.device import find_device
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.tables import TableSettings
 from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.lab.adaptive_looks import open_looks
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import virtual_setup
-from deepfsi.lab.live import plan_live, run_live
+from deepfsi.lab.live import LiveRun
 from deepfsi.lab.virtual_optics import VirtualCamera, arrival_rates
 
 SCENES, PHOTONS, EXPOSURE_S = 40, 1e4, 10e-3
@@ -92,8 +91,9 @@ def recorded(patterns: Path, camera: VirtualCamera, flux: float, seed: int) -> R
     data, rng = deepfsi.load_dataset("digits"), np.random.default_rng([seed, 44])
     chosen = rng.permutation(len(data.x_test))[:SCENES]
     scenes = data.x_test[chosen].reshape(-1, *data.image_shape)
-    manifest = Patterns.read(patterns).manifest
-    rates = arrival_rates(patterns, scenes, camera, flux)
+    read = Patterns.read(patterns)
+    manifest = read.manifest
+    rates = arrival_rates(read, scenes, camera, flux)
     gates = manifest.picture_s.copy()
     gates[manifest.shown] = manifest.shares * EXPOSURE_S
     counts = rng.poisson(rates * gates[:, None]).reshape(SCENES, -1)
@@ -119,13 +119,12 @@ def live(patterns: Path, camera: VirtualCamera, flux: float, seed: int) -> Run:
     chosen = rng.permutation(len(data.x_test))[:SCENES]
     scenes = tuple(Scene(name=str(k), label=data.classes[data.y_test[k]]) for k in chosen)
     known = {"flux": flux, "seed": seed, "camera": camera.model_dump(mode="json")}
-    looks = open_looks(patterns)
-    acquisition = plan_live(patterns, scenes, EXPOSURE_S, looks=looks, **known)
+    live_run = LiveRun(Patterns.read(patterns), scenes, EXPOSURE_S, **known)
     shown = data.x_test[chosen].reshape(-1, *data.image_shape)
-    devices = virtual_setup(patterns, shown, acquisition)
+    devices = virtual_setup(live_run.patterns, shown, live_run.settings)
     views, right = [], 0
     with tempfile.TemporaryDirectory() as folder:
-        for each in run_live(Path(folder) / "run", patterns, acquisition, devices, looks):
+        for each in live_run.steps(Path(folder) / "run", devices):
             if each.answer is not None and each.decision is not None:
                 views.append(each.decision.view)
                 best = data.classes[each.decision.chances.argmax()]

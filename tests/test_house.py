@@ -31,7 +31,7 @@ LINES = {
     "hardware.patterns": 1508,
     "hardware.photons": 1213,
     "jobs": 1656,
-    "lab": 4539,
+    "lab": 4313,
     "measures": 613,
     "physics": 1925,
     "report": 1378,

@@ -13,8 +13,9 @@ from deepfsi.camera.device import Device
 from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.rails import DesignRails
-from deepfsi.lab.virtual_optics import RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.lab.virtual_optics import VirtualCamera
 from deepfsi.physics.laws import light_law
+from shared.virtual_runs import record
 
 PAGE = (Path(__file__).parents[1] / "docs/do/pictures.md").read_text()
 [CODE] = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
@@ -33,9 +34,9 @@ def test_readouts_are_the_matrix_times_the_scene(tmp_path, light, rails):
         Device(name="small", columns=40, rows=20, shortest_us=10),
         1e-3,
     ).write(tmp_path / "patterns")
-    settings = RecordingSettings(VirtualCamera(dark=1e6), 5e7, 5e-3, repeats=2)
-    run = tmp_path / "run"
-    record_scenes(tmp_path / "patterns", SCENES, ("a", "b", "c"), None, run, settings)
+    camera = VirtualCamera(dark=1e6)
+    told = {"repeats": 2, "seed": 0}
+    run = record(tmp_path / "run", tmp_path / "patterns", SCENES, camera, 5e7, 5e-3, **told)
     Recording.read(run).count()
     names: dict[str, Any] = {}
     exec(CODE, names)

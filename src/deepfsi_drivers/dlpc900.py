@@ -28,7 +28,6 @@ import struct
 import time
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -215,13 +214,13 @@ class Dlpc900Projector:
         """Stop and close the board."""
         let_go(kind, self.halt, self._close)
 
-    def load(self, folder: Path, report: Progress = SILENT) -> None:
-        """Send the frames of a folder of any format to the board, in place of earlier ones."""
+    def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
+        """Send frames of any format to the board, in place of earlier ones."""
         link, device, controllers = self._open()
-        manifest = _for_board(Patterns.read(folder).manifest, folder, device)
+        manifest = _for_board(patterns, device)
         self.halt()
         self._pass_s = 0.0
-        pictures = _encoded(folder, manifest, controllers, report.between(0.0, ENCODING))
+        pictures = _encoded(patterns, manifest, controllers, report.between(0.0, ENCODING))
         with _refusals("load frames"):
             link.write(_CommandCode.DISPLAY_MODE, _CommandCode.ON_THE_FLY)
             _wait_for_mode(link)
@@ -300,12 +299,13 @@ def _healthy(link: _Link) -> int:
     return status
 
 
-def _for_board(manifest: Manifest, folder: Path, device: Device) -> Manifest:
+def _for_board(patterns: Patterns, device: Device) -> Manifest:
     """Manifest of a folder for the device of a board, or `InputError` for what it cannot show."""
+    manifest = patterns.manifest
     made = manifest.device
     if (made.columns, made.rows) != (device.columns, device.rows):
         raise InputError(
-            f"'{folder}' is made for {made.columns} x {made.rows} mirrors and the board's "
+            f"'{patterns.folder}' is made for {made.columns} x {made.rows} mirrors and the board's "
             f"{device.name} has {device.columns} x {device.rows}: export for that device"
         )
     manifest = manifest.model_copy(update={"device": device})
@@ -328,13 +328,13 @@ def _table(manifest: Manifest) -> Iterator[bytes]:
 
 
 def _encoded(
-    folder: Path, manifest: Manifest, controllers: int, report: Progress
+    patterns: Patterns, manifest: Manifest, controllers: int, report: Progress
 ) -> list[tuple[bytes, ...]]:
     """Pictures of a folder, each in as many halves, left first, as a board has controllers."""
     total = len(manifest.frames)
     width = manifest.device.columns // controllers
     out = []
-    frames = Patterns.read(folder).frames()
+    frames = patterns.frames()
     for picture in PLANES_FORMAT.pictures(frames, total, manifest.device):
         halves = (picture[:, k * width : (k + 1) * width] for k in range(controllers))
         out.append(tuple(encode_picture(half) for half in halves))

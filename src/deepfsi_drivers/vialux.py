@@ -133,15 +133,15 @@ class _Board(ABC):
         """Halt and free the device."""
         let_go(kind, self.halt, self._free)
 
-    def load(self, folder: Path, report: Progress = SILENT) -> None:
-        """Send the frames of a folder of any format to the device, in place of earlier ones."""
-        manifest = Patterns.read(folder).manifest
+    def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
+        """Send frames of any format to the device, in place of earlier ones."""
+        manifest = patterns.manifest
         self.halt()
         self._unload()
-        self._check(manifest, folder)
+        self._check(patterns)
         try:
             with _refusals("load frames"):
-                self._send(manifest, Patterns.read(folder).frames(), report)
+                self._send(manifest, patterns.frames(), report)
         except BaseException:
             with contextlib.suppress(InputError):
                 self._unload()
@@ -196,12 +196,13 @@ class _Board(ABC):
         self._alp.SetTiming(sequence, pictureTime=picture_us)
         return sequence
 
-    def _check(self, manifest: Manifest, folder: Path) -> None:
+    def _check(self, patterns: Patterns) -> None:
+        manifest = patterns.manifest
         device = manifest.device
         if (device.columns, device.rows) != (self._alp.nSizeX, self._alp.nSizeY):
             raise InputError(
-                f"'{folder}' is made for {device.columns} x {device.rows} mirrors and the Vialux "
-                f"device has {self._alp.nSizeX} x {self._alp.nSizeY}: export for that device"
+                f"'{patterns.folder}' is made for {device.columns} x {device.rows} mirrors and the "
+                f"Vialux device has {self._alp.nSizeX} x {self._alp.nSizeY}: export for that device"
             )
         with _refusals("be asked for its memory"):
             free = self._alp.DevInquire(Alp.AVAIL_MEMORY)

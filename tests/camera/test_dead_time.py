@@ -10,13 +10,12 @@ from deepfsi.hardware.counting.recording import CountSettings, Recording
 from deepfsi.hardware.counting.tables import TableSettings, count_table
 from deepfsi.lab.virtual_detector import Detector
 from deepfsi.lab.virtual_optics import (
-    RecordingSettings,
     VirtualCamera,
     arrival_rates,
-    record_scenes,
 )
 from deepfsi_paper.camera import gate_counts
 from hardware.counting.recording_samples import SHAPE, patterns_of
+from shared.virtual_runs import record
 
 TAU = 20e-9
 both = pytest.mark.parametrize("paralysable", [False, True], ids=["spad", "pmt"])
@@ -69,9 +68,8 @@ def run(request, tmp_path_factory):
     shown = patterns_of(folder / "p", "free-dwell")
     camera = VirtualCamera(dead_time_s=TAU, paralysable=request.param, dark=1e4, jitter_s=1e-10)
     images = scenes(7)
-    settings = RecordingSettings(camera, FLUX, EXPOSURE, repeats=REPEATS)
-    record_scenes(folder / "p", images, list("abcdefg"), None, folder / "run", settings)
-    rates = arrival_rates(folder / "p", images, camera, FLUX)[..., 0]
+    record(folder / "run", folder / "p", images, camera, FLUX, EXPOSURE, repeats=REPEATS, seed=0)
+    rates = arrival_rates(shown, images, camera, FLUX)[..., 0]
     return folder / "run", shown, rates, DeadTime(seconds=TAU, paralysable=request.param)
 
 

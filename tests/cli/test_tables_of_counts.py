@@ -36,7 +36,9 @@ def lab(tmp_path_factory, digits):
 def values(lab, digits):
     """Counts between markers of test scenes, in the order of the frames."""
     images = digits.x_test[:SCENES].reshape(-1, 8, 8)
-    rates = arrival_rates(lab / "patterns", images, VirtualCamera(dark=1e3), FLUX)[..., 0]
+    rates = arrival_rates(Patterns.read(lab / "patterns"), images, VirtualCamera(dark=1e3), FLUX)[
+        ..., 0
+    ]
     return np.random.default_rng(1).poisson(
         rates * Patterns.read(lab / "patterns").manifest.picture_s
     )

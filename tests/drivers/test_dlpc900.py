@@ -33,7 +33,7 @@ def show(folder, passes=1, while_it_runs=lambda: None):
     """Show a folder; the shares of its loading that were reported."""
     shares = []
     with dlpc900.Dlpc900Projector() as projector:
-        projector.load(folder, Progress(lambda share, _: shares.append(share)))
+        projector.load(Patterns.read(folder), Progress(lambda share, _: shares.append(share)))
         for _ in range(passes):
             projector.run()
             while_it_runs()
@@ -138,7 +138,7 @@ def test_a_pass_does_not_end_before_its_time(board, patterns):
 def test_a_second_start_waits_for_the_first(board, patterns):
     board.stuck = True
     with dlpc900.Dlpc900Projector() as projector:
-        projector.load(patterns())
+        projector.load(Patterns.read(patterns()))
         projector.run()
         with pytest.raises(InputError, match="still shows"):
             projector.run()

@@ -8,7 +8,6 @@ import pytest
 from deepfsi.hardware.photons.events import PtuWriter
 from deepfsi.lab import results as frame_log
 from deepfsi.lab.devices import Setup, virtual_setup
-from deepfsi.lab.live import run_live
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
 from deepfsi_drivers import file_tail, swabian, vialux
 from drivers import swabian_fake
@@ -25,10 +24,10 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     """Also where lists are so long that pictures must last longer than the shortest."""
     patterns, folder = make_patterns(tmp_path, digits), tmp_path / "run"
     x, scenes = scenes_of(digits, SCENES)
-    acquisition, looks = planned(patterns, scenes, 20e-3, FLUX)
-    usual = virtual_setup(patterns, x, acquisition)
+    run = planned(patterns, scenes, 20e-3, FLUX)
+    usual = virtual_setup(run.patterns, x, run.settings)
     library = install(monkeypatch)
-    optics = usual.projector._optics
+    optics = usual.projector
 
     def on_list(frames, us):
         optics.show(np.array(frames), np.full(len(frames), us * 1e-6))
@@ -41,7 +40,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
     library.size, library.on_list, library.entries = (64, 48), on_list, entries
     devices = Setup(vialux.VialuxLooks(), Counter(), usual.display)
     counted = Counted(monkeypatch)
-    decided = list(run_live(folder, patterns, acquisition, devices, looks))
+    decided = list(run.steps(folder, devices))
     optics.written.__exit__(None, None, None)
     assert len(decided) == SCENES * LOOKS
     assert library.calls.count("SeqAlloc") == 1
@@ -53,7 +52,7 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
         assert len(pictures) <= entries
         assert pictures == np.repeat([*each.frames, 1], each.markers).tolist()
         held = np.array(each.markers[:-1]) * us
-        assert (held * 1000 >= np.array(each.gate_ns) + acquisition.settle_s * 1e9).all()
+        assert (held * 1000 >= np.array(each.gate_ns) + run.settings.settle_s * 1e9).all()
     assert (max(us for _, us in library.lists) > 44) == (entries == 100)
     assert max(max(each.markers) for each in lists) > 3
     counted.check_file(folder)
@@ -64,13 +63,13 @@ def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_pa
     patterns = make_patterns(tmp_path, digits)
     x, scenes = scenes_of(digits, SCENES)
     device = swabian_fake.install(monkeypatch, trigger=-4)
-    folder, (acquisition, looks) = tmp_path / "run", planned(patterns, scenes, 20e-3, FLUX)
-    devices = virtual_setup(patterns, x, acquisition)
-    devices.projector._optics.written = device
-    counter = swabian.TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=-4)
+    folder, run = tmp_path / "run", planned(patterns, scenes, 20e-3, FLUX)
+    devices = virtual_setup(run.patterns, x, run.settings)
+    devices.projector.written = device
+    counter = swabian.TaggerCounter(run.settings.inputs, run.settings.marker_bit, trigger=-4)
     devices = replace(devices, counter=counter)
     counted = Counted(monkeypatch)
-    decided = list(run_live(folder, patterns, acquisition, devices, looks))
+    decided = list(run.steps(folder, devices))
     assert len(decided) == SCENES * LOOKS
     assert device.steps[-2:] == ["stop", "freeTimeTagger"]
     counted.check_file(folder)

@@ -28,7 +28,7 @@ def patterns(tmp_path):
 
 def show(folder, while_it_runs=lambda: None):
     with vialux.VialuxProjector() as projector:
-        projector.load(folder)
+        projector.load(Patterns.read(folder))
         projector.run()
         while_it_runs()
         projector.wait()
@@ -40,7 +40,7 @@ def test_a_pass_shows_every_frame_for_its_time(library, patterns, light, format)
     folder = patterns(light, format)
     shares = []
     with vialux.VialuxProjector() as projector:
-        projector.load(folder, Progress(lambda share, _: shares.append(share)))
+        projector.load(Patterns.read(folder), Progress(lambda share, _: shares.append(share)))
         loaded = dict(library.sequences)
         for _ in range(2):
             projector.run()
@@ -69,7 +69,7 @@ def test_rows_of_every_length_reach_the_mirrors(library, patterns, columns):
     library.size = columns, 24
     folder = patterns("equal-dwell", masks=3, device=device)
     with vialux.VialuxProjector() as projector:
-        projector.load(folder)
+        projector.load(Patterns.read(folder))
         [sequence] = library.sequences.values()
         for place, wanted in enumerate(Patterns.read(folder).frames()):
             np.testing.assert_array_equal(sequence["frames"][place], wanted.ravel())
@@ -135,13 +135,13 @@ def test_a_failed_load_leaves_nothing_to_run_and_another_replaces_it(library, pa
     with vialux.VialuxProjector() as projector:
         library.fail_at = {"SeqPut": 1009}
         with pytest.raises(InputError, match="Failure 1009"):
-            projector.load(folder)
+            projector.load(Patterns.read(folder))
         assert not library.sequences
         with pytest.raises(InputError, match="load a pattern folder first"):
             projector.run()
         library.memory = 80  # room for these 74 frames once
-        projector.load(folder)
-        projector.load(folder)
+        projector.load(Patterns.read(folder))
+        projector.load(Patterns.read(folder))
         projector.run()
 
 
@@ -158,7 +158,7 @@ def test_what_the_device_cannot_show_is_refused(library, patterns):
 
 def test_a_pass_that_still_runs_is_not_started_again(library, patterns):
     with vialux.VialuxProjector() as projector:
-        projector.load(patterns("equal-dwell", masks=3))
+        projector.load(Patterns.read(patterns("equal-dwell", masks=3)))
         projector.run()
         library.stuck = True
         with pytest.raises(InputError, match="still shows a pass"):
@@ -172,7 +172,7 @@ def test_a_device_that_never_ends_is_not_waited_for(library, patterns, monkeypat
     monkeypatch.setattr(vialux, "GRACE_S", 0.05)
     folder, one = patterns(light, masks=8), np.array([44e-6])
     with vialux.VialuxLooks() as projector:
-        projector.load(folder)
+        projector.load(Patterns.read(folder))
         projector.show(np.array([0]), one)
         library.stuck = True
         with pytest.raises(InputError, match="should have ended"):
@@ -188,7 +188,7 @@ def test_a_list_repeats_frames_that_were_loaded_once(library, patterns):
     folder = patterns(masks=9)
     looks = [([0, 1], [100e-6, 44e-6]), ([12, 3, 3], [45e-6, 1e-6, 440e-6]), ([5], [1e-3])]
     with vialux.VialuxLooks() as projector:
-        projector.load(folder)
+        projector.load(Patterns.read(folder))
         (sequence,) = library.sequences.values()
         assert sequence["count"] == 13
         for frame, wanted in zip(
@@ -215,7 +215,7 @@ def test_a_frame_is_replaced_between_two_lists(library, patterns):
     folder = patterns(masks=3)
     other = np.flipud(list(Patterns.read(folder).frames())[2])
     with vialux.VialuxLooks() as projector:
-        projector.load(folder)
+        projector.load(Patterns.read(folder))
         projector.show(np.array([2, 1]), np.array([1e-3, 44e-6]))
         projector.replace(2, other)
         (sequence,) = library.sequences.values()
@@ -228,7 +228,7 @@ def test_a_frame_is_replaced_between_two_lists(library, patterns):
 
 def test_more_frames_than_nine_bits_name_take_entries_of_eighteen(library, patterns):
     with vialux.VialuxLooks() as projector:
-        projector.load(patterns("equal-dwell", masks=600))
+        projector.load(Patterns.read(patterns("equal-dwell", masks=600)))
         projector.show(np.array([603, 511]), np.array([44e-6, 88e-6]))
         assert library.lists == [([603, 511, 511], 44)]
         with pytest.raises(InputError, match=r"a list of 2049 pictures .* takes 2048"):
@@ -238,7 +238,7 @@ def test_more_frames_than_nine_bits_name_take_entries_of_eighteen(library, patte
 def test_a_trigger_gives_the_pictures_their_time(library, patterns):
     folder = patterns(masks=2)
     with vialux.VialuxLooks(trigger_s=50e-6) as projector:
-        projector.load(folder)
+        projector.load(Patterns.read(folder))
         assert library.mode == vialux.Alp.SLAVE
         repeats, each_s = projector.pictures(np.array([50e-6, 51e-6, 1e-3]))
         assert (repeats.tolist(), each_s.tolist()) == ([1, 2, 20], [50e-6] * 3)
@@ -246,5 +246,5 @@ def test_a_trigger_gives_the_pictures_their_time(library, patterns):
             projector.show(np.array([1]), np.array([1.0]))
     with vialux.VialuxLooks(trigger_s=44e-6) as projector:
         with pytest.raises(InputError, match="too fast"):
-            projector.load(folder)
+            projector.load(Patterns.read(folder))
         assert not library.sequences

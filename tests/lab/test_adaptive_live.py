@@ -12,9 +12,8 @@ from deepfsi import learn
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.lab.adaptive_looks import open_looks
 from deepfsi.lab.design_data import design_rails
-from deepfsi.lab.live import plan_live
+from deepfsi.lab.live import LiveRun
 from deepfsi.lab.results import read_log
 from shared.live_samples import DEVICE, OPTICS, Counted, live, make_patterns, scenes_of
 
@@ -98,7 +97,7 @@ def test_another_design_beside_the_first_mask_is_refused(patterns, tmp_path):
     with (folder / "design.safetensors").open("ab") as file:
         file.write(b" ")
     with pytest.raises(InputError, match="is not the design whose masks"):
-        open_looks(folder)
+        LiveRun(Patterns.read(folder), (), EXPOSURE_S)
 
 
 @pytest.mark.parametrize("growth", [8.0, 1 / 8])
@@ -110,6 +109,6 @@ def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tm
     patterns, scenes = tmp_path / "patterns", scenes_of(digits, 1)[1]
     Patterns.from_rails(design_rails(file), DEVICE, 1e-3).write(patterns)
     shortest_s = EXPOSURE_S * min(uneven.shares)
-    plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 0.99, looks=open_looks(patterns))
+    LiveRun(Patterns.read(patterns), scenes, EXPOSURE_S, shortest_s * 0.99)
     with pytest.raises(InputError, match="shorter than the shortest dwell"):
-        plan_live(patterns, scenes, EXPOSURE_S, shortest_s * 1.01, looks=open_looks(patterns))
+        LiveRun(Patterns.read(patterns), scenes, EXPOSURE_S, shortest_s * 1.01)

@@ -15,7 +15,8 @@ from deepfsi.lab.calibration import (
     scan_rails,
     spot_scenes,
 )
-from deepfsi.lab.virtual_optics import RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.lab.virtual_optics import VirtualCamera
+from shared.virtual_runs import record
 
 DEVICE = Device(name="d", columns=48, rows=48)
 CELLS = (8, 6)
@@ -31,10 +32,9 @@ def scanned(folder, scan="hadamard") -> tuple[Counts, Patterns]:
     shown = Patterns.from_rails(rails, DEVICE, 1e-3).write(folder / "patterns")
     spots = spot_scenes((16, 12), (3, 3), 2)
     scenes = np.concatenate([spots, np.ones((1, 16, 12)), np.zeros((1, 16, 12))])
-    names = [f"scene {k}" for k in range(len(scenes))]
-    settings = RecordingSettings(EYES, 1e7, 0.02, inputs=(6, 1, 4, 3))
-    record_scenes(folder / "patterns", scenes, names, None, folder / "run", settings)
-    return Recording.read(folder / "run").count(), shown
+    wired = {"inputs": (6, 1, 4, 3), "seed": 0}
+    run = record(folder / "run", folder / "patterns", scenes, EYES, 1e7, 0.02, **wired)
+    return Recording.read(run).count(), shown
 
 
 @pytest.mark.parametrize("scan", SCAN_NAMES)

@@ -17,6 +17,7 @@ from virtual_samples import (
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.photons import ptu
 from deepfsi.lab import virtual_optics as camera_module
 from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera, arrival_rates
@@ -45,7 +46,7 @@ def test_each_detector_has_a_dead_time_of_its_own(tmp_path):
     slow, x = VirtualCamera(dead_time_s=2e-7), scenes(1).repeat(100, axis=0)
     run = record(tmp_path, x, camera=slow, flux=FLUX, exposure_s=EXPOSURE, repeats=1, seed=3)
     counts = Recording.read(run).count()
-    arriving = arrival_rates(tmp_path / "p", x[:1], slow, FLUX)[0, manifest.shown].T
+    arriving = arrival_rates(Patterns.read(tmp_path / "p"), x[:1], slow, FLUX)[0, manifest.shown].T
     wanted, one = (slow.registered(rates) * counts.gate_s for rates in (arriving, arriving.sum(0)))
     counted = counts.counts[:, 0, 0].mean(axis=0).T
     error = np.sqrt(arriving.max() * counts.gate_s / 100)
@@ -86,7 +87,7 @@ def test_stray_light_on_one_detector_is_found_where_all_together_hide_it(tmp_pat
         x[scene].ravel()[np.array(CELLS) == hit] = 0
     manifest = export(tmp_path / "p", "free-dwell", "single").manifest
     run = record(tmp_path, x, camera=IDEAL, flux=FLUX, exposure_s=EXPOSURE, repeats=1)
-    rates = arrival_rates(tmp_path / "p", x, IDEAL, FLUX)
+    rates = arrival_rates(Patterns.read(tmp_path / "p"), x, IDEAL, FLUX)
     assert (rates[scene, 0, hit] == 0) == dark
     rates[scene, 4, hit] = 0.1 * rates[scene, 0].sum() if dark else 1.5 * rates[scene, 0, hit]
     assert rates[scene, 4].sum() < rates[scene, 0].sum()

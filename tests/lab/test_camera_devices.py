@@ -21,13 +21,10 @@ def test_law_each_device_counts_its_realised_masks(tmp_path, name):
     device = DEVICES[name].model_copy(update=sides)
     x = np.random.default_rng(2).uniform(0.1, 1, (1, 2, 3))
     masks = np.random.default_rng(3).random((1, 2, 6)) / 2
-    shown = Patterns.from_rails(
-        DesignRails(masks, "free-dwell", (2, 3), 3.0),
-        device,
-        1e-3,
-        format="planes" if device.packed else "npy",
-    ).write(tmp_path / "p")
-    flow = arrival_rates(tmp_path / "p", x, IDEAL, 1e6)[0, :, 0] * 3e-6
+    rails = DesignRails(masks, "free-dwell", (2, 3), 3.0)
+    kind = "planes" if device.packed else "npy"
+    shown = Patterns.from_rails(rails, device, 1e-3, format=kind).write(tmp_path / "p")
+    flow = arrival_rates(shown, x, IDEAL, 1e6)[0, :, 0] * 3e-6
     assert flow[[0, -2]] == pytest.approx(x.sum(), rel=1e-4)
     assert flow[1] == flow[-1] == 0
     assert flow[shown.manifest.shown] == pytest.approx(shown.fractions @ x.ravel(), rel=1e-4)

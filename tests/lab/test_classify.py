@@ -13,11 +13,10 @@ from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.virtual_optics import (
     CAMERAS,
-    RecordingSettings,
     VirtualCamera,
     arrival_rates,
-    record_scenes,
 )
+from shared.virtual_runs import record
 
 PAGE = Path(__file__).parents[2] / "docs/do/camera.md"
 DESIGN, RUN = "small-dmd.safetensors", "run_0001"
@@ -64,7 +63,7 @@ def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path):
     """A table of two exposures at the training's light, and two at 2 % of it."""
     manifest = Patterns.read(lab / "frames").manifest
     x = read_display(lab / "images").x[:2]
-    rates = arrival_rates(lab / "frames", x, CAMERAS["ideal"], 1e7)[..., 0]
+    rates = arrival_rates(Patterns.read(lab / "frames"), x, CAMERAS["ideal"], 1e7)[..., 0]
     gate_s = np.full(len(manifest.frames), 10e-3 / len(manifest.shown))
     gate_s[manifest.shown] = manifest.shares * 10e-3
     bright = np.random.default_rng(0).poisson(rates * gate_s)
@@ -84,8 +83,8 @@ def forty(lab, digits):
 
     def classified(folder, optics=None, scenes=40, flux=1e7):
         camera = VirtualCamera.model_validate(optics or {})
-        recording = RecordingSettings(camera, flux=flux, exposure_s=10e-3)
-        record_scenes(lab / "frames", x[:scenes], names[:scenes], None, folder, recording)
+        told = {"names": names[:scenes], "seed": 0}
+        record(folder, lab / "frames", x[:scenes], camera, flux, 10e-3, **told)
         Recording.read(folder).count()
         return deepfsi.classify_run(lab / DESIGN, folder)
 

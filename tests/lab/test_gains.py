@@ -10,8 +10,9 @@ from deepfsi.hardware.counting.recording import CountSettings, Recording
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.calibration import find_gains
-from deepfsi.lab.virtual_optics import RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.lab.virtual_optics import VirtualCamera
 from deepfsi.training import characterisation
+from shared.virtual_runs import record
 
 DEVICE = Device(name="d", columns=64, rows=64, shortest_us=10, settle_us=2)
 CELLS = np.kron([[0, 1], [2, 3]], np.ones((2, 2), int))
@@ -39,8 +40,8 @@ def export(folder, light="equal-dwell"):
 
 
 def run(folder, x, camera_gains=None, name="run", **settings):
-    camera, names = VirtualCamera(gains=camera_gains, dark=500.0), [str(k) for k in range(len(x))]
-    record_scenes(folder / "p", x, names, None, folder / name, RecordingSettings(camera, 1e7, 0.01))
+    camera = VirtualCamera(gains=camera_gains, dark=500.0)
+    record(folder / name, folder / "p", x, camera, 1e7, 0.01, seed=0)
     return Recording.read(folder / name).count(CountSettings(**settings))
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from deepfsi import classify_run
 from deepfsi.base.errors import InputError
-from deepfsi.lab import live as runs
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab import results as frame_log
-from deepfsi.lab.adaptive_looks import open_looks
+from deepfsi.lab.adaptive_looks import AdaptiveLooks
 from deepfsi.lab.devices import virtual_setup
 from shared.live_samples import (
     DEVICE,
@@ -46,10 +46,12 @@ def test_the_clock_adds_up(digits, patterns, tmp_path):
     """A scene takes its pictures and, for each list, command, block, transfer and decision."""
     slow = {"display": 0.5, "block": 0.1, "transfer": 0.003}
     x, scenes = scenes_of(digits, 3)
-    acquisition, looks = planned(patterns, scenes)
-    devices = virtual_setup(patterns, x, acquisition, latency_s=0.01, decision_s=0.002)
-    devices.projector._optics.latencies |= slow
-    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices, looks))
+    live_run = planned(patterns, scenes)
+    devices = virtual_setup(
+        live_run.patterns, x, live_run.settings, latency_s=0.01, decision_s=0.002
+    )
+    devices.projector.latencies |= slow
+    decided = list(live_run.steps(tmp_path / "run", devices))
     times = {}
     for each in decided:
         times.setdefault(each.scene, []).append(each.clock_s)
@@ -65,7 +67,7 @@ def test_exposures_that_share_light_end_when_sure_and_take_the_cap_at_most(digit
     """Of 3 looks each takes 2/3 of the exposure, which is the mean, less what the clock rounds."""
     patterns = make_patterns(tmp_path, digits, exposure={"cap": 2})
     decided = live(tmp_path / "run", patterns, digits, count=20)
-    threshold = open_looks(patterns).rule.threshold
+    threshold = AdaptiveLooks.read(Patterns.read(patterns)).rule.threshold
     for each in decided:
         decision = each.decision
         assert decision.light_s == pytest.approx(2 / LOOKS * (decision.look + 1) * EXPOSURE_S, 1e-3)
@@ -77,8 +79,8 @@ def test_exposures_that_share_light_end_when_sure_and_take_the_cap_at_most(digit
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, InputError("the device refuses")])
 def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_path, stop):
     x, scenes = scenes_of(digits, 6)
-    acquisition, looks = planned(patterns, scenes)
-    devices = virtual_setup(patterns, x, acquisition)
+    live_run = planned(patterns, scenes)
+    devices = virtual_setup(live_run.patterns, x, live_run.settings)
     folder, done = tmp_path / "run", []
     whole = devices.projector.show
 
@@ -89,7 +91,7 @@ def test_finished_scenes_are_kept_when_a_run_is_stopped(digits, patterns, tmp_pa
 
     devices.projector.show = show
     with pytest.raises(type(stop) if isinstance(stop, Exception) else stop):  # noqa: PT012
-        for each in runs.run_live(folder, patterns, acquisition, devices, looks):
+        for each in live_run.steps(folder, devices):
             done.append(each)
     found = classify_run(patterns, folder).scenes
     assert [each.predicted for each in found] == [
@@ -142,8 +144,8 @@ def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, caps
     monkeypatch.chdir(tmp_path)
     Path("adaptive").symlink_to(patterns)
     x, scenes = scenes_of(digits, 2)
-    acquisition, _ = planned(patterns, scenes)
-    devices = virtual_setup(patterns, x, acquisition)
+    live_run = planned(patterns, scenes)
+    devices = virtual_setup(live_run.patterns, x, live_run.settings)
     names = {f"my_{name}": getattr(devices, name) for name in ("projector", "counter", "display")}
     exec(loop, names)
     decided = capsys.readouterr().out.splitlines()
@@ -153,11 +155,11 @@ def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, caps
 def test_long_gates_end_within_their_pictures_where_clocks_differ(digits, patterns, tmp_path):
     """A device whose clock is fast by 10⁻⁴ shortens a picture of 1 s by more than it settles."""
     x, scenes = scenes_of(digits, 2)
-    acquisition, looks = planned(patterns, scenes, 3.0 * LOOKS, flux=1e4)
-    devices = virtual_setup(patterns, x, acquisition)
+    live_run = planned(patterns, scenes, 3.0 * LOOKS, flux=1e4)
+    devices = virtual_setup(live_run.patterns, x, live_run.settings)
     whole = devices.projector.show
     devices.projector.show = lambda frames, dwells_s: whole(frames, dwells_s * (1 - 1e-4))
-    decided = list(runs.run_live(tmp_path / "run", patterns, acquisition, devices, looks))
+    decided = list(live_run.steps(tmp_path / "run", devices))
     assert len(decided) == 2 * LOOKS
     shown = frame_log.read_log(tmp_path / "run")
     assert max(max(one.gate_ns) for each in shown for one in each.lists[1:-1]) > 0.2e9

@@ -1,7 +1,5 @@
 """Laws of the decisions of a live run: what they owe to the budget, dead time and light."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,7 @@ from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.light.flux import PARTS_OF_FRAME
 from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.lab import adaptive_looks
-from deepfsi.lab.observer import ON, SceneObserver
+from deepfsi.lab.observer import SceneObserver
 from deepfsi.lab.virtual_detector import Detector
 from shared.live_samples import EXPOSURE_S, LOOKS, OPTICS, make_patterns, planned
 
@@ -42,8 +39,8 @@ def light(patterns, scene, lists):
 def observe(patterns, scenes, change=lambda rates, lists: rates, **settings):
     """Decisions on scenes (n, N) whose counts are their means, and the lists asked for."""
     named = tuple(Scene(name=str(k)) for k in range(len(scenes)))
-    acquisition, looks = planned(patterns, named, **settings)
-    observer, asked = SceneObserver(looks, Patterns.read(patterns).manifest, acquisition), []
+    run, asked = planned(patterns, named, **settings), []
+    observer = SceneObserver(run.looks, run.patterns.manifest, run.settings)
 
     def source(number, scene):
         def counts(lists):
@@ -54,7 +51,7 @@ def observe(patterns, scenes, change=lambda rates, lists: rates, **settings):
                 starts_s, np.repeat(photons[:, None] / PARTS_OF_FRAME, PARTS_OF_FRAME, axis=1)
             )
 
-        return SimpleNamespace(count=counts)
+        return counts
 
     decided = [list(observer.observe(k, source(k, scene))) for k, scene in enumerate(scenes)]
     return decided, asked
@@ -111,32 +108,6 @@ def test_an_all_on_frame_too_bright_for_its_dead_time_ends_the_run(digits, patte
     with pytest.raises(InputError, match="corrected up to"):
         observe(patterns, scenes, scaled(1.01), dead_time=dead)
     observe(patterns, scenes, scaled(0.98), dead_time=dead)
-
-
-@pytest.mark.parametrize("dead_s", [0.0, 25e-9])
-def test_law_all_on_frames_have_the_noise_of_what_is_subtracted_and_of_a_dead_time(
-    digits, patterns, monkeypatch, dead_s
-):
-    """Of n arrivals a second a non-paralysable counter gives the variance n (1 + nτ)."""
-    dead, seen, manifest = DeadTime(seconds=dead_s), [], Patterns.read(patterns).manifest
-    dark = FLUX * np.linspace(0.2, 0.4, manifest.inputs)
-    exposure = adaptive_looks._AdaptiveLiveExposure
-    usual = exposure.compare
-    monkeypatch.setattr(exposure, "compare", lambda self, on: seen.append(on) or usual(self, on))
-    bright = []
-
-    def change(rates, lists):
-        arrived = rates + dark
-        bright.append(arrived[ON])
-        return arrived / (1 + arrived * dead_s)
-
-    _, asked = observe(patterns, digits.x_test[:1], change, dead_time=dead)
-    [on], arm = seen, manifest.arm
-    seconds = sum(each.gate_ns[ON] for each in (asked[0], asked[-1])) * 1e-9
-    assert on.seconds == pytest.approx(seconds)
-    assert on.counts == pytest.approx((bright[0] - dark)[arm].sum() * seconds, rel=1e-6)
-    lost = (bright[0] ** 2 * dead_s)[arm].sum() * seconds
-    assert on.noise == pytest.approx(dark[arm].sum() * seconds + lost, rel=1e-6)
 
 
 def test_a_scene_without_light_is_not_decided_upon_and_changes_no_budget(digits, patterns):

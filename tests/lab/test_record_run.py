@@ -29,17 +29,17 @@ def planned(patterns, digits, count):
     """Acquisition of some scenes, and its virtual bench."""
     shown = tuple(Scene(name=str(k)) for k in range(count))
     told = {"flux": 1e7, "camera": CAMERAS["ideal"].model_dump(mode="json"), "seed": 1}
-    manifest = Patterns.read(patterns).manifest
-    acquisition = Acquisition.plan(manifest, shown, exposure_s=10e-3, repeats=1, **told)
+    read = Patterns.read(patterns)
+    acquisition = Acquisition.plan(read.manifest, shown, exposure_s=10e-3, repeats=1, **told)
     scenes = digits.x_test[:count].reshape(count, 8, 8)
-    return acquisition, virtual_setup(patterns, scenes, acquisition)
+    return acquisition, virtual_setup(read, scenes, acquisition)
 
 
 def tagged(patterns, digits, count, monkeypatch):
     """The same bench, whose photons and triggers are tags of a fake of a Time Tagger."""
     acquisition, bench = planned(patterns, digits, count)
     device = swabian_fake.install(monkeypatch)
-    bench.projector._optics.written = device
+    bench.projector.written = device
     counter = swabian_module.TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=8)
     return device, acquisition, replace(bench, counter=counter)
 
@@ -53,7 +53,7 @@ def test_a_run_that_is_stopped_keeps_its_finished_scenes(
         device, acquisition, bench = tagged(patterns, digits, 4, monkeypatch)
     else:
         acquisition, bench = planned(patterns, digits, 4)
-    optics = bench.projector._optics
+    optics = bench.projector
 
     def stopped() -> None:
         frames = np.arange(20)
@@ -72,7 +72,7 @@ def test_a_run_that_is_stopped_keeps_its_finished_scenes(
 
     bench = replace(bench, display=display)
     with pytest.raises(InputError if stop == "tags lost" else KeyboardInterrupt) as end:
-        list(record.record_run(tmp_path / "run", patterns, acquisition, bench))
+        list(record.record_run(tmp_path / "run", Patterns.read(patterns), acquisition, bench))
     assert ("overflowed" in str(end.value)) == (stop == "tags lost")
     assert stop != "tags lost" or device.steps[-2:] == ["stop", "freeTimeTagger"]
     assert [scene.name for scene in Recording.read(tmp_path / "run").acquisition.scenes] == [

@@ -11,8 +11,9 @@ from deepfsi.datasets.display import read_display
 from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.rails import DesignRails
-from deepfsi.lab.registration import find_reference, write_reference
-from deepfsi.lab.virtual_optics import CAMERAS, RecordingSettings, VirtualCamera, record_scenes
+from deepfsi.lab.registration import check_view, write_reference
+from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera
+from shared.virtual_runs import record
 
 DEVICE = Device(name="d", columns=256, rows=192, shortest_us=10, settle_us=2)
 PLAIN = DmdLayout()
@@ -42,11 +43,11 @@ def view(layout=PLAIN, scale=1.0, shift=(0.0, 0.0), turn=0.0):
     return (*linear[0], start[0]), (*linear[1], start[1]), (0.0, 0.0, 1.0)
 
 
-def found(tmp_path, shown, camera, flux=3e8, exposure=0.01):
+def found(tmp_path, camera, flux=3e8, exposure=0.01):
     x = read_display(tmp_path / "p" / "reference.png").x
-    settings = RecordingSettings(camera, flux, exposure)
-    record_scenes(tmp_path / "p", x, ["reference"], None, tmp_path / "run", settings)
-    return find_reference(Recording.read(tmp_path / "run").count(), shown)
+    run = record(tmp_path / "run", tmp_path / "p", x, camera, flux, exposure, seed=0)
+    Recording.read(run).count()
+    return check_view(run)
 
 
 @pytest.mark.parametrize(
@@ -63,9 +64,9 @@ def found(tmp_path, shown, camera, flux=3e8, exposure=0.01):
 def test_law_the_place_of_a_scene_is_found_with_stray_light(tmp_path, layout, place):
     """Each number within five of its standard errors, in silence until now: scenes turned by 180
     degrees or flipped, shifted by a pixel of 8, at half their size."""
-    shown = export(tmp_path / "p")
+    export(tmp_path / "p")
     camera = VirtualCamera(view=view(layout, **place), ambient=1e6)
-    fit = found(tmp_path, shown, camera, flux=1e9)
+    fit = found(tmp_path, camera, flux=1e9)
     assert fit.doubt is None
     assert fit.layout.orientation == layout.orientation
     assert fit.fits == (layout == PLAIN and not place)
@@ -75,26 +76,27 @@ def test_law_the_place_of_a_scene_is_found_with_stray_light(tmp_path, layout, pl
 
 
 def test_little_light_is_said_to_be_too_little(tmp_path):
-    fit = found(tmp_path, export(tmp_path / "p"), CAMERAS["ideal"], flux=1e6)
+    export(tmp_path / "p")
+    fit = found(tmp_path, CAMERAS["ideal"], flux=1e6)
     assert not fit.fits
     assert "too little light to be certain: record the reference with" in fit.doubt
 
 
 def test_few_masks_are_refused(tmp_path):
-    shown = export(tmp_path / "p", number=5)
+    export(tmp_path / "p", number=5)
     with pytest.raises(InputError, match=r"5 readouts do not tell .*hadamard --size 8x8"):
-        found(tmp_path, shown, CAMERAS["ideal"], exposure=1e-3)
+        found(tmp_path, CAMERAS["ideal"], exposure=1e-3)
 
 
 @pytest.mark.parametrize("inverted", [False, True])
 def test_mirrors_of_the_other_polarity_are_named_and_corrected(tmp_path, inverted):
-    shown = export(tmp_path / "p", DmdLayout(invert=inverted))
+    export(tmp_path / "p", DmdLayout(invert=inverted))
     camera = VirtualCamera(inverted=True)
     if inverted:
-        assert found(tmp_path, shown, camera).fits
+        assert found(tmp_path, camera).fits
     else:
         with pytest.raises(InputError, match=r"mirrors are inverted.* with --invert"):
-            found(tmp_path, shown, camera)
+            found(tmp_path, camera)
 
 
 @pytest.mark.parametrize("cells", [0.3, 1.5])
@@ -102,7 +104,7 @@ def test_law_the_blur_of_the_target_is_found_and_refused_beyond_half_a_cell(tmp_
     """Within five of its standard errors: a blur was fitted before, and not said."""
     shown = export(tmp_path / "p")
     camera = VirtualCamera(blur=cells * np.sqrt(shown.manifest.grid.mirrors))
-    fit = found(tmp_path, shown, camera, flux=1e9)
+    fit = found(tmp_path, camera, flux=1e9)
     assert fit.doubt is None
     assert abs(fit.blur - cells) < 5 * fit.blur_error + 0.1
     assert fit.fits == (cells < 0.5)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.lab.devices import VirtualOptics, virtual_setup
-from deepfsi.lab.live import run_live
+from deepfsi.lab.devices import VirtualProjector, virtual_setup
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
 from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera
 from shared.live_samples import EXPOSURE_S, make_patterns, planned, scenes_of
@@ -31,7 +30,7 @@ class Lab:
     flicker: tuple[float, float] = (0.0, 0.0)  # amplitude, and Hz
 
 
-class Wavering(VirtualOptics):
+class Wavering(VirtualProjector):
     """Setup whose light goes out at times, or rises and falls."""
 
     lab = Lab()
@@ -56,18 +55,16 @@ class Wavering(VirtualOptics):
 def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **settings):
     """Answers of a run."""
     x, named = scenes_of(digits, scenes)
-    acquisition, looks = planned(
-        patterns, named, flux=FLUX, camera=lab.camera, **{"seed": 3, **settings}
-    )
-    devices = virtual_setup(patterns, x, acquisition)
-    setup = devices.projector._optics
+    run = planned(patterns, named, flux=FLUX, camera=lab.camera, **{"seed": 3, **settings})
+    devices = virtual_setup(run.patterns, x, run.settings)
+    setup = devices.projector
     setup.__class__, setup.lab = Wavering, lab
     lamp, made = np.array(lab.lamp)[:scenes], setup._made
     setup._rates *= lamp[:, None, None]
     setup._made = lambda scene, packed: lamp[scene] * made(scene, packed)
     if change:
         devices = replace(devices, display=change(setup) or setup.display)
-    steps = run_live(folder, patterns, acquisition, devices, looks)
+    steps = run.steps(folder, devices)
     return [step.answer for step in steps if step.answer]
 
 
@@ -122,7 +119,7 @@ def test_a_lamp_that_steps_starts_a_new_budget_and_is_said(digits, patterns, tmp
 def test_a_scene_in_which_the_light_goes_out_gets_no_class(digits, patterns, tmp_path):
     """At five moments of the run, each within the looks of a scene."""
     starts = []
-    whole = VirtualOptics.display
+    whole = VirtualProjector.display
 
     def watch(setup):
         return lambda scene: (whole(setup, scene), starts.append(setup.now_s))

@@ -8,12 +8,11 @@ import pytest
 from deepfsi import evaluate, load_design
 from deepfsi.base.errors import InputError
 from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.frames import make_frame, unpack
+from deepfsi.hardware.patterns.frames import unpack
 from deepfsi.lab import adaptive_looks
 from deepfsi.lab import results as frame_log
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import virtual_setup
-from deepfsi.lab.live import run_live
 from shared.live_samples import (
     DEVICE,
     EXPOSURE_S,
@@ -59,8 +58,8 @@ def test_frames_that_are_shown_are_the_exported_ones_bit_for_bit(
 ):
     """Index p shows picture p of the folder, of the mask that the posterior asks for; no load."""
     x, scenes = scenes_of(digits, 2)
-    acquisition, looks = planned(patterns, scenes)
-    devices = virtual_setup(patterns, x, acquisition)
+    run = planned(patterns, scenes)
+    devices = virtual_setup(run.patterns, x, run.settings)
     shown, chosen, projector = [], [], devices.projector
     choose = adaptive_looks.DictionaryPosterior.choose
     monkeypatch.setattr(
@@ -74,7 +73,7 @@ def test_frames_that_are_shown_are_the_exported_ones_bit_for_bit(
         show(frames, dwells_s),
     )
     projector.replace = None  # a load would fail
-    list(run_live(tmp_path / "run", patterns, acquisition, devices, looks))
+    list(run.steps(tmp_path / "run", devices))
     pictures = list(Patterns.read(patterns).frames())
     manifest = Patterns.read(patterns).manifest
     asked = [frames for frames in shown if frames != [0, OFF, OFF]]
@@ -87,8 +86,8 @@ def test_frames_that_are_shown_are_the_exported_ones_bit_for_bit(
             assert logged.masks == ()
             assert asked.pop(0) == [frame, OFF]
             assert chosen.pop(0) == frame - 2
-            mask = looks.stored.masks[frame - 2].bool().numpy()
-            assert np.array_equal(pictures[frame], make_frame(mask, manifest.device, manifest.grid))
+            mask = run.looks.stored.masks[frame - 2].bool().numpy()
+            assert np.array_equal(pictures[frame], manifest.lit_frame(mask))
     assert not asked
 
 

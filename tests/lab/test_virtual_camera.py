@@ -16,6 +16,7 @@ from virtual_samples import (
 from deepfsi.base.errors import InputError
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.hardware.counting.recording import Recording
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.photons.reader import summarise
 from deepfsi.lab import virtual_detector as detector
 from deepfsi.lab import virtual_optics as module
@@ -83,7 +84,7 @@ def test_nothing_is_seen_behind_the_camera():
 def test_rates_of_the_ideal_camera_are_those_of_the_realised_masks(tmp_path, light, rails):
     shown, x, flux = patterns(tmp_path / "p", light, rails), scenes(), 1e6
     manifest = shown.manifest
-    flow = arrival_rates(tmp_path / "p", x, IDEAL, flux)
+    flow = arrival_rates(Patterns.read(tmp_path / "p"), x, IDEAL, flux)
     assert flow.shape == (3, len(manifest.frames), 2 if light == "two-arm" else 1)
     part = flux / SUMMED_REFLECTANCE * x.reshape(3, -1) @ shown.fractions.T
     whole = flux / SUMMED_REFLECTANCE * x.sum(axis=(1, 2))
@@ -100,7 +101,7 @@ def test_photons_of_a_recording_are_forecast(tmp_path, light, rails):
     shown = patterns(tmp_path / "p", light, rails)
     camera = VirtualCamera(efficiency=0.3, dark=1e3, ambient=2e4)
     grey = np.full((2, *SHAPE), 0.4)
-    rates = arrival_rates(tmp_path / "p", grey, camera, 1e5)
+    rates = arrival_rates(Patterns.read(tmp_path / "p"), grey, camera, 1e5)
     events = (rates.sum(axis=2) * shown.manifest.picture_s).sum()
     assert expected_events(shown, grey, camera, 1e5) == pytest.approx(events, rel=1e-4)
 
@@ -109,15 +110,17 @@ def test_photons_of_a_recording_are_forecast(tmp_path, light, rails):
 def test_dark_counts_and_ambient_light_add_to_the_signal(tmp_path, light):
     shown, x = patterns(tmp_path / "p", light), scenes()
     camera = VirtualCamera(ambient=4e5, dark=123.0, efficiency=0.4)
-    signal = arrival_rates(tmp_path / "p", x, IDEAL, 1e6)
-    stray = arrival_rates(tmp_path / "p", x, camera, 1e6) - 0.4 * signal
+    signal = arrival_rates(Patterns.read(tmp_path / "p"), x, IDEAL, 1e6)
+    stray = arrival_rates(Patterns.read(tmp_path / "p"), x, camera, 1e6) - 0.4 * signal
     part = shown.fractions.mean(axis=1) * 24 * 36 / (26 * 36)  # of the whole device
     places = shown.manifest.shown
     assert stray[0, places, 0] == pytest.approx(123 + 0.4 * 4e5 * part, rel=1e-4)
     if light == "two-arm":
         rest = 24 * 36 / (26 * 36) - part
         assert stray[0, places, 1] == pytest.approx(123 + 0.4 * 4e5 * rest, rel=1e-4)
-    assert arrival_rates(tmp_path / "p", x, camera, 0.0)[:, 1, 0] == pytest.approx(123)
+    assert arrival_rates(Patterns.read(tmp_path / "p"), x, camera, 0.0)[:, 1, 0] == pytest.approx(
+        123
+    )
 
 
 @pytest.mark.parametrize(
@@ -131,7 +134,7 @@ def test_dark_counts_and_ambient_light_add_to_the_signal(tmp_path, light):
 def test_scenes_and_fluxes_that_are_none_are_refused(tmp_path, given, flux, message):
     patterns(tmp_path / "p")
     with pytest.raises(InputError, match=message):
-        arrival_rates(tmp_path / "p", given, IDEAL, flux)
+        arrival_rates(Patterns.read(tmp_path / "p"), given, IDEAL, flux)
 
 
 # Files
@@ -156,7 +159,7 @@ def test_events_stay_in_order_where_jitter_reaches_over_chunks(tmp_path, monkeyp
     monkeypatch.setattr(detector, "EVENTS_AT_ONCE", 10)
     shown = patterns(tmp_path / "p", "two-arm", dwell=1e-4)
     camera = VirtualCamera(jitter_s=1e-6, afterpulse_probability=0.3, afterpulse_s=1e-5)
-    flow = arrival_rates(tmp_path / "p", scenes(), camera, 1e6)
+    flow = arrival_rates(Patterns.read(tmp_path / "p"), scenes(), camera, 1e6)
     module.write_photons(tmp_path / "a.ptu", shown.manifest, flow, camera, np.random.default_rng(0))
     contents = summarise(tmp_path / "a.ptu")
     expected = (flow.sum(axis=2) * shown.manifest.picture_s).sum() * 1.3

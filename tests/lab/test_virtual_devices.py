@@ -8,7 +8,7 @@ from deepfsi.lab import virtual_optics as camera_module
 from deepfsi.lab.devices import (
     LATENCIES,
     VirtualCounter,
-    VirtualOptics,
+    VirtualProjector,
 )
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
 from deepfsi.lab.virtual_optics import VirtualCamera
@@ -21,7 +21,7 @@ def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path)
     """
     rates = np.array([[[0.0], [1e6], [3e6]]])
     camera, dwells = VirtualCamera(jitter_s=1e-7), np.array([2e-3, 1e-3, 4e-3])
-    setup = VirtualOptics(
+    setup = VirtualProjector(
         rates, camera, LATENCIES | {"trigger": 1e-6, "command": 5e-3, "display": 50e-3}
     )
     counter, path = VirtualCounter(setup, (0,)), tmp_path / "run.ptu"
@@ -32,7 +32,7 @@ def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path)
         shown_s = setup.now_s + 5e-3
         setup.show(np.array([1, 2, 0]), dwells)
         starts.append(shown_s + np.array([0, *np.cumsum(dwells[:-1])]))
-    setup.rest()
+    setup.wait()
     assert setup.now_s == pytest.approx(
         starts[-1][0] + dwells.sum() + 8e-7, abs=2 * DETECTOR_TICK_S
     )

@@ -7,14 +7,13 @@ import pytest
 import torch
 
 from deepfsi import Scanner
-from deepfsi.base.progress import SILENT
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.rails import DesignRails
-from deepfsi.lab.virtual_optics import RecordingSettings, record_scenes
 from deepfsi.physics.laws import light_law
+from shared import virtual_runs
 
 OPTICS = [("equal-dwell", "dual"), ("free-dwell", "single"), ("two-arm", "dual")]
 every_optics = pytest.mark.parametrize(("light", "rails"), OPTICS)
@@ -38,12 +37,9 @@ def patterns(folder: Path, light="equal-dwell", rails="dual", dwell=2e-3, cells=
     return Patterns.from_rails(design, DEVICE, dwell, layout=DmdLayout(stretch=True)).write(folder)
 
 
-def record(folder: Path, x: np.ndarray, name="run", labels=None, report=SILENT, **settings) -> Path:
+def record(folder: Path, x: np.ndarray, name="run", **settings) -> Path:
     """Record scenes with the patterns in `folder`/p, named by their places."""
-    how = RecordingSettings(**settings)
-    names = [str(k) for k in range(len(x))]
-    record_scenes(folder / "p", x, names, labels, folder / name, how, report)
-    return folder / name
+    return virtual_runs.record(folder / name, folder / "p", x, **{"seed": 0, **settings})
 
 
 def expected(shown: Patterns, x: np.ndarray, photons: float, detection=None) -> np.ndarray:

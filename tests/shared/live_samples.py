@@ -7,17 +7,15 @@ import numpy as np
 
 from deepfsi import learn
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene
+from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.photons.reader import count_windows, read_markers
 from deepfsi.lab import live as run
-from deepfsi.lab.adaptive_looks import open_looks
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import virtual_setup
-from deepfsi.lab.live import plan_live, run_live
-from deepfsi.lab.observer import LookChooser
+from deepfsi.lab.live import LiveRun
 from deepfsi.lab.results import read_log
 from deepfsi.lab.virtual_optics import CAMERAS
 
@@ -39,11 +37,10 @@ def make_patterns(
 def planned(
     patterns: Path, scenes: tuple[Scene, ...], exposure_s: float = EXPOSURE_S, flux: float = FLUX,
     camera=CAMERAS["ideal"], **settings: Any,
-) -> tuple[Acquisition, LookChooser]:  # fmt: skip
-    """Acquisition of a live run, and the looks of its design."""
-    looks = open_looks(patterns)
+) -> LiveRun:  # fmt: skip
+    """Live run of the patterns in a folder."""
     told = {"flux": flux, "camera": camera.model_dump(mode="json"), "seed": 0, **settings}
-    return plan_live(patterns, scenes, exposure_s, looks=looks, **told), looks
+    return LiveRun(Patterns.read(patterns), scenes, exposure_s, **told)
 
 
 def scenes_of(digits, count: int) -> tuple[np.ndarray, tuple[Scene, ...]]:
@@ -86,6 +83,5 @@ class Counted:
 def live(folder: Path, patterns: Path, digits, count: int = 5, **settings) -> list[run.LiveStep]:
     """Run a few scenes."""
     x, scenes = scenes_of(digits, count)
-    acquisition, looks = planned(patterns, scenes, **settings)
-    devices = virtual_setup(patterns, x, acquisition)
-    return list(run_live(folder, patterns, acquisition, devices, looks))
+    live_run = planned(patterns, scenes, **settings)
+    return list(live_run.steps(folder, virtual_setup(live_run.patterns, x, live_run.settings)))

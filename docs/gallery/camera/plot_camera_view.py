@@ -14,11 +14,12 @@ import numpy as np
 
 import deepfsi
 from deepfsi.camera.device import find_device
+from deepfsi.hardware.counting.acquisition import Acquisition, Scene
 from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.calibration import reconstruct
 from deepfsi.lab.design_data import design_rails
-from deepfsi.lab.virtual_optics import CAMERAS, RecordingSettings, record_scenes
+from deepfsi.lab.virtual_optics import CAMERAS, record_scenes
 
 # %%
 # Twenty non-negative masks are learned for one device and one detector, which is the camera unless
@@ -36,11 +37,18 @@ scenes, labels = digits.x_test[:4], digits.y_test[:4]
 with tempfile.TemporaryDirectory() as folder:
     file = design.save(Path(folder) / "design.safetensors")
     frames, run = Path(folder) / "frames", Path(folder) / "run"
-    patterns = Patterns.from_rails(design_rails(file), find_device("64x48"), 1e-3).write(frames)
-    camera = RecordingSettings(CAMERAS["ideal"], flux=1e7, exposure_s=10e-3, repeats=1)
-    record_scenes(
-        frames, scenes.reshape(-1, 8, 8), [f"digit {k}" for k in labels], None, run, camera
+    rails = design_rails(file)
+    patterns = Patterns.from_rails(rails, find_device("64x48"), 1e-3).write(frames)
+    settings = Acquisition.plan(
+        patterns.manifest,
+        tuple(Scene(name=f"digit {k}") for k in labels),
+        exposure_s=10e-3,
+        repeats=1,
+        flux=1e7,
+        camera=CAMERAS["ideal"].model_dump(),
+        seed=0,
     )
+    record_scenes(run, patterns, scenes.reshape(-1, 8, 8), settings)
     counts = Recording.read(run).count()
     pictures = reconstruct(run)
 

@@ -20,6 +20,7 @@ from deepfsi.cli.terminal import Outcome, Terminal, option_name
 if TYPE_CHECKING:
     from deepfsi.datasets.display import Display
     from deepfsi.hardware.counting.acquisition import Acquisition
+    from deepfsi.hardware.patterns.folder import Patterns
     from deepfsi.lab.devices import Setup
     from deepfsi.lab.virtual_optics import VirtualCamera
 
@@ -58,13 +59,17 @@ class _Run(Command):
     yes: bool = fields.option("write a large file", False)
 
     def check_room(
-        self, images: "Display", camera: "VirtualCamera", flux: float, passes: float = 1.0
+        self,
+        patterns: "Patterns",
+        images: "Display",
+        camera: "VirtualCamera",
+        flux: float,
+        passes: float = 1.0,
     ) -> None:
         """Raise `InputError` before a photon file beyond `MOST_EVENTS` that nobody asked for."""
-        from deepfsi.hardware.patterns.folder import Patterns
         from deepfsi.lab.virtual_optics import expected_events
 
-        events = passes * expected_events(Patterns.read(self.patterns), images.x, camera, flux)
+        events = passes * expected_events(patterns, images.x, camera, flux)
         if events > MOST_EVENTS and not self.yes:
             raise InputError(
                 f"the recording would hold {events:.2g} photons, {events * EVENT_BYTES / 1e9:.2g} "
@@ -86,34 +91,31 @@ class SimulateRun(_Run):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Run as it was recorded."""
-        from deepfsi.lab.design_data import camera_of, displayed, picture_hashes
-        from deepfsi.lab.virtual_optics import RecordingSettings, record_scenes, virtual_camera
+        from deepfsi.hardware.counting.acquisition import Acquisition
+        from deepfsi.hardware.patterns.folder import Patterns
+        from deepfsi.lab.design_data import camera_of, displayed, scenes_of
+        from deepfsi.lab.virtual_optics import record_scenes, virtual_camera
 
+        patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
         virtual = virtual_camera(self.virtual, self.patterns, self.settings)
         if self.virtual is None:
             clicks = camera_of(self.patterns).clicks
             virtual = virtual.model_copy(update={"gates": clicks})
-        recording = RecordingSettings(
-            virtual,
-            _flux_of(camera),
-            _exposure_of(camera),
+        flux = _flux_of(camera)
+        images = displayed(self.scene, patterns)
+        acquisition = Acquisition.plan(
+            patterns.manifest,
+            scenes_of(images, self.scene, patterns),
+            exposure_s=_exposure_of(camera),
+            flux=flux or None,
+            camera=virtual.model_dump(mode="json"),
             seed=self.seed,
             **self.explicit(("settle_s", "repeats", "inputs")),
         )
-        images = displayed(self.scene, self.patterns)
-        self.check_room(images, virtual, recording.flux)
+        self.check_room(patterns, images, virtual, flux)
         with terminal.progress("photons") as report:
-            acquisition = record_scenes(
-                self.patterns,
-                images.x,
-                images.names,
-                images.labels,
-                out=self.out,
-                settings=recording,
-                report=report,
-                hashes=picture_hashes(self.scene, self.patterns),
-            )
+            acquisition = record_scenes(self.out, patterns, images.x, acquisition, report)
         return Outcome(
             {
                 "folder": str(self.out),
@@ -178,6 +180,7 @@ class _DeviceRun(_Run):
     def setup(
         self,
         projector: Any,
+        patterns: "Patterns",
         images: "Display | None",
         acquisition: "Acquisition",
         terminal: Terminal,
@@ -189,7 +192,7 @@ class _DeviceRun(_Run):
         if images is not None and projector is None:
             with terminal.progress("light of the scenes") as report:
                 return virtual_setup(
-                    self.patterns,
+                    patterns,
                     images.x,
                     acquisition,
                     report,
@@ -237,19 +240,19 @@ class RecordRun(_DeviceRun):
         wiring = self.explicit(("settle_s", "repeats", "inputs", "marker_bit"))
         images = None
         if projector is None:
-            images = displayed(self.scene, self.patterns)
+            images = displayed(self.scene, patterns)
             virtual = virtual_camera(self.virtual, self.patterns, self.settings)
-            self.check_room(images, virtual, _flux_of(camera))
-            scenes = scenes_of(images, self.scene, self.patterns)
+            self.check_room(patterns, images, virtual, _flux_of(camera))
+            scenes = scenes_of(images, self.scene, patterns)
             wiring |= {"seed": self.seed, "camera": virtual.model_dump(mode="json")}
         else:
-            scenes = listed_scenes(self.scene, self.patterns)
+            scenes = listed_scenes(self.scene, patterns)
         acquisition = Acquisition.plan(
             patterns.manifest, scenes, exposure_s=camera.exposure, flux=camera.flux, **wiring
         )
-        setup = self.setup(projector, images, acquisition, terminal)
+        setup = self.setup(projector, patterns, images, acquisition, terminal)
         loading = SILENT if terminal.as_json else None
-        recorded = record_run(self.out, self.patterns, acquisition, setup, report=loading)
+        recorded = record_run(self.out, patterns, acquisition, setup, report=loading)
         with closing(recorded) as scenes_so_far:
             for scene in scenes_so_far:
                 terminal.say(str(scene))
@@ -282,17 +285,16 @@ class RunLive(_DeviceRun):
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the scenes, each said as it is decided."""
         from deepfsi.hardware.patterns.folder import Patterns
-        from deepfsi.lab.adaptive_looks import open_looks
         from deepfsi.lab.design_data import camera_of, displayed, scenes_of
-        from deepfsi.lab.live import plan_live, run_live
+        from deepfsi.lab.live import LiveRun
         from deepfsi.lab.results import LiveAnswers
         from deepfsi.lab.virtual_optics import virtual_camera
 
         projector = self.open_projector("list projector")
         camera = camera_of(self.patterns, self.settings)
         exposure_s = _exposure_of(camera)
-        images = displayed(self.scene, self.patterns)
-        looks = open_looks(self.patterns)
+        patterns = Patterns.read(self.patterns)
+        images = displayed(self.scene, patterns)
         others = self.explicit(("inputs", "marker_bit"))
         if dead_time := camera.corrected_dead_time(self.settings):
             others["dead_time"] = dead_time
@@ -300,34 +302,33 @@ class RunLive(_DeviceRun):
             flux = _flux_of(camera)
             virtual = virtual_camera(self.virtual, self.patterns, self.settings)
             others |= {"seed": self.seed, "camera": virtual.model_dump(mode="json")}
-        acquisition = plan_live(
-            self.patterns,
-            scenes_of(images, self.scene, self.patterns),
+        run = LiveRun(
+            patterns,
+            scenes_of(images, self.scene, patterns),
             exposure_s,
             camera.shortest_dwell or None,
-            looks=looks,
             photons=self.photons,
             until=self.until,
             flux=camera.flux,
             **others,
         )
         if projector is None:
-            passes = exposure_s / Patterns.read(self.patterns).manifest.pass_s + 1  # at most
-            self.check_room(images, virtual, flux, passes)
-        setup = self.setup(projector, images, acquisition, terminal, looks.decision_s)
-        answers = []
+            passes = exposure_s / patterns.manifest.pass_s + 1  # at most
+            self.check_room(patterns, images, virtual, flux, passes)
+        decision_s = run.looks.decision_s
+        setup = self.setup(projector, patterns, images, run.settings, terminal, decision_s)
+        scenes = []
         view = None
-        live = run_live(self.out, self.patterns, acquisition, setup, looks=looks)
-        with closing(live) as steps:
+        with closing(run.steps(self.out, setup)) as steps:
             for step in steps:
                 if step.answer is not None:
-                    answers.append(step.answer)
+                    scenes.append(step.answer)
                     view = (step.decision and step.decision.view) or view
                     for line in step.answer.lines(exposure_s):
                         terminal.say(line)
-        run = LiveAnswers(exposure_s, tuple(answers), view)
-        run.check_classes(self.out)
-        content = run.as_dict()
+        answers = LiveAnswers(exposure_s, tuple(scenes), view)
+        answers.check_classes(self.out)
+        content = answers.as_dict()
         del content["live"]  # as every run of this command is
         return Outcome(
             {
@@ -336,7 +337,7 @@ class RunLive(_DeviceRun):
                 "exposure_s": exposure_s,
                 **content,
             },
-            [f"scenes: {images.preprocessing}", *run.run_lines(), f"run: {self.out}"],
+            [f"scenes: {images.preprocessing}", *answers.run_lines(), f"run: {self.out}"],
         )
 
 
@@ -397,7 +398,7 @@ class ImportRecording(Command):
         patterns = Patterns.read(self.patterns)
         planned = Acquisition.plan(
             patterns.manifest,
-            listed_scenes(self.scenes, self.patterns),
+            listed_scenes(self.scenes, patterns),
             exposure_s=camera.exposure,
             flux=camera.flux,
             **self.explicit(("inputs", "marker_bit", "settle_s", "repeats")),

@@ -7,6 +7,7 @@ the device holds from the start: a look names one, and nothing is loaded.
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,13 +20,12 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import hash_file, read_regular
 from deepfsi.base.numeric.arrays import LARGEST_TENSORS
 from deepfsi.design.design import Design
-from deepfsi.designfile.distribution import UNSURE
 from deepfsi.hardware.counting.acquisition import StopRule
 from deepfsi.hardware.light.flux import Arrivals
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.manifest import Brightness, LookPlan, Manifest
 from deepfsi.hardware.patterns.rails import DesignRails
-from deepfsi.lab.observer import AllOnCounts, ExposureState, FrameList, SceneComparison
+from deepfsi.lab.results import FrameList
 from deepfsi.physics.surroundings import library_defaults
 
 ADAPTIVE_DECISION_S = 4e-3
@@ -52,7 +52,10 @@ All-ON frames tell a budget no better: they differ with the brightness of scenes
 
 
 class AdaptiveLooks:
-    """Looks of a design of adaptive masks; attributes are those of `LookChooser`."""
+    """Looks of a design of adaptive masks, as a live run needs them.
+
+    Attributes are shares of the exposure, one for each look, and seconds that a decision takes.
+    """
 
     def __init__(self, design: Design, manifest: Manifest) -> None:
         exposure = design.prior_exposure
@@ -72,10 +75,30 @@ class AdaptiveLooks:
         self.training_scenes = design.training_scenes
         self.scene_model = exposure.prior.model
 
-    def expose(self, scene: int, state: ExposureState) -> "_AdaptiveLiveExposure":
-        """Begin an exposure of a scene; a run begins with scene 0."""
+    @classmethod
+    def read(cls, patterns: Patterns) -> "AdaptiveLooks":
+        """Looks of the patterns of a first mask, or of a dictionary, and their design."""
+        folder = patterns.folder
+        assert folder is not None
+        if patterns.manifest.looks is None:
+            raise InputError(
+                f"{folder} has the patterns of a design whose masks are known before: learn one of "
+                '`design="adaptive"` masks, or record it with `deepfsi camera simulate` or '
+                "`prepare`"
+            )
+        if hash_file(folder / Patterns.DESIGN) != patterns.manifest.design_sha256:
+            raise InputError(
+                f"{folder / Patterns.DESIGN} is not the design whose masks are beside it: "
+                "export the patterns again"
+            )
+        return cls(Design.load(folder / Patterns.DESIGN), patterns.manifest)
+
+    def expose(
+        self, scene: int, photons: float, exposure_ns: int, dark: np.ndarray
+    ) -> "_AdaptiveLiveExposure":
+        """Begin an exposure at a budget and dark counts/s (inputs,); a run begins with scene 0."""
         kind = _AdaptiveLiveExposure if self.stored is None else _StoredMaskExposure
-        return kind(self, scene, state)
+        return kind(self, scene, photons, exposure_ns, dark)
 
     def lit(self, asked: FrameList) -> np.ndarray:
         """Pixels of the mask of a look that are ON, (1, N)."""
@@ -110,12 +133,20 @@ def _nearly_alike(one: LookOptics, other: LookOptics) -> bool:
 class _AdaptiveLiveExposure:
     """One exposure of a scene with masks that are made."""
 
-    def __init__(self, looks: AdaptiveLooks, scene: int, state: ExposureState) -> None:
+    def __init__(
+        self,
+        looks: AdaptiveLooks,
+        scene: int,
+        photons: float,
+        exposure_ns: int,
+        dark_s: np.ndarray,
+    ) -> None:
         exposure = looks.exposure
-        dark = torch.from_numpy(state.dark.clip(min=0) * state.exposure_ns * 1e-9)
-        self._optics = replace(exposure.optics_at(state.photons), dark=dark.float())
+        dark = torch.from_numpy(dark_s.clip(min=0) * exposure_ns * 1e-9)
+        self._optics = replace(exposure.optics_at(photons), dark=dark.float())
         self._looks = looks
-        self._state = state
+        self._photons = photons
+        self._exposure_ns = exposure_ns
         tabled = self._optics if looks.stored is None else looks.tabled(scene, self._optics)
         self._posterior = exposure.posterior(1, tabled)
         self._generator = torch.Generator().manual_seed(scene)
@@ -128,7 +159,7 @@ class _AdaptiveLiveExposure:
         """Frame of the mask that tells most of the class, as far as it is known."""
         share = self._looks.shares[look]
         masks = next_masks(self._posterior, share, self._generator)
-        gate = np.array([round(share * self._state.exposure_ns)])
+        gate = np.array([round(share * self._exposure_ns)])
         return FrameList(look, self._looks.frames, gate, masks.bool().numpy())
 
     @library_defaults(grad=False)
@@ -136,7 +167,7 @@ class _AdaptiveLiveExposure:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
         assert asked.masks is not None
         counts = torch.from_numpy(arrivals.photons.sum(axis=1)).float()
-        share = float(asked.gate_ns[0]) / self._state.exposure_ns
+        share = float(asked.gate_ns[0]) / self._exposure_ns
         masks = torch.from_numpy(asked.masks).float()
         self._look = asked.look
         if self._usual is not None:
@@ -144,13 +175,15 @@ class _AdaptiveLiveExposure:
         self._posterior.update(masks, counts, share)
         return self._posterior.chances[0].double().numpy()
 
-    def compare(self, on: AllOnCounts) -> SceneComparison | None:
-        """Misfit of all looks against that of training scenes; none where that is not known."""
+    def compare(self) -> tuple[float, str] | None:
+        """Chance of a misfit as that of all looks, by training scenes, and the misfit in words.
+
+        None where that of training scenes is not known.
+        """
         if self._usual is None:
             return None
-        chance = self._usual.chance(self._misfit, self._look, self._state.photons)
-        detail = f"a misfit of {self._misfit:.3g} in {self._look + 1} looks"
-        return SceneComparison(chance, chance < UNSURE, detail)
+        chance = self._usual.chance(self._misfit, self._look, self._photons)
+        return chance, f"a misfit of {self._misfit:.3g} in {self._look + 1} looks"
 
 
 class _StoredMaskExposure(_AdaptiveLiveExposure):
@@ -158,15 +191,15 @@ class _StoredMaskExposure(_AdaptiveLiveExposure):
 
     _posterior: DictionaryPosterior
 
-    def __init__(self, looks: AdaptiveLooks, scene: int, state: ExposureState) -> None:
-        super().__init__(looks, scene, state)
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
         self._rows: list[int] = []
         self._counts: list[float] = []
         self._logs: list[torch.Tensor] = []  # of the scenes, before each look
 
     def ask(self, look: int) -> FrameList:
         """Frame of the mask of the dictionary that tells most of the class."""
-        gate = np.array([round(self._looks.shares[look] * self._state.exposure_ns)])
+        gate = np.array([round(self._looks.shares[look] * self._exposure_ns)])
         return FrameList(look, self._looks.frames[self._posterior.choose()], gate)
 
     @library_defaults(grad=False)
@@ -180,7 +213,7 @@ class _StoredMaskExposure(_AdaptiveLiveExposure):
         return self._posterior.chances[0].double().numpy()
 
     @library_defaults(grad=False)
-    def compare(self, on: AllOnCounts) -> SceneComparison | None:
+    def compare(self) -> tuple[float, str] | None:
         """Misfit of all looks, found after the last one: that takes longer than a decision."""
         stored = self._looks.stored
         if self._usual is not None and stored is not None:
@@ -190,7 +223,7 @@ class _StoredMaskExposure(_AdaptiveLiveExposure):
             counts = torch.tensor(self._counts)[:, None]
             share = self._looks.shares[0]
             self._misfit = float(squared_distance(before, masks, counts, share).sum())
-        return super().compare(on)
+        return super().compare()
 
 
 @library_defaults(grad=False)
@@ -231,19 +264,3 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
             dictionary=stored is not None,
         ),
     )
-
-
-def open_looks(folder: Path) -> AdaptiveLooks:
-    """Looks of a folder of patterns of a first mask, or of a dictionary, and its design."""
-    manifest = Patterns.read(folder).manifest
-    if manifest.looks is None:
-        raise InputError(
-            f"{folder} has the patterns of a design whose masks are known before: learn one of "
-            '`design="adaptive"` masks, or record it with `deepfsi camera simulate`'
-        )
-    if hash_file(folder / Patterns.DESIGN) != manifest.design_sha256:
-        raise InputError(
-            f"{folder / Patterns.DESIGN} is not the design whose masks are beside it: "
-            "export the patterns again"
-        )
-    return AdaptiveLooks(Design.load(folder / Patterns.DESIGN), manifest)

@@ -6,23 +6,21 @@ was shown. Before, all counts together are tested for what the design was traine
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import hash_file
 from deepfsi.base.numeric.tables import read_table
-from deepfsi.base.quantities import Table
 from deepfsi.base.registry import require_extras
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import NO_DEAD_TIME
 from deepfsi.camera.light import TOO_DIM, check_budget
 from deepfsi.designfile.distribution import ConsistencyResult
-from deepfsi.designfile.provenance import Score, was_trained_on
+from deepfsi.designfile.provenance import was_trained_on
 from deepfsi.designfile.view_test import ViewResult
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.counting.counts import Counts
@@ -32,7 +30,14 @@ from deepfsi.hardware.light.checks import Fault
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.lab.design_data import design_rails
-from deepfsi.lab.results import LOG, LiveAnswers, LiveScene, read_log
+from deepfsi.lab.results import (
+    LOG,
+    ClassifiedRun,
+    ClassifiedScene,
+    LiveAnswers,
+    LiveScene,
+    read_log,
+)
 
 if TYPE_CHECKING:  # they import torch, which the command line loads late
     from deepfsi.design.design import Design
@@ -55,97 +60,6 @@ CLICKS = (
     "They are read for the stated budget: this is {:.3g} photons, that of the training was {:.3g}"
 )
 """Remark on clicks, with their budget and that of the training."""
-
-
-@dataclass(frozen=True)
-class ClassifiedScene:
-    """Class of a scene from its exposures."""
-
-    name: str
-    label: str | None = None  # class that it is known to be of
-    predicted: str | None = None
-    probability: float | None = None
-    exposures: int = 0
-    guesses: tuple[str, ...] = ()  # class of each
-    photons: float | None = None  # budget of an exposure
-    faults: tuple[Fault, ...] = ()  # of the scene, and of the whole recording
-    consistency: float | None = None  # p-value of its counts
-    unsure: bool | None = None  # True if they do not look like those of the training
-    trained_on: bool | None = None  # True if the design was
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        names = {"name": "scene", "predicted": "class"}
-        content = {names.get(name, name): value for name, value in vars(self).items()}
-        return content | {"faults": [str(fault) for fault in self.faults]}
-
-    def row(self, several: bool) -> tuple[str, ...]:
-        """Cells of a table, with the exposures that have its class if some have several."""
-        agreeing = ""
-        if self.predicted:
-            agreeing = f"{self.guesses.count(self.predicted)} of {self.exposures}"
-        kinds = sorted({fault.kind for fault in self.faults})
-        return (
-            self.name,
-            self.predicted or "none",
-            "" if self.probability is None else f"{self.probability:.3f}",
-            *([agreeing] if several else []),
-            self.label or "",
-            ", ".join(kinds + ["unsure"] * bool(self.unsure)),
-        )
-
-
-@dataclass(frozen=True)
-class ClassifiedRun:
-    """Classes of the scenes of a run or a table."""
-
-    design: str
-    masks: int
-    classes: tuple[str, ...]  # those that the design tells apart
-    scenes: tuple[ClassifiedScene, ...]
-    remarks: tuple[str, ...]  # on the tests of the counts, for a reader
-    faults: tuple[Fault, ...] = ()  # of the markers and the light
-    consistency: ConsistencyResult | None = None
-    view: ViewResult | None = None
-
-    def lines(self) -> Iterator[str | Table]:
-        """Say the class of each scene, what is wrong with it, and how many are right."""
-        several = any(scene.exposures > 1 for scene in self.scenes)
-        chances = ("mean probability", "of its exposures") if several else ("probability",)
-        yield Table(
-            f"{self.design}, {self.masks} masks",
-            ("scene", "class", *chances, "labelled", "remarks"),
-            [scene.row(several) for scene in self.scenes],
-        )
-        names = [scene.name for scene in self.scenes]
-        for fault in self.faults:
-            yield fault.line(names)
-        yield from self.remarks
-        labelled = sum(len(scene.guesses) for scene in self.scenes if scene.label)
-        if foreign := labelled - self.score.answers:
-            yield (
-                f"{foreign} exposures have labels that are none of the design's classes: left out"
-            )
-        yield from self.score.lines("exposure")
-
-    @property
-    def score(self) -> Score:
-        """Right answers to exposures of scenes whose label is a class of the design."""
-        return Score.of(
-            (scene.trained_on, scene.guesses.count(scene.label), len(scene.guesses))
-            for scene in self.scenes
-            if scene.label in self.classes
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        return {
-            "score": self.score.as_dict(),
-            "consistency": None if self.consistency is None else self.consistency.as_dict(),
-            "view": None if self.view is None else self.view.as_dict(),
-            "remarks": list(self.remarks),
-            "scenes": [scene.as_dict() for scene in self.scenes],
-        }
 
 
 def classify_run(
@@ -198,7 +112,7 @@ def classify_run(
     if photons is not None:
         check_budget(photons)
     counts = recorded.read_counts()
-    counted = _CountedScenes.of(
+    return _classify_counts(
         _opened(design, recorded.patterns, trust),
         counts,
         recorded.acquisition.scenes,
@@ -206,7 +120,6 @@ def classify_run(
         photons=photons,
         force=force,
     )
-    return counted.classify()
 
 
 def _live_answers(design: Path, run: Recording, trust: bool) -> LiveAnswers:
@@ -295,10 +208,9 @@ def classify_table(
     counts, scenes = count_table(
         read_table(Path(table), TableSettings.WORDS), manifest, settings, str(table)
     )
-    counted = _CountedScenes.of(
+    return _classify_counts(
         made, counts, scenes, source=str(table), photons=settings.photons, force=force
     )
-    return counted.classify()
 
 
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
@@ -327,136 +239,131 @@ def _check_design(design: str | os.PathLike[str], manifest: Manifest) -> Path:
     return file
 
 
-@dataclass(frozen=True)
-class _CountedScenes:
-    """Scenes of a run or a table that can be classified by a design as it was shown.
+def _classify_counts(
+    design: "Design",
+    counts: Counts,
+    scenes: Sequence[Scene],
+    *,
+    source: str,
+    photons: float | None,
+    force: bool,
+) -> ClassifiedRun:
+    """Classes of the scenes of a source, at a budget if one is stated.
 
-    Shapes: S scenes, R exposures of each.
+    `InputError` if none can be classified, or the counts do not look like the training's. Shapes: S
+    scenes, R exposures of each.
     """
+    from deepfsi.design.design import judge
 
-    design: "Design"
-    counts: Counts  # (S, R, ...), with the faults of scenes too dim for the design
-    scenes: Sequence[Scene]
-    usable: np.ndarray  # (S, R): exposures without faults
-    budgets: np.ndarray  # (S,): counts of an exposure; 1 where it is not known
-    force: bool
-
-    @classmethod
-    def of(
-        cls, design: "Design", counts: Counts, scenes: Sequence[Scene], *,
-        source: str, photons: float | None, force: bool,
-    ) -> Self:  # fmt: skip
-        """Scenes of a source, at a budget if one is stated; `InputError` if none can be classified.
-
-        Counts must be of the kind that the design reads, and of some budget.
-        """
-        if counts.gates != design.gates:
-            words = [
-                "photons" if gates is None else f"clicks of {gates} gates a frame"
-                for gates in (counts.gates, design.gates)
-            ]
-            raise InputError(
-                f"{source} was counted in {words[0]}, and this design reads {words[1]}: count "
-                "again with `deepfsi camera count`"
-            )
-        if counts.gates is not None and photons is None:
-            counts.check_budget(source)
-        known = np.isfinite(counts.photons) if photons is None else counts.valid.any(axis=1)
-        budgets = np.where(known, counts.photons if photons is None else photons, 1.0)
-        dim = () if force else dim_scenes(design, np.where(known, budgets, np.nan))
-        counts = replace(counts, faults=(*dim, *counts.faults))
-        usable = counts.valid & ~counts.spoilt[:, None]
-        if not usable.any():
-            forced = "; `force` classifies them all the same" if dim else ""
-            raise InputError(
-                f"{source} has no exposure that can be classified ({counts.faults[0]}): record "
-                f"again{forced}"
-            )
-        return cls(design, counts, scenes, usable=usable, budgets=budgets, force=force)
-
-    def classify(self) -> ClassifiedRun:
-        """Classes of the scenes; `InputError` if their counts do not look like the training's."""
-        from deepfsi.design.design import judge
-
-        design = self.design
-        counts = self.counts
-        exposures = counts.by_readout(self.usable)
-        number = exposures.sum(axis=1)
-        noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
-        signal = counts.signal()
-        chances, consistency, view = judge(
-            design,
-            signal,
-            self.budgets,
-            often=self._often,
-            sums=signal.sum(axis=1, where=exposures),
-            noise=noise + counts.excess.sum(axis=1, where=exposures),
+    if counts.gates != design.gates:
+        words = [
+            "photons" if gates is None else f"clicks of {gates} gates a frame"
+            for gates in (counts.gates, design.gates)
+        ]
+        raise InputError(
+            f"{source} was counted in {words[0]}, and this design reads {words[1]}: count "
+            "again with `deepfsi camera count`"
         )
-        for test in (consistency, view):
-            if test is not None and test.refused and not self.force:
-                raise InputError(f"{test.refusal}; `force` classifies them all the same")
-        trained = was_trained_on(design.training_scenes, [scene.hash for scene in self.scenes])
-        tested = np.cumsum(self._often > 0) - 1  # scenes in the order of the consistency
-        scenes = []
-        for index, scene in enumerate(self.scenes):
-            answer = ClassifiedScene(
-                name=scene.name,
-                label=scene.label,
-                faults=counts.faults_of(index),
-                unsure=None if consistency is None else False,
-                trained_on=trained[index],
+    if counts.gates is not None and photons is None:
+        counts.check_budget(source)
+    stated = counts.photons if photons is None else np.full(len(scenes), photons)
+    known = np.isfinite(stated) if photons is None else counts.valid.any(axis=1)
+    budgets = np.where(known, stated, 1.0)
+    dim = () if force else dim_scenes(design, np.where(known, budgets, np.nan))
+    counts = replace(counts, faults=(*dim, *counts.faults))
+    usable = counts.valid & ~counts.spoilt[:, None]  # (S, R): exposures without faults
+    if not usable.any():
+        forced = "; `force` classifies them all the same" if dim else ""
+        raise InputError(
+            f"{source} has no exposure that can be classified ({counts.faults[0]}): record "
+            f"again{forced}"
+        )
+    often = usable.sum(axis=1)
+    exposures = counts.by_readout(usable)
+    number = exposures.sum(axis=1)
+    noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
+    signal = counts.signal()
+    chances, consistency, view = judge(
+        design,
+        signal,
+        budgets,
+        often=often,
+        sums=signal.sum(axis=1, where=exposures),
+        noise=noise + counts.excess.sum(axis=1, where=exposures),
+    )
+    for test in (consistency, view):
+        if test is not None and test.refused and not force:
+            raise InputError(f"{test.refusal}; `force` classifies them all the same")
+    if counts.gates is None:
+        remarks = _remarks(consistency, view)
+    else:
+        clicks = float(design.readouts(signal)[usable].mean())
+        remarks = _click_remarks(design, clicks / counts.gates, float(budgets[often > 0].mean()))
+    return ClassifiedRun(
+        design=design.name,
+        masks=design.masks,
+        classes=design.classes,
+        scenes=tuple(_answers(design, counts, scenes, usable, budgets, chances, consistency)),
+        remarks=remarks,
+        faults=counts.faults,
+        consistency=consistency,
+        view=view,
+    )
+
+
+def _answers(
+    design: "Design",
+    counts: Counts,
+    scenes: Sequence[Scene],
+    usable: np.ndarray,
+    budgets: np.ndarray,
+    chances: np.ndarray,
+    consistency: ConsistencyResult | None,
+) -> Iterator[ClassifiedScene]:
+    """Class of each scene, by the mean probabilities of its usable exposures (S, R)."""
+    trained = was_trained_on(design.training_scenes, [scene.hash for scene in scenes])
+    tested = np.cumsum(usable.any(axis=1)) - 1  # scenes in the order of the consistency
+    for index, scene in enumerate(scenes):
+        answer = ClassifiedScene(
+            name=scene.name,
+            label=scene.label,
+            faults=counts.faults_of(index),
+            unsure=None if consistency is None else False,
+            trained_on=trained[index],
+        )
+        sound = chances[index][usable[index]]
+        if len(sound):
+            mean = sound.mean(axis=0)
+            answer = replace(
+                answer,
+                predicted=design.classes[mean.argmax()],
+                probability=float(mean.max()),
+                exposures=len(sound),
+                guesses=tuple(design.classes[best] for best in sound.argmax(axis=-1)),
+                photons=float(budgets[index]),
             )
-            sound = chances[index][self.usable[index]]
-            if len(sound):
-                mean = sound.mean(axis=0)
+            if consistency is not None:
                 answer = replace(
                     answer,
-                    predicted=design.classes[mean.argmax()],
-                    probability=float(mean.max()),
-                    exposures=len(sound),
-                    guesses=tuple(design.classes[best] for best in sound.argmax(axis=-1)),
-                    photons=float(self.budgets[index]),
+                    consistency=float(consistency.exposures[tested[index]]),
+                    unsure=bool(consistency.unsure[tested[index]]),
                 )
-                if consistency is not None:
-                    answer = replace(
-                        answer,
-                        consistency=float(consistency.exposures[tested[index]]),
-                        unsure=bool(consistency.unsure[tested[index]]),
-                    )
-            scenes.append(answer)
-        return ClassifiedRun(
-            design=design.name,
-            masks=design.masks,
-            classes=design.classes,
-            scenes=tuple(scenes),
-            remarks=self._remarks(consistency, view),
-            faults=counts.faults,
-            consistency=consistency,
-            view=view,
-        )
+        yield answer
 
-    @cached_property
-    def _often(self) -> np.ndarray:
-        """Number of sound exposures of each scene, (S,)."""
-        return self.usable.sum(axis=1)
 
-    def _remarks(
-        self, consistency: ConsistencyResult | None, view: ViewResult | None
-    ) -> tuple[str, ...]:
-        """Lines for a reader on the tests of the counts."""
-        gates = self.counts.gates
-        if gates is None:
-            lines = (UNTESTED,) if consistency is None else tuple(consistency.remarks)
-            if view is None:
-                return *lines, NO_VIEW
-            return (*lines, view.remark) if view.remark else lines
-        from deepfsi.physics.noise import full_gates
+def _remarks(consistency: ConsistencyResult | None, view: ViewResult | None) -> tuple[str, ...]:
+    """Lines for a reader on the tests of the counts of photons."""
+    lines = (UNTESTED,) if consistency is None else tuple(consistency.remarks)
+    remark = NO_VIEW if view is None else view.remark
+    return (*lines, remark) if remark else lines
 
-        design = self.design
-        photons = float(self.budgets[self._often > 0].mean())
-        clicks = design.readouts(self.counts.signal())[self.usable]
-        full = full_gates(float(clicks.mean()) / gates, photons)
-        return CLICKS.format(photons, design.info["job"]["photons"]), *filter(None, [full])
+
+def _click_remarks(design: "Design", share: float, photons: float) -> tuple[str, ...]:
+    """Lines for a reader on clicks in a share of the gates, at a budget."""
+    from deepfsi.physics.noise import full_gates
+
+    full = full_gates(share, photons)
+    return CLICKS.format(photons, design.info["job"]["photons"]), *filter(None, [full])
 
 
 def dim_scenes(design: "Design", budgets: np.ndarray) -> list[Fault]:

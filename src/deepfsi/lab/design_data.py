@@ -185,14 +185,14 @@ def design_scenes(
     return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")
 
 
-def _design_of(patterns: Path) -> DesignHeader | None:
+def _design_of(patterns: Patterns) -> DesignHeader | None:
     """Header of the design in a folder of patterns; None where it has none."""
-    if Patterns.read(patterns).manifest.design_sha256 is None:
+    if patterns.manifest.design_sha256 is None or patterns.folder is None:
         return None
-    return DesignFile.read(patterns / Patterns.DESIGN, ()).header
+    return DesignFile.read(patterns.folder / Patterns.DESIGN, ()).header
 
 
-def displayed(source: Path, patterns: Path) -> "Display":
+def displayed(source: Path, patterns: Patterns) -> "Display":
     """Pictures of scenes, with the white of the patterns' design where their type has none."""
     images = read_display(source)
     if not images.levels.chosen or (design := _design_of(patterns)) is None:
@@ -202,40 +202,30 @@ def displayed(source: Path, patterns: Path) -> "Display":
     return images if white is None else read_display(source, white)
 
 
-def picture_hashes(
-    source: str | os.PathLike[str], patterns: str | os.PathLike[str]
-) -> tuple[str, ...] | None:
-    """Hashes of pictures as the patterns' design sees them; None where it cannot see them.
-
-    Parameters
-    ----------
-    source : str or path
-        The pictures.
-    patterns : str or path
-        Folder of the patterns.
-    """
-    design = _design_of(Path(patterns))
+def _picture_hashes(source: Path, patterns: Patterns) -> tuple[str, ...] | None:
+    """Hashes of pictures as the patterns' design sees them; None where it cannot see them."""
+    design = _design_of(patterns)
     if design is None:
         return None
     try:
-        shown = design_scenes(design.info, design.image_shape, Path(source))
+        shown = design_scenes(design.info, design.image_shape, source)
     except InputError:  # it was made of arrays, or of pictures of another size
         return None
     return scene_hashes(shown.x, design.image_shape)
 
 
-def scenes_of(images: "Display", source: Path, patterns: Path) -> tuple[Scene, ...]:
+def scenes_of(images: "Display", source: Path, patterns: Patterns) -> tuple[Scene, ...]:
     """Scenes of pictures, with their names, the classes of their folders and their hashes."""
     count = len(images.names)
     labels = images.labels or [None] * count
-    hashes = picture_hashes(source, patterns) or [None] * count
+    hashes = _picture_hashes(source, patterns) or [None] * count
     return tuple(
         Scene(name=name, label=label, hash=digest)
         for name, label, digest in zip(images.names, labels, hashes, strict=True)
     )
 
 
-def listed_scenes(source: Path, patterns: Path) -> tuple[Scene, ...]:
+def listed_scenes(source: Path, patterns: Patterns) -> tuple[Scene, ...]:
     """Scenes that someone shows to a camera."""
     suffix = source.suffix.lower()
     if suffix in (".txt", ".csv") and not source.exists():

@@ -46,8 +46,8 @@ class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol)
     marker at its start.
     """
 
-    def load(self, folder: Path, report: Progress = SILENT) -> None:
-        """Bring the frames of a pattern folder into the device, once, in place of earlier ones."""
+    def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
+        """Bring the frames of patterns into the device, once, in place of earlier ones."""
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
         """Bring another frame into the device in place of a loaded one, while none is shown.
@@ -80,8 +80,8 @@ class PassProjector(AbstractContextManager["PassProjector"], Protocol):
     marker at its start, and is held for the picture time of the folder's manifest.
     """
 
-    def load(self, folder: Path, report: Progress = SILENT) -> None:
-        """Bring the frames of a pattern folder into the device, once, in place of earlier ones."""
+    def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
+        """Bring the frames of patterns into the device, once, in place of earlier ones."""
 
     def run(self) -> None:
         """Start one pass; may return before its end."""
@@ -157,8 +157,8 @@ LATENCIES = {
 """Times of the steps of a loop, seconds; docs/notebook/live-timing.md says their sources."""
 
 
-class VirtualOptics:
-    """The parts that virtual devices share: clock, scene on the display, light and detectors."""
+class VirtualProjector(AbstractContextManager["VirtualProjector"]):
+    """Projector whose frames send the light of scenes on a display to detectors."""
 
     def __init__(
         self,
@@ -184,12 +184,21 @@ class VirtualOptics:
         self._reach = self._streams[0].reach
         self._camera = camera
         self._light = camera.light(rng)
+        self._times_s = np.zeros(0)  # of the frames that are loaded
         self._end = 0  # ticks up to which the detectors' light is known
         self._times = np.zeros(0, np.int64)
         self._codes = np.zeros(0, np.int64)
         self.written: PtuWriter | None = None  # of the counter that records
         # Its inputs, one for each detector, and the bits of its markers
         self.wiring: tuple[tuple[int, ...], int] = tuple(range(rates.shape[2])), FRAME_MARKER
+
+    def __exit__(self, *error: object) -> None:
+        """Do nothing: there is nothing to close."""
+
+    def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
+        """Take the time that a real device needs to load each frame."""
+        self._times_s = patterns.manifest.picture_s
+        self.now_s += len(self._times_s) * self.latencies["load"]
 
     def display(self, scene: int) -> None:
         """Show a scene on the display."""
@@ -199,13 +208,12 @@ class VirtualOptics:
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
         """Load another frame in place of one, which is not shown at the moment."""
-        if self._made is None:
-            raise InputError("this virtual setup takes no frames while it runs")
+        assert self._made is not None
         self.now_s += self.latencies["load"]
         self._rates[self._scene, frame] = self._made(self._scene, packed)
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
-        """Let the detectors see frames; the last one stays."""
+        """Show frames; the clock is then where their counts have come and are decided upon."""
         self.now_s += self.latencies["command"]
         start = max(self._ticks(self.now_s), self._end)
         self._see(np.array([self._frame]), np.array([start]))
@@ -217,7 +225,18 @@ class VirtualOptics:
         # All that came before the last frame's marker is handed over with it.
         self.now_s = self._handed_over(float(marks[-1]) * DETECTOR_TICK_S)
 
-    def rest(self) -> None:
+    def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """One picture for each frame, of its time."""
+        return np.ones(len(dwells_s), np.int64), dwells_s
+
+    def run(self) -> None:
+        """Show a pass of all frames, each for its picture time."""
+        self.show(np.arange(len(self._times_s)), self._times_s)
+
+    def halt(self) -> None:
+        """Do nothing: a virtual list has ended."""
+
+    def wait(self) -> None:
         """Let time pass until all that was shown is recorded."""
         end = max(self._ticks(self.now_s), self._end + self._reach)
         self._see(np.array([self._frame]), np.array([end]))
@@ -262,54 +281,13 @@ class VirtualOptics:
         self._codes = codes[ready:]
 
 
-class VirtualProjector(AbstractContextManager["VirtualProjector"]):
-    """Projector that shows lists of frames to the detectors of a virtual setup."""
-
-    def __init__(self, optics: VirtualOptics) -> None:
-        self._optics = optics
-        self._times_s = np.zeros(0)  # of the frames that are loaded
-
-    def __exit__(self, *error: object) -> None:
-        """Do nothing: there is nothing to close."""
-
-    def load(self, folder: Path, report: Progress = SILENT) -> None:
-        """Check every frame of a pattern folder, as a real device must read them."""
-        self._times_s = Patterns.read(folder).check(report).manifest.picture_s
-        self._optics.now_s += len(self._times_s) * self._optics.latencies["load"]
-
-    def replace(self, frame: int, packed: np.ndarray) -> None:
-        """Load another frame in place of a loaded one."""
-        self._optics.replace(frame, packed)
-
-    def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """One picture for each frame, of its time."""
-        return np.ones(len(dwells_s), np.int64), dwells_s
-
-    def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
-        """Show frames; the clock is then where their counts have come and are decided upon."""
-        if not len(self._times_s):
-            raise InputError("no patterns are loaded: load a pattern folder first")
-        self._optics.show(frames, dwells_s)
-
-    def run(self) -> None:
-        """Show a pass of all frames, each for its picture time."""
-        self.show(np.arange(len(self._times_s)), self._times_s)
-
-    def wait(self) -> None:
-        """Set the clock on to the end of the pass."""
-        self._optics.rest()
-
-    def halt(self) -> None:
-        """Do nothing: a virtual list has ended."""
-
-
 class VirtualCounter(AbstractContextManager["VirtualCounter"]):
     """Counter of the photons of a virtual setup, which it records into a PTU file."""
 
     def __init__(
-        self, optics: VirtualOptics, inputs: tuple[int, ...], marker_bit: int = FRAME_MARKER
+        self, projector: VirtualProjector, inputs: tuple[int, ...], marker_bit: int = FRAME_MARKER
     ) -> None:
-        self._optics = optics
+        self._projector = projector
         self._inputs = inputs
         self._bit = marker_bit
         self._file: FileIO | None = None
@@ -321,8 +299,8 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
     def start(self, path: Path) -> None:
         """Begin to record into a new file."""
         check_file_inputs(self._inputs)
-        self._optics.wiring = self._inputs, self._bit
-        self._optics.written = PtuWriter(path, DETECTOR_TICK_S, growing=True).__enter__()
+        self._projector.wiring = self._inputs, self._bit
+        self._projector.written = PtuWriter(path, DETECTOR_TICK_S, growing=True).__enter__()
         self._file = FileIO(path)
         self._counter = FrameCounter(self._inputs, self._bit, path)
 
@@ -332,8 +310,7 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
 
     def counts_since_marker(self, timeout_s: float) -> FrameCounts:
         """Frames whose gates have ended since the last call; a virtual counter never waits."""
-        if self._file is None:
-            raise InputError("nothing is recorded: start the counter first")
+        assert self._file is not None
         return self._counter.feed(self._file.read())
 
     def stop(self) -> None:
@@ -342,14 +319,14 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
             return
         self._file.close()
         self._file = None
-        writer = self._optics.written
-        self._optics.written = None
+        writer = self._projector.written
+        self._projector.written = None
         assert writer is not None
         writer.__exit__(None, None, None)
 
 
 def virtual_setup(
-    patterns: Path,
+    patterns: Patterns,
     scenes: np.ndarray,
     acquisition: Acquisition,
     report: Progress = SILENT,
@@ -359,7 +336,7 @@ def virtual_setup(
 ) -> Setup[VirtualProjector]:
     """Virtual devices of a run, with the camera, flux, seed and wiring of its acquisition."""
     camera = VirtualCamera.model_validate(acquisition.camera)
-    manifest = Patterns.read(patterns).manifest
+    manifest = patterns.manifest
     flux = acquisition.flux or 0.0
     images = check_scenes(scenes, manifest, flux)
     rates = arrival_rates(patterns, scenes, camera, flux, report=report)
@@ -375,7 +352,7 @@ def virtual_setup(
     def light(scene: int) -> MirrorLight:
         return MirrorLight(manifest, images[scene][None], camera, flux)
 
-    optics = VirtualOptics(
+    projector = VirtualProjector(
         rates,
         camera,
         latencies,
@@ -383,9 +360,9 @@ def virtual_setup(
         made=lambda scene, packed: light(scene).rates([packed])[0, 0],
     )
     return Setup(
-        VirtualProjector(optics),
-        VirtualCounter(optics, acquisition.inputs, acquisition.marker_bit),
-        optics.display,
-        clock=lambda: optics.now_s,
+        projector,
+        VirtualCounter(projector, acquisition.inputs, acquisition.marker_bit),
+        projector.display,
+        clock=lambda: projector.now_s,
         latencies=latencies,
     )

@@ -14,7 +14,7 @@ from collections.abc import Generator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import GrowingFile
 from deepfsi.base.interrupts import note_saved_work
 from deepfsi.base.progress import Progress, progress_bar
+from deepfsi.base.registry import require_extras
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.designfile.provenance import was_trained_on
 from deepfsi.hardware.counting.acquisition import Acquisition, LiveSettings, Scene, StopRule
@@ -43,40 +44,34 @@ from deepfsi.lab.observer import (
     MARGIN_NS,
     OFF,
     Decision,
-    FrameList,
-    LookChooser,
     SceneObserver,
     margin_ns,
 )
-from deepfsi.lab.results import LOG, LiveScene, LoggedList, LoggedScene
+from deepfsi.lab.results import LOG, FrameList, LiveScene, LoggedList, LoggedScene
 
 
-def plan_live(
-    patterns_folder: Path,
-    scenes: tuple[Scene, ...],
-    exposure_s: float,
-    shortest_s: float | None = None,
-    *,
-    looks: LookChooser,
-    photons: float | None = None,
-    until: float | None = None,
-    dead_time: DeadTime = NO_DEAD_TIME,
-    **others: object,
-) -> Acquisition:
-    """Settings of a live run of the patterns in a folder.
+class LiveStep(NamedTuple):
+    """A decision of a live run, and when it fell."""
+
+    scene: int  # from 0
+    decision: Decision | None  # None where a scene had no light
+    clock_s: float  # after the scene's first command, seconds
+    answer: LiveScene | None = None  # class of the scene, after its last look
+
+
+class LiveRun:
+    """A live run: a design of adaptive masks, its patterns, and the settings.
 
     Parameters
     ----------
-    patterns_folder : path
-        Patterns of a design of adaptive masks.
+    patterns : Patterns
+        Of a folder, which has the design, too.
     scenes : tuple of Scene
         In their order.
     exposure_s : float
         Time of all looks at a scene, seconds.
     shortest_s : float, optional
         Shortest time for which a frame is counted, seconds; that of the device unless given.
-    looks : LookChooser
-        Looks of the design.
     photons : float, optional
         Budget of an exposure, counts; measured by the all-ON frames unless given.
     until : float, optional
@@ -91,32 +86,81 @@ def plan_live(
     InputError
         If the patterns are of no such design, or the device cannot show its looks so.
     """
-    manifest = Patterns.read(patterns_folder).manifest
-    if not (math.isfinite(exposure_s) and exposure_s > 0):
-        raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
-    if photons is not None and not (math.isfinite(photons) and photons > 0):
-        raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
-    rule = looks.rule
-    if until is not None:
-        if not 0 < until < 1:
+
+    def __init__(
+        self,
+        patterns: Patterns,
+        scenes: tuple[Scene, ...],
+        exposure_s: float,
+        shortest_s: float | None = None,
+        *,
+        photons: float | None = None,
+        until: float | None = None,
+        dead_time: DeadTime = NO_DEAD_TIME,
+        **others: object,
+    ) -> None:
+        with require_extras():
+            from deepfsi.lab.adaptive_looks import AdaptiveLooks
+        if not (math.isfinite(exposure_s) and exposure_s > 0):
+            raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
+        if photons is not None and not (math.isfinite(photons) and photons > 0):
+            raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
+        if until is not None and not 0 < until < 1:
             raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
-        rule = StopRule(threshold=until)
-    looks_s = exposure_s * np.array(looks.shares)
-    shortest_ns = _shortest_gate(manifest, looks_s, shortest_s)
-    with as_input_error():
-        return Acquisition(
-            scenes=scenes,
-            exposure_s=exposure_s,
-            settle_s=manifest.device.settle_us * 1e-6,
-            repeats=1,
-            live=LiveSettings(
-                shortest_ns=shortest_ns,
-                photons=photons,
-                rule=rule,
-                dead_time=dead_time,
-            ),
-            **{"inputs": tuple(range(manifest.inputs)), **others},
-        )
+        self.patterns = patterns
+        self.looks = AdaptiveLooks.read(patterns)
+        manifest = patterns.manifest
+        looks_s = exposure_s * np.array(self.looks.shares)
+        with as_input_error():
+            self.settings = Acquisition(
+                scenes=scenes,
+                exposure_s=exposure_s,
+                settle_s=manifest.device.settle_us * 1e-6,
+                repeats=1,
+                live=LiveSettings(
+                    shortest_ns=_shortest_gate(manifest, looks_s, shortest_s),
+                    photons=photons,
+                    rule=self.looks.rule if until is None else StopRule(threshold=until),
+                    dead_time=dead_time,
+                ),
+                **{"inputs": tuple(range(manifest.inputs)), **others},
+            )
+
+    def steps(self, folder: Path, setup: Setup[StreamingProjector]) -> Generator[LiveStep]:
+        """Show, count and decide with devices, which are let go of at the end.
+
+        Gives each decision as it falls; the last one of a scene has its answer. Scenes that are
+        finished are kept in `folder`, which is new, whenever the run is stopped: their lines are in
+        `shown.jsonl` before their last decision is given.
+        """
+        looks = self.looks
+        assert self.settings.live is not None
+        live = self.settings.live.model_copy(update={"latencies": setup.latencies})
+        settings = self.settings.model_copy(update={"live": live})
+        manifest = self.patterns.manifest
+        observer = SceneObserver(looks, manifest, settings)
+        with ExitStack() as stack:
+            stack.enter_context(setup.projector)
+            stack.enter_context(setup.counter)
+            setup.projector.load(self.patterns)
+            Recording.prepare(folder, self.patterns, settings)
+            setup.counter.start(folder / "photons.ptu")
+            log = stack.enter_context(GrowingFile(folder / LOG))
+            frames = _DeviceFrames(setup, manifest, settings.settle_s)
+            for number, scene in enumerate(settings.scenes):
+                frames.begin(number)
+                decision: Decision | None = None
+                for decision in observer.observe(number, frames.count):
+                    if not decision.final:
+                        yield LiveStep(number, decision, frames.clock_s)
+                logged = frames.logged(decision)
+                log.write(logged.line)
+                note_saved_work("finished scenes are kept")
+                [trained] = was_trained_on(looks.training_scenes, [scene.hash])
+                photons = decision.photons if decision else None
+                answer = LiveScene.of(scene, logged, looks.classes, trained, photons)
+                yield LiveStep(number, decision, logged.clock_s, answer)
+            setup.counter.stop()
 
 
 def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | None) -> int:
@@ -145,80 +189,6 @@ def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | 
             "µs: give a longer `exposure`, or a shorter `shortest_dwell`"
         )
     return shortest_ns
-
-
-@dataclass(frozen=True)
-class LiveStep:
-    """A decision of a live run, and when it fell."""
-
-    scene: int  # from 0
-    decision: Decision | None  # None where a scene had no light
-    clock_s: float  # after the scene's first command, seconds
-    answer: LiveScene | None = None  # class of the scene, after its last look
-
-
-def run_live(
-    folder: Path,
-    patterns_folder: Path,
-    acquisition: Acquisition,
-    setup: Setup[StreamingProjector],
-    looks: LookChooser,
-) -> Generator[LiveStep]:
-    """Show, count and decide; gives each decision as it falls.
-
-    Parameters
-    ----------
-    folder : path
-        Of the run, new. Scenes that are finished are kept whenever the run is stopped: their lines
-        are in its `shown.jsonl` before their last decision is given.
-    patterns_folder : path
-        Patterns that are shown.
-    acquisition : Acquisition
-        Settings of the run, as `plan_live` makes them.
-    setup : Setup
-        Devices; taken hold of, and let go at the end.
-    looks : LookChooser
-        Looks of the design.
-
-    Yields
-    ------
-    LiveStep
-        After each look at a scene; the last one, or the only one of a scene without light, has its
-        `answer`.
-
-    Raises
-    ------
-    InputError
-        If files do not fit, or a device fails.
-    """
-    assert acquisition.live is not None
-    live = acquisition.live.model_copy(update={"latencies": setup.latencies})
-    acquisition = acquisition.model_copy(update={"live": live})
-    patterns = Patterns.read(patterns_folder)
-    manifest = patterns.manifest
-    observer = SceneObserver(looks, manifest, acquisition)
-    with ExitStack() as stack:
-        stack.enter_context(setup.projector)
-        stack.enter_context(setup.counter)
-        setup.projector.load(patterns_folder)
-        Recording.prepare(folder, patterns, acquisition)
-        setup.counter.start(folder / "photons.ptu")
-        log = stack.enter_context(GrowingFile(folder / LOG))
-        frames = _DeviceFrames(setup, manifest, acquisition.settle_s)
-        for number, scene in enumerate(acquisition.scenes):
-            frames.begin(number)
-            decision: Decision | None = None
-            for decision in observer.observe(number, frames):
-                if not decision.final:
-                    yield LiveStep(number, decision, frames.clock_s)
-            logged = frames.logged(decision)
-            log.write(logged.line)
-            note_saved_work("finished scenes are kept")
-            [trained] = was_trained_on(looks.training_scenes, [scene.hash])
-            photons = decision.photons if decision else None
-            answer = LiveScene.of(scene, logged, looks.classes, trained, photons)
-            yield LiveStep(number, decision, logged.clock_s, answer)
-        setup.counter.stop()
 
 
 class _DeviceFrames:
@@ -354,14 +324,13 @@ class _RecordedScene:
 
 def record_run(
     folder: Path,
-    patterns_folder: Path,
+    patterns: Patterns,
     acquisition: Acquisition,
     setup: Setup[PassProjector],
     report: Progress | None = None,
 ) -> Generator[_RecordedScene]:
     """Show and record scene after scene; gives each when its pass has ended."""
     acquisition.check_fixed(folder)
-    patterns = Patterns.read(patterns_folder)
     manifest = patterns.manifest
     room = manifest.picture_s - acquisition.settle_s
     lengths = np.maximum(room - margin_ns(room * 1e9) * 1e-9, 0)
@@ -377,7 +346,7 @@ def record_run(
         stack.enter_context(setup.projector)
         stack.enter_context(setup.counter)
         with progress_bar(report, "loading the frames") as loading:
-            setup.projector.load(patterns_folder, loading)
+            setup.projector.load(patterns, loading)
         prepared = Recording.prepare(folder, patterns, acquisition)
         setup.counter.start(folder / "photons.ptu")
         frames = _CountedFrames(setup.counter, manifest.inputs)

@@ -9,117 +9,28 @@ training; a scene that fails has faults, and gets no class.
 
 Counts are corrected for dead time frame by frame, at the rate of each. An all-ON frame beyond the
 rate up to which that is sure ends the run; a short gate that is, by chance, is corrected as there.
-
-A design chooses the mask of each look. A run hands counts to whatever keeps to `LookChooser`.
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.designfile.distribution import REFUSED, UNSURE
-from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, ViewTest
-from deepfsi.hardware.counting.acquisition import Acquisition, StopRule
+from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
+from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.streaming import FrameCounts
 from deepfsi.hardware.light.checks import SPOILING, Fault, LightMonitor
 from deepfsi.hardware.light.flux import Arrivals
 from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.lab.results import FrameList
 
-
-@dataclass(frozen=True)
-class FrameList:
-    """Frames that are shown one after another, and counted."""
-
-    look: int  # from 0
-    frames: np.ndarray  # places among the frames of the manifest
-    gate_ns: np.ndarray  # for how long each is counted
-    masks: np.ndarray | None = None
-
-
-class _FrameSource(Protocol):
-    """Source of counts of frames: devices that show and count them."""
-
-    def count(self, asked: FrameList) -> FrameCounts:
-        """Counts of the frames of a list."""
-
-
-class _SceneSignal(NamedTuple):
-    """Counts of frames that are a scene's, and the variance beyond that of Poisson counts."""
-
-    counts: np.ndarray  # (F, inputs)
-    noise: np.ndarray  # (F, inputs)
-
-
-@dataclass(frozen=True)
-class ExposureState:
-    """Conditions of one exposure, as far as they are measured when it begins."""
-
-    photons: float  # budget of all looks together, counts
-    exposure_ns: int  # time of all looks together
-    dark: np.ndarray  # dark counts, counts/s
-
-    def signal(self, asked: FrameList, arrivals: Arrivals) -> _SceneSignal:
-        """Counts of a look less those that are no scene's."""
-        counts = arrivals.photons.sum(axis=1)
-        variance = arrivals.variance.sum(axis=1)
-        seconds = (asked.gate_ns * 1e-9)[:, None]
-        dark = self.dark * seconds
-        noise = dark.clip(min=0) + (variance - counts).clip(min=0)
-        return _SceneSignal(counts - dark, noise)
-
-
-@dataclass(frozen=True)
-class AllOnCounts:
-    """Counts of the all-ON frames of a scene, all together."""
-
-    counts: float  # less what is no scene's
-    noise: float  # variance beyond the counts' own
-    seconds: float  # time of the frames
-
-
-@dataclass(frozen=True)
-class SceneComparison:
-    """Comparison of a scene's counts with those of the training."""
-
-    chance: float
-    unsure: bool  # True if it is below that of a sound scene's false alarm
-    detail: str
-
-
-class _LiveExposure(Protocol):
-    """One exposure of a scene, look after look."""
-
-    def ask(self, look: int) -> FrameList:
-        """Frames of the next look."""
-
-    def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
-        """Probabilities (C,) of the classes, from the photons of a look and those before."""
-
-    def compare(self, on: AllOnCounts) -> SceneComparison | None:
-        """Comparison of all counts with the training; none where nothing of it is known."""
-
-
-class LookChooser(Protocol):
-    """Looks of a design, as a live run needs them."""
-
-    shares: tuple[float, ...]  # of the exposure that each look takes
-    classes: tuple[str, ...]
-    photons: float | None  # budget of the training
-    rule: StopRule | None  # of the design, where it has one
-    decision_s: float  # usual time of a decision on one core, seconds
-    training_scenes: np.ndarray | None  # hashes of the scenes that the design was made with
-    scene_model: SceneModel | None  # of the training; none where runs are not tested against it
-
-    def expose(self, scene: int, state: ExposureState) -> _LiveExposure:
-        """Begin an exposure of a scene."""
-
-    def lit(self, asked: FrameList) -> np.ndarray:
-        """Share of each pixel's mirrors that are ON in frames of a look, (F, N)."""
+if TYPE_CHECKING:  # it imports torch
+    from deepfsi.lab.adaptive_looks import AdaptiveLooks
 
 
 MARGIN_NS = 2000
@@ -167,12 +78,12 @@ class SceneObserver:
 
     Parameters
     ----------
-    looks : LookChooser
+    looks : AdaptiveLooks
         Of the design whose patterns are shown.
     manifest : Manifest
         Patterns that are shown.
     acquisition : Acquisition
-        Settings of the run, as `plan_live` makes them.
+        Settings of the run.
 
     Raises
     ------
@@ -180,7 +91,9 @@ class SceneObserver:
         If the acquisition is no live run, or all-ON and all-OFF frames are too short to be counted.
     """
 
-    def __init__(self, looks: LookChooser, manifest: Manifest, acquisition: Acquisition) -> None:
+    def __init__(
+        self, looks: "AdaptiveLooks", manifest: Manifest, acquisition: Acquisition
+    ) -> None:
         if acquisition.live is None or manifest.looks is None:
             raise InputError("this acquisition is no live run: make one with `deepfsi camera live`")
         self.looks = looks
@@ -193,22 +106,18 @@ class SceneObserver:
         self._view = ViewTest(model, manifest.image_shape) if model else None
         self._ends = _scene_ends(manifest, acquisition.settle_s)
 
-    def observe(self, scene: int, source: _FrameSource) -> Iterator[Decision]:
+    def observe(self, scene: int, count: Callable[[FrameList], FrameCounts]) -> Iterator[Decision]:
         """Decisions after each look at the next scene; none of one without light.
 
-        The last one has the faults of the scene.
+        The last one has the faults of the scene. `count` shows a list of frames and counts them.
         """
-        begin = self._arrivals(source, self._ends)
+        begin = self._arrivals(count, self._ends)
         lit, changes = self._light.begin(begin)
         if not lit:
             return
         measured = self._light.flux * self._exposure_ns * 1e-9
-        state = ExposureState(
-            photons=self._settings.photons or measured,
-            exposure_ns=self._exposure_ns,
-            dark=self._light.dark,
-        )
-        exposure = self.looks.expose(scene, state)
+        photons = float(self._settings.photons or measured)
+        exposure = self.looks.expose(scene, photons, self._exposure_ns, self._light.dark)
         asked: list[FrameList] = []
         arrivals: list[Arrivals] = []
         light_ns = 0
@@ -216,14 +125,14 @@ class SceneObserver:
         rule = self._settings.rule
         for look in range(last + 1):
             asked.append(exposure.ask(look))
-            arrivals.append(self._arrivals(source, asked[-1]))
+            arrivals.append(self._arrivals(count, asked[-1]))
             chances = exposure.take(asked[-1], arrivals[-1])
             light_ns += int(asked[-1].gate_ns.sum())
             decision = Decision(
                 scene=scene,
                 look=look,
                 chances=chances,
-                photons=float(state.photons),
+                photons=photons,
                 light_s=light_ns * 1e-9,
                 final=False,
             )
@@ -232,24 +141,24 @@ class SceneObserver:
             if sure or look == last:
                 break
             yield decision
-        end = self._arrivals(source, self._ends)
+        end = self._arrivals(count, self._ends)
         faults = self._light.end([begin, *arrivals, end])
-        on = self._all_on([begin, end])
-        doubts = self._checks.find_faults(
-            scene, exposure.compare(on), self._light, measured=measured, on=on
-        )
+        doubts = [
+            *self._checks.check_budget(scene, measured, self._light),
+            *self._checks.check_counts(scene, exposure.compare(), self._on_rate([begin, end])),
+        ]
         view = None
         kinds = {fault.kind for fault in (*faults, *doubts)}
         if self._view and not kinds & WITHOUT_VIEW:
-            self._view.add(self._readouts(state, asked, arrivals))
+            self._view.add(self._readouts(photons, asked, arrivals))
             view = self._view.result
         if view is not None and view.refused:
             faults += (Fault(kind="view", scene=scene, detail=view.refusal),)
-        yield replace(decision, final=True, faults=changes + faults + doubts, view=view)
+        yield replace(decision, final=True, faults=(*changes, *faults, *doubts), view=view)
 
-    def _arrivals(self, source: _FrameSource, asked: FrameList) -> Arrivals:
+    def _arrivals(self, count: Callable[[FrameList], FrameCounts], asked: FrameList) -> Arrivals:
         """Photons that arrived in the gates of a list, of those that were counted."""
-        counts = source.count(asked)
+        counts = count(asked)
         frames = tuple(self._manifest.frames[index] for index in asked.frames)
         gate_s = asked.gate_ns * 1e-9
         ends = frames if asked.look == SCENE_ENDS else None
@@ -263,17 +172,15 @@ class SceneObserver:
             seconds=seconds,
         )
 
-    def _all_on(self, ends: list[Arrivals]) -> AllOnCounts:
-        """Counts of a scene's all-ON frames."""
+    def _on_rate(self, ends: list[Arrivals]) -> float:
+        """Counts/s of a scene's all-ON frames, less dark counts."""
         arm = self._manifest.arm
         counts = sum(float(end.photons[ON, :, arm].sum()) for end in ends)
-        variance = sum(float(end.variance[ON, :, arm].sum()) for end in ends)
         seconds = sum(float(end.seconds[ON].sum()) for end in ends)
-        dark = float(self._light.dark[arm].sum()) * seconds
-        return AllOnCounts(counts - dark, dark + max(variance - counts, 0.0), seconds)
+        return (counts - float(self._light.dark[arm].sum()) * seconds) / seconds
 
     def _readouts(
-        self, state: ExposureState, asked: list[FrameList], arrivals: list[Arrivals]
+        self, photons: float, asked: list[FrameList], arrivals: list[Arrivals]
     ) -> SceneReadouts:
         """Counts of a scene, and what each of its looks showed."""
         manifest = self._manifest
@@ -287,14 +194,16 @@ class SceneObserver:
             both = (
                 np.stack([lit, 1 - lit][: manifest.arms], axis=1)[:, :, None] * of_detector
             )  # F, arms, D, N
-            gain = state.photons * share / manifest.summed_reflectance
+            gain = photons * share / manifest.summed_reflectance
             masks = gain[:, None] * both.reshape(-1, lit.shape[-1]).reshape(len(lit), -1)
-            signal = state.signal(look, arrived)
+            counts = arrived.photons.sum(axis=1)
+            dark = self._light.dark * (look.gate_ns * 1e-9)[:, None]
+            excess = (arrived.variance.sum(axis=1) - counts).clip(min=0)
             readouts.append(
                 SceneReadouts(
                     masks=masks.reshape(-1, lit.shape[-1]),
-                    counts=signal.counts.ravel(),
-                    noise=signal.noise.ravel(),
+                    counts=(counts - dark).ravel(),
+                    noise=(dark.clip(min=0) + excess).ravel(),
                     inputs=np.tile(inputs, len(lit)),
                 )
             )
@@ -326,25 +235,7 @@ class _SceneChecks:
         # Scenes up to the present one among which the unsure ones are counted
         self._unsure: deque[bool] = deque(maxlen=20)
 
-    def find_faults(
-        self,
-        scene: int,
-        comparison: SceneComparison | None,
-        monitor: LightMonitor,
-        *,
-        measured: float,
-        on: AllOnCounts,
-    ) -> tuple[Fault, ...]:
-        """Faults of a scene, from the comparison of its counts and its light.
-
-        That is the budget by the all-ON frames of this scene and those before, and this scene's.
-        """
-        budget = self._check_budget(scene, measured, monitor)
-        hint = self._saturation(on)
-        unlikely = [] if comparison is None else self._check_counts(scene, comparison, hint)
-        return (*budget, *unlikely)
-
-    def _check_budget(self, scene: int, measured: float, monitor: LightMonitor) -> list[Fault]:
+    def check_budget(self, scene: int, measured: float, monitor: LightMonitor) -> list[Fault]:
         """Fault of a budget that is not the stated one, or too small for the design."""
         stated = self._live.photons
         trained = self._trained
@@ -364,17 +255,23 @@ class _SceneChecks:
             return []
         return [Fault(kind="budget", scene=scene, detail=detail)]
 
-    def _check_counts(self, scene: int, comparison: SceneComparison, hint: str) -> list[Fault]:
-        """Faults of counts that do not look like those of the training."""
+    def check_counts(
+        self, scene: int, comparison: tuple[float, str] | None, on_rate: float
+    ) -> list[Fault]:
+        """Faults of counts that do not look like those of the training, by a chance and words."""
+        if comparison is None:
+            return []
         from scipy.special import bdtrc
 
-        self._unsure.append(comparison.unsure)
+        chance, words = comparison
+        hint = self._saturation(on_rate)
+        self._unsure.append(chance < UNSURE)
         faults = []
         looked_at = len(self._unsure)
-        if comparison.unsure:
+        if chance < UNSURE:
             detail = (
                 f"its counts do not look like what this design was trained for (p = "
-                f"{comparison.chance:.1g}; {comparison.detail}){hint}"
+                f"{chance:.1g}; {words}){hint}"
             )
             faults.append(Fault(kind="unsure", scene=scene, detail=detail))
         unsure = sum(self._unsure)
@@ -387,9 +284,8 @@ class _SceneChecks:
             faults.append(Fault(kind="unlike", scene=scene, detail=detail))
         return faults
 
-    def _saturation(self, on: AllOnCounts) -> str:
-        """Words on a counter that loses photons to a dead time that was not told."""
-        rate = on.counts / on.seconds
+    def _saturation(self, rate: float) -> str:
+        """Words on a counter that loses photons to a dead time that was not told, at counts/s."""
         # Share of the photons lost to it from which on saturation is named
         if self._live.dead_time.seconds or rate * USUAL_DEAD_S < 0.05:
             return ""

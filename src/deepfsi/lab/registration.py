@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.layout import DmdLayout
-from deepfsi.hardware.counting.counts import Counts
 from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.manifest import Manifest
@@ -52,17 +51,15 @@ STARTS = (0.5, 0.7, 1.0, 1.4), (-0.2, 0.0, 0.2)
 """Scales and shifts from which a fit begins."""
 
 
-class _WellPlaced:
-    """Departures that are well.
+WELL_SCALE = 0.05  # share of 1
+WELL_SHIFT = 0.02  # share of the region's side
+WELL_ROTATION = 3.0  # degrees
+WELL_BLUR = 0.5  # cells
+"""Departures that are well.
 
-    On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each costs 1 to 4 points
-    of accuracy, and twice as much 3 to 15.
-    """
-
-    SCALE = 0.05  # share of 1
-    SHIFT = 0.02  # share of the region's side
-    ROTATION = 3.0  # degrees
-    BLUR = 0.5  # cells
+On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each costs 1 to 4 points of
+accuracy, and twice as much 3 to 15.
+"""
 
 
 def _reference_picture(image_shape: tuple[int, ...]) -> np.ndarray:
@@ -127,8 +124,7 @@ class ReferenceFit:
                 "no place of the reference explains these counts: show it alone, on black, and "
                 "give the patterns that were shown"
             )
-        well = _WellPlaced
-        limits = well.SCALE, well.SHIFT, well.SHIFT, well.ROTATION
+        limits = WELL_SCALE, WELL_SHIFT, WELL_SHIFT, WELL_ROTATION
         more = max(error / most for error, most in zip(self.errors, limits, strict=True)) ** 2
         # Difference of the squared misfits by which one orientation must fit better than all others
         more = max(more, 25.0 / max(self.clear, 1e-3))
@@ -181,24 +177,24 @@ class ReferenceFit:
         off = max(abs(each) for each in self.shift)
         return [
             ("orientation", words, turned),
-            ("scale", f"{self.scale:.3f} ± {scale:.3f}", abs(self.scale - 1) > _WellPlaced.SCALE),
+            ("scale", f"{self.scale:.3f} ± {scale:.3f}", abs(self.scale - 1) > WELL_SCALE),
             (
                 "shift",
                 f"{self.shift[0]:+.1%} ± {down:.1%} down, {self.shift[1]:+.1%} ± {across:.1%} "
                 "across, of the region",
-                off > _WellPlaced.SHIFT,
+                off > WELL_SHIFT,
             ),
             (
                 "rotation",
                 f"{self.rotation:+.1f} ± {turn:.1f} degrees clockwise",
-                abs(self.rotation) > _WellPlaced.ROTATION,
+                abs(self.rotation) > WELL_ROTATION,
             ),
             (
                 "blur",
                 f"{self.blur:.2f} ± {self.blur_error:.2f} cells (standard deviation)",
                 # Standard errors by which the blur must exceed what is well: it is known less than
                 # the place
-                self.blur - 2.0 * self.blur_error > _WellPlaced.BLUR,
+                self.blur - 2.0 * self.blur_error > WELL_BLUR,
             ),
         ]
 
@@ -229,57 +225,57 @@ class _Model:
         return out
 
 
-@dataclass(frozen=True)
-class _ReferenceReadouts:
-    """Counts of the target behind masks."""
-
-    masks: np.ndarray  # (k, N)
-    counts: np.ndarray  # (k,)
-    noise: np.ndarray  # (k,): standard deviation
-
-    @classmethod
-    def of(cls, masks: np.ndarray, counts: np.ndarray, variance: np.ndarray) -> Self:
-        """Readouts with the error of the model beside their noise."""
-        # Error of a readout beside its noise, of the largest: mirrors, edges and print are not
-        # exact
-        least = np.maximum(variance, 1) + (0.003 * counts.max()) ** 2
-        return cls(masks, counts, np.sqrt(least))
-
-    def misfit(self, image: np.ndarray) -> np.ndarray:
-        """Counts less those of an image and of light spread evenly, over their noise (k,)."""
-        from scipy import optimize
-
-        model = self.masks @ np.stack([image, np.ones_like(image)], axis=1) / self.noise[:, None]
-        size = np.maximum(np.linalg.norm(model, axis=0), 1e-300)
-        wanted = self.counts / self.noise
-        parts, _ = optimize.nnls(model / size, wanted)
-        return np.asarray(wanted - (model / size) @ parts)
-
-
 @np.errstate(under="ignore")
-def find_reference(counts: Counts, patterns: Patterns, report: Progress = SILENT) -> ReferenceFit:
-    """Place of the target in a recording of it alone, all passes and exposures together."""
-    return _fit_place(_sound_readouts(counts, patterns), patterns.manifest, report)
-
-
-def _check_readouts(manifest: Manifest, count: int) -> None:
-    """Raise `InputError` if so many readouts, or masks of one axis, do not tell where it lies."""
+def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
+    """Place of scenes on the device, from a counted run of the reference target alone."""
+    run = Recording.read(folder)
+    counts = run.read_counts().check_photons(folder)
+    manifest = run.manifest
+    read = counts.lengths_s > 0
     if not _has_reference(manifest):
         raise InputError("masks of one axis have no orientation: there is no reference for them")
-    if count < LEAST_READOUTS:
+    if read.sum() < LEAST_READOUTS:
         raise InputError(
-            f"{count} readouts do not tell where the reference lies, and {LEAST_READOUTS} "
+            f"{read.sum()} readouts do not tell where the reference lies, and {LEAST_READOUTS} "
             "are needed: record it with the patterns of `deepfsi dmd export hadamard --size 8x8`"
         )
+    usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
+    if not usable.any():
+        raise InputError("no exposure of the reference was counted: record it again")
+    signal = counts.signal().sum(axis=(0, 1), where=usable)
+    variance = counts.variance.sum(axis=(0, 1), where=usable)
+    if manifest.several:
+        signal = signal.sum(axis=-1)
+        variance = variance.sum(axis=-1)
+    return _fit_place(run.patterns.rails[read], signal[read], variance[read], manifest, report)
+
+
+def _misfit(
+    masks: np.ndarray, counts: np.ndarray, noise: np.ndarray, image: np.ndarray
+) -> np.ndarray:
+    """Counts (k,) less those of an image (N,) and of light spread evenly, over their noise."""
+    from scipy import optimize
+
+    model = masks @ np.stack([image, np.ones_like(image)], axis=1) / noise[:, None]
+    size = np.maximum(np.linalg.norm(model, axis=0), 1e-300)
+    wanted = counts / noise
+    parts, _ = optimize.nnls(model / size, wanted)
+    return np.asarray(wanted - (model / size) @ parts)
 
 
 def _fit_place(
-    readouts: _ReferenceReadouts, manifest: Manifest, report: Progress = SILENT
+    masks: np.ndarray,
+    counts: np.ndarray,
+    variance: np.ndarray,
+    manifest: Manifest,
+    report: Progress,
 ) -> ReferenceFit:
-    """Place of the target that explains its counts behind masks best."""
+    """Place of the target that explains its counts (k,) behind masks (k, N) best."""
     from scipy import optimize
     from scipy.stats import chi2
 
+    # Error of a readout beside its noise, of the largest: mirrors, edges and print are not exact
+    noise = np.sqrt(np.maximum(variance, 1) + (0.003 * counts.max()) ** 2)
     model = _Model(manifest)
     fits = []
     orientations = model.exported.orientations()
@@ -291,7 +287,7 @@ def _fit_place(
         ]
 
         def misfit(place: np.ndarray, layout: DmdLayout = layout) -> np.ndarray:
-            return readouts.misfit(model.image(layout, place))
+            return _misfit(masks, counts, noise, model.image(layout, place))
 
         starts.sort(key=lambda place: float((misfit(place) ** 2).sum()))
         # Starts of each orientation that are followed
@@ -323,28 +319,6 @@ def _fit_place(
         blur=blur,
         blur_error=float(spread[4]),
         errors=(spread[0], spread[2], spread[3], float(np.degrees(spread[1]))),
-        chance=float(chi2.sf(cost, max(len(readouts.counts) - 7, 1))),
+        chance=float(chi2.sf(cost, max(len(counts) - 7, 1))),
         clear=min(others) - cost,
     )
-
-
-def _sound_readouts(counts: Counts, patterns: Patterns) -> _ReferenceReadouts:
-    """Readouts of sound exposures together, or `InputError` if they are too few."""
-    manifest = patterns.manifest
-    read = counts.lengths_s > 0
-    _check_readouts(manifest, int(read.sum()))
-    usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
-    if not usable.any():
-        raise InputError("no exposure of the reference was counted: record it again")
-    signal = counts.signal().sum(axis=(0, 1), where=usable)
-    noise = counts.variance.sum(axis=(0, 1), where=usable)
-    if manifest.several:
-        signal = signal.sum(axis=-1)
-        noise = noise.sum(axis=-1)
-    return _ReferenceReadouts.of(patterns.rails[read], signal[read], noise[read])
-
-
-def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
-    """Place of scenes on the device, from a counted run of the reference target."""
-    run = Recording.read(folder)
-    return find_reference(run.read_counts().check_photons(folder), run.patterns, report)

@@ -1,4 +1,4 @@
-"""A live run afterwards: the record of what it showed, and its classes.
+"""Answers of recorded and of live runs, and the record of a live run.
 
 `shown.jsonl` has a line for each scene that is finished. It is written when the scene is decided,
 so that a run that is stopped at any moment keeps all scenes before.
@@ -17,14 +17,24 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import read_regular
 from deepfsi.base.models.strict import StrictModel, WholeNumber
 from deepfsi.base.quantities import Table, plural
+from deepfsi.designfile.distribution import ConsistencyResult
 from deepfsi.designfile.provenance import Score
 from deepfsi.designfile.view_test import ViewResult
 from deepfsi.hardware.counting.acquisition import Scene
 from deepfsi.hardware.light.checks import SPOILING, Fault
-from deepfsi.lab.observer import FrameList
 
 LOG = "shown.jsonl"
 """File of the finished scenes of a live run."""
+
+
+@dataclass(frozen=True)
+class FrameList:
+    """Frames that are shown one after another, and counted."""
+
+    look: int  # from 0
+    frames: np.ndarray  # places among the frames of the manifest
+    gate_ns: np.ndarray  # for how long each is counted
+    masks: np.ndarray | None = None
 
 
 class LoggedList(StrictModel):
@@ -91,6 +101,102 @@ def read_log(folder: Path) -> tuple[LoggedScene, ...]:
     return scenes
 
 
+def _as_dict(answer: "ClassifiedScene | LiveScene") -> dict[str, Any]:
+    """JSON types only."""
+    names = {"name": "scene", "predicted": "class"}
+    content = {names.get(name, name): value for name, value in vars(answer).items()}
+    return content | {"faults": [str(fault) for fault in answer.faults]}
+
+
+@dataclass(frozen=True)
+class ClassifiedScene:
+    """Class of a scene from its exposures."""
+
+    name: str
+    label: str | None = None  # class that it is known to be of
+    predicted: str | None = None
+    probability: float | None = None
+    exposures: int = 0
+    guesses: tuple[str, ...] = ()  # class of each
+    photons: float | None = None  # budget of an exposure
+    faults: tuple[Fault, ...] = ()  # of the scene, and of the whole recording
+    consistency: float | None = None  # p-value of its counts
+    unsure: bool | None = None  # True if they do not look like those of the training
+    trained_on: bool | None = None  # True if the design was
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return _as_dict(self)
+
+    def row(self, several: bool) -> tuple[str, ...]:
+        """Cells of a table, with the exposures that have its class if some have several."""
+        agreeing = ""
+        if self.predicted:
+            agreeing = f"{self.guesses.count(self.predicted)} of {self.exposures}"
+        kinds = sorted({fault.kind for fault in self.faults})
+        return (
+            self.name,
+            self.predicted or "none",
+            "" if self.probability is None else f"{self.probability:.3f}",
+            *([agreeing] if several else []),
+            self.label or "",
+            ", ".join(kinds + ["unsure"] * bool(self.unsure)),
+        )
+
+
+@dataclass(frozen=True)
+class ClassifiedRun:
+    """Classes of the scenes of a run or a table."""
+
+    design: str
+    masks: int
+    classes: tuple[str, ...]  # those that the design tells apart
+    scenes: tuple[ClassifiedScene, ...]
+    remarks: tuple[str, ...]  # on the tests of the counts, for a reader
+    faults: tuple[Fault, ...] = ()  # of the markers and the light
+    consistency: ConsistencyResult | None = None
+    view: ViewResult | None = None
+
+    def lines(self) -> Iterator[str | Table]:
+        """Say the class of each scene, what is wrong with it, and how many are right."""
+        several = any(scene.exposures > 1 for scene in self.scenes)
+        chances = ("mean probability", "of its exposures") if several else ("probability",)
+        yield Table(
+            f"{self.design}, {self.masks} masks",
+            ("scene", "class", *chances, "labelled", "remarks"),
+            [scene.row(several) for scene in self.scenes],
+        )
+        names = [scene.name for scene in self.scenes]
+        for fault in self.faults:
+            yield fault.line(names)
+        yield from self.remarks
+        labelled = sum(len(scene.guesses) for scene in self.scenes if scene.label)
+        if foreign := labelled - self.score.answers:
+            yield (
+                f"{foreign} exposures have labels that are none of the design's classes: left out"
+            )
+        yield from self.score.lines("exposure")
+
+    @property
+    def score(self) -> Score:
+        """Right answers to exposures of scenes whose label is a class of the design."""
+        return Score.of(
+            (scene.trained_on, scene.guesses.count(scene.label), len(scene.guesses))
+            for scene in self.scenes
+            if scene.label in self.classes
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return {
+            "score": self.score.as_dict(),
+            "consistency": None if self.consistency is None else self.consistency.as_dict(),
+            "view": None if self.view is None else self.view.as_dict(),
+            "remarks": list(self.remarks),
+            "scenes": [scene.as_dict() for scene in self.scenes],
+        }
+
+
 @dataclass(frozen=True)
 class LiveScene:
     """Class of a scene of a live run, from its looks."""
@@ -134,9 +240,7 @@ class LiveScene:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        names = {"name": "scene", "predicted": "class"}
-        content = {names.get(name, name): value for name, value in vars(self).items()}
-        content["faults"] = [str(fault) for fault in self.faults]
+        content = _as_dict(self)
         if self.photons is None:  # the log has no budgets
             del content["photons"]
         return content

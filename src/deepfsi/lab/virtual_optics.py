@@ -13,9 +13,7 @@ ideal camera a gate's counts are Poisson, with the scanner's mean.
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
@@ -31,7 +29,7 @@ from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdGrid
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene
+from deepfsi.hardware.counting.acquisition import Acquisition
 from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.frames import unpack
@@ -295,14 +293,13 @@ class MirrorLight:
 
 
 def arrival_rates(
-    patterns_folder: str | os.PathLike[str],
+    patterns: Patterns,
     scenes: np.ndarray,
     camera: VirtualCamera,
     flux: float,
     report: Progress = SILENT,
 ) -> np.ndarray:
     """Arrivals/s (S, F, inputs) at each detector while each frame is shown, before dead time."""
-    patterns = Patterns.read(patterns_folder)
     manifest = patterns.manifest
     images = check_scenes(scenes, manifest, flux)
     frames = len(manifest.frames)
@@ -326,7 +323,7 @@ def expected_events(
     """Photons and dark counts that a recording is expected to hold, at most, without dead time.
 
     As if the camera saw each scene whole: in the frames of the masks and the sentinels, in gates
-    and between them. Parameters as of `arrival_rates`, but for the patterns, which were read.
+    and between them. Parameters as of `arrival_rates`.
     """
     manifest = patterns.manifest
     grid = manifest.grid
@@ -354,116 +351,59 @@ def check_scenes(scenes: np.ndarray, manifest: Manifest, flux: float) -> np.ndar
     return images
 
 
-@dataclass(frozen=True)
-class RecordingSettings:
-    """Settings of a virtual recording.
-
-    Parameters
-    ----------
-    camera : VirtualCamera
-    flux : float
-        Photons/s on the device, of a scene of mean brightness.
-    exposure_s : float
-        Of a scene, seconds.
-    settle_s : float, optional
-        After which mirrors have settled, seconds; that of the device unless given.
-    repeats : int, optional
-        Exposures of a pass.
-    seed : int
-    inputs : tuple of int, optional
-        Of the counter, from 0.
-    """
-
-    camera: VirtualCamera
-    flux: float
-    exposure_s: float
-    settle_s: float | None = None
-    repeats: int | None = None
-    seed: int = 0
-    inputs: tuple[int, ...] | None = None
-
-
 def record_scenes(
-    patterns_folder: str | os.PathLike[str],
+    out: Path,
+    patterns: Patterns,
     scenes: np.ndarray,
-    names: Sequence[str],
-    labels: Sequence[str] | None,
-    out: str | os.PathLike[str],
-    settings: RecordingSettings,
+    acquisition: Acquisition,
     report: Progress = SILENT,
-    hashes: Sequence[str] | None = None,
 ) -> Acquisition:
-    """Write the folder of an acquisition in which the virtual camera looks at scenes in turn.
+    """Write the folder of a recording in which the virtual camera looks at scenes in turn.
 
     Parameters
     ----------
-    patterns_folder : str or path
-    scenes : array (S, h, w) or (S, N)
-    names, labels : sequences of str
-        Of the scenes; None where classes are not known.
-    out : str or path
+    out : path
         Folder, new.
-    settings : RecordingSettings
+    patterns : Patterns
+        Of a folder.
+    scenes : array (S, h, w) or (S, N)
+        Reflectance.
+    acquisition : Acquisition
+        Settings of the recording, which name the scenes, with camera, flux and seed.
     report : Progress
         Told of the share that is done.
-    hashes : sequence of str, optional
-        Of the scenes' pictures as the design sees them.
+
+    Returns
+    -------
+    Acquisition
+        As the folder has it, with the hash of the patterns.
 
     Raises
     ------
     InputError
         If the scenes or the camera do not fit, or there is no room for the file.
     """
-    target = Path(out)
-    camera = settings.camera
-    patterns = Patterns.read(patterns_folder)
+    camera = VirtualCamera.model_validate(acquisition.camera)
     manifest = patterns.manifest
-    scenes = check_scenes(scenes, manifest, settings.flux)
-    if target.exists():
-        raise InputError(f"'{target}' exists: name a folder that does not")
-    if len(names) != len(scenes) or (labels is not None and len(labels) != len(scenes)):
-        raise InputError(
-            f"{len(scenes)} scenes, {len(names)} names and "
-            f"{'no' if labels is None else len(labels)} labels: give one of each for every scene"
-        )
-    given: Sequence[str | None] = labels or [None] * len(names)
-    known: Sequence[str | None] = hashes or [None] * len(names)
-    shown = (Scene(name=n, label=x, hash=h) for n, x, h in zip(names, given, known, strict=True))
-    wanted = Acquisition.plan(
-        manifest,
-        tuple(shown),
-        exposure_s=settings.exposure_s,
-        settle_s=settings.settle_s,
-        repeats=settings.repeats,
-        marker_bit=FRAME_MARKER,
-        **({} if settings.inputs is None else {"inputs": settings.inputs}),
-        flux=settings.flux or None,
-        camera=camera.model_dump(mode="json"),
-        seed=settings.seed,
-    )
-    with new_folder(target) as draft:
-        acquisition = Recording.prepare(draft, patterns, wanted).acquisition
-        flow = arrival_rates(
-            patterns_folder, scenes, camera, settings.flux, report=report.between(0, 0.5)
-        )
-        if not camera.gates:
-            events = float(np.einsum("sfd,f->", camera.registered(flow), manifest.picture_s))
-            hint = "give less `flux` or a shorter `exposure`"
-            check_disk_space(target, 4 * events, hint)
-        rng = np.random.default_rng(settings.seed)
-        path = draft / "photons.ptu"
-        clicks = None
+    flux = acquisition.flux or 0.0
+    with new_folder(out) as draft:
+        acquisition = Recording.prepare(draft, patterns, acquisition).acquisition
+        flow = arrival_rates(patterns, scenes, camera, flux, report=report.between(0, 0.5))
+        gates = None
         if camera.gates:
-            clicks = acquisition.gates(manifest).with_clicks(manifest, camera.gates)
+            gates = acquisition.gates(manifest).with_clicks(manifest, camera.gates)
+        else:
+            events = float(np.einsum("sfd,f->", camera.registered(flow), manifest.picture_s))
+            check_disk_space(out, 4 * events, "give less `flux` or a shorter `exposure`")
         write_photons(
-            path,
+            draft / "photons.ptu",
             manifest,
             flow,
             camera,
-            rng=rng,
+            rng=np.random.default_rng(acquisition.seed or 0),
             inputs=acquisition.inputs,
             report=report.between(0.5, 1),
-            gates=clicks,
+            gates=gates,
         )
     return acquisition
 

@@ -25,7 +25,7 @@ from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
-from deepfsi.hardware.counting.acquisition import Calibration
+from deepfsi.hardware.counting.acquisition import Acquisition, Calibration, Scene
 from deepfsi.hardware.counting.recording import Recording
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.manifest import GatePlan
@@ -34,7 +34,6 @@ from deepfsi.lab.calibration import expected_background, fit_calibration, scan_r
 from deepfsi.lab.design_data import view_dataset
 from deepfsi.lab.virtual_optics import (
     CAMERAS,
-    RecordingSettings,
     VirtualCamera,
     arrival_rates,
     record_scenes,
@@ -172,10 +171,10 @@ def calibrate() -> Calibration:
     exposure = 10.0
     raster = scan_rails("raster", (32, 32))
     with tempfile.TemporaryDirectory() as folder:
-        patterns = Patterns.from_rails(
-            raster, DEVICE, 1.1 * exposure / raster.rails.shape[1], layout=LAYOUT
-        ).write(Path(folder) / "raster")
-        arrivals = arrival_rates(Path(folder) / "raster", scenes, LAB, FLUX)
+        dwell_s = 1.1 * exposure / raster.rails.shape[1]
+        planned = Patterns.from_rails(raster, DEVICE, dwell_s, layout=LAYOUT)
+        patterns = planned.write(Path(folder) / "raster")
+        arrivals = arrival_rates(patterns, scenes, LAB, FLUX)
     rng = np.random.default_rng(1)
     gates = GatePlan.of(patterns.manifest, exposure, repeats=1)
     counts = draw_counts(arrivals, patterns.manifest, gates, LAB, rng)
@@ -219,11 +218,10 @@ def _mount(design: Design, scenes: np.ndarray) -> _MountedDesign:
     """A design exported to the device, and scenes (S, h, w) seen through it by the laboratory."""
     optics = LAB.model_copy(update={"dark": 0.0, "ambient": 0.0})
     with tempfile.TemporaryDirectory() as folder:
-        there = Path(folder) / "patterns"
-        patterns = _export(design, REPEATS, there)
-        scene_rates = arrival_rates(there, scenes, optics, FLUX)
+        patterns = _export(design, REPEATS, Path(folder) / "patterns")
+        scene_rates = arrival_rates(patterns, scenes, optics, FLUX)
         one = optics.model_copy(update={"ambient": 1.0})
-        ambient_rates = arrival_rates(there, np.zeros_like(scenes[:1]), one, 0.0)
+        ambient_rates = arrival_rates(patterns, np.zeros_like(scenes[:1]), one, 0.0)
     return _MountedDesign(design.as_shown(*patterns.realised), patterns, scene_rates, ambient_rates)
 
 
@@ -387,10 +385,18 @@ def _conditions(assumed: float) -> Iterator[tuple[str, float, VirtualCamera, flo
 def _run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
     """Seconds from a photon file to its classes, photons and bytes of one longest exposure."""
     with tempfile.TemporaryDirectory() as folder:
-        patterns, run = Path(folder) / "patterns", Path(folder) / "run"
-        _export(design, 1, patterns)
-        settings = RecordingSettings(LAB, FLUX, max(EXPOSURES), repeats=1)
-        record_scenes(patterns, scene, ["scene"], None, run, settings)
+        run = Path(folder) / "run"
+        patterns = _export(design, 1, Path(folder) / "patterns")
+        acquisition = Acquisition.plan(
+            patterns.manifest,
+            (Scene(name="scene"),),
+            exposure_s=max(EXPOSURES),
+            repeats=1,
+            flux=FLUX,
+            camera=LAB.model_dump(mode="json"),
+            seed=0,
+        )
+        record_scenes(run, patterns, scene, acquisition)
         began = time.perf_counter()
         recording = Recording.read(run)
         counts = recording.count()

@@ -12,11 +12,10 @@ from deepfsi.hardware.counting.recording import CountSettings, Recording
 from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.virtual_optics import (
-    RecordingSettings,
     VirtualCamera,
     arrival_rates,
-    record_scenes,
 )
+from shared.virtual_runs import record
 
 DEVICE = Device(name="small", columns=36, rows=26, shortest_us=10, settle_us=2)
 SHAPE, FLUX, EXPOSURE, SCENES, MASKS = (3, 4), 2e7, 10e-3, 8, 10
@@ -39,9 +38,7 @@ def recorded(folder, shown, x, seed: int = 0):
     """Scenes in ambient light as strong as they; one that is dark is named black."""
     names = [f"s{k}" if scene.any() else "black" for k, scene in enumerate(x)]
     camera = VirtualCamera(dark=300.0, ambient=FLUX)
-    settings = RecordingSettings(camera, FLUX, EXPOSURE, repeats=1, seed=seed)
-    record_scenes(shown, x, names, None, folder, settings)
-    return folder
+    return record(folder, shown, x, camera, FLUX, EXPOSURE, names, repeats=1, seed=seed)
 
 
 @pytest.mark.parametrize("law", ["single", "two-arm", "detectors"])
@@ -56,7 +53,7 @@ def test_scenes_are_rid_of_ambient_light_as_strong_as_they(tmp_path, law, where)
     if where == "run":
         background = str(recorded(tmp_path / "dark", tmp_path / "patterns", black, seed=1))
     counts = Recording.read(run).count(CountSettings(background=background))
-    wanted = arrival_rates(tmp_path / "patterns", lit[:1], VirtualCamera(), FLUX)[0]
+    wanted = arrival_rates(shown, lit[:1], VirtualCamera(), FLUX)[0]
     raw = Recording.read(run).count()
     read = counts.lengths_s > 0
     manifest = shown.manifest

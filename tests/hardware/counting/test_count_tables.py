@@ -8,6 +8,7 @@ from deepfsi.base.numeric.tables import NumberTable
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.hardware.counting import tables
 from deepfsi.hardware.counting.tables import TableSettings, count_table
+from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.virtual_optics import VirtualCamera, arrival_rates
 from deepfsi.physics.detection import Detection
 from lab.virtual_samples import (
@@ -38,7 +39,7 @@ def test_counts_between_markers_give_the_scanners_readouts(tmp_path, light, rail
     manifest, wanted = shown.manifest, expected(shown, SCENES, one_photon, seen)
     if cells:
         wanted = wanted.reshape(*wanted.shape[:-1], -1, 3)
-    rates = arrival_rates(tmp_path / "p", SCENES, VirtualCamera(dark=DARK), FLUX)
+    rates = arrival_rates(Patterns.read(tmp_path / "p"), SCENES, VirtualCamera(dark=DARK), FLUX)
     values = np.rint(rates * manifest.picture_s[:, None]).reshape(len(SCENES), -1)
     assert values.shape[1] == len(tables.column_names(manifest))
 
@@ -65,7 +66,7 @@ def counted(tmp_path_factory):
     """Manifest of one detector, and values (3, F) of its frames."""
     folder = tmp_path_factory.mktemp("p") / "p"
     manifest = exported(folder).manifest
-    rates = arrival_rates(folder, SCENES, VirtualCamera(), 1e9)[..., 0]
+    rates = arrival_rates(Patterns.read(folder), SCENES, VirtualCamera(), 1e9)[..., 0]
     return manifest, np.rint(rates * manifest.picture_s)
 
 
@@ -103,7 +104,9 @@ def test_names_and_values_that_do_not_fit_are_one_line(counted):
 def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
     """Mean and variance of what `--gain` and `--read-noise` say, in gates of other lengths."""
     manifest, draws, gain, noise = exported(tmp_path / "p").manifest, 4000, 2.5e4, 30.0
-    rates = arrival_rates(tmp_path / "p", SCENES[:1], VirtualCamera(dark=1e7), 1e8)[0, :, 0]
+    rates = arrival_rates(Patterns.read(tmp_path / "p"), SCENES[:1], VirtualCamera(dark=1e7), 1e8)[
+        0, :, 0
+    ]
     rng = np.random.default_rng(6)
     photons = rng.poisson(rates * manifest.picture_s, (draws, len(rates)))
     values = (photons + noise * rng.standard_normal(photons.shape)) / gain
