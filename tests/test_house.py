@@ -37,7 +37,7 @@ LINES = {
     "report": 1378,
     "report.playground": 51,
     "sweeps": 2477,
-    "training": 1752,
+    "training": 1745,
 }
 """Lines of each room, which may only fall: lower the number with them."""
 

@@ -145,6 +145,8 @@ BAD_ARRAYS = {
     ),
     "no scenes": (given(np.ones((0, 4)), Y[:0]), ("(0, 4)",)),
     "dark": (given(X * 0, Y), ("dark",)),
+    "masked": (given(np.ma.masked_greater(X, 0.9), Y), ("hides values under a mask",)),
+    "one-hot": (given(X, np.eye(3)[Y]), ("rows with a single 1", "y.argmax(axis=1)")),
     "lengths": (given(X, Y[:-1]), ("(29,)", "30 scenes")),
     "values of other scenes": (given(X, Y[:-1] / 2), ("(29,)", "30 scenes")),
     "values without a limit": (given(X, np.where(Y, np.inf, 1.0)), ("finite",)),

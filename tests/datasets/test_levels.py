@@ -61,6 +61,13 @@ def test_colours_of_more_than_8_bits_are_refused(tmp_path):
             read_display(tmp_path / name)
 
 
+def test_deep_grey_levels_whose_zero_is_white_are_refused(tmp_path):
+    """Pillow turns them over in 8 bits alone."""
+    Image.fromarray(np.full((5, 7), 40_000, np.uint16)).save(tmp_path / "a.tif", tiffinfo={262: 0})
+    with refused("a.tif has 0 for white"):
+        read_display(tmp_path / "a.tif")
+
+
 @pytest.mark.parametrize("mode", ["P", "1", "LA", "RGB", "RGBA", "CMYK", "YCbCr"])
 def test_modes_have_the_grey_of_their_colours(tmp_path, mode):
     picture = Image.fromarray(GREY).convert("RGB").convert(mode)

@@ -122,10 +122,12 @@ def test_deepfsi_data_comes_first_and_needs_the_folder(server, tmp_path, monkeyp
     assert not server.requests
 
 
-def test_a_damaged_file_in_deepfsi_data_is_downloaded_again(server, tmp_path, monkeypatch):
+def test_a_damaged_file_in_deepfsi_data_is_refused_and_stays(server, tmp_path, monkeypatch):
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path))
     fill(tmp_path / "first")
-    fill(tmp_path / "mnist", **{FILES[1]: idx_file(LABELS[1:21])})
-    assert_tiny(load_dataset("mnist"))
+    damaged = idx_file(LABELS[1:21])
+    fill(tmp_path / "mnist", **{FILES[1]: damaged})
+    not_loaded("mnist", f"{FILES[1]} is damaged")
+    assert (tmp_path / "mnist" / FILES[1]).read_bytes() == damaged
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path / "mistyped"))
     not_loaded("mnist", "DEEPFSI_DATA", "mistyped", "no folder")

@@ -11,10 +11,10 @@ from conftest import generator
 from deepfsi import learn
 from deepfsi.adaptive.exposure import AdaptiveExposure, AdaptiveTraining, LeftOutAnswers
 from deepfsi.evaluation.confidence import draw_logits
-from deepfsi.exposure.kind import temperatures_at
+from deepfsi.exposure.kind import Clicks, temperatures_at
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import Job
-from deepfsi.training import characterisation
+from deepfsi.training import characterisation, learning
 
 PHOTONS, LOOKS = 1e4, 6
 EACH = 16
@@ -57,6 +57,17 @@ def test_each_fold_leaves_out_what_its_training_does_not_hold(digits):
         share = np.bincount(few.y_train, minlength=10) / characterisation.FOLDS
         assert np.abs(np.bincount(fold.y_test, minlength=10) - share).max() < 1
     assert sum(len(fold.x_test) for fold in folds) == 90
+
+
+def test_folds_read_clicks_as_the_design_does(few, monkeypatch):
+    """Clicks are not in proportion to the light: at another budget a fold reads them likewise."""
+    trained = []
+    monkeypatch.setattr(learning, "characterise", lambda *given: trained.append(given))
+    camera = {"light": "free-dwell", "rails": "single", "noise": "click"}
+    learn(few, photons=300, masks=4, camera=camera, training={"epochs": 1})
+    [(_, _, [design], left_out)] = trained
+    clicks = {made.exposure.clicks for _, [made] in left_out}
+    assert clicks == {design.exposure.clicks} == {Clicks(gates=1, photons=300.0)}
 
 
 def chances(design, data, photons=PHOTONS, seed=3):

@@ -97,6 +97,8 @@ def from_arrays(
     >>> deepfsi.from_arrays(x, [0.1, 0.8] * 10, values=["left pixel"]).values
     ('left pixel',)
     """
+    if any(np.ma.is_masked(given) for given in (x, y, x_test, y_test)):
+        raise InputError(f"{name} hides values under a mask: leave out those scenes")
     return split_arrays(
         (x, y),
         (x_test, y_test),
@@ -266,6 +268,11 @@ def _check_no_classes(values: npt.NDArray[Any], what: str) -> None:
     They are classes as MATLAB saves them, or a table with a gap. A design would estimate them
     without a word.
     """
+    if values.shape[1] > 1 and np.isin(values, (0, 1)).all() and (values.sum(axis=1) == 1).all():
+        raise InputError(
+            f"{what} holds rows with a single 1, which are classes: give their numbers, "
+            "y.argmax(axis=1)"
+        )
     distinct = np.unique(values)
     many = 1 < len(distinct) <= len(values) / SPLIT_MINIMUM
     if values.shape[1] == 1 and many and not (distinct % 1).any():

@@ -96,11 +96,14 @@ class NamedDataset(ABC):
         return None
 
     def download(self) -> Path:
-        """Folder of the files, downloaded where they are missing or damaged."""
+        """Folder of the files; those of the cache are downloaded if missing or damaged."""
         import pooch
 
         folder = Path(self.find() or _cache_folder(self.folder))
         for file, expected in self.hashes.items():
+            own = folder != _cache_folder(self.folder)  # a user's file is never replaced
+            if own and not pooch.hashes.hash_matches(folder / file, expected):
+                raise InputError(f"{folder / file} is damaged: replace it with the original")
             failures = []
             for mirror in self.mirrors:
                 try:

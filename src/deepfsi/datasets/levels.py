@@ -45,6 +45,9 @@ GREY_MODES = ("1", "L", "LA", "I", "F")
 BITS_TAG = 258
 """Tag of a TIFF file for the bits of its samples."""
 
+PHOTOMETRIC_TAG, WHITE_IS_ZERO = 262, 0
+"""Tag of a TIFF that says which of its values is white, and its value where 0 is."""
+
 WRITTEN = "deepfsi"
 """Word in the head of a PNG file that holds reflectance as a data set had it."""
 
@@ -234,10 +237,16 @@ def _values(image: "PillowImage") -> npt.NDArray[Any]:
 
 
 def check_depth(image: Any, where: str) -> None:
-    """Raise `InputError` for an image that Pillow gives the upper bytes of each value alone."""
+    """Raise `InputError` for an image whose values Pillow would give wrongly.
+
+    It drops the lower bytes of deep colours, and turns a TIFF whose 0 is white only in 8 bits.
+    """
+    tags = getattr(image, "tag_v2", {})
     if image.mode in ("I", "F") or image.mode.startswith("I;16"):
+        if tags.get(PHOTOMETRIC_TAG) == WHITE_IS_ZERO:
+            raise InputError(f"{where} has 0 for white: save it with 0 for black")
         return
-    bits = max(getattr(image, "tag_v2", {}).get(BITS_TAG, ()), default=8)
+    bits = max(tags.get(BITS_TAG, ()), default=8)
     tiles = getattr(image, "tile", ())
     if bits > 8 or any(
         ";16" in str(tile[3]) or (tile[0] == "ppm" and tile[3][1] > 255) for tile in tiles

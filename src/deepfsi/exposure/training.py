@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.names import LIGHT_LAWS
-from deepfsi.exposure.kind import MaskExposure, with_budget
+from deepfsi.exposure.kind import Clicks, MaskExposure, with_budget
 from deepfsi.exposure.training_set import TrainingSet, product_dtype
 from deepfsi.jobs.designs import DESIGNS, count_allowed
 from deepfsi.jobs.exposures import ConditionedEntry, Entry, FixedEntry
@@ -229,6 +229,7 @@ class ExposureTraining(ABC):
         s = self.training_set.summed_reflectance
         mean, std, light = statistics
         rails = self.masks().stacked
+        gates = self.job.camera.clicks
         made = []
         for job, entry in enumerate(self.entries):
             exposure = resolve_name(entry.restored_by)(
@@ -242,6 +243,7 @@ class ExposureTraining(ABC):
                 std=std[job] / s,
                 shares=light[job] / s * self.parts,
                 weights=self.weights[job],
+                clicks=None if gates is None else Clicks(gates, self.jobs[job].photons),
             )
             made.append(exposure)
         return made

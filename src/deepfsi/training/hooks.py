@@ -8,7 +8,7 @@ set back, so that hooks change no bit of it.
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,6 @@ from torch.optim.lr_scheduler import LRScheduler
 
 from deepfsi.design.design import Design
 from deepfsi.design.networks import Replicas
-from deepfsi.exposure.kind import Clicks
 from deepfsi.exposure.training import CHUNK, ExposureTraining
 from deepfsi.training.assembly import designs_of
 from deepfsi.training.checkpoint import LoopState
@@ -197,9 +196,6 @@ class _LoopWatch:
         exposure = copy.copy(self.exposure)  # the original goes on learning
         exposure.fix()
         designs = designs_of(exposure, self.networks[: len(exposure.jobs)])
-        for job, design in zip(exposure.jobs, designs, strict=True):
-            clicks = Clicks.of({"job": job.model_dump(mode="json")})
-            design.exposure = replace(design.mask_exposure, clicks=clicks)
         self._fixed = None if exposure.learns else designs
         return designs
 

@@ -32,7 +32,6 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.design.networks import Classifier
-from deepfsi.exposure.kind import Clicks
 from deepfsi.exposure.training import ExposureTraining, JobGroup, matrix_seeds
 from deepfsi.exposure.training_set import TrainingSet, network_dtype, product_dtype
 from deepfsi.jobs.exposures import DICTIONARY_SPREAD, AdaptiveMasks, ExposureSource
@@ -249,8 +248,6 @@ def train(
         design.info |= hooks.info(place)
         if start is not None:
             design.info["start"] = array_hash(start)
-        clicks = Clicks.of(design.info)
-        design.exposure = replace(design.mask_exposure, clicks=clicks)
         design.training_scenes = training_set.hashes
     left_out = []
     for fold, span in zip(folds, others, strict=True):
