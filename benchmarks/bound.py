@@ -16,7 +16,7 @@ from torch import nn
 from torch.nn import functional
 
 from deepfsi import load_dataset
-from deepfsi.base.numeric.intervals import wilson
+from deepfsi.base.intervals import wilson
 from deepfsi.camera.light import photons_per_pixel, summed_reflectance
 
 

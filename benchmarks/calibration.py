@@ -22,9 +22,9 @@ from scipy.special import softmax
 import deepfsi
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.evaluation.confidence import draw_logits
+from deepfsi.evaluation.measures import confidence_error
 from deepfsi.exposure.kind import temperatures_at
 from deepfsi.jobs.job import Job
-from deepfsi.measures.table import confidence_error
 from deepfsi.training.characterisation import find_temperatures
 
 KINDS: dict[str, dict[str, Any]] = {

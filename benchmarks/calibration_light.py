@@ -20,11 +20,11 @@ from scipy.linalg import lstsq
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
-from deepfsi.hardware.counting.acquisition import Calibration
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.manifest import GatePlan
+from deepfsi.counting.acquisition import Calibration
 from deepfsi.lab.calibration import SCAN_NAMES, fit_calibration, scan_rails, spot_scenes
 from deepfsi.lab.virtual_optics import arrival_rates
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.manifest import GatePlan
 from deepfsi_paper.camera.gate_counts import draw_counts
 from deepfsi_paper.camera.laboratory import LAB
 

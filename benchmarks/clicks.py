@@ -21,7 +21,7 @@ from itertools import pairwise
 import numpy as np
 
 import deepfsi
-from deepfsi.base.numeric.intervals import wilson
+from deepfsi.base.intervals import wilson
 
 ROWS = 200, 1000
 """Test images of the first row, and further ones of each other."""

@@ -15,7 +15,7 @@ import argparse
 import numpy as np
 from scipy import stats
 
-from deepfsi.base.numeric.intervals import accuracy_interval, mean_of_trials, paired_difference
+from deepfsi.base.intervals import accuracy_interval, mean_of_trials, paired_difference
 
 IMAGES, SEEDS, RATES, SPREADS = (24, 100, 1000), (1, 3, 5), (0.6, 0.9, 0.98), (0.1, 0.3)
 IMAGE, BOTH, DRAWS = 1.5, 0.5, 3

@@ -17,16 +17,16 @@ from typing import NamedTuple
 import numpy as np
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.numeric.tables import NumberTable
+from deepfsi.base.tables import NumberTable
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.camera.device import find_device
+from deepfsi.counting.tables import TableSettings, count_table
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
-from deepfsi.hardware.counting.tables import TableSettings, count_table
-from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.virtual_detector import Detector
+from deepfsi.patterns.folder import Patterns
 from deepfsi.training.learning import learn
 from deepfsi_paper.camera.gate_counts import draw
 

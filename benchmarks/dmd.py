@@ -5,7 +5,7 @@
 
 32 x 32 cells of 24 x 32 mirrors; a frame is 98 304 bytes. "hadamard" is 1024 signed masks, 2047
 frames of full and dark cells; "grey" is 92 signed masks, 184 frames with every grey level. Ours is
-`deepfsi.hardware.patterns.frames.make_frames`, one thread. Beside it, for each frame,
+`deepfsi.patterns.frames.make_frames`, one thread. Beside it, for each frame,
 
     ordered    the mask enlarged by `numpy.kron`, compared with the order of the mirrors (made
                beforehand), and `numpy.packbits`; the frames are the same, bit by bit
@@ -35,10 +35,10 @@ from sklearn.datasets import load_sample_image
 
 from deepfsi.camera.device import DEVICES
 from deepfsi.camera.layout import DmdLayout, find_grid
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.frames import make_frames, unpack
-from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.jobs.designs import hadamard_masks
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.frames import make_frames, unpack
+from deepfsi.patterns.rails import DesignRails
 
 DEVICE = DEVICES["dlp7000"]
 SHAPE = (32, 32)

@@ -22,11 +22,11 @@ from deepfsi.adaptive.exposure import squared_distance
 from deepfsi.adaptive.posterior import AdaptivePosterior
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import DEVICES
+from deepfsi.counting.checks import LightMonitor, check_light, find_lateness
+from deepfsi.counting.flux import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
 from deepfsi.designfile.distribution import REFUSED, UNSURE, ReadoutDistribution
 from deepfsi.evaluation.confidence import find_distribution
-from deepfsi.hardware.light.checks import LightMonitor, check_light, find_lateness
-from deepfsi.hardware.light.flux import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
-from deepfsi.hardware.patterns.manifest import Brightness, Frame, Manifest
+from deepfsi.patterns.manifest import Brightness, Frame, Manifest
 
 PASSES, MASKS, FRAME_S = 20, 10, 1e-3
 FLUX, DARK = 1e6, 1e3

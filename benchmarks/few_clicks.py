@@ -22,7 +22,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from deepfsi.base.numeric.intervals import wilson
+from deepfsi.base.intervals import wilson
 from deepfsi.camera.names import LightLawName
 from deepfsi.datasets.load import load_dataset
 from deepfsi.evaluation.accuracy import evaluate

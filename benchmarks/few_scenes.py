@@ -22,8 +22,8 @@ import deepfsi
 from calibration import chance_error
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.evaluation.confidence import draw_logits
+from deepfsi.evaluation.measures import confidence_error
 from deepfsi.exposure.kind import temperatures_at
-from deepfsi.measures.table import confidence_error
 
 DESIGNS: dict[str, dict[str, Any]] = {
     "adaptive masks": {"design": "adaptive", "masks": 16},

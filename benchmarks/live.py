@@ -30,9 +30,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deepfsi.hardware.counting.streaming import FrameCounter, FrameGates
-from deepfsi.hardware.photons.events import PtuWriter
-from deepfsi.hardware.photons.reader import PtuFile, count_windows, read_markers
+from deepfsi.counting.events import PtuWriter
+from deepfsi.counting.reader import PtuFile, count_windows, read_markers
+from deepfsi.counting.streaming import FrameCounter, FrameGates
 
 FLUX, TICK_S, SETTLE_S = 1e7, 1e-12, 1e-5
 GATE = 0.8

@@ -20,9 +20,8 @@ import numpy as np
 from deepfsi import learn, load_dataset
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
+from deepfsi.counting.acquisition import Scene
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import (
     LATENCIES,
@@ -34,6 +33,7 @@ from deepfsi.lab.live import LiveRun
 from deepfsi.lab.results import LiveScene
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
 from deepfsi.lab.virtual_optics import MirrorLight, VirtualCamera, arrival_rates
+from deepfsi.patterns.folder import Patterns
 
 FLUX, EXPOSURE_S, PHOTONS = 1e7, 10e-3, 1e5
 SURE = 0.9

@@ -28,7 +28,7 @@ from deepfsi.exposure.kind import MaskExposure
 from deepfsi.jobs.exposures import FixedEntry
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
-from deepfsi.report.playground.page import write_page
+from deepfsi.report.demo import write_page
 
 MEASURE = """
 const { page, model } = window.playground;

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepfsi import Camera, Training, evaluate, learn, load_dataset
-from deepfsi.base.numeric.intervals import wilson
+from deepfsi.base.intervals import wilson
 from deepfsi.base.progress import SILENT
 from deepfsi.datasets.dataset import Dataset
 from deepfsi_flow.settings import Passing

@@ -31,8 +31,8 @@ from pathlib import Path
 import numpy as np
 import ptufile
 
-from deepfsi.hardware.photons.events import PtuWriter
-from deepfsi.hardware.photons.reader import PtuFile, count_windows, read_markers, summarise
+from deepfsi.counting.events import PtuWriter
+from deepfsi.counting.reader import PtuFile, count_windows, read_markers, summarise
 
 FLUX, FRAMES, TICK_S = 1e7, 2048, 1e-12
 PART = 200_000

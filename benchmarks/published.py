@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.base.numeric.intervals import wilson
+from deepfsi.base.intervals import wilson
 from deepfsi.camera.light import summed_reflectance
 from deepfsi.camera.names import LightLawName
 from deepfsi.datasets.dataset import Dataset

@@ -19,13 +19,13 @@ import numpy as np
 
 import deepfsi
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.counting.tables import TableSettings
-from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.counting.acquisition import Scene
+from deepfsi.counting.tables import TableSettings
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import virtual_setup
 from deepfsi.lab.live import LiveRun
 from deepfsi.lab.virtual_optics import VirtualCamera, arrival_rates
+from deepfsi.patterns.folder import Patterns
 
 SCENES, PHOTONS, EXPOSURE_S = 40, 1e4, 10e-3
 

@@ -13,9 +13,9 @@ from deepfsi import Mlp, load_design
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.exposure.training import JobGroup
 from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.hardware.patterns.frames import recount, unpack
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
+from deepfsi.patterns.frames import recount, unpack
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from deepfsi.physics.noise import attach_gradient
 from deepfsi.training.learning import train

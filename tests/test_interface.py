@@ -108,7 +108,7 @@ ANYTHING = "from typing import Any, cast\n{0} = cast(Any, ...)"
 BEFORE = {
     "docs/do/live": ANYTHING.format("my_projector = my_counter = my_display"),
     "docs/develop/drivers": """from pathlib import Path
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene
+from deepfsi.counting.acquisition import Acquisition, Scene
 """
     + ANYTHING.format("my_display = my_recording = looks")
     + '\npatterns = Path("adaptive")'

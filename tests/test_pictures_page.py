@@ -10,10 +10,10 @@ import torch
 from scipy.optimize import nnls
 
 from deepfsi.camera.device import Device
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.rails import DesignRails
+from deepfsi.counting.recording import Recording
 from deepfsi.lab.virtual_optics import VirtualCamera
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.rails import DesignRails
 from deepfsi.physics.laws import light_law
 from shared.virtual_runs import record
 

@@ -123,9 +123,9 @@ def test_every_heading_of_the_command_line_has_a_page():
 
 def test_every_option_is_in_the_reference():
     text = commands.reference("Design")
-    assert "| `--photons <number,…>` | budgets, such as 1e2,1e3,1e4 | *required* |" in text
+    assert r"| `--photons <number,…>` | budgets, such as 1e2,1e3,1e4 \[required\] |" in text
     assert "| `--photons <number>` | budget Φ: expected photons on the coding device," in text
-    assert "| `-o, --out <path>` | table with a line for each picture, .csv |  |" in text
+    assert "| `-o, --out <path>` | table with a line for each picture, .csv |" in text
     assert "$ deepfsi evaluate digits.safetensors --photons" in text
 
 

@@ -125,7 +125,7 @@ plt.show()
 #
 # .. dropdown:: Answer
 #
-#    Compare the two picture by picture with ``deepfsi.base.numeric.intervals.paired_difference`` of
+#    Compare the two picture by picture with ``deepfsi.base.intervals.paired_difference`` of
 #    ``Result.right``. If its interval contains 0, 360 pictures do not decide. On one device a
 #    single rail can be better: each frame is a feature of its own, and the network can subtract by
 #    itself.

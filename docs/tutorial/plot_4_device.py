@@ -13,9 +13,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.frames import unpack
+from deepfsi.counting.recording import Recording
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.frames import unpack
 
 # %%
 # Your camera

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from deepfsi.evaluation.accuracy import evaluate as evaluate
     from deepfsi.evaluation.ideal import IdealObserver as IdealObserver
     from deepfsi.evaluation.ideal import ideal_observer as ideal_observer
+    from deepfsi.evaluation.results import Result as Result
     from deepfsi.jobs.exposures import Fixed as Fixed
     from deepfsi.jobs.exposures import Range as Range
     from deepfsi.jobs.exposures import SharedLight as SharedLight
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from deepfsi.lab.classify import classify_run as classify_run
     from deepfsi.lab.classify import classify_table as classify_table
     from deepfsi.lab.prediction import predict as predict
-    from deepfsi.measures.results import Result as Result
     from deepfsi.physics.scanner import Scanner as Scanner
     from deepfsi.training.assembly import design_of as design_of
     from deepfsi.training.learning import learn as learn
@@ -52,7 +52,7 @@ _HOMES = {
     "Mlp": "design.networks",
     "OwnClassifier": "design.networks",
     "Range": "jobs.exposures",
-    "Result": "measures.results",
+    "Result": "evaluation.results",
     "Scanner": "physics.scanner",
     "SharedLight": "jobs.exposures",
     "Training": "jobs.training",

@@ -35,9 +35,9 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.device import BIT_PLANES, DEVICES, Device
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.frames import PLANES_FORMAT
-from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.frames import PLANES_FORMAT
+from deepfsi.patterns.manifest import Manifest
 from deepfsi_drivers.device_errors import let_go, refusals
 
 DMDS = {1: "dlp6500", 2: "dlp9000", 3: "dlp670s", 4: "dlp500yx"}

@@ -13,7 +13,7 @@ from io import FileIO
 from pathlib import Path
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
+from deepfsi.counting.streaming import FrameCounter, FrameCounts, FrameGates
 
 FILE_POLL_S = 0.0001
 """Time between two looks at the file, seconds."""

@@ -20,8 +20,8 @@ from typing import Any, Self
 from pydantic import FilePath, validate_call
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
-from deepfsi.hardware.photons.reader import PtuStream
+from deepfsi.counting.reader import PtuStream
+from deepfsi.counting.streaming import FrameCounter, FrameCounts, FrameGates
 
 SNAPI_POLL_S = 0.0002
 """Time between two questions for records, seconds."""

@@ -25,9 +25,9 @@ from pydantic import FilePath, FiniteFloat, validate_call
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_toml
-from deepfsi.base.models.strict import UserModel
-from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
-from deepfsi.hardware.photons.events import PtuWriter
+from deepfsi.base.models import UserModel
+from deepfsi.counting.events import PtuWriter
+from deepfsi.counting.streaming import FrameCounts, FrameGates
 from deepfsi_drivers.device_errors import refusals
 from deepfsi_drivers.file_tail import FollowedCounter
 

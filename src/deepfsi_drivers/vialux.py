@@ -33,8 +33,8 @@ from pydantic import validate_call
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.manifest import Manifest
 from deepfsi_drivers.device_errors import let_go, refusals
 
 USUAL_VERSION = "4.3"

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from deepfsi.base.files import write_atomically
-from deepfsi.base.models.strict import Count, Positive, Seconds
+from deepfsi.base.models import Count, Positive, Seconds
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal

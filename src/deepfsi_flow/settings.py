@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 from pydantic import Field
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import Amount, Count, Positive
+from deepfsi.base.models import Amount, Count, Positive
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.exposures import Entry, Exposure

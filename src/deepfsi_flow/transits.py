@@ -25,8 +25,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.quantities import Table, time_text
 from deepfsi.camera.light import check_budget
-from deepfsi.hardware.photons.events import PtuWriter
-from deepfsi.hardware.photons.reader import read_photons
+from deepfsi.counting.events import PtuWriter
+from deepfsi.counting.reader import read_photons
 
 if TYPE_CHECKING:  # they import torch, which those who look for no transits do without
     from deepfsi.design.design import Design

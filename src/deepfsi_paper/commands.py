@@ -4,7 +4,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
-from deepfsi.base.models.strict import Count
+from deepfsi.base.models import Count
 from deepfsi.base.quantities import Table
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from deepfsi.base.numeric.intervals import (
+from deepfsi.base.intervals import (
     Difference,
     accuracy_difference,
     all_above,

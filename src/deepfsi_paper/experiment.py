@@ -13,7 +13,7 @@ import polars
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import write_atomically
-from deepfsi.base.numeric.intervals import Difference, accuracy_difference, all_above
+from deepfsi.base.intervals import Difference, accuracy_difference, all_above
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.datasets.catalog import list_datasets
 from deepfsi.datasets.dataset import Dataset

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepfsi.base.numeric.intervals import Difference, all_above, mean_of_trials, signed_text
+from deepfsi.base.intervals import Difference, all_above, mean_of_trials, signed_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.report.maps import difference_figure, pair

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 from scipy.stats import binom, binomtest
 
-from deepfsi.base.numeric.intervals import (
+from deepfsi.base.intervals import (
     Difference,
     accuracy_difference,
     accuracy_interval,

@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.io import savemat
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.numeric.tables import is_table, read_table, read_whole_numbers
+from deepfsi.base.tables import is_table, read_table, read_whole_numbers
 
 VALUES = np.random.default_rng(2).integers(0, 1000, (3, 5))
 NAMES = tuple("abcde")

@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
+from counting.recording_samples import SHAPE, patterns_of
 from deepfsi.base.errors import InputError
-from deepfsi.base.numeric.tables import NumberTable
+from deepfsi.base.tables import NumberTable
 from deepfsi.camera.dead_time import DeadTime
-from deepfsi.hardware.counting.recording import CountSettings, Recording
-from deepfsi.hardware.counting.tables import TableSettings, count_table
+from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.counting.tables import TableSettings, count_table
 from deepfsi.lab.virtual_detector import Detector
 from deepfsi.lab.virtual_optics import (
     VirtualCamera,
     arrival_rates,
 )
 from deepfsi_paper.camera import gate_counts
-from hardware.counting.recording_samples import SHAPE, patterns_of
 from shared.virtual_runs import record
 
 TAU = 20e-9

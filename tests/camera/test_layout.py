@@ -7,9 +7,9 @@ import pytest
 
 from deepfsi.camera.device import DEVICES, find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.frames import unpack
-from hardware.patterns.pattern_samples import SMALL, export
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.frames import unpack
+from patterns.pattern_samples import SMALL, export
 
 
 @pytest.mark.parametrize("name", DEVICES)

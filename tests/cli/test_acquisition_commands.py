@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from deepfsi.hardware.patterns.folder import Patterns
-from hardware.counting.recording_samples import DWELL, Run, patterns_of, shining, train
+from counting.recording_samples import DWELL, Run, patterns_of, shining, train
+from deepfsi.patterns.folder import Patterns
 
 
 @pytest.fixture

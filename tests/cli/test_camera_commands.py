@@ -11,10 +11,10 @@ from PIL import Image
 from conftest import quick
 from deepfsi import Design, InputError, evaluate
 from deepfsi.cli import app
+from deepfsi.counting.recording import Recording
 from deepfsi.datasets.display import read_display, write_pictures
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.calibration import calibrate_run, reconstruct
+from deepfsi.patterns.folder import Patterns
 
 LIGHT = ["--flux", 1e7, "--exposure", "5ms", "--virtual", "ideal"]
 

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from deepfsi.cli import app
-from deepfsi.hardware.counting.recording import Recording
+from deepfsi.counting.recording import Recording
 
 SCENES = 200
 PHOTONS = 1500.0

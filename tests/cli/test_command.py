@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from pydantic import BaseModel, Field
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import Seconds, Share, WholeNumber
+from deepfsi.base.models import Seconds, Share, WholeNumber
 from deepfsi.base.quantities import Table
 from deepfsi.cli import command
 from deepfsi.cli import fields as fields_module

@@ -11,7 +11,7 @@ from conftest import quick
 from deepfsi import Design, evaluate
 from deepfsi.cli import app
 from deepfsi.datasets.display import write_pictures
-from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.patterns.folder import Patterns
 
 SCENES = 120
 TRAINING = {"masks": 4, "photons": 1e4, "epochs": 8, "hidden": (32,), "detectors": "2x2"}

@@ -13,9 +13,9 @@ from scipy.io import savemat
 from conftest import quick
 from deepfsi.camera.device import find_device
 from deepfsi.datasets.display import write_pictures
-from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.virtual_optics import VirtualCamera, arrival_rates
+from deepfsi.patterns.folder import Patterns
 
 FLUX, SCENES, DWELL = 1e6, 60, 1e-3
 

@@ -205,7 +205,7 @@ def test_an_npz_file_larger_than_the_memory_is_refused_unread(tmp_path, monkeypa
     path = tmp_path / "scenes.npz"
     np.savez_compressed(path, x=np.zeros((4, 10_000)), y=[0, 0, 1, 1])
     assert path.stat().st_size < 10_000
-    monkeypatch.setattr("deepfsi.base.numeric.arrays.free_memory", lambda: 1e5)
+    monkeypatch.setattr("deepfsi.base.arrays.free_memory", lambda: 1e5)
     monkeypatch.setattr(np, "load", None)
     not_loaded(path, "need 0.00032 GB of memory")
 

@@ -244,7 +244,7 @@ def test_the_size_of_an_envi_file_is_checked_before_it_is_read(farm, monkeypatch
     with monkeypatch.context() as patch:
         patch.setattr(spectra, "MAX_VALUES", CUBE.size - 1)
         not_loaded(header, "farm.hdr has the shape (60, 60, 5)", "or fewer")
-    monkeypatch.setattr("deepfsi.base.numeric.arrays.free_memory", lambda: 100.0)
+    monkeypatch.setattr("deepfsi.base.arrays.free_memory", lambda: 100.0)
     np.save(header.with_suffix(".npy"), CUBE)
     for path in (header, header.with_suffix(".npy")):
         not_loaded(path, "the values of", path.name, "GB of memory")

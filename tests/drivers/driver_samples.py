@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.rails import DesignRails
-from deepfsi.hardware.photons.reader import count_windows, read_markers
+from deepfsi.counting.reader import count_windows, read_markers
 from deepfsi.lab.devices import StreamingCounter
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.rails import DesignRails
 
 
 def make_patterns(folder, device, masks, light="free-dwell", format="npy", dwell=1e-3, least=0.1):

@@ -10,7 +10,7 @@ from driver_samples import make_patterns
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
 from deepfsi.camera.device import DEVICES, Device
-from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.patterns.folder import Patterns
 from deepfsi_drivers import dlpc900
 
 SMALL = Device(name="small", columns=64, rows=24, shortest_us=105)

@@ -9,8 +9,8 @@ import pytest
 from driver_samples import collect
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.streaming import FrameCounter, FrameGates
-from deepfsi.hardware.photons.events import PtuWriter
+from deepfsi.counting.events import PtuWriter
+from deepfsi.counting.streaming import FrameCounter, FrameGates
 from deepfsi_drivers import file_tail as followed
 
 GATES = FrameGates.of(10e-6, [60e-6] * 20)

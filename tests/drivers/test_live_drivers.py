@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepfsi.hardware.photons.events import PtuWriter
+from deepfsi.counting.events import PtuWriter
 from deepfsi.lab import results as frame_log
 from deepfsi.lab.devices import Setup, virtual_setup
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S

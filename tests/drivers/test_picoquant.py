@@ -11,9 +11,9 @@ import pytest
 from driver_samples import check_counts, collect
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.streaming import FrameGates
-from deepfsi.hardware.photons.events import PtuWriter
-from deepfsi.hardware.photons.reader import PtuFile
+from deepfsi.counting.events import PtuWriter
+from deepfsi.counting.reader import PtuFile
+from deepfsi.counting.streaming import FrameGates
 from deepfsi_drivers import picoquant
 
 TICK_S, FRAME = 5e-12, 10**7

@@ -8,8 +8,8 @@ import pytest
 from driver_samples import check_counts, check_records_into_a_new_file_alone, collect
 
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.counting.streaming import FrameGates
-from deepfsi.hardware.photons.reader import read_markers
+from deepfsi.counting.reader import read_markers
+from deepfsi.counting.streaming import FrameGates
 from deepfsi_drivers import swabian
 from drivers.swabian_fake import ERROR, MISSED, OVERFLOW_BEGIN, OVERFLOW_END, install
 

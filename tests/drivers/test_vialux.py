@@ -8,7 +8,7 @@ from vialux_fake import DEVICE, install
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
 from deepfsi.camera.device import Device
-from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.patterns.folder import Patterns
 from deepfsi_drivers import vialux
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import deepfsi
 from conftest import synthetic
-from deepfsi.hardware.photons.reader import read_photons
+from deepfsi.counting.reader import read_photons
 from deepfsi_flow import transits
 from deepfsi_flow.settings import Passing
 from deepfsi_flow.transits import classify_transits, simulate_transits

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deepfsi.hardware.photons.events import PtuWriter
-from deepfsi.hardware.photons.reader import read_photons, summarise
+from deepfsi.counting.events import PtuWriter
+from deepfsi.counting.reader import read_photons, summarise
 from deepfsi_flow import transits
 
 BACKGROUND, WINDOW, DURATION = 40.0, 0.1, 20.0

@@ -17,20 +17,20 @@ from scipy.io import savemat
 from spectral.io import envi
 
 from deepfsi import Design, from_arrays, load_dataset, load_design
-from deepfsi.base.numeric.tables import read_table
+from deepfsi.base.tables import read_table
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.device import find_device
 from deepfsi.cli.studies import read_recipe
+from deepfsi.counting import reader as photons
+from deepfsi.counting import tables
+from deepfsi.counting.acquisition import Calibration
+from deepfsi.counting.recording import Recording
 from deepfsi.designfile.provenance import trained_on
-from deepfsi.hardware.counting import tables
-from deepfsi.hardware.counting.acquisition import Calibration
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.photons import reader as photons
 from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.lab import results as record
 from deepfsi.lab.design_data import camera_of, design_rails, read_scenes
 from deepfsi.lab.virtual_optics import VirtualCamera
+from deepfsi.patterns.folder import Patterns
 from deepfsi.report.comparison_page import write_report
 from deepfsi.sweeps.plan import check_settings
 from deepfsi.sweeps.recipe import only

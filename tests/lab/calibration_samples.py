@@ -4,7 +4,7 @@ import numpy as np
 
 from deepfsi.camera.device import find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
-from deepfsi.hardware.counting.acquisition import Calibration
+from deepfsi.counting.acquisition import Calibration
 from deepfsi.lab.design_data import camera_view
 
 VIEW = np.array([[0.9, 0.05, 0.02], [-0.04, 0.88, 0.06], [0.05, -0.06, 1]])

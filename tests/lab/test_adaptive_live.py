@@ -11,10 +11,10 @@ from conftest import exposing
 from deepfsi import learn
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.live import LiveRun
 from deepfsi.lab.results import read_log
+from deepfsi.patterns.folder import Patterns
 from shared.live_samples import DEVICE, OPTICS, Counted, live, make_patterns, scenes_of
 
 LOOKS, FLUX, EXPOSURE_S = 5, 1e7, 10e-3

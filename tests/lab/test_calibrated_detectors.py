@@ -5,9 +5,8 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
-from deepfsi.hardware.counting.counts import Counts
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.counting.counts import Counts
+from deepfsi.counting.recording import Recording
 from deepfsi.lab.calibration import (
     SCAN_NAMES,
     find_detectors,
@@ -16,6 +15,7 @@ from deepfsi.lab.calibration import (
     spot_scenes,
 )
 from deepfsi.lab.virtual_optics import VirtualCamera
+from deepfsi.patterns.folder import Patterns
 from shared.virtual_runs import record
 
 DEVICE = Device(name="d", columns=48, rows=48)

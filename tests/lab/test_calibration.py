@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from calibration_samples import GRID, VIEW, apply, calibration_of, pictures_of, vignette
 
+from counting.recording_samples import patterns_of
 from deepfsi.base.errors import InputError
 from deepfsi.lab import calibration as fit
 from deepfsi.lab.calibration import expected_background
 from deepfsi.lab.design_data import camera_view
-from hardware.counting.recording_samples import patterns_of
 
 
 def off_corners(found):

@@ -16,11 +16,11 @@ from virtual_samples import (
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.photons import ptu
+from deepfsi.counting import ptu
+from deepfsi.counting.recording import Recording
 from deepfsi.lab import virtual_optics as camera_module
 from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera, arrival_rates
+from deepfsi.patterns.folder import Patterns
 from deepfsi.physics.detection import Detection
 
 IDEAL = CAMERAS["ideal"]

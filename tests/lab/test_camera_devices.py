@@ -5,10 +5,10 @@ import pytest
 
 from deepfsi.camera.device import DEVICES
 from deepfsi.camera.layout import DmdLayout, find_grid
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab import virtual_optics as camera
 from deepfsi.lab.virtual_optics import CAMERAS, arrival_rates
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.rails import DesignRails
 
 IDEAL = CAMERAS["ideal"]
 DIAMOND = DEVICES["dlp4500"].model_copy(update={"columns": 58, "rows": 119})

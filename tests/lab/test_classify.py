@@ -8,14 +8,14 @@ import pytest
 
 import deepfsi
 from conftest import quick
+from deepfsi.counting.recording import Recording
 from deepfsi.datasets.display import read_display, write_pictures
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab.virtual_optics import (
     CAMERAS,
     VirtualCamera,
     arrival_rates,
 )
+from deepfsi.patterns.folder import Patterns
 from shared.virtual_runs import record
 
 PAGE = Path(__file__).parents[2] / "docs/do/camera.md"

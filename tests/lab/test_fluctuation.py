@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from virtual_samples import patterns, record, scenes
 
-from deepfsi.hardware.counting.recording import Recording
+from deepfsi.counting.recording import Recording
 from deepfsi.lab import virtual_detector as detector
 from deepfsi.lab.virtual_optics import VirtualCamera
 

@@ -6,11 +6,11 @@ import pytest
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
-from deepfsi.hardware.counting.recording import CountSettings, Recording
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.rails import DesignRails
+from deepfsi.counting.recording import CountSettings, Recording
 from deepfsi.lab.calibration import find_gains
 from deepfsi.lab.virtual_optics import VirtualCamera
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.rails import DesignRails
 from deepfsi.training import characterisation
 from shared.virtual_runs import record
 

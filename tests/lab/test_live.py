@@ -9,10 +9,10 @@ import pytest
 
 from deepfsi import classify_run
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.patterns.folder import Patterns
 from deepfsi.lab import results as frame_log
 from deepfsi.lab.adaptive_looks import AdaptiveLooks
 from deepfsi.lab.devices import virtual_setup
+from deepfsi.patterns.folder import Patterns
 from shared.live_samples import (
     DEVICE,
     EXPOSURE_S,

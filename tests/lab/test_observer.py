@@ -5,12 +5,12 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import DeadTime
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.counting.streaming import FrameCounts
-from deepfsi.hardware.light.flux import PARTS_OF_FRAME
-from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.counting.acquisition import Scene
+from deepfsi.counting.flux import PARTS_OF_FRAME
+from deepfsi.counting.streaming import FrameCounts
 from deepfsi.lab.observer import SceneObserver
 from deepfsi.lab.virtual_detector import Detector
+from deepfsi.patterns.folder import Patterns
 from shared.live_samples import EXPOSURE_S, LOOKS, OPTICS, make_patterns, planned
 
 FLUX = 1e7

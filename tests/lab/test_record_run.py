@@ -7,13 +7,13 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.counting.acquisition import Acquisition, Scene
+from deepfsi.counting.recording import Recording
 from deepfsi.lab import live as record
 from deepfsi.lab.calibration import scan_rails
 from deepfsi.lab.devices import virtual_setup
 from deepfsi.lab.virtual_optics import CAMERAS
+from deepfsi.patterns.folder import Patterns
 from deepfsi_drivers import swabian as swabian_module
 from drivers import swabian_fake
 

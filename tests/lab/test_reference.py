@@ -7,12 +7,12 @@ from scipy import ndimage
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout
+from deepfsi.counting.recording import Recording
 from deepfsi.datasets.display import read_display
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.registration import check_view, write_reference
 from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.rails import DesignRails
 from shared.virtual_runs import record
 
 DEVICE = Device(name="d", columns=256, rows=192, shortest_us=10, settle_us=2)

@@ -7,12 +7,12 @@ import pytest
 
 from deepfsi import evaluate, load_design
 from deepfsi.base.errors import InputError
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.frames import unpack
 from deepfsi.lab import adaptive_looks
 from deepfsi.lab import results as frame_log
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import virtual_setup
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.frames import unpack
 from shared.live_samples import (
     DEVICE,
     EXPOSURE_S,

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from calibration_samples import VIEW, calibration_of, vignette
 
+from counting.recording_samples import DEVICE, DWELL, SHAPE, Run, named, split, train
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
+from deepfsi.counting.recording import Recording
 from deepfsi.datasets.load import load_dataset
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab import virtual_optics as camera
 from deepfsi.lab.calibration import reconstruct
 from deepfsi.lab.design_data import camera_view, view_dataset
-from hardware.counting.recording_samples import DEVICE, DWELL, SHAPE, Run, named, split, train
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.rails import DesignRails
 
 
 def test_a_data_set_in_the_cameras_view():

@@ -15,12 +15,12 @@ from virtual_samples import (
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.layout import DmdLayout, find_grid
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.photons.reader import summarise
+from deepfsi.counting.reader import summarise
+from deepfsi.counting.recording import Recording
 from deepfsi.lab import virtual_detector as detector
 from deepfsi.lab import virtual_optics as module
 from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera, arrival_rates, expected_events
+from deepfsi.patterns.folder import Patterns
 
 GRID = find_grid(DEVICE, SHAPE, DmdLayout(stretch=True))
 MIRRORS = GRID.mirrors

@@ -6,7 +6,7 @@ from virtual_samples import SUMMED_REFLECTANCE, every_optics, expected, patterns
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import DeadTime
-from deepfsi.hardware.counting.recording import CountSettings, Recording
+from deepfsi.counting.recording import CountSettings, Recording
 from deepfsi.lab.calibration import gains_of, reconstruct
 from deepfsi.lab.registration import check_view
 from deepfsi.lab.virtual_optics import VirtualCamera

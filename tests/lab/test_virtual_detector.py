@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from deepfsi.hardware.patterns.manifest import GatePlan
 from deepfsi.lab import virtual_detector as module
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Detector, Stream, divide
+from deepfsi.patterns.manifest import GatePlan
 
 TAU = 5e-8
 DEAD = round(TAU / DETECTOR_TICK_S)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.hardware.photons.reader import count_windows, read_markers, summarise
+from deepfsi.counting.reader import count_windows, read_markers, summarise
 from deepfsi.lab import virtual_optics as camera_module
 from deepfsi.lab.devices import (
     LATENCIES,

@@ -10,8 +10,8 @@ from deepfsi import Scanner
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdLayout
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.rails import DesignRails
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.rails import DesignRails
 from deepfsi.physics.laws import light_law
 from shared import virtual_runs
 

@@ -3,7 +3,7 @@
     pip install cosmic-ray
     python tests/mutants/sample.py physics training --number 40 --seed 1
 
-    python tests/mutants/sample.py hardware --near --trust      in a hurry
+    python tests/mutants/sample.py counting --near --trust      in a hurry
 
 A fault is drawn among all that the operators have for the modules of a wing, the same for the same
 seed and code. The fast tests of the wing run against it, first those that import its module. A copy

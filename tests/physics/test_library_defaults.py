@@ -8,9 +8,9 @@ import torch
 
 import deepfsi
 from deepfsi import InputError
+from deepfsi.counting.tables import TableSettings
 from deepfsi.design.onnx import to_onnx
 from deepfsi.evaluation.page_data import playable
-from deepfsi.hardware.counting.tables import TableSettings
 from deepfsi.physics.surroundings import torch_device
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import compare

@@ -16,7 +16,7 @@ from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.evaluation import page_data as payload
 from deepfsi.evaluation.page_data import of_page, playable
 from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.report.playground.page import write_page
+from deepfsi.report.demo import write_page
 from shared.playground import ask, open_playground
 
 LOOKS, PHOTONS, VECTORS = 6, 1e3, 20

@@ -13,7 +13,7 @@ from selenium.webdriver.common.by import By
 
 from conftest import quick, synthetic
 from deepfsi.evaluation.page_data import playable
-from deepfsi.report.playground.page import write_page
+from deepfsi.report.demo import write_page
 from shared.playground import (
     DARK,
     DARK_KINDS,

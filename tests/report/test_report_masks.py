@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.measures.results import lit_masks
+from deepfsi.evaluation.results import lit_masks
 from deepfsi.report import masks
 from deepfsi.report.masks import brightest_masks, signed
 from shared.figures import assert_legible

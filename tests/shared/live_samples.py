@@ -7,17 +7,17 @@ import numpy as np
 
 from deepfsi import learn
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.counting.streaming import FrameCounts
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.photons.reader import count_windows, read_markers
+from deepfsi.counting.acquisition import Scene
+from deepfsi.counting.reader import count_windows, read_markers
+from deepfsi.counting.recording import Recording
+from deepfsi.counting.streaming import FrameCounts
 from deepfsi.lab import live as run
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import virtual_setup
 from deepfsi.lab.live import LiveRun
 from deepfsi.lab.results import read_log
 from deepfsi.lab.virtual_optics import CAMERAS
+from deepfsi.patterns.folder import Patterns
 
 LOOKS, FLUX, EXPOSURE_S = 3, 1e6, 10e-3
 OPTICS = {"one detector": "dmd", "two arms": "two-arm", "detectors": "dmd-2x2"}

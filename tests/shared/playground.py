@@ -9,7 +9,7 @@ from scipy import stats
 from selenium.webdriver.common.by import By
 
 from deepfsi.evaluation.page_data import playable
-from deepfsi.report.playground.page import write_page
+from deepfsi.report.demo import write_page
 from shared.browser import look
 from shared.waiting import until
 

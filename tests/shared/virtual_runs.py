@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from deepfsi.base.progress import SILENT
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene
-from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.counting.acquisition import Acquisition, Scene
 from deepfsi.lab.virtual_optics import VirtualCamera, record_scenes
+from deepfsi.patterns.folder import Patterns
 
 
 def record(

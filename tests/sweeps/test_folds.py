@@ -6,7 +6,7 @@ import pytest
 from conftest import synthetic
 from deepfsi import evaluate, load_design
 from deepfsi.base.errors import InputError
-from deepfsi.base.numeric.intervals import accuracy_interval, unpack_values
+from deepfsi.base.intervals import accuracy_interval, unpack_values
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.load import load_dataset
 from deepfsi.designfile.provenance import trained_on

@@ -12,7 +12,7 @@ import pytest
 
 from deepfsi import Design, evaluate
 from deepfsi.base.errors import InputError
-from deepfsi.base.numeric.intervals import unpack_values
+from deepfsi.base.intervals import unpack_values
 from deepfsi.sweeps import batch
 from deepfsi.sweeps.plan import Trial
 from deepfsi.sweeps.records import write_table

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.base.numeric import intervals
+from deepfsi.base import intervals
 from deepfsi.sweeps.summary import summarise_records
 from shared.trials import small
 

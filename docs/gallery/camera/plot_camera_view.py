@@ -14,12 +14,12 @@ import numpy as np
 
 import deepfsi
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.counting.acquisition import Acquisition, Scene
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
+from deepfsi.counting.acquisition import Acquisition, Scene
+from deepfsi.counting.recording import Recording
 from deepfsi.lab.calibration import reconstruct
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.virtual_optics import CAMERAS, record_scenes
+from deepfsi.patterns.folder import Patterns
 
 # %%
 # Twenty non-negative masks are learned for one device and one detector, which is the camera unless

@@ -13,9 +13,9 @@ import matplotlib.pyplot as plt
 
 import deepfsi
 from deepfsi.camera.device import find_device
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.frames import unpack
 from deepfsi.lab.design_data import design_rails
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.frames import unpack
 
 # %%
 # Four non-negative masks of 8 × 8 pixels become frames of a DLP7000 with 1024 × 768 mirrors. Each

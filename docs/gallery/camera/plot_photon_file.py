@@ -12,8 +12,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from deepfsi.hardware.photons.events import PtuWriter
-from deepfsi.hardware.photons.reader import count_windows, read_markers, summarise
+from deepfsi.counting.events import PtuWriter
+from deepfsi.counting.reader import count_windows, read_markers, summarise
 
 # %%
 # This makes a small file to read: 24 frames of 1 ms, each with its own light, and photons at random

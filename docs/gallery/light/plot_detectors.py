@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import deepfsi
-from deepfsi.base.numeric.intervals import paired_difference
+from deepfsi.base.intervals import paired_difference
 from deepfsi.report.style import DESIGN_COLOURS
 
 # %%

@@ -32,8 +32,8 @@ from deepfsi.adaptive.posterior import (
     LookOptics,
     ScenePrior,
 )
+from deepfsi.base.arrays import check_memory, free_memory
 from deepfsi.base.errors import InputError
-from deepfsi.base.numeric.arrays import check_memory, free_memory
 
 COMPARED_SCENES = (16, 32)
 """Scenes drawn of the posterior by which masks are compared: of a small prior, and of a large one.

@@ -33,8 +33,8 @@ from deepfsi.adaptive.posterior import (
     ScenePrior,
     confidence_of,
 )
+from deepfsi.base.arrays import check_memory, free_memory
 from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.numeric.arrays import check_memory, free_memory
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera

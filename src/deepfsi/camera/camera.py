@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 
+from deepfsi.base.arrays import read_npy
 from deepfsi.base.errors import InputError, as_input_error, check_choice
 from deepfsi.base.files import read_toml
-from deepfsi.base.models.strict import Seconds, UserModel
-from deepfsi.base.numeric.arrays import read_npy
+from deepfsi.base.models import Seconds, UserModel
 from deepfsi.base.quantities import count_text, time_text
 from deepfsi.camera.dead_time import LONGEST_DEAD_TIME_S, DeadTime
 from deepfsi.camera.detectors import DetectorMap

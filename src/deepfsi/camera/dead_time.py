@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
-from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.models import StrictModel
 
 LONGEST_DEAD_TIME_S = 1e-5
 """Longest dead time that is corrected for, seconds: a gate must hold many of them."""

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import Amount, Share, StrictModel, WholeNumber
+from deepfsi.base.models import Amount, Share, StrictModel, WholeNumber
 
 MOST_INPUTS = 64
 """Inputs of a counter at most."""

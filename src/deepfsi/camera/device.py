@@ -12,7 +12,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from deepfsi.base.errors import InputError, closest_choice
-from deepfsi.base.models.strict import Count, Positive, UserModel
+from deepfsi.base.models import Count, Positive, UserModel
 
 MOST_MIRRORS = 2**14
 """Mirrors of a device in each direction at most."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import AfterValidator
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.models import StrictModel
 from deepfsi.camera.device import Device
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import write_atomically
-from deepfsi.base.models.strict import Count, Seconds, WholeNumber
+from deepfsi.base.models import Count, Seconds, WholeNumber
 from deepfsi.base.quantities import Table
 from deepfsi.camera.camera import PRESETS, Camera
 from deepfsi.camera.device import find_device
@@ -20,7 +20,7 @@ from deepfsi.datasets.display import write_display
 from deepfsi.datasets.load import load_dataset
 
 if TYPE_CHECKING:
-    from deepfsi.hardware.patterns.folder import Patterns
+    from deepfsi.patterns.folder import Patterns
 
 
 class DescribeCamera(Command):
@@ -183,10 +183,10 @@ class ExportPatterns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns that were written, on which device and for how long."""
-        from deepfsi.hardware.patterns.folder import Patterns
         from deepfsi.lab.calibration import SCAN_NAMES, scan_rails, write_spots
         from deepfsi.lab.design_data import camera_of, design_rails
         from deepfsi.lab.registration import write_reference
+        from deepfsi.patterns.folder import Patterns
 
         if str(self.file) in SCAN_NAMES:
             source = self.file
@@ -237,7 +237,7 @@ class CheckPatterns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns of the folder, all of whose frames are as they were exported."""
-        from deepfsi.hardware.patterns.folder import Patterns
+        from deepfsi.patterns.folder import Patterns
 
         with terminal.progress("frames") as report:
             patterns = Patterns.read(self.folder).check(report)

@@ -22,7 +22,7 @@ from pydantic_core import ErrorDetails, PydanticUndefined
 from deepfsi.base.errors import InputError, field_errors
 from deepfsi.base.files import readable_name
 from deepfsi.base.interrupts import STOPPED_EXIT_CODE
-from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.models import StrictModel
 from deepfsi.base.quantities import seconds
 from deepfsi.camera.camera import Camera
 from deepfsi.cli.fields import FIRST, OptionsOf, Output, height_width, job_options

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
-from deepfsi.base.models.strict import Count
+from deepfsi.base.models import Count
 from deepfsi.base.quantities import budget_text, confidence_text, count_text
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
@@ -14,10 +14,10 @@ from deepfsi.cli.evaluate import data_lines, full_gates_lines, with_classes
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
+from deepfsi.evaluation.results import Result, details_text, lit_text, score_text
 from deepfsi.jobs.job import job_of, sorted_settings
 from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.jobs.training import Training
-from deepfsi.measures.results import Result, details_text, lit_text, score_text
 
 if TYPE_CHECKING:
     from deepfsi.design.design import Design
@@ -222,7 +222,7 @@ class WritePage(Command):
         """The page, with its measured accuracy."""
         from deepfsi.evaluation.page_data import check_playable, playable
         from deepfsi.lab.design_data import data_of, open_design
-        from deepfsi.report.playground.page import write_page
+        from deepfsi.report.demo import write_page
 
         design = open_design(self.file)
         check_playable(design)

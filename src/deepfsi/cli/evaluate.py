@@ -8,14 +8,14 @@ from pydantic import Field
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
-from deepfsi.base.models.strict import Amount
+from deepfsi.base.models import Amount
 from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.measures.results import Estimates, Result, results_lines
-from deepfsi.measures.table import MOST_DRAWS
+from deepfsi.evaluation.measures import MOST_DRAWS
+from deepfsi.evaluation.results import Estimates, Result, results_lines
 
 if TYPE_CHECKING:
     from deepfsi.design.design import Design

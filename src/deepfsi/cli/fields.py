@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_ending
-from deepfsi.base.models.strict import Amount, Count, Seconds, WholeNumber
+from deepfsi.base.models import Amount, Count, Seconds, WholeNumber
 from deepfsi.base.registry import check_report
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import MOST_INPUTS

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from pydantic import Field
 
 from deepfsi.base.errors import InputError, check_choice
-from deepfsi.base.models.strict import Seconds, WholeNumber
+from deepfsi.base.models import Seconds, WholeNumber
 from deepfsi.base.progress import SILENT
 from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
@@ -18,11 +18,11 @@ from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal, option_name
 
 if TYPE_CHECKING:
+    from deepfsi.counting.acquisition import Acquisition
     from deepfsi.datasets.display import Display
-    from deepfsi.hardware.counting.acquisition import Acquisition
-    from deepfsi.hardware.patterns.folder import Patterns
     from deepfsi.lab.devices import Setup
     from deepfsi.lab.virtual_optics import VirtualCamera
+    from deepfsi.patterns.folder import Patterns
 
 
 MOST_EVENTS = 1e8
@@ -91,10 +91,10 @@ class SimulateRun(_Run):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Run as it was recorded."""
-        from deepfsi.hardware.counting.acquisition import Acquisition
-        from deepfsi.hardware.patterns.folder import Patterns
+        from deepfsi.counting.acquisition import Acquisition
         from deepfsi.lab.design_data import camera_of, displayed, scenes_of
         from deepfsi.lab.virtual_optics import record_scenes, virtual_camera
+        from deepfsi.patterns.folder import Patterns
 
         patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
@@ -227,12 +227,12 @@ class RecordRun(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the run."""
-        from deepfsi.hardware.counting.acquisition import Acquisition
-        from deepfsi.hardware.counting.recording import CountSettings, Recording
-        from deepfsi.hardware.patterns.folder import Patterns
+        from deepfsi.counting.acquisition import Acquisition
+        from deepfsi.counting.recording import CountSettings, Recording
         from deepfsi.lab.design_data import camera_of, displayed, listed_scenes, scenes_of
         from deepfsi.lab.live import record_run
         from deepfsi.lab.virtual_optics import virtual_camera
+        from deepfsi.patterns.folder import Patterns
 
         projector = self.open_projector("projector")
         patterns = Patterns.read(self.patterns)
@@ -284,11 +284,11 @@ class RunLive(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the scenes, each said as it is decided."""
-        from deepfsi.hardware.patterns.folder import Patterns
         from deepfsi.lab.design_data import camera_of, displayed, scenes_of
         from deepfsi.lab.live import LiveRun
         from deepfsi.lab.results import LiveAnswers
         from deepfsi.lab.virtual_optics import virtual_camera
+        from deepfsi.patterns.folder import Patterns
 
         projector = self.open_projector("list projector")
         camera = camera_of(self.patterns, self.settings)
@@ -385,11 +385,11 @@ class ImportRecording(Command):
         if self.patterns is None:
             fields.Output((".ptu",)).check(self.out, self.force)
             return self._write_photons(self.out)
-        from deepfsi.hardware.counting.acquisition import Acquisition
-        from deepfsi.hardware.counting.recording import Recording
-        from deepfsi.hardware.light.flux import name_inputs
-        from deepfsi.hardware.patterns.folder import Patterns
+        from deepfsi.counting.acquisition import Acquisition
+        from deepfsi.counting.flux import name_inputs
+        from deepfsi.counting.recording import Recording
         from deepfsi.lab.design_data import camera_of, listed_scenes
+        from deepfsi.patterns.folder import Patterns
 
         fields.Output(new=True).check(self.out, self.force)
         if self.scenes is None:
@@ -422,8 +422,8 @@ class ImportRecording(Command):
 
     def _write_photons(self, out: Path) -> Outcome:
         """Write the photon file of time stamps, and say what it holds."""
-        from deepfsi.hardware.photons.events import read_events, write_ptu
-        from deepfsi.hardware.photons.reader import summarise
+        from deepfsi.counting.events import read_events, write_ptu
+        from deepfsi.counting.reader import summarise
 
         if self.unit is None:
             raise InputError(f"{self.events} has time stamps: give their --unit, such as 1ps")

@@ -4,14 +4,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import Count, Seconds
-from deepfsi.base.numeric.tables import TABLE_ENDINGS, is_table, read_table
+from deepfsi.base.models import Count, Seconds
+from deepfsi.base.tables import TABLE_ENDINGS, is_table, read_table
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal, option_name
 
 if TYPE_CHECKING:
-    from deepfsi.hardware.counting.tables import TableSettings
+    from deepfsi.counting.tables import TableSettings
 
 
 class InspectPhotons(Command):
@@ -26,7 +26,7 @@ class InspectPhotons(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Contents of the file."""
-        from deepfsi.hardware.photons.reader import summarise
+        from deepfsi.counting.reader import summarise
 
         with terminal.progress("records") as report:
             contents = summarise(self.file, report)
@@ -76,7 +76,7 @@ class CountRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the run."""
-        from deepfsi.hardware.counting.recording import CountSettings, Recording
+        from deepfsi.counting.recording import CountSettings, Recording
         from deepfsi.lab.calibration import gains_of
         from deepfsi.lab.design_data import camera_of
 
@@ -162,7 +162,7 @@ class ClassifyRun(Command):
         return Outcome(table.as_dict(), table.lines())
 
     def _table_settings(self) -> "TableSettings":
-        from deepfsi.hardware.counting.tables import TableSettings
+        from deepfsi.counting.tables import TableSettings
 
         names = ("photons", "settle_s", "repeats", "gain", "read_noise")
         settings = self.explicit(names)

@@ -12,7 +12,7 @@ import numpy as np
 
 from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.files import read_toml
-from deepfsi.base.models.strict import Count
+from deepfsi.base.models import Count
 from deepfsi.base.registry import check_report
 from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.arrays import check_memory, free_memory, read_npz
 from deepfsi.base.errors import InputError
-from deepfsi.base.numeric.arrays import check_memory, free_memory, read_npz
-from deepfsi.base.numeric.tables import normal_name
+from deepfsi.base.tables import normal_name
 from deepfsi.datasets.dataset import Dataset, Ends, Labels, Origin, Reflectance, Truth
 from deepfsi.datasets.levels import (
     AnyArray,

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import new_folder, readable_name
-from deepfsi.base.numeric.tables import LABEL_HEADS, normal_name, read_cells
+from deepfsi.base.tables import LABEL_HEADS, normal_name, read_cells
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.levels import WRITTEN, PictureSize, ValueRange, measure_levels, reflectance
 from deepfsi.datasets.pictures import (

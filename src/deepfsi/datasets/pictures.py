@@ -22,10 +22,10 @@ from typing import IO, Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.arrays import check_memory, free_memory, open_zip
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_unpacked, read_regular, readable_name
-from deepfsi.base.numeric.arrays import check_memory, free_memory, open_zip
-from deepfsi.base.numeric.tables import LABEL_HEADS, normal_name, read_cells
+from deepfsi.base.tables import LABEL_HEADS, normal_name, read_cells
 from deepfsi.datasets.arrays import draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.levels import PICTURE_FORMATS, PictureSize, Tally

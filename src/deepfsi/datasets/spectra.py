@@ -17,9 +17,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from deepfsi.base.arrays import check_size, read_array
 from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.files import open_regular
-from deepfsi.base.numeric.arrays import check_size, read_array
 from deepfsi.datasets.arrays import TEST_SHARE, assemble, check_seed, draw_fifth
 from deepfsi.datasets.dataset import Dataset, Ends, Reflectance
 

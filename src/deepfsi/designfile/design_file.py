@@ -21,9 +21,9 @@ import numpy as np
 from pydantic import AfterValidator, Field, SerializeAsAny, model_validator
 from safetensors.numpy import save
 
+from deepfsi.base.arrays import read_tensors
 from deepfsi.base.errors import InputError, closest_choice, other_version
-from deepfsi.base.models.strict import Count, StrictModel, of_kinds
-from deepfsi.base.numeric.arrays import read_tensors
+from deepfsi.base.models import Count, StrictModel, of_kinds
 from deepfsi.base.registry import IMPORT_PATH
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import DetectorMap

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from deepfsi.base.errors import as_input_error
-from deepfsi.base.models.strict import StrictModel
-from deepfsi.base.numeric.intervals import wilson
+from deepfsi.base.intervals import wilson
+from deepfsi.base.models import StrictModel
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import find_noise
 from deepfsi.datasets.dataset import Dataset, Origin

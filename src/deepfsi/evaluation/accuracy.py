@@ -20,9 +20,9 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile.provenance import new_scenes
+from deepfsi.evaluation.measures import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
+from deepfsi.evaluation.results import Estimates, Result
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, CountedLight
-from deepfsi.measures.results import Estimates, Result
-from deepfsi.measures.table import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
 from deepfsi.physics.noise import noise_of
 from deepfsi.physics.surroundings import library_defaults
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.adaptive.posterior import class_chances
-from deepfsi.base.numeric.arrays import check_memory, free_memory
+from deepfsi.base.arrays import check_memory, free_memory
 from deepfsi.base.progress import Progress, progress_bar
 from deepfsi.camera.light import check_budget, summed_reflectance
 from deepfsi.datasets.load import Source, as_dataset
@@ -27,10 +27,10 @@ from deepfsi.evaluation.accuracy import (
     check_draws,
     expose_scenes,
 )
+from deepfsi.evaluation.measures import ClassAnswers
+from deepfsi.evaluation.results import Result
 from deepfsi.exposure.kind import CountedLight
 from deepfsi.exposure.training_set import check_classes
-from deepfsi.measures.results import Result
-from deepfsi.measures.table import ClassAnswers
 from deepfsi.physics.scanner import Scanner
 from deepfsi.physics.surroundings import library_defaults
 

@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from deepfsi.base.errors import InputError, as_input_error, closest_choice
-from deepfsi.base.models.strict import Count, Positive, StrictModel, UserModel, of_kinds
+from deepfsi.base.models import Count, Positive, StrictModel, UserModel, of_kinds
 from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, find_noise

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from deepfsi.base.errors import InputError, closest_choice
-from deepfsi.base.models.strict import UserModel
+from deepfsi.base.models import UserModel
 from deepfsi.base.registry import UNNAMED_PLUGIN
 from deepfsi.camera.camera import Camera, CameraSource
 from deepfsi.camera.light import PhotonBudget, check_budget, check_one_budget

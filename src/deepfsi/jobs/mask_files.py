@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from deepfsi.base.arrays import read_array, split_variable
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_unpacked, open_regular
-from deepfsi.base.numeric.arrays import read_array, split_variable
 from deepfsi.datasets.levels import PICTURE_FORMATS, check_depth
 
 IMAGES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".gif")

@@ -21,7 +21,7 @@ from pydantic import (
 )
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import Count, Positive, StrictModel, UserModel
+from deepfsi.base.models import Count, Positive, StrictModel, UserModel
 from deepfsi.base.registry import IMPORT_PATH, UNNAMED_PLUGIN, import_path, installed
 from deepfsi.camera.names import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design

@@ -16,16 +16,16 @@ from deepfsi.adaptive.choice import next_masks
 from deepfsi.adaptive.dictionary import DictionaryPosterior
 from deepfsi.adaptive.exposure import squared_distance
 from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.base.arrays import LARGEST_TENSORS
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import hash_file, read_regular
-from deepfsi.base.numeric.arrays import LARGEST_TENSORS
+from deepfsi.counting.acquisition import StopRule
+from deepfsi.counting.flux import Arrivals
 from deepfsi.design.design import Design
-from deepfsi.hardware.counting.acquisition import StopRule
-from deepfsi.hardware.light.flux import Arrivals
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.manifest import Brightness, LookPlan, Manifest
-from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.results import FrameList
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.manifest import Brightness, LookPlan, Manifest
+from deepfsi.patterns.rails import DesignRails
 from deepfsi.physics.surroundings import library_defaults
 
 ADAPTIVE_DECISION_S = 4e-3

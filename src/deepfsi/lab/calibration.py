@@ -25,14 +25,14 @@ from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.files import write_atomically
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.layout import DmdGrid
+from deepfsi.counting.acquisition import Calibration
+from deepfsi.counting.checks import SPOILING
+from deepfsi.counting.counts import Counts
+from deepfsi.counting.recording import Recording
 from deepfsi.datasets.display import read_display, write_pictures
-from deepfsi.hardware.counting.acquisition import Calibration
-from deepfsi.hardware.counting.counts import Counts
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.light.checks import SPOILING
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.design_data import geometry_matrix
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.rails import DesignRails
 
 WHITE = "white.png"
 BLACK = "black.png"

@@ -14,21 +14,19 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import hash_file
-from deepfsi.base.numeric.tables import read_table
 from deepfsi.base.registry import require_extras
+from deepfsi.base.tables import read_table
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import NO_DEAD_TIME
 from deepfsi.camera.light import TOO_DIM, check_budget
+from deepfsi.counting.acquisition import Scene
+from deepfsi.counting.checks import Fault
+from deepfsi.counting.counts import Counts
+from deepfsi.counting.recording import Recording
+from deepfsi.counting.tables import TableSettings, count_table
 from deepfsi.designfile.distribution import ConsistencyResult
 from deepfsi.designfile.provenance import was_trained_on
 from deepfsi.designfile.view_test import ViewResult
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.counting.counts import Counts
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.counting.tables import TableSettings, count_table
-from deepfsi.hardware.light.checks import Fault
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.results import (
     LOG,
@@ -38,6 +36,8 @@ from deepfsi.lab.results import (
     LiveScene,
     read_log,
 )
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.manifest import Manifest
 
 if TYPE_CHECKING:  # they import torch, which the command line loads late
     from deepfsi.design.design import Design
@@ -178,7 +178,7 @@ def classify_table(
     Examples
     --------
     >>> import deepfsi, numpy, tempfile, torch
-    >>> from deepfsi.hardware.counting.tables import TableSettings
+    >>> from deepfsi.counting.tables import TableSettings
     >>> digits = deepfsi.load_dataset("digits")
     >>> few = deepfsi.Training(epochs=1)
     >>> design = deepfsi.learn(digits, camera="dmd", photons=1e4, masks=6, training=few)

@@ -21,19 +21,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from deepfsi.base.arrays import LARGEST_TENSORS
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_regular
-from deepfsi.base.numeric.arrays import LARGEST_TENSORS
 from deepfsi.base.registry import require_extras
 from deepfsi.camera.camera import Camera
+from deepfsi.counting.acquisition import Calibration, Scene
 from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.display import array_display, read_display, read_scene_list
 from deepfsi.datasets.load import absolute_source, load_dataset, options_of, prepare_display
 from deepfsi.designfile.design_file import AdaptiveHeader, DesignFile, DesignHeader
 from deepfsi.designfile.provenance import TrainedOn, new_scenes, scene_hashes, trained_on
-from deepfsi.hardware.counting.acquisition import Calibration, Scene
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.rails import DesignRails
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.rails import DesignRails
 
 if TYPE_CHECKING:
     from scipy import sparse

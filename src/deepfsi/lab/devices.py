@@ -21,10 +21,9 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
-from deepfsi.hardware.counting.acquisition import Acquisition
-from deepfsi.hardware.counting.streaming import FrameCounter, FrameCounts, FrameGates
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.photons.events import PtuWriter
+from deepfsi.counting.acquisition import Acquisition
+from deepfsi.counting.events import PtuWriter
+from deepfsi.counting.streaming import FrameCounter, FrameCounts, FrameGates
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Stream, divide
 from deepfsi.lab.virtual_optics import (
     FRAME_MARKER,
@@ -34,6 +33,7 @@ from deepfsi.lab.virtual_optics import (
     check_file_inputs,
     check_scenes,
 )
+from deepfsi.patterns.folder import Patterns
 
 PATIENCE_S = 5.0
 """Time by which counts may come later than their frames end, seconds."""

@@ -24,15 +24,12 @@ from deepfsi.base.interrupts import note_saved_work
 from deepfsi.base.progress import Progress, progress_bar
 from deepfsi.base.registry import require_extras
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
+from deepfsi.counting.acquisition import Acquisition, LiveSettings, Scene, StopRule
+from deepfsi.counting.checks import NO_LIGHT
+from deepfsi.counting.flux import excess_chance
+from deepfsi.counting.recording import Recording
+from deepfsi.counting.streaming import FrameCounts, FrameGates
 from deepfsi.designfile.provenance import was_trained_on
-from deepfsi.hardware.counting.acquisition import Acquisition, LiveSettings, Scene, StopRule
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.counting.streaming import FrameCounts, FrameGates
-from deepfsi.hardware.light.checks import NO_LIGHT
-from deepfsi.hardware.light.flux import excess_chance
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.frames import make_frame
-from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.lab.devices import (
     PATIENCE_S,
     PassProjector,
@@ -48,6 +45,9 @@ from deepfsi.lab.observer import (
     margin_ns,
 )
 from deepfsi.lab.results import LOG, FrameList, LiveScene, LoggedList, LoggedScene
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.frames import make_frame
+from deepfsi.patterns.manifest import Manifest
 
 
 class LiveStep(NamedTuple):

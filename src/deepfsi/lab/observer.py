@@ -20,14 +20,14 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.light import TOO_DIM
+from deepfsi.counting.acquisition import Acquisition
+from deepfsi.counting.checks import SPOILING, Fault, LightMonitor
+from deepfsi.counting.flux import Arrivals
+from deepfsi.counting.streaming import FrameCounts
 from deepfsi.designfile.distribution import REFUSED, UNSURE
 from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
-from deepfsi.hardware.counting.acquisition import Acquisition
-from deepfsi.hardware.counting.streaming import FrameCounts
-from deepfsi.hardware.light.checks import SPOILING, Fault, LightMonitor
-from deepfsi.hardware.light.flux import Arrivals
-from deepfsi.hardware.patterns.manifest import Manifest
 from deepfsi.lab.results import FrameList
+from deepfsi.patterns.manifest import Manifest
 
 if TYPE_CHECKING:  # it imports torch
     from deepfsi.lab.adaptive_looks import AdaptiveLooks

@@ -18,10 +18,10 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.layout import DmdLayout
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.manifest import Manifest
+from deepfsi.counting.recording import Recording
 from deepfsi.lab.calibration import DisplayedScenes
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.manifest import Manifest
 
 REFERENCE = "reference.png"
 EXPECTED = "reference.csv"

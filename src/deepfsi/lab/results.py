@@ -15,13 +15,13 @@ from pydantic import Field, ValidationError
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import read_regular
-from deepfsi.base.models.strict import StrictModel, WholeNumber
+from deepfsi.base.models import StrictModel, WholeNumber
 from deepfsi.base.quantities import Table, plural
+from deepfsi.counting.acquisition import Scene
+from deepfsi.counting.checks import SPOILING, Fault
 from deepfsi.designfile.distribution import ConsistencyResult
 from deepfsi.designfile.provenance import Score
 from deepfsi.designfile.view_test import ViewResult
-from deepfsi.hardware.counting.acquisition import Scene
-from deepfsi.hardware.light.checks import SPOILING, Fault
 
 LOG = "shown.jsonl"
 """File of the finished scenes of a live run."""

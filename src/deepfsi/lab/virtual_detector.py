@@ -24,9 +24,9 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.models import StrictModel
 from deepfsi.camera.dead_time import DeadTime
-from deepfsi.hardware.patterns.manifest import GatePlan
+from deepfsi.patterns.manifest import GatePlan
 
 DETECTOR_TICK_S = 1e-12
 """Unit of event times, seconds."""

@@ -24,17 +24,14 @@ from pydantic import Field, FiniteFloat, field_validator
 
 from deepfsi.base.errors import InputError, as_input_error, closest_choice
 from deepfsi.base.files import check_disk_space, new_folder, read_toml
-from deepfsi.base.models.strict import WholeNumber
+from deepfsi.base.models import WholeNumber
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdGrid
-from deepfsi.hardware.counting.acquisition import Acquisition
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.frames import unpack
-from deepfsi.hardware.patterns.manifest import GatePlan, Manifest
-from deepfsi.hardware.photons.events import PtuWriter
+from deepfsi.counting.acquisition import Acquisition
+from deepfsi.counting.events import PtuWriter
+from deepfsi.counting.recording import Recording
 from deepfsi.lab.design_data import camera_of
 from deepfsi.lab.virtual_detector import (
     DETECTOR_TICK_S,
@@ -44,6 +41,9 @@ from deepfsi.lab.virtual_detector import (
     Stream,
     divide,
 )
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.frames import unpack
+from deepfsi.patterns.manifest import GatePlan, Manifest
 
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 """Row of a homography."""

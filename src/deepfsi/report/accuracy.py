@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
 
 from deepfsi.camera.names import noise_text
-from deepfsi.measures.table import main_measure
+from deepfsi.evaluation.measures import main_measure
 from deepfsi.report import style
 from deepfsi.report.style import columns, inches, photons_text
 from deepfsi.sweeps.results import Results

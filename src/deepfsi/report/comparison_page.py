@@ -9,7 +9,7 @@ from typing import Any
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
-from deepfsi.base.numeric.intervals import (
+from deepfsi.base.intervals import (
     MOST_CLASSES,
     Crossing,
     accuracy_difference,
@@ -20,9 +20,9 @@ from deepfsi.base.numeric.intervals import (
 from deepfsi.base.quantities import Table, budget_text, rate_text, short_name
 from deepfsi.camera.names import LIGHT_LAWS, noise_text
 from deepfsi.designfile.design_file import DesignFile
+from deepfsi.evaluation.measures import MEASURES, main_measure
+from deepfsi.evaluation.results import error_text, lit_masks, lit_text, worst_text
 from deepfsi.jobs.designs import ADAPTIVE, DESIGNS
-from deepfsi.measures.results import error_text, lit_masks, lit_text, worst_text
-from deepfsi.measures.table import MEASURES, main_measure
 from deepfsi.report.accuracy import (
     DESIGN_AND_OPTICS,
     Series,

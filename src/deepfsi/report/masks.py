@@ -13,7 +13,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from deepfsi.base.quantities import budget_text
-from deepfsi.measures.results import lit_masks, lit_text
+from deepfsi.evaluation.results import lit_masks, lit_text
 from deepfsi.report import style
 from deepfsi.report.style import DIVERGING
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.models import StrictModel
 from deepfsi.base.registry import source_hash
 from deepfsi.camera.detectors import ONE_DETECTOR
 from deepfsi.camera.names import LIGHT_LAWS

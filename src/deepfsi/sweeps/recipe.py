@@ -16,16 +16,16 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from deepfsi.base.errors import InputError, as_input_error, closest_choice
-from deepfsi.base.models.strict import Count, UserModel
+from deepfsi.base.models import Count, UserModel
 from deepfsi.camera.camera import Camera, Levels
 from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.camera.light import PhotonBudget
 from deepfsi.camera.names import check_noise, find_noise
 from deepfsi.datasets.dataset import Dataset
+from deepfsi.evaluation.measures import MOST_DRAWS
 from deepfsi.jobs.designs import DESIGNS, check_design, count_allowed, mask_count
 from deepfsi.jobs.exposures import Exposure, find_exposure
 from deepfsi.jobs.training import CUSTOM_CLASSIFIER, MASK_SETTINGS, MLP, Training, find_classifier
-from deepfsi.measures.table import MOST_DRAWS
 from deepfsi.sweeps.workers import Resources
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))

@@ -31,7 +31,7 @@ from deepfsi.base.files import (
 )
 from deepfsi.base.interrupts import note_saved_work
 from deepfsi.base.locks import Locks, list_folder
-from deepfsi.measures.table import MEASURES, MainMeasure
+from deepfsi.evaluation.measures import MEASURES, MainMeasure
 from deepfsi.sweeps.plan import Trial
 from deepfsi.sweeps.results import RESULTS_SCHEMA
 

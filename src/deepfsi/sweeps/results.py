@@ -16,8 +16,8 @@ from pydantic import (
 
 from deepfsi.base.errors import as_input_error
 from deepfsi.base.files import read_text, write_atomically
-from deepfsi.base.models.strict import Positive, Share, StrictModel
-from deepfsi.base.numeric.intervals import unpack_values
+from deepfsi.base.intervals import unpack_values
+from deepfsi.base.models import Positive, Share, StrictModel
 from deepfsi.camera.names import find_noise
 from deepfsi.datasets.dataset import MeasureTitle
 from deepfsi.jobs.designs import EVERY_PIXEL

@@ -13,15 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.numeric.intervals import find_crossing, pack_values, unpack_values, worst_class
+from deepfsi.base.intervals import find_crossing, pack_values, unpack_values, worst_class
 from deepfsi.base.quantities import Table, budget_text
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.names import noise_text
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.designfile.provenance import new_scenes, training_hashes
+from deepfsi.evaluation.measures import MEASURES, Measure, main_measure
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.jobs.exposures import find_exposure
-from deepfsi.measures.table import MEASURES, Measure, main_measure
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import Record
 from deepfsi.sweeps.results import RESULTS_SCHEMA, Data, Point, Provenance, Results

@@ -17,7 +17,7 @@ from pydantic import Field, field_validator
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.interrupts import block_ctrl_c, saved_work_text
-from deepfsi.base.models.strict import StrictModel
+from deepfsi.base.models import StrictModel
 from deepfsi.base.progress import SILENT, Progress
 
 LOOK_SECONDS = 0.5

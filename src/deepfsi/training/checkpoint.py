@@ -22,10 +22,10 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from safetensors.numpy import save as to_bytes
 from torch import Tensor, nn
 
+from deepfsi.base.arrays import read_tensors
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.interrupts import PostponedSignals, note_saved_work, postpone_signals
-from deepfsi.base.numeric.arrays import read_tensors
 from deepfsi.base.registry import UNNAMED_PLUGIN, source_hash
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import REVISION, Job, custom_parts

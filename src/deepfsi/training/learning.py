@@ -23,8 +23,8 @@ from deepfsi.adaptive.exposure import (
     LeftOutAnswers,
     training_of,
 )
+from deepfsi.base.arrays import check_memory, free_memory
 from deepfsi.base.errors import InputError
-from deepfsi.base.numeric.arrays import check_memory, free_memory
 from deepfsi.base.progress import SILENT, Progress, progress_bar
 from deepfsi.camera.camera import CameraSource
 from deepfsi.camera.light import check_budget

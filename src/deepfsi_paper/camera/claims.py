@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.numeric.intervals import Difference, all_above, mean_of_trials
+from deepfsi.base.intervals import Difference, all_above, mean_of_trials
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from deepfsi.hardware.patterns.manifest import GatePlan, Manifest
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Detector, Stream, divide
 from deepfsi.lab.virtual_optics import VirtualCamera
+from deepfsi.patterns.manifest import GatePlan, Manifest
 
 GATES_AT_ONCE = 2**18
 """Gates whose counts are drawn at once."""

@@ -17,19 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from deepfsi.base.numeric.intervals import Difference, mean_of_trials
+from deepfsi.base.intervals import Difference, mean_of_trials
 from deepfsi.base.progress import Progress
 from deepfsi.camera.device import find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.camera.names import LIGHT_LAWS
+from deepfsi.counting.acquisition import Acquisition, Calibration, Scene
+from deepfsi.counting.recording import Recording
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
-from deepfsi.hardware.counting.acquisition import Acquisition, Calibration, Scene
-from deepfsi.hardware.counting.recording import Recording
-from deepfsi.hardware.patterns.folder import Patterns
-from deepfsi.hardware.patterns.manifest import GatePlan
-from deepfsi.hardware.patterns.rails import DesignRails
 from deepfsi.lab.calibration import expected_background, fit_calibration, scan_rails, spot_scenes
 from deepfsi.lab.design_data import view_dataset
 from deepfsi.lab.virtual_optics import (
@@ -38,6 +35,9 @@ from deepfsi.lab.virtual_optics import (
     arrival_rates,
     record_scenes,
 )
+from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.manifest import GatePlan
+from deepfsi.patterns.rails import DesignRails
 from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.workers import cores, processes
 from deepfsi_paper.camera.gate_counts import draw, draw_counts

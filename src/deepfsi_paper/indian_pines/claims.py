@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.numeric.intervals import (
+from deepfsi.base.intervals import (
     Difference,
     accuracy_difference,
     all_above,

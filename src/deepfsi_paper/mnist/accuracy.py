@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from itertools import product
 from typing import Any
 
-from deepfsi.base.numeric.intervals import Difference, all_above
+from deepfsi.base.intervals import Difference, all_above
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Point, Results

@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 
-from deepfsi.base.numeric.intervals import accuracy_difference, all_above
+from deepfsi.base.intervals import accuracy_difference, all_above
 from deepfsi.report.style import DESIGN_COLOURS, DESIGN_LINES, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.numeric.intervals import Difference, all_above, mean_of_trials
+from deepfsi.base.intervals import Difference, all_above, mean_of_trials
 from deepfsi.base.progress import Progress
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.designfile.design_file import DesignFile

@@ -1,6 +1,6 @@
 """The effect of the matrix that learned masks start from."""
 
-from deepfsi.base.numeric.intervals import CONFIDENCE, Difference, accuracy_difference
+from deepfsi.base.intervals import CONFIDENCE, Difference, accuracy_difference
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding

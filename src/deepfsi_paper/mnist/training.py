@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from deepfsi.base.numeric.intervals import Difference, accuracy_difference, all_above
+from deepfsi.base.intervals import Difference, accuracy_difference, all_above
 from deepfsi.report.style import DESIGN_COLOURS, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.numeric.intervals import (
+from deepfsi.base.intervals import (
     Difference,
     accuracy_difference,
     all_above,

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models.strict import Count, StrictModel
+from deepfsi.base.models import Count, StrictModel
 from deepfsi.camera.names import LIGHT_LAWS, find_noise
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.exposures import Entry, Exposure

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
-from deepfsi.base.numeric.intervals import Difference, accuracy_difference
+from deepfsi.base.intervals import Difference, accuracy_difference
 from deepfsi.report import style
 from deepfsi.sweeps.results import Point
 from deepfsi_paper.report import scales

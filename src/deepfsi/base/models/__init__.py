@@ -1,1 +1,0 @@
-"""Bases of models of settings and of what files hold, with pydantic."""

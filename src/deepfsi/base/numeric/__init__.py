@@ -1,1 +1,0 @@
-"""Numbers of any kind, with NumPy: arrays and tables of files, intervals, and both as HTML."""

@@ -1,0 +1,499 @@
+"""Checks of the light of an acquisition against what it should be.
+
+By the all-ON and all-OFF frames of each pass, and the masks' between them:
+
+- ON is brighter than OFF, or there is no light.
+- Both ON frames of a pass are equally bright, and both OFF frames: the lamp is steady.
+- No mask sends more light than all mirrors ON.
+- From pass to pass the light stays, as far as scenes are alike.
+
+Each is tested with exact chances, `FALSE_ALARMS` for all passes and checks together. What is below
+`HARMLESS` is left alone, however certain it is. A recording is checked as a whole (`check_light`),
+a live run scene by scene (`LightMonitor`): its frames stand between an all-ON and an all-OFF frame
+before its first look and two after its last, and the scenes that are planned share the chance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal, Self
+
+import numpy as np
+
+from deepfsi.base.models import StrictModel
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.counting.flux import (
+    CERTAIN_SIGMAS,
+    EXCESS,
+    FALSE_ALARMS,
+    HARMLESS,
+    HARMLESS_DARK,
+    Arrivals,
+    Background,
+    Curves,
+    Flux,
+    LightCurve,
+    allowed_ratio,
+    change_chance,
+    excess_chance,
+)
+from deepfsi.patterns.manifest import Brightness, Manifest
+
+FaultKind = Literal[
+    "late", "dark", "unsteady", "brighter", "flicker", "level", "background", "blind", "budget",
+    "gain", "unsure", "unlike", "view",
+]  # fmt: skip
+"""Kinds of faults; a new check of the light may bring its own."""
+
+
+class Fault(StrictModel):
+    """Fault of a recording's markers or of its light."""
+
+    # Markers: `late`, all of them. Light: `dark`, there is none; `unsteady`, it changed within the
+    # pass; `brighter`, a mask sends more than all mirrors ON; `flicker`, it is unsteady in many
+    # passes; `level`, its brightness is another from this scene on; `background`, the scene was
+    # dark and is subtracted. Detectors: `blind`, one of several saw almost no light in all scenes
+    # together; `gain`, they share the light as in no scenes of the training. `budget`: there is
+    # less light than the design was trained for, or, in a live run, not the stated light. Live
+    # runs: `unsure`, the counts of a scene do not look like those of the training; `unlike`, nor
+    # do those of several scenes before; `view`, the counts of all scenes so far are as if the
+    # picture on the device were mirrored, blurred or the like
+    kind: FaultKind
+    scene: int | None = None  # Which, from 0; None where no pass is meant
+    frame: int | None = None  # Which, from 0; None where no one frame is meant
+    detail: str  # What was seen and when
+
+    def __str__(self) -> str:
+        return self.words()
+
+    def words(self, names: Sequence[str] = ()) -> str:
+        """The fault in one line, with the name of its scene."""
+        where = []
+        if self.scene is not None:
+            where += [f" scene {self.scene}", *(f" {name}" for name in names[self.scene :][:1])]
+        if self.frame is not None:
+            where.append(f" frame {self.frame}")
+        start = f"{self.kind}{','.join(where)}"
+        return f"{start}: {self.detail}"
+
+    def line(self, names: Sequence[str] = ()) -> str:
+        """The fault in one line that also says if it is of markers or light; as of `words`."""
+        return f"{'marker' if self.kind == 'late' else 'light'} {self.words(names)}"
+
+
+@dataclass
+class PassLight:
+    """Light of passes under test, and what the checks have found so far."""
+
+    curve: LightCurve
+    background: Background
+    lit: np.ndarray  # (P,): bool; passes with light
+    # (P,): bool; passes that are tested (lit ones, or all of a detector that sees a part) in which
+    # no check found a fault that spoils them
+    sound: np.ndarray
+
+    @classmethod
+    def of(cls, curve: LightCurve, background: Background, chance: float) -> Self:
+        """Light of passes that are not yet checked."""
+        lit = _find_lit(curve, background, chance)
+        sound = np.ones_like(lit) if curve.sees_part else lit.copy()
+        return cls(curve, background, lit, sound)
+
+    def find_faults(self, chance: float) -> list[Fault]:
+        """Faults of passes, which are then no more sound; one without light has no other."""
+        dark = self._find_dark()
+        without = {fault.scene for fault in dark}
+        others = [*self._find_brighter(chance), *self._find_drift(chance)]
+        for fault in (*dark, *others):
+            self.sound[self.curve.scenes == fault.scene] = False
+        return dark + [fault for fault in others if fault.scene not in without]
+
+    def _find_dark(self) -> list[Fault]:
+        """Faults of passes that are not lit. A detector that sees a part need not be lit."""
+        curve = self.curve
+        (on, on_s) = curve.together(curve.bright)
+        (off, off_s) = curve.together(curve.dark)
+        faults = []
+        for index in [] if curve.sees_part else np.flatnonzero(~self.lit).tolist():
+            rate = float(on[index]) / max(float(on_s[index]), 1e-300)
+            dark_rate = float(off[index]) / max(float(off_s[index]), 1e-300)
+            detail = (
+                f"no light{curve.name}: {rate:.4g} counts/s with all light, {dark_rate:.4g} with "
+                "none"
+            )
+            faults.append(Fault(kind="dark", scene=int(curve.scenes[index]), detail=detail))
+        return faults
+
+    def _find_brighter(self, chance: float) -> list[Fault]:
+        """Faults of passes with masks that send more than all mirrors ON, each with the brightest.
+
+        These are stray light, or a lamp that changed.
+        """
+        curve = self.curve
+        photons = curve.photons.sum(axis=2)
+        seconds = curve.seconds.sum(axis=2)
+        on, on_s = curve.together(curve.bright)
+        chances = excess_chance(photons, seconds, on[:, None], on_s[:, None], ratio=1 + HARMLESS)
+        brighter = chances * photons.size <= chance
+        brighter[:, [*curve.bright, *curve.dark]] = False
+        faults = []
+        for index in np.flatnonzero(brighter.any(axis=1)).tolist():
+            scale = on_s[index] / max(on[index], 1)
+            rates = photons[index] / np.where(seconds[index] > 0, seconds[index], np.inf) * scale
+            frame = int(np.argmax(np.where(brighter[index], rates, 0)))
+            detail = (
+                f"{curve.frames[frame]}{curve.name} is {rates[frame]:.3g} times as bright as all "
+                f"light{_list_frames(brighter[index])}: stray light, or a lamp that went down for "
+                "the all-ON frames, or a counter that is blind at this rate"
+            )
+            scene = int(curve.scenes[index])
+            faults.append(Fault(kind="brighter", scene=scene, frame=frame, detail=detail))
+        return faults
+
+    def _find_drift(self, chance: float) -> list[Fault]:
+        """Faults of passes whose two bright frames, or else two dark ones, differ."""
+        curve = self.curve
+        background = self.background
+        on, on_s = curve.together(curve.bright)
+        bright_rate = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
+        spent = np.where(background.seconds > 0, background.seconds, 1.0)
+        floor = (background.photons + 1) / spent
+        bright = _differ(curve, curve.bright, 1 + HARMLESS, chance)
+        ratio = 1 + HARMLESS_DARK * bright_rate / floor
+        differ = bright | _differ(curve, curve.dark, ratio, chance)
+        faults = []
+        for index in np.flatnonzero(differ).tolist():
+            frames = curve.bright if bright[index] else curve.dark
+            one, other = (float(curve.photons[index, frame].sum()) for frame in frames)
+            detail = (
+                f"light{curve.name} changed within the pass: {one:.0f} photons in "
+                f"{curve.frames[frames[0]]} at its start, {other:.0f} at its end"
+            )
+            faults.append(Fault(kind="unsteady", scene=int(curve.scenes[index]), detail=detail))
+        return faults
+
+    def measure_flux(self, brightness: Brightness | None, chance: float) -> Flux:
+        """Flux of passes, from those whose light was steady if any was."""
+        used = self.sound if self.sound.any() else self.lit
+        return Flux.of(self.curve, self.background, used=used, brightness=brightness, chance=chance)
+
+
+def _find_lit(curve: LightCurve, background: Background, chance: float) -> np.ndarray:
+    """Passes (P,) whose bright frames, alone or with the masks', are brighter than the dark."""
+    masks = [k for k in range(curve.photons.shape[1]) if k not in curve.dark]
+    lit = np.zeros(len(curve.scenes), bool)
+    for frames in (curve.bright, masks):
+        photons, seconds = curve.together(frames)
+        chances = excess_chance(photons, seconds, background.photons, background.seconds)
+        lit |= chances * 2 * len(lit) <= chance
+    return lit
+
+
+def _differ(
+    curve: LightCurve, frames: tuple[int, int], ratio: np.ndarray | float, chance: float
+) -> np.ndarray:
+    """Passes (P,) in which one of two frames is brighter than the other, by more than that."""
+    photons, seconds = curve.of(frames)
+    (one, other) = photons.T
+    (one_s, other_s) = seconds.T
+    chances = change_chance(one, one_s, other, other_s, ratio=ratio)
+    return np.asarray(chances * len(photons) <= chance)
+
+
+def _find_level_changes(flux: Flux) -> list[Fault]:
+    """Faults of the scenes from which on the light is another, or of a steady rise or fall."""
+    if flux.trend is not None:
+        detail = (
+            f"all ON {'rises' if flux.trend > 1 else 'falls'} steadily, to {flux.trend:.3g} times "
+            "its first brightness: each scene has a budget of its own"
+        )
+        return [Fault(kind="level", detail=detail)]
+    faults = []
+    for before, after in pairwise(flux.levels):
+        several = after.last > after.first
+        some = f"scenes {after.first} to {after.last}" if several else "this scene"
+        detail = (
+            f"all ON is {after.rate / max(before.rate, 1e-300):.3g} times as bright as before, "
+            f"and scenes do not differ so much: {some} have a budget of their own"
+        )
+        faults.append(Fault(kind="level", scene=int(after.first), detail=detail))
+    return faults
+
+
+CHECKS = 4
+"""Checks of the light; each has a part of `FALSE_ALARMS`."""
+
+SPOILING = ("dark", "brighter", "unsteady", "flicker", "budget", "gain", "unsure", "unlike", "view")
+"""Kinds of faults that leave a scene's counts without a meaning."""
+
+
+def _find_restless_lamp(scenes: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> list[Fault]:
+    """Fault of the whole recording if the light was wrong in many of its passes."""
+    # One disturbance may reach into two passes that follow each other
+    wrong = scenes[lit & ~sound]
+    passes = np.count_nonzero(lit)
+    # Share of passes in which the light must be unsteady for the others to be in doubt
+    if len(wrong) < max(2, 0.1 * passes) or np.ptp(wrong) < 2:
+        return []
+    detail = (
+        f"the light was unsteady in {len(wrong)} of {passes} passes, so it may have "
+        "been in others: use a steady lamp, and keep stray light out"
+    )
+    return [Fault(kind="flicker", detail=detail)]
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Light of the passes that were recorded."""
+
+    flux: np.ndarray
+    dark_rate: np.ndarray  # counts/s of each input without light
+    lit: np.ndarray  # passes with light
+    faults: tuple[Fault, ...]  # those of the whole recording first, then scene by scene
+
+
+def check_light(
+    arrivals: Arrivals,
+    manifest: Manifest,
+    inputs: Sequence[int],
+    *,
+    scenes: np.ndarray,
+) -> _Light:
+    """Check the light of a recording, all passes together."""
+    count = manifest.detector_count
+    wired = [tuple(inputs[first : first + count]) for first in range(0, len(inputs), count)]
+    curves = Curves.of(arrivals, scenes, wired)
+    chance = FALSE_ALARMS / len(curves.every) / CHECKS
+    lights = []
+    faults = list[Fault]()
+    of_arms = set[tuple[str, int | None]]()
+    for curve in curves.every:
+        light = PassLight.of(curve, Background.of(curve, chance), chance)
+        tested = light.sound.copy()
+        of_curve = light.find_faults(chance) + _find_restless_lamp(scenes, tested, light.sound)
+        if curve.sees_part:  # what all detectors of an arm show together is said once
+            of_curve = [fault for fault in of_curve if (fault.kind, fault.scene) not in of_arms]
+        else:
+            of_arms |= {(fault.kind, fault.scene) for fault in of_curve}
+        faults += of_curve
+        lights.append(light)
+    arms = lights[: len(curves.arms)]
+    of_inputs = lights[-len(curves.inputs) :]
+    flux = arms[0].measure_flux(manifest.brightness, chance)
+    faults += _find_level_changes(flux)
+    if curves.detectors:
+        faults += _find_blind_detectors(of_inputs)
+        for column in range(0, len(of_inputs), count):
+            faults += find_unequal_gains(of_inputs[column : column + count], manifest.detectors)
+    faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
+    rates = np.stack([light.background.rate for light in of_inputs], axis=1)
+    lit = np.logical_and.reduce([light.lit for light in arms])
+    return _Light(flux.rate, rates, lit, tuple(faults))
+
+
+def find_lateness(photons: np.ndarray, seconds: np.ndarray, room_s: float) -> tuple[Fault, ...]:
+    """Name markers that all come late: light of the first mask is in the frame before it."""
+    guard, dark, light = photons
+    guard_s, dark_s, light_s = seconds
+    used = (dark_s > 0) & (light_s > 0)
+    if np.count_nonzero(used) > 1:  # a burst of stray light in one of them is another fault
+        used[np.argmax(np.where(used, guard, -1))] = False
+    share = guard_s[used] / dark_s[used]
+    excess = float((guard[used] - dark[used] * share).sum())
+    noise = float(np.sqrt((dark[used] * share * (1 + share)).sum() + 1))
+    rate = float((light[used] / light_s[used] - dark[used] / dark_s[used]).sum())
+    if excess <= CERTAIN_SIGMAS * noise or rate <= 0:
+        return ()
+    late = excess / rate
+    detail = (
+        f"all markers, by {late * 1e6:.1f} µs: the light of each frame begins before its marker"
+    )
+    if room_s < late:
+        detail += (
+            f", and gates end {max(room_s, 0) * 1e6:.1f} µs before the next marker: mend the "
+            "trigger, or count a shorter --exposure"
+        )
+    return (Fault(kind="late", detail=detail),)
+
+
+def _find_blind_detectors(detectors: Sequence[PassLight]) -> list[Fault]:
+    """Detectors that certainly see less than `HARMLESS` of the light that they see in the mean."""
+    bright = [light.curve.together(light.curve.bright) for light in detectors]
+    photons = np.array([float(counts.sum()) for counts, _ in bright])
+    pairs = zip(detectors, bright, strict=True)
+    dark = np.array([float(light.background.rate @ seconds) for light, (_, seconds) in pairs])
+    wanted = HARMLESS * max(float((photons - dark).sum()), 0.0) / max(len(detectors), 1)
+    lacks = dark + wanted - photons
+    blind = lacks > CERTAIN_SIGMAS * np.sqrt(dark + photons + 1)
+    faults = []
+    for index in np.flatnonzero(blind).tolist():
+        detail = (
+            f"almost no light{detectors[index].curve.name} in all scenes together: their parts "
+            "that this detector sees are dark, or it is not wired to that input"
+        )
+        faults.append(Fault(kind="blind", detail=detail))
+    return faults
+
+
+def find_unequal_gains(detectors: Sequence[PassLight], trained: DetectorMap | None) -> list[Fault]:
+    """Fault of an arm's detectors that share the light of all scenes as no classes do, if any."""
+    # In the mean over scenes each detector's share of the light lies among those of the classes,
+    # whatever classes are shown. Where no mixture of classes explains the shares, detectors differ
+    # in efficiency
+    if trained is None or trained.shares is None:
+        return []
+    bright = [light.curve.together(light.curve.bright) for light in detectors]
+    photons, seconds = np.array(bright).swapaxes(0, 1)  # (D, P): those of equal relative noise
+    seconds = np.where(seconds > 0, seconds, np.inf)
+    rates = photons / seconds - np.array([light.background.rate for light in detectors])
+    every = rates.sum()
+    if not every > 0:
+        return []
+    share = rates.sum(axis=1) / every
+    classes = np.array(trained.shares).T
+    spread = np.array(trained.spread) / np.sqrt(rates.shape[1])
+    noise = np.sqrt(((photons + 1) / seconds**2).sum(axis=1)) / every
+    allowed = HARMLESS * classes.max(axis=1) + CERTAIN_SIGMAS * np.hypot(spread, noise)
+    off, nearest = _nearest_mixture(share, classes, allowed)
+    if off <= 1:
+        return []
+    ratio = share / np.maximum(nearest, 1e-300)
+    worst = int(np.abs(np.log(np.maximum(ratio, 1e-300))).argmax())
+    detail = (
+        f"{ratio[worst]:.2g} times the light{detectors[worst].curve.name} that scenes of the "
+        "training give it: record uniform white with these patterns, and count with --flat"
+    )
+    return [Fault(kind="gain", detail=detail)]
+
+
+def _nearest_mixture(
+    share: np.ndarray, classes: np.ndarray, allowed: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Largest departure from the nearest mixture of classes (D, C), over the allowed (D,)."""
+    from scipy.optimize import linprog
+
+    count = classes.shape[1]
+    slack = -np.concatenate([allowed, allowed])[:, None]
+    solution = linprog(
+        np.append(np.zeros(count), 1.0),
+        A_ub=np.hstack([np.vstack([classes, -classes]), slack]),
+        b_ub=np.concatenate([share, -share]),
+        A_eq=np.append(np.ones(count), 0.0)[None],
+        b_eq=[1.0],
+    )
+    return float(solution.x[-1]), classes @ solution.x[:-1]
+
+
+NAMED_FRAMES = 5
+"""Largest number of frames that a fault lists."""
+
+
+def _list_frames(which: np.ndarray) -> str:
+    """Frames of a fault, if they are several, as an insertion."""
+    frames = np.flatnonzero(which).tolist()
+    if len(frames) < 2:
+        return ""
+    more = f" and {len(frames) - NAMED_FRAMES} more" if len(frames) > NAMED_FRAMES else ""
+    return f" (frames {', '.join(map(str, frames[:NAMED_FRAMES]))}{more})"
+
+
+NO_LIGHT = 0.01
+"""Largest chance that a scene without light is taken for one with light, before its looks."""
+
+
+class LightMonitor:
+    """Light of the scenes of a live run so far."""
+
+    def __init__(self, manifest: Manifest, inputs: tuple[int, ...], scenes: int) -> None:
+        count = manifest.detector_count
+        self._manifest = manifest
+        self._wired = [inputs[first : first + count] for first in range(0, len(inputs), count)]
+        curves = len(self._wired) * (1 + count if count > 1 else 1)
+        self._chance = FALSE_ALARMS / curves / CHECKS / scenes
+        self._ends: list[Arrivals] = []  # of each scene, its all-ON and all-OFF frames
+        self._lit: list[bool] = []
+        self._sound: list[bool] = []
+        self._backgrounds: list[Background] = []
+        self._said: set[tuple[str, int | None]] = set()
+        self.flux = 0.0
+        self.since = 0
+        self.dark = np.zeros(len(inputs))
+
+    def begin(self, first: Arrivals) -> tuple[bool, tuple[Fault, ...]]:
+        """Add the all-ON and the all-OFF frame that begin a scene."""
+        # the two frames that end the scene are not counted yet
+        unknown = replace(
+            first,
+            photons=0 * first.photons,
+            variance=0 * first.variance,
+            seconds=0 * first.seconds,
+        )
+        self._ends.append(Arrivals.join([first, unknown]))
+        self._look_back()
+        arm = self._history.every[0]
+        dark = self._backgrounds[0]
+        of_inputs = self._backgrounds[-len(self.dark) :]
+        self.dark = np.array([one.rate[-1] for one in of_inputs])
+        on, on_s = arm.together(arm.bright)
+        chance = excess_chance(on[-1], on_s[-1], dark.photons[-1], dark.seconds[-1])
+        lit = bool(chance <= NO_LIGHT)
+        self._lit.append(lit)
+        self._sound.append(lit)
+        if not lit:
+            return lit, ()
+        light = PassLight(arm, dark, np.array(self._lit), np.array(self._sound))
+        flux = light.measure_flux(self._manifest.brightness, self._chance)
+        self.flux = float(flux.rate[-1])
+        self.since = int(np.flatnonzero(flux.rate != flux.rate[-1]).max(initial=-1)) + 1
+        changes = _find_level_changes(flux)
+        new = tuple(fault for fault in changes if (fault.kind, fault.scene) not in self._said)
+        self._said |= {(fault.kind, fault.scene) for fault in new}
+        return lit, new
+
+    def end(self, lists: Sequence[Arrivals]) -> tuple[Fault, ...]:
+        """Faults of the light of the scene that ends, from all lists of its frames."""
+        scene = Arrivals.join(lists)
+        last = len(self._ends) - 1
+        frames = len(scene.frames)
+        self._ends[-1] = scene.select([0, 1, frames - 2, frames - 1])
+        self._look_back()
+        faults: list[Fault] = []
+        of_arms: set[str] = set()
+        curves = Curves.of(Arrivals.stack([scene]), np.array([last]), self._wired)
+        for index, curve in enumerate(curves.every):
+            light = PassLight.of(curve, self._backgrounds[index].last, self._chance)
+            of_curve = light.find_faults(self._chance)
+            self._sound[-1] &= bool(light.sound[0])
+            faults += [fault for fault in of_curve if fault.kind not in of_arms]
+            if index == len(curves.arms) - 1:
+                of_arms = {fault.kind for fault in faults}
+        scenes = np.arange(last + 1)
+        lit = np.array(self._lit)
+        faults += _find_restless_lamp(scenes, lit, np.array(self._sound))
+        return tuple(faults)
+
+    def contradicts(self, photons_s: float) -> bool:
+        """True if a stated flux, counts/s, is further from the measured one than scenes explain."""
+        from scipy.special import gammainc, gammaincc
+
+        brightness = self._manifest.brightness
+        if brightness is None:
+            return False
+        curve = self._history.every[0]
+        used = np.flatnonzero(self._lit)
+        used = used[used >= self.since]
+        on, on_s = curve.together(curve.bright)
+        counts = float(on[used].sum())
+        seconds = float(on_s[used].sum())
+        rate = float(self._backgrounds[0].rate[-1])
+        ratio = allowed_ratio(brightness)(np.array(len(used)), np.array(np.inf)) * 1.0
+        most, least = ((photons_s * factor + rate) * seconds for factor in (ratio, 1 / ratio))
+        more = gammainc(counts / EXCESS, most / EXCESS)
+        less = gammaincc(counts / EXCESS + 1, least / EXCESS)
+        return bool(2 * min(more, less) <= self._chance)
+
+    def _look_back(self) -> None:
+        """Find the curves of the all-ON and all-OFF frames of all scenes, and their backgrounds."""
+        ends = Arrivals.stack(self._ends)
+        self._history = Curves.of(ends, np.arange(len(self._ends)), self._wired)
+        self._backgrounds = [Background.of(c, self._chance) for c in self._history.every]

@@ -1,0 +1,394 @@
+"""Photon counts of each readout: their corrections, and their file counts.npz.
+
+A counter registers more or less than arrives, and in proportion to what it counts: first what dead
+time took is undone (`Corrections`), then the gains of its detectors.
+
+Ambient light on the device is counted through each mask, and is no factor. A pass with the scene
+dark measures it, readout by readout, beyond the dark counts that all-OFF frames have; it is then
+subtracted from all scenes, and what all-ON frames hold of it from the flux. Its variance is that of
+the photons by which it was measured, and is the same error in all scenes.
+
+Clicks are corrected for nothing, as they are not in proportion to the light: of the photons in each
+of the G equal gates of a frame's exposure the first alone. A detector that fires at most once in a
+gate makes them, or a count of the photons of any other. Of r expected photons a frame has
+
+    k ~ Binomial(G, 1 - exp(-r / G))
+
+clicks. Their budget comes from the all-ON and all-OFF frames of a whole run: a gate in which a
+detector fires with the probability p has -log(1 - p) photons in the mean. Where gates hold more
+than one photon in the mean, a detector is not gated, and the photons themselves tell it.
+
+The file carries hashes of what was counted (settings, patterns, photons.ptu) and of its own
+content: counts of something else, and counts that were edited, are refused.
+"""
+
+import io
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from pydantic import Field
+
+from deepfsi.base.arrays import read_npz
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import hash_file, write_atomically
+from deepfsi.base.models import Amount, Count, Positive, StrictModel
+from deepfsi.camera.dead_time import (
+    NO_DEAD_TIME,
+    CorrectionFactors,
+    DeadTime,
+)
+from deepfsi.counting.checks import SPOILING, Fault
+from deepfsi.patterns.manifest import Frame, Manifest
+
+LEAST_UNFIRED = 25
+"""Gates of all ON without a click that tell the light, at least: to 1 / 5 of a photon in each."""
+
+
+@dataclass(frozen=True)
+class RunLight:
+    """Light of each scene, as `Counts` has it, and the faults of all."""
+
+    on_rate: np.ndarray  # (S,)
+    off_rate: np.ndarray  # (S,)
+    flux: np.ndarray  # (S,)
+    dark_rate: np.ndarray  # (S, rails[, D])
+    faults: tuple[Fault, ...] = ()
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Photon counts of each readout; the axis D is there only of several detectors."""
+
+    counts: np.ndarray  # registered counts, int64, or the values of a table
+    arrivals: np.ndarray
+    variance: np.ndarray
+    valid: np.ndarray  # whether all readouts of an exposure were recorded
+    gate_s: np.ndarray  # for how long each mask's frame is counted, seconds
+    on_rate: np.ndarray
+    off_rate: np.ndarray
+    flux: np.ndarray
+    dark_rate: np.ndarray
+    ambient: np.ndarray
+    ambient_variance: np.ndarray
+    exposure_s: float
+    settle_s: float
+    lengths_s: np.ndarray  # for how long each readout is counted, seconds
+    drift: float  # by how much passes lasted longer than planned on the counter's clock, a share
+    inputs: tuple[int, ...]  # of the counter, 0 for input 1: those whose photons were counted
+    faults: tuple[Fault, ...]
+    dead_time: DeadTime = NO_DEAD_TIME  # for which the arrivals and all rates are corrected
+    gains: tuple[float, ...] = ()  # relative efficiency of each detector, corrected too
+    gates: int | None = None  # G of clicks, the first photons of the gates of a frame's exposure
+
+    @property
+    def background(self) -> np.ndarray:
+        """Counts that each readout holds without the scene, float64 (S, rails, m[, D])."""
+        if self.gates is not None:
+            return np.zeros_like(self.counts[:, 0], float)  # clicks are read as they are
+        lengths = np.expand_dims(self.lengths_s, tuple(range(2, self.dark_rate.ndim)))
+        return self.dark_rate[:, :, None] * lengths + self.ambient
+
+    def signal(self) -> np.ndarray:
+        """Arrivals less the background, float64 (S, R, rails, m[, D])."""
+        return self.arrivals - self.background[:, None] * self.by_readout(self.valid)
+
+    @property
+    def excess(self) -> np.ndarray:
+        """Variance of the arrivals beyond Poisson's, 0 or more, float64 (S, R, rails, m[, D])."""
+        return np.maximum(self.variance - np.maximum(self.arrivals, 0.0), 0.0)
+
+    def by_readout(self, exposures: np.ndarray) -> np.ndarray:
+        """Array (S, R) of exposures, with further axes so that it goes with `counts`."""
+        return np.expand_dims(exposures, tuple(range(2, self.counts.ndim)))
+
+    @property
+    def photons(self) -> np.ndarray:
+        """Budget Φ of an exposure of each scene (S,): flux times exposure."""
+        # In counts: the detector's efficiency is part of it
+        return self.flux * self.exposure_s
+
+    def faults_of(self, scene: int) -> tuple[Fault, ...]:
+        """Faults of a scene and of the whole recording."""
+        return tuple(fault for fault in self.faults if fault.scene in (scene, None))
+
+    @property
+    def spoilt(self) -> np.ndarray:
+        """Scenes (S,), bool, whose counts have no meaning: the light was not what it should be."""
+        out = np.zeros(len(self.valid), bool)
+        for fault in self.faults:
+            if fault.kind in SPOILING:
+                out[slice(None) if fault.scene is None else fault.scene] = True
+        return out
+
+    def check_photons(self, folder: str | os.PathLike[str]) -> Self:
+        """Counts of photons as they are; `InputError` if they are clicks."""
+        if self.gates is not None:
+            raise InputError(
+                f"{folder} was counted in clicks, which are not in proportion to the light: record "
+                "it with the patterns of a design or a scan for photon counts"
+            )
+        return self
+
+    def check_budget(self, source: str) -> None:
+        """Raise `InputError` where clicks do not tell the flux of any scene."""
+        if not np.isfinite(self.flux).any():
+            raise InputError(
+                f"{source} does not tell its budget: all-ON frames leave less than {LEAST_UNFIRED} "
+                "gates without a click, or click no more often than all-OFF ones; give `photons`, "
+                "or look at the order of frames"
+            )
+
+    def save(self, path: Path, photons: Path, acquisition: str) -> None:
+        """Write counts of a photon file, and of an acquisition with this hash."""
+        fields = vars(self)
+        arrays: dict[str, Any] = {
+            name: value for name, value in fields.items() if isinstance(value, np.ndarray)
+        }
+        provenance = _Provenance(
+            acquisition=acquisition,
+            photons_sha256=hash_file(photons),
+            repeats=self.counts.shape[1],
+            **{name: value for name, value in fields.items() if name not in arrays},
+        )
+        arrays["about"] = np.frombuffer(provenance.model_dump_json().encode(), np.uint8)
+        file = io.BytesIO()
+        np.savez(file, sha256=_hash_arrays(arrays), **arrays)
+        write_atomically(path, file.getvalue())
+
+    @classmethod
+    def read(cls, path: Path, photons: Path, acquisition: str) -> Self:
+        """Read counts of a photon file, where it is there, and of an acquisition with this hash."""
+        again = "make it with `deepfsi camera count`"
+        arrays: dict[str, Any] = read_npz(path, again)
+        digest = arrays.pop("sha256", None)
+        if (
+            digest is None
+            or "about" not in arrays
+            or not np.array_equal(digest, _hash_arrays(arrays))
+        ):
+            raise InputError(f"{path} was changed after it was written: {again}")
+        about = arrays.pop("about").tobytes()
+        with as_input_error(str(path), again, about):
+            provenance = _Provenance.model_validate_json(about)
+        if provenance.acquisition != acquisition:
+            raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
+        if photons.is_file() and hash_file(photons) != provenance.photons_sha256:
+            raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
+        return cls(
+            **arrays,
+            exposure_s=provenance.exposure_s,
+            settle_s=provenance.settle_s,
+            drift=provenance.drift,
+            inputs=provenance.inputs,
+            faults=provenance.faults,
+            dead_time=provenance.dead_time,
+            gains=provenance.gains,
+            gates=provenance.gates,
+        )
+
+
+class _Provenance(StrictModel):
+    """Settings of a count, and hashes of the acquisition and its photons.ptu."""
+
+    acquisition: str
+    photons_sha256: str
+    repeats: int = Field(ge=1)
+    exposure_s: Positive
+    settle_s: Amount
+    drift: float
+    inputs: tuple[int, ...]
+    faults: tuple[Fault, ...]
+    dead_time: DeadTime = NO_DEAD_TIME
+    gains: tuple[Positive, ...] = ()
+    gates: Count | None = None
+
+
+def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Hash of named arrays, their types and shapes, uint8 (32,)."""
+    digest = sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return np.frombuffer(digest.digest(), np.uint8)
+
+
+Gains = tuple[float, ...]
+"""Relative efficiency of each detector; empty for equal ones."""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What a counter does to counts, undone by factors of them."""
+
+    dead_time: DeadTime  # photons that arrive while it is blind are not counted
+    gains: np.ndarray  # (inputs,): how many times as much of the light as usual each counts
+
+    @classmethod
+    def of(cls, dead_time: DeadTime, manifest: Manifest, gains: Gains = ()) -> Self:
+        """Corrections on the inputs of a manifest, or `InputError` for gains of others."""
+        if gains and len(gains) != manifest.inputs:
+            raise InputError(
+                f"the flat field is of {len(gains)} detectors, and these patterns are for "
+                f"{manifest.inputs}: record it with the same detectors"
+            )
+        return cls(dead_time, np.array(gains or (1.0,) * manifest.inputs))
+
+    def factors(self, rates: np.ndarray) -> CorrectionFactors:
+        """Factors (S, F, inputs) of the counts of frames with these registered rates, counts/s.
+
+        A rate above the highest that is corrected has the factor of that one.
+        """
+        lost = self.dead_time.correction(np.minimum(rates, self.dead_time.most_registered))
+        return CorrectionFactors(lost.arrivals / self.gains, lost.variance / self.gains**2)
+
+    def check(
+        self, rates: np.ndarray, frames: Sequence[Frame], inputs: Sequence[int], name: str
+    ) -> None:
+        """Raise `InputError` where the counter is too near its saturation, rates (S, F, inputs)."""
+        most = self.dead_time.most_registered
+        if not (rates > most).any():
+            return
+        worst = _, frame, column = np.unravel_index(np.nanargmax(rates), rates.shape)
+        raise InputError(
+            f"{name} has {rates[worst]:.3g} counts/s on input {inputs[int(column)] + 1} in "
+            f"{frames[int(frame)]}, and a dead time of {self.dead_time}, is corrected up to "
+            f"{most:.3g}: dim the light, or give the counter's own dead time"
+        )
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Numbers of arrivals, as estimated from counts."""
+
+    arrivals: np.ndarray
+    variance: np.ndarray  # of their noise, of the same shape
+
+    @classmethod
+    def of(cls, gated: np.ndarray, factors: CorrectionFactors, manifest: Manifest) -> Self:
+        """Of counts (P, R, f, inputs) of the masks' frames, from factors of all (P, F, inputs)."""
+        of_masks = (slice(None), None, manifest.shown)
+        return cls(gated * factors.arrivals[of_masks], gated * factors.variance[of_masks])
+
+    def by_readout(self, manifest: Manifest) -> Self:
+        """Numbers of readouts, from numbers of masks' frames."""
+        return type(self)(*map(manifest.by_readout, (self.arrivals, self.variance)))
+
+
+@dataclass(frozen=True)
+class Ambient:
+    """Light of one exposure that does not come from the scene."""
+
+    counts: np.ndarray  # (rails, m[, D]): Counts of each readout beyond its dark counts
+    variance: np.ndarray  # (rails, m[, D]): Of these as they were measured
+    flux: float  # Counts/s of all-ON frames beyond all-OFF ones
+
+    @classmethod
+    def none(cls, manifest: Manifest) -> Self:
+        """No such light: it was not measured, and is not subtracted."""
+        empty = np.zeros((manifest.rails, manifest.masks, *manifest.several))
+        return cls(empty, empty, 0.0)
+
+    @classmethod
+    def of(
+        cls,
+        manifest: Manifest,
+        gated: Estimate,
+        lengths_s: np.ndarray,
+        frames: np.ndarray,
+        frames_s: np.ndarray,
+    ) -> Self:
+        """Light of exposures (E) with the scene dark."""
+        exposures = len(gated.arrivals)
+        rate, noise = np.zeros((2, manifest.inputs))
+        flux = 0.0
+        on = _rate(frames, frames_s, ALL_ON)
+        off = _rate(frames, frames_s, ALL_OFF)
+        if on is not None and off is not None:
+            rate = manifest.dark_inputs(on.arrivals, off.arrivals)
+            noise = manifest.dark_inputs(on.variance, off.variance)
+            flux = float((on.arrivals - rate)[manifest.arm].sum())
+        mean = gated.arrivals.mean(axis=0)
+        variance = gated.variance.sum(axis=0) / exposures**2
+        lengths = manifest.lengths_by_readout(lengths_s)
+        lengths = np.expand_dims(lengths, tuple(range(2, 2 + len(manifest.several))))
+        dark = manifest.by_rail(rate)[:, None]
+        dark_noise = manifest.by_rail(noise)[:, None]
+        return cls(
+            manifest.by_readout(mean) - dark * lengths,
+            manifest.by_readout(variance) + dark_noise * lengths**2,
+            flux,
+        )
+
+    def of_flux(self, flux: np.ndarray, source: str) -> np.ndarray:
+        """Flux of scenes without this light, or `InputError` if nothing is left."""
+        rest = flux - self.flux
+        if np.isfinite(rest).any() and not (rest > 0).any():
+            raise InputError(
+                f"{source} has no light beyond its background: all-ON frames of the scenes are not "
+                "brighter than in the dark scene; give the pass with the scene dark"
+            )
+        return rest
+
+
+def _rate(photons: np.ndarray, seconds: np.ndarray, frames: list[int]) -> Estimate | None:
+    """Counts/s (inputs,) in some frames; None where they were not counted."""
+    spent = seconds[frames].sum()
+    if not spent:
+        return None
+    total = photons[frames].sum(axis=0)
+    return Estimate(total / spent, total.clip(min=0) / spent**2)
+
+
+ALL_ON = [0, -2]
+ALL_OFF = [1, -1]
+"""Frames at the ends of a pass that are all ON, and those that are all OFF."""
+
+ENDS = [0, 1, -2, -1]
+"""Frames of a pass that are all ON, all OFF, all ON and all OFF."""
+
+
+def light_of_clicks(
+    photons: np.ndarray,
+    fired: np.ndarray,
+    gates: np.ndarray,
+    *,
+    width_s: float,
+    scenes: int,
+    manifest: Manifest,
+) -> RunLight:
+    """Light of all scenes together, from the frames of `ENDS`."""
+    arm = manifest.arm
+    photons, fired, gates = (
+        counts.reshape(-1, 2, 2, counts.shape[-1]).sum(axis=(0, 1))
+        for counts in (photons, fired, gates)
+    )  # (on and off, inputs)
+    mean = photons / np.maximum(gates, 1)
+    share = fired / np.maximum(gates, 1)
+    with np.errstate(divide="ignore"):
+        rate = np.where(mean > 1, mean, -np.log1p(-share)) / width_s
+    dark = manifest.dark_inputs(rate[0], rate[1])
+    certain = ((mean > 1) | (gates - fired >= LEAST_UNFIRED))[0, arm].all()
+    flux = float((rate[0] - dark)[arm].sum()) if certain else np.nan
+    on, off = share[:, arm].sum(axis=1) / width_s
+    return RunLight(
+        on_rate=np.full(scenes, on),
+        off_rate=np.full(scenes, off),
+        flux=np.full(scenes, flux if flux > 0 else np.nan),
+        dark_rate=manifest.by_rail(np.tile(dark, (scenes, 1))),
+    )
+
+
+def check_clicks(clicks: int, refused: Mapping[str, bool]) -> None:
+    """Raise `InputError` where what is of photon counts is asked for with clicks."""
+    # refused: whether it was given, by its name
+    for name, asked in refused.items():
+        if asked:
+            raise InputError(
+                f"{name} is of photon counts, and this design reads clicks, of up to {clicks} "
+                "gates a frame, as they are: leave it out"
+            )

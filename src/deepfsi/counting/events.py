@@ -1,0 +1,284 @@
+"""PTU files that are written: a recording's own, and events of other makes of counter.
+
+The trigger of another make's device becomes a marker, and the channels of the detectors become
+inputs, so that all that reads PTU files works.
+"""
+
+import os
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, BinaryIO, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import GrowingFile, open_atomically
+from deepfsi.base.tables import read_whole_numbers
+from deepfsi.counting.ptu import GENERIC_T2, MAGIC, TICKS_S
+
+EVENTS_IN_MEMORY = 2**18
+"""Events that are encoded at once."""
+
+MOST_WRAPS = 127
+"""Largest number of overflows of one record: ptufile 2026.2 multiplies them in 32 bits."""
+
+
+class PtuWriter:
+    """Writer of a T2 file of type Generic, as a context manager.
+
+    The file appears when the block ends. If the block fails there is none.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    tick_s
+        Seconds of a tick, 1e-15 to 1.
+    growing
+        True for a file that is there from the start and is read while it is written.
+
+    Raises
+    ------
+    InputError
+        If the tick is out of range, or the file cannot be written.
+    """
+
+    record_type: ClassVar[str] = GENERIC_T2.name
+    inputs: ClassVar[int] = GENERIC_T2.inputs
+
+    def __init__(
+        self, path: str | os.PathLike[str], tick_s: float = 1e-12, *, growing: bool = False
+    ) -> None:
+        if not TICKS_S[0] <= tick_s <= TICKS_S[1]:
+            raise InputError(f"a tick of {tick_s!r} s is not allowed: give 1e-15 to 1")
+        self._path = path
+        self._tick_s = float(tick_s)
+        self._growing = growing
+        self._records = self._latest = self._wraps = 0
+
+    def __enter__(self) -> Self:
+        self._opened = self._open()
+        return self._opened.__enter__()
+
+    def __exit__(self, *error: Any) -> None:
+        self._opened.__exit__(*error)
+
+    @contextmanager
+    def _open(self) -> Iterator[Self]:
+        """Open the file; the header is written again at the end, with the number of records."""
+        opened: AbstractContextManager[BinaryIO | GrowingFile] = (
+            GrowingFile(self._path) if self._growing else open_atomically(self._path)
+        )
+        with opened as self._file:
+            self._file.write(self._header())
+            try:
+                yield self
+            finally:
+                self._file.seek(0)
+                self._file.write(self._header())
+
+    def write(self, times: np.ndarray, codes: np.ndarray) -> None:
+        """Append events.
+
+        Parameters
+        ----------
+        times
+            Ticks, integers (n,), from 0 to 2^55. They rise over all calls; equal ones are allowed.
+        codes
+            What each event is, integers (n,): 0 to 63 are a photon on that input, 0 for input 1;
+            -1 to -15 are a marker with the bits of the negative.
+
+        Raises
+        ------
+        InputError
+            If times run back or codes mean nothing.
+        """
+        for start in range(0, len(times), EVENTS_IN_MEMORY):
+            stop = start + EVENTS_IN_MEMORY
+            self._append(times[start:stop], codes[start:stop])
+
+    def _append(self, times: np.ndarray, codes: np.ndarray) -> None:
+        """Append events, up to `EVENTS_IN_MEMORY`."""
+        if int(times[0]) < self._latest or (times[1:] < times[:-1]).any():
+            raise InputError("times run back: give events in order, none before 0")
+        if int(times[-1]) > 2**55 or int(codes.min()) < -15 or int(codes.max()) > 63:
+            raise InputError(
+                "events are not allowed: give times up to 2^55 ticks, and codes 0 to 63 for "
+                "photons or -1 to -15 for markers"
+            )
+        times = times.astype(np.int64)
+        codes = codes.astype(np.int64)
+        marker = 1 << 31 | -codes << GENERIC_T2.shift
+        words = np.where(codes < 0, marker, codes << GENERIC_T2.shift)
+        words |= times & GENERIC_T2.time_mask
+
+        # Overflow records before an event that needs them
+        wraps = times >> GENERIC_T2.time_bits
+        steps = np.diff(wraps, prepend=self._wraps)
+        late = np.flatnonzero(steps)
+        copies = -(-steps[late] // MOST_WRAPS)
+        counts = np.full(int(copies.sum()), MOST_WRAPS)
+        counts[np.cumsum(copies) - 1] = steps[late] - (copies - 1) * MOST_WRAPS
+        overflows = 1 << 31 | 63 << GENERIC_T2.shift | counts
+        words = np.insert(words, np.repeat(late, copies), overflows)
+
+        self._file.write(words.astype("<u4").tobytes())
+        self._records += len(words)
+        self._latest = int(times[-1])
+        self._wraps = int(wraps[-1])
+
+    def _header(self) -> bytes:
+        """Header, with the number of records so far."""
+        tags: dict[str, str | int | float | None] = {
+            "CreatorSW_Name": "deepfsi",
+            "CreatorSW_Version": version("deepfsi"),
+            "Measurement_Mode": 2,
+            "Measurement_SubMode": 1,
+            "TTResultFormat_TTTRRecType": GENERIC_T2.code,
+            "TTResultFormat_BitsPerRecord": 32,
+            "MeasDesc_GlobalResolution": self._tick_s,
+            "TTResult_NumberOfRecords": self._records,
+            "Header_End": None,
+        }
+        return struct.pack("<8s8s", MAGIC, b"1.0.00") + b"".join(
+            _encode_tag(name, value) for name, value in tags.items()
+        )
+
+
+def _encode_tag(name: str, value: str | int | float | None) -> bytes:
+    """Encode one tag, without an index."""
+
+    def tag(code: int, field: bytes, content: bytes = b"") -> bytes:
+        return struct.pack("<32siI8s", name.encode("ascii"), -1, code, field) + content
+
+    if isinstance(value, str):
+        content = value.encode("windows-1252") + b"\0"
+        content += bytes(-len(content) % 8)
+        return tag(0x4001FFFF, struct.pack("<q", len(content)), content)
+    if isinstance(value, float):
+        return tag(0x20000008, struct.pack("<d", value))
+    if isinstance(value, int):
+        return tag(0x10000008, struct.pack("<q", value))
+    return tag(0xFFFF0008, bytes(8))
+
+
+def write_ptu(
+    path: str | os.PathLike[str],
+    times: npt.ArrayLike,
+    channels: npt.ArrayLike,
+    *,
+    marker: int | None = None,
+    inputs: Sequence[int] = (),
+    tick_s: float = 1e-12,
+) -> tuple[int, ...]:
+    """Write the events of another make of counter as a PTU file, as `camera count` reads it.
+
+    Parameters
+    ----------
+    path : path
+        File, whose clock begins with the first event.
+    times : array, shape (n,)
+        Time of each event, in any order of channels: integers are ticks, floats are seconds.
+    channels : array of int, shape (n,)
+        Channel of each event.
+    marker : int, optional
+        Channel of the device's trigger, which becomes marker 0.
+    inputs : sequence of int
+        Channel of each detector, in order: input 1, 2, …. Default: all but the trigger.
+    tick_s : float
+        Seconds of a tick, 1e-15 to 1.
+
+    Returns
+    -------
+    tuple of int
+        Channel of each input.
+
+    Raises
+    ------
+    InputError
+        If a channel has no events, stands twice, or its clock runs back.
+    """
+    times = np.asarray(times)
+    if times.dtype.kind == "f":
+        times = np.rint(times / tick_s).astype(np.int64)
+    channels = np.asarray(channels)
+    available = np.unique(channels).tolist()
+    inputs = tuple(inputs) or tuple(channel for channel in available if channel != marker)
+    wanted = (*(() if marker is None else (marker,)), *inputs)
+    for channel in wanted:
+        if channel not in available:
+            some = ", ".join(map(str, available[:20])) or "none"
+            raise InputError(f"channel {channel} has no events; there are some on {some}")
+    most = PtuWriter.inputs
+    if not 0 < len(inputs) <= most or len(set(wanted)) < len(wanted):
+        raise InputError(
+            f"channels {inputs} for the detectors beside {marker} for the trigger are not allowed: "
+            f"give 1 to {most} other ones, each once"
+        )
+    codes = np.full(len(times), most)
+    for code, channel in enumerate(wanted, start=len(inputs) - len(wanted)):
+        events = np.flatnonzero(channels == channel)
+        _check_clock(times, events, channel, is_marker=code < 0, tick_s=tick_s)
+        codes[events] = code
+    kept = np.flatnonzero(codes < most)
+    order = kept[np.argsort(times[kept], kind="stable")]
+    with PtuWriter(path, tick_s) as writer:
+        writer.write(times[order] - times[order[0]], codes[order])
+    return inputs
+
+
+def _check_clock(
+    every: np.ndarray, events: np.ndarray, channel: int, *, is_marker: bool, tick_s: float
+) -> None:
+    """Raise `InputError` where the clock of a channel ran back, or its events stand twice."""
+    # Channels may follow each other in a list: each counts its time for itself
+    times = every[events]
+    # By how much a time may be before that of the event before on its channel, seconds
+    slack = max(round(1e-6 / tick_s), 1)
+    back = np.flatnonzero(times[1:] < np.maximum.accumulate(times)[:-1] - slack)
+    if len(back):
+        first = back[0]
+        raise InputError(
+            f"time runs back on channel {channel}, event {events[first + 1] + 1}: from "
+            f"{times[first]} to {times[first + 1]} ticks of {tick_s:g} s. The clock began "
+            "anew or overflowed, or these are several recordings: give each alone, with times "
+            "that count on"
+        )
+    twice = int(np.count_nonzero(np.diff(np.sort(times)) == 0))
+    if (is_marker and twice) or (
+        # Ticks up to which a detector does not see half of its photons two at a time, seconds
+        len(times) > 1 and 2 * twice >= len(times) - 1 and tick_s <= 1e-9
+    ):
+        raise InputError(
+            f"channel {channel} has {twice} of its {len(times)} events at the time of another: "
+            "give each once"
+        )
+
+
+def read_events(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Times in ticks and channels (n,) of a table of events: columns `time` and `channel`."""
+    times, channels = read_whole_numbers(path, _columns).T
+    # More channels than any counter has: the columns are exchanged
+    if (count := len(np.unique(channels))) > 64:
+        raise InputError(
+            f"{path} has {count} different numbers in its column of channels: name the columns "
+            "'time' and 'channel', or give the time first"
+        )
+    return times, channels
+
+
+def _columns(names: tuple[str, ...], width: int) -> tuple[int, int]:
+    """Columns of the time and the channel: by these names, or the first two of two."""
+    lower = [name.strip().lower() for name in names]
+    if {"time", "channel"} <= set(lower):
+        return lower.index("time"), lower.index("channel")
+    if width != 2:
+        raise InputError(
+            f"a table of events has {width} columns: give two, the time and the channel of each "
+            "event, or name those two 'time' and 'channel'"
+        )
+    return 0, 1

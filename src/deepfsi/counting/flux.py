@@ -1,0 +1,440 @@
+"""Light over time: what arrived in parts of frames, its flux and background, and exact chances.
+
+A row of passes is cut where a segment of it, at one of its ends or within, is brighter or darker
+than the rest beyond chance and beyond what is allowed; then each segment is looked at in the same
+way.
+
+The flux of a scene is the mean over the passes between two changes of the lamp, not its own: scenes
+differ in brightness, and a dim one is to stay dim. What a scene's brightness may be is known from
+the training scenes (`Brightness`). Where the all-ON rates change by more, the light did.
+
+Two windows of one light share their photons like a coin's throws, whatever its brightness: given
+the sum, the photons of one are binomial with its share of the time. So no rate need be known, and
+few photons are as sound a base as many.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import ClassVar, Self
+
+import numpy as np
+
+from deepfsi.patterns.manifest import Brightness, Frame
+
+PARTS_OF_FRAME = 8
+"""Parts of each frame that are counted by themselves."""
+
+FALSE_ALARMS = 1e-3
+"""Largest chance of any fault of the light in a sound acquisition."""
+
+EXCESS = 1.1
+"""Largest variance of sound counts over Poisson's: what afterpulses of up to 5 % add."""
+
+CERTAIN_SIGMAS = 6.0
+"""Standard errors beyond which something is certain."""
+
+HARMLESS = 0.05
+"""Change of a light that is left alone, as a share of it."""
+
+HARMLESS_DARK = 0.02
+"""Change of the background that is left alone, as a share of the light with all mirrors ON."""
+
+SPREAD_SIGMAS = 5.0
+"""Standard deviations by which scenes of one class may differ from their mean."""
+
+AllowedRatio = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Largest ratio of the rates of two segments, from the numbers of their passes."""
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """Photons that arrived in equal parts of frames, as estimated from those that were counted."""
+
+    ARRAYS: ClassVar = ("photons", "variance", "seconds")
+
+    frames: tuple[Frame, ...]  # frames in the order in which they were shown
+    photons: np.ndarray
+    variance: np.ndarray  # variance of their noise
+    seconds: np.ndarray  # how long each part was open: 0 of frames that are not counted yet
+
+    @classmethod
+    def join(cls, lists: Sequence[Self]) -> Self:
+        """Frames of lists that were shown one after another."""
+        joined = (np.concatenate([getattr(one, name) for one in lists]) for name in cls.ARRAYS)
+        return cls(tuple(frame for one in lists for frame in one.frames), *joined)
+
+    @classmethod
+    def stack(cls, passes: Sequence[Self]) -> Self:
+        """Passes over the same frames."""
+        return replace(
+            passes[-1],
+            photons=np.stack([one.photons for one in passes]),
+            variance=np.stack([one.variance for one in passes]),
+            seconds=np.stack([one.seconds for one in passes]),
+        )
+
+    def select(self, indices: Sequence[int]) -> Self:
+        """Some frames of a list."""
+        which = list(indices)
+        selected = (getattr(self, name)[which] for name in self.ARRAYS)
+        return type(self)(tuple(self.frames[index] for index in which), *selected)
+
+
+@dataclass(frozen=True)
+class LightCurve:
+    """Light over time, of an arm's detectors together or of one of them."""
+
+    photons: np.ndarray
+    seconds: np.ndarray
+    scenes: np.ndarray  # scene of each pass
+    bright: tuple[int, int]
+    dark: tuple[int, int]
+    frames: tuple[Frame, ...]
+    name: str  # what a fault calls the inputs
+    sees_part: bool = False  # True of a detector that sees a part of the device, which may be dark
+
+    def of(self, frames: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Photons and seconds of some frames, each (P, frames)."""
+        which = list(frames)
+        return self.photons[:, which].sum(axis=2), self.seconds[:, which].sum(axis=2)
+
+    def together(self, frames: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Photons and seconds of some frames together, each (P,)."""
+        photons, seconds = self.of(frames)
+        return photons.sum(axis=1), seconds.sum(axis=1)
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Curves of each arm's detectors together, and of each detector where an arm has several."""
+
+    arms: tuple[LightCurve, ...]
+    detectors: tuple[LightCurve, ...]
+
+    @classmethod
+    def of(cls, arrivals: Arrivals, scenes: np.ndarray, wired: Sequence[tuple[int, ...]]) -> Self:
+        """Curves of passes (P) of these scenes (P,); `wired`: inputs of each arm's detectors."""
+        last = len(arrivals.frames) - 1
+        on = (0, last - 1)
+        off = (1, last)
+        arms = []
+        detectors = []
+        for arm, inputs in enumerate(wired):
+            first = arm * len(inputs)
+            photons, seconds = _as_poisson(arrivals, slice(first, first + len(inputs)))
+            together = LightCurve(
+                photons,
+                seconds,
+                scenes,
+                bright=on if arm == 0 else off,
+                dark=off if arm == 0 else on,
+                frames=arrivals.frames,
+                name=f" on input {name_inputs(inputs)}" if len(wired) > 1 else "",
+            )
+            arms.append(together)
+            for column, number in enumerate(inputs if len(inputs) > 1 else (), first):
+                photons, seconds = _as_poisson(arrivals, slice(column, column + 1))
+                name = f" on input {number + 1}"
+                detectors.append(
+                    replace(together, photons=photons, seconds=seconds, name=name, sees_part=True)
+                )
+        return cls(tuple(arms), tuple(detectors))
+
+    @property
+    def inputs(self) -> tuple[LightCurve, ...]:
+        """Curve of each input by itself."""
+        return self.detectors or self.arms
+
+    @property
+    def every(self) -> tuple[LightCurve, ...]:
+        """Curves of arms, then of detectors."""
+        return self.arms + self.detectors
+
+
+def _as_poisson(arrivals: Arrivals, columns: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Photons and seconds (P, F, K) of inputs together, scaled so that noise is Poisson's."""
+    photons = arrivals.photons[..., columns].sum(axis=-1)
+    noise = arrivals.variance[..., columns].sum(axis=(-2, -1))
+    share = np.where(noise > 0, photons.sum(axis=-1) / np.where(noise > 0, noise, 1), 1)[..., None]
+    return photons * share, arrivals.seconds * share
+
+
+def name_inputs(inputs: Sequence[int]) -> str:
+    """Inputs as people number them: `1`, `1 and 2`, or `1 to 4`."""
+    if len(inputs) > 2 and tuple(inputs) == tuple(range(inputs[0], inputs[0] + len(inputs))):
+        return f"{inputs[0] + 1} to {inputs[-1] + 1}"
+    return " and ".join(str(number + 1) for number in inputs)
+
+
+def excess_chance(
+    photons: np.ndarray,
+    seconds: np.ndarray,
+    others: np.ndarray,
+    others_s: np.ndarray,
+    ratio: np.ndarray | float = 1.0,
+) -> np.ndarray:
+    """Chance that a window holds its photons or more, given the sum of it and another."""
+    from scipy.special import betainc
+
+    photons, seconds, others, others_s, ratio = np.broadcast_arrays(
+        *(np.asarray(array, np.float64) for array in (photons, seconds, others, others_s, ratio))
+    )
+    out = np.ones(photons.shape)
+    which = (photons > 0) & (seconds > 0) & (others_s > 0)
+    open_s = (ratio * seconds)[which]
+    share = open_s / (open_s + others_s[which])
+    out[which] = betainc(photons[which] / EXCESS, others[which] / EXCESS + 1, share)
+    return out
+
+
+def change_chance(
+    photons: np.ndarray,
+    seconds: np.ndarray,
+    others: np.ndarray,
+    others_s: np.ndarray,
+    ratio: np.ndarray | float,
+) -> np.ndarray:
+    """Chance that one of two windows holds more photons by as much as it does.
+
+    `ratio` is allowed either way, and the chance is twice that of the less likely side.
+    """
+    more = excess_chance(photons, seconds, others, others_s, ratio=ratio)
+    less = excess_chance(others, others_s, photons, seconds, ratio=ratio)
+    return np.minimum(1.0, 2 * np.minimum(more, less))
+
+
+@dataclass(frozen=True)
+class _PassRates:
+    """Rates of passes in their order; several passes sum."""
+
+    counts: np.ndarray  # (P,): photons, less the background where it is known
+    variances: np.ndarray  # (P,): of the counts
+    seconds: np.ndarray  # (P,)
+
+    def mean(self, segment: slice) -> float:
+        """Rate of passes together, counts/s."""
+        return float(self.counts[segment].sum() / self.seconds[segment].sum())
+
+
+def _find_segments(rates: _PassRates, allowed: AllowedRatio, chance: float) -> list[slice]:
+    """Segments between the change points of a row of passes, in their order."""
+    segments = []
+    todo = [(0, len(rates.counts))]
+    rows = np.stack([rates.counts, rates.variances, rates.seconds]).astype(np.float64)
+    sums = np.pad(
+        np.cumsum(rows, axis=1), ((0, 0), (1, 0))
+    )  # of the first 0 … P passes, (3, P + 1)
+    while todo:
+        start, stop = todo.pop()
+        cut = _find_cut(sums[:, start : stop + 1], allowed, chance)
+        if cut is None:
+            segments.append(slice(start, stop))
+            continue
+        edges = [0, *cut, stop - start]
+        todo += [(start + a, start + b) for a, b in pairwise(edges) if b > a]
+    return sorted(segments, key=lambda segment: int(segment.start))
+
+
+def _find_cut(sums: np.ndarray, allowed: AllowedRatio, chance: float) -> tuple[int, int] | None:
+    """Start and stop of the segment that stands out most from the rest of a row, if any does."""
+    passes = sums.shape[1] - 1
+    if passes < 2:
+        return None
+    edges = np.arange(1, passes)
+    starts = [np.zeros_like(edges)]
+    stops = [edges]
+    length = 1
+    while length <= passes // 2:
+        first = np.arange(1, passes - length)
+        starts.append(first)
+        stops.append(first + length)
+        length *= 2
+    start = np.concatenate(starts)
+    stop = np.concatenate(stops)
+    clearness, chances = _compare(sums, start, stop, allowed)
+    best = int(np.argmax(clearness))
+    if chances[best] * len(start) > chance:
+        return None
+    return _refine(sums, (int(start[best]), int(stop[best])), allowed)
+
+
+def _refine(sums: np.ndarray, cut: tuple[int, int], allowed: AllowedRatio) -> tuple[int, int]:
+    """Move both ends of a segment, pass by pass, while it stands out more."""
+    passes = sums.shape[1] - 1
+    while True:
+        tries = [(cut[0] + i, cut[1] + j) for i in (0, -1, 1) for j in (0, -1, 1)]
+        tries = [(a, b) for a, b in tries if 0 <= a < b <= passes and b - a < passes]
+        start, stop = np.array(tries).T
+        best = tries[int(np.argmax(_compare(sums, start, stop, allowed)[0]))]
+        if best == cut:
+            return cut
+        cut = best
+
+
+def _compare(
+    sums: np.ndarray, start: np.ndarray, stop: np.ndarray, allowed: AllowedRatio
+) -> tuple[np.ndarray, np.ndarray]:
+    """Difference of each segment from the rest in standard errors, and the chance of it."""
+    passes = sums.shape[1] - 1
+    inner = sums[:, stop] - sums[:, start]
+    outer = sums[:, -1:] - sums[:, :1] - inner
+    (one, one_s) = _as_photons(inner)
+    (other, other_s) = _as_photons(outer)
+    ratio = allowed(stop - start, passes - (stop - start))
+    apart = np.abs(np.log((one + 0.5) / one_s) - np.log((other + 0.5) / other_s)) - np.log(ratio)
+    clearness = apart / np.sqrt(1 / (one + 0.5) + 1 / (other + 0.5))
+    return clearness, change_chance(one, one_s, other, other_s, ratio=ratio)
+
+
+def _as_photons(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Photons, and the time they take, of Poisson counts with the same rate and relative error."""
+    counts = np.maximum(sums[0], 0.0)
+    variances = sums[1]
+    seconds = sums[2]
+    # Counts below their noise, or less than 0, tell as little as those that are as large as it
+    size = np.maximum(counts, np.sqrt(variances))
+    weight = np.where(variances > 0, size / np.where(variances > 0, variances, 1.0), 1.0)
+    return counts * weight, seconds * weight
+
+
+@dataclass(frozen=True)
+class Background:
+    """Counts of an input without light, of each pass and of those that agree with it."""
+
+    photons: np.ndarray  # (P,): of all-OFF frames; for the second of two arms, of all-ON ones
+    seconds: np.ndarray  # (P,)
+    segments: list[slice]  # passes that agree with each other
+
+    @classmethod
+    def of(cls, curve: LightCurve, chance: float) -> Self:
+        """Background of each pass: that of its own dark frames and of its neighbours that agree."""
+        photons, seconds = curve.together(curve.dark)
+        usual = (photons.sum() + 1) / max(seconds.sum(), 1e-300)
+        ratio = 1 + HARMLESS_DARK * _usual_light(curve) / usual
+        rates = _PassRates(photons, photons, seconds)
+        segments = _find_segments(rates, lambda *_: np.array(ratio), chance)
+        pooled = photons.astype(np.float64)
+        pooled_s = seconds.copy()
+        for segment in segments:
+            pooled[segment] = photons[segment].sum()
+            pooled_s[segment] = seconds[segment].sum()
+        return cls(pooled, pooled_s, segments)
+
+    @property
+    def rate(self) -> np.ndarray:
+        """Counts/s, (P,)."""
+        return self.photons / np.where(self.seconds > 0, self.seconds, 1.0)
+
+    @property
+    def last(self) -> "Background":
+        """That of the last pass."""
+        return Background(self.photons[-1:], self.seconds[-1:], [slice(0, 1)])
+
+
+def _usual_light(curve: LightCurve) -> float:
+    """Median over passes of the rate with all light less that with none, counts/s."""
+    (on, on_s) = curve.together(curve.bright)
+    (off, off_s) = curve.together(curve.dark)
+    counted = (on_s > 0) & (off_s > 0)
+    if not counted.any():
+        return 0.0
+    return max(0.0, float(np.median(on[counted] / on_s[counted] - off[counted] / off_s[counted])))
+
+
+@dataclass(frozen=True)
+class _Level:
+    """Brightness of the scenes between two changes of the lamp."""
+
+    first: int  # scene
+    last: int
+    rate: float  # counts/s
+
+
+@dataclass(frozen=True)
+class Flux:
+    """Light of the scenes with all mirrors ON, without background."""
+
+    rate: np.ndarray  # (P,): counts/s, of each pass and of those that agree with it
+    levels: tuple[_Level, ...] = ()
+    trend: float | None = None  # last brightness over first, of a lamp that rises or falls steadily
+
+    @classmethod
+    def of(
+        cls,
+        curve: LightCurve,
+        background: Background,
+        *,
+        used: np.ndarray,
+        brightness: Brightness | None,
+        chance: float,
+    ) -> Self:
+        """Flux from the passes `used` (P,), bool, of scenes that differ by a known brightness."""
+        if not used.any():
+            return cls(np.zeros(len(used)))
+        on, on_s = curve.together(curve.bright)
+        used = used & (on_s > 0)
+        if not used.any():  # light was seen behind masks alone
+            return cls(np.full(len(used), np.nan))
+        rate = background.rate
+        error = rate**2 / np.maximum(background.photons, 1)
+        counts = (on - rate * on_s)[used]
+        noise = on[used] + error[used] * on_s[used] ** 2
+        rates = _PassRates(counts, noise, on_s[used])
+        segments = [slice(0, int(used.sum()))]
+        passes = np.flatnonzero(used)
+        if brightness is not None:
+            segments = _find_segments(rates, allowed_ratio(brightness), chance)
+            line = _fit_decay(rates, segments, brightness)
+            if line is not None:
+                every = np.interp(np.arange(len(used)), passes, line)
+                return cls(every, trend=line[-1] / line[0])
+        starts = [0, *(int(passes[segment.start]) for segment in segments[1:]), len(used)]
+        lengths = np.diff(starts)
+        scenes = curve.scenes[passes]
+        levels = [
+            _Level(scenes[segment.start], scenes[segment.stop - 1], rates.mean(segment))
+            for segment in segments
+        ]
+        return cls(np.repeat([level.rate for level in levels], lengths), tuple(levels))
+
+
+def _fit_decay(
+    rates: _PassRates, segments: list[slice], brightness: Brightness
+) -> np.ndarray | None:
+    """Rates (P,) of a light that rises or falls steadily, if it does, and not in steps."""
+    passes = len(rates.counts)
+    # Passes that a steady rise or fall is fitted to at least
+    if passes < 5 or not (rates.counts > 0).all():
+        return None
+    logs = np.log(rates.counts / rates.seconds)
+    when = np.arange(passes) - (passes - 1) / 2
+    line = logs.mean() + when * ((logs @ when) / (when @ when))
+    change = abs(float(line[-1] - line[0]))
+    noise = brightness.within**2 + float((rates.variances / rates.counts**2).mean())
+    error = np.sqrt(noise / (when @ when)) * (passes - 1)
+    # Two classes one after the other are a step, and the line through it is half as much longer.
+    sound = 1.5 * np.log(brightness.between) + SPREAD_SIGMAS * error + HARMLESS
+    if len(segments) == 1 and change <= sound:
+        return None
+    steps = np.concatenate(
+        [np.full(segment.stop - segment.start, rates.mean(segment)) for segment in segments]
+    )
+    free = max(passes - 2 * len(segments) + 1, 1)
+    by_line = float(((logs - line) ** 2).sum()) / (passes - 2)
+    by_steps = float(((logs - np.log(steps)) ** 2).sum()) / free
+    return np.asarray(np.exp(line)) if by_line < by_steps else None
+
+
+def allowed_ratio(brightness: Brightness) -> AllowedRatio:
+    """Ratio by which the mean brightness of two groups of scenes may differ."""
+    low = brightness.low
+    high = brightness.high
+    # Range of brightness that new scenes may fill, as a multiple of the training scenes' (in log)
+    most = 1.25 * np.log(high / low) if low > 0 else np.inf
+
+    def allowed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        noise = SPREAD_SIGMAS * brightness.within * np.sqrt(1 / one + 1 / other)
+        return np.exp(np.minimum(np.log(brightness.between) + noise, most)) * (1 + HARMLESS)
+
+    return allowed

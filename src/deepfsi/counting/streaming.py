@@ -1,0 +1,254 @@
+"""Photons counted frame by frame while a recording runs, as soon as the gate of each has ended.
+
+A device gives a marker at the start of each frame, and the frames that it shows are told before
+they are: their gates, as times after their marker. Each marker starts the next of them, and must
+follow the one before as the times of the pictures say, so that one that is missing shifts no
+frames: it is noticed at the latest when the next list of frames begins. A gate has ended when a
+later record says that no earlier photon can follow: a photon, a marker or an overflow.
+"""
+
+import os
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.quantities import time_text
+from deepfsi.camera.dead_time import CorrectionFactors, DeadTime
+from deepfsi.counting.counts import Corrections
+from deepfsi.counting.flux import PARTS_OF_FRAME
+from deepfsi.counting.ptu import EARLIEST_TICK, Part, marker_slack
+from deepfsi.counting.reader import PtuStream, WindowCounter
+from deepfsi.counting.windows import MOST_EXTRA, MOST_RATE
+from deepfsi.patterns.manifest import Frame, Manifest
+
+
+@dataclass(frozen=True)
+class FrameGates:
+    """Gates of frames in the order in which they are shown, one each."""
+
+    offsets_s: np.ndarray  # (F,): When it begins after the first marker of its frame, seconds
+    lengths_s: np.ndarray  # (F,): For how long it is open
+    # (F,): Markers of the frame, more than one where it is shown as several pictures in a row
+    markers: np.ndarray
+    # (F,): Time from each of its markers to the next; not checked where None. The next list of
+    # frames may begin at any time after the last
+    pictures_s: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, offset_s: float, lengths_s: Sequence[float] | np.ndarray) -> "FrameGates":
+        """Gates that all begin at one time after their marker, of frames with one marker each."""
+        lengths = np.asarray(lengths_s, np.float64)
+        return cls(np.full(lengths.shape, offset_s), lengths, np.ones(lengths.shape, np.int64))
+
+    def __len__(self) -> int:
+        return len(self.offsets_s)
+
+
+@dataclass(frozen=True)
+class FrameCounts:
+    """Counts of some frames that follow each other."""
+
+    starts_s: np.ndarray  # (F,): Times of their markers on the counter's clock, seconds
+    # (F, K, inputs): Photons in equal parts of their gates; K is 1 of a counter that knows no more
+    # than whole gates, else `PARTS_OF_FRAME`
+    parts: np.ndarray
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Photons (F, inputs) in their gates."""
+        return np.asarray(self.parts.sum(axis=1))
+
+    def correct(
+        self,
+        dead_time: DeadTime,
+        manifest: Manifest,
+        gate_s: np.ndarray,
+        *,
+        ends: Sequence[Frame] | None = None,
+    ) -> CorrectionFactors:
+        """Factors (F, inputs) of the counts in gates of these lengths (F,), seconds."""
+        # Frames that are ends of a scene must not be too bright; others are corrected as the
+        # brightest that can be
+        corrections = Corrections.of(dead_time, manifest)
+        rates = self.counts / gate_s[:, None]
+        if ends is not None:
+            corrections.check(rates[None], ends, range(manifest.inputs), "a scene")
+        return corrections.factors(rates)
+
+    def __getitem__(self, frames: slice) -> "FrameCounts":
+        return FrameCounts(self.starts_s[frames], self.parts[frames])
+
+    @classmethod
+    def join(cls, parts: "Sequence[FrameCounts]", inputs: int) -> "FrameCounts":
+        """Frames of parts that follow each other, or none."""
+        starts = [np.zeros(0), *(counts.starts_s for counts in parts)]
+        photons = [counts.parts for counts in parts] or [
+            np.zeros((0, PARTS_OF_FRAME, inputs), np.int64)
+        ]
+        return cls(np.concatenate(starts), np.concatenate(photons))
+
+
+class _DueFrame(NamedTuple):
+    """A frame whose marker is due, its times in ticks."""
+
+    offset: int
+    length: int
+    markers: int
+    picture: int | None  # time from each of its markers to the next
+    tolerance: int  # by how much that may be off
+    follows: bool  # whether it comes as soon as the frame before ends
+
+
+class FrameCounter:
+    """Counter of photons frame by frame in a PTU file whose bytes arrive in any cuts.
+
+    Parameters
+    ----------
+    inputs : sequence of int
+        Inputs of the counter whose photons are counted, from 0.
+    marker_bit : int
+        Marker input of the device's trigger: 1, 2, 4 or 8.
+    stream : str, path or PtuStream
+        Where the bytes come from, or what errors call it.
+    """
+
+    def __init__(
+        self,
+        inputs: Sequence[int],
+        marker_bit: int = 1,
+        stream: str | os.PathLike[str] | PtuStream = "the stream",
+    ) -> None:
+        self._inputs = tuple(inputs)
+        self._bit = marker_bit
+        self._stream = stream if isinstance(stream, PtuStream) else PtuStream(stream)
+        self._windows: WindowCounter | None = None  # is made when the header has arrived
+        self._early: list[FrameGates] = []  # told before
+        self._due: deque[_DueFrame] = deque()
+        self._frame: _DueFrame | None = None  # the frame whose marker came last
+        self._last = EARLIEST_TICK  # that marker
+        self._skipped = 0  # markers to come of that frame
+        self._begun: deque[int] = deque()  # markers of frames whose counts were not given
+        # (n, inputs): Of the parts of their gates that have ended
+        self._counts = np.zeros((0, len(self._inputs)), np.int64)
+        self._stop = EARLIEST_TICK  # end of the last gate
+
+    def expect(self, gates: FrameGates) -> None:
+        """Count frames that are shown after those before. To be told before they are shown."""
+        self._early.append(gates)
+        if self._stream.begun:
+            self._open()
+
+    def feed(self, data: bytes | bytearray | memoryview) -> FrameCounts:
+        """Read the next bytes; give the frames whose gates ended, in order."""
+        self._stream.feed(data)
+        counts = [self._add(part) for part in self._stream.parts()]
+        return FrameCounts.join(counts, len(self._inputs))
+
+    def _open(self) -> WindowCounter:
+        """Counter of windows, with the frames that were told before the header came."""
+        if self._windows is None:
+            self._windows = WindowCounter(self._stream, self._inputs)
+        while self._early:
+            self._plan(self._early.pop(0))
+        return self._windows
+
+    @property
+    def _tick_s(self) -> float:
+        return self._stream.header.tick_s
+
+    def _plan(self, gates: FrameGates) -> None:
+        """Frames of a list become due, on the clock that the header tells."""
+        tick_s = self._tick_s
+        slack = marker_slack(tick_s)
+        offsets = np.rint(gates.offsets_s / tick_s)
+        if len(gates) and not offsets.min() > slack:
+            raise InputError(
+                f"a gate begins {time_text(gates.offsets_s.min())} after its marker, which may be "
+                f"{time_text(slack * tick_s)} off: give frames a longer time to settle"
+            )
+        lengths = np.rint(gates.lengths_s / tick_s)
+        pictures = tolerances = np.zeros(len(gates))
+        if gates.pictures_s is not None and len(gates):
+            ticks = gates.pictures_s / tick_s
+            pictures = np.rint(ticks)
+            tolerances = MOST_RATE * ticks + MOST_EXTRA * ticks.min() + slack
+        columns = np.stack([offsets, lengths, gates.markers, pictures, tolerances]).astype(np.int64)
+        for number, times in enumerate(columns.T.tolist()):
+            due = _DueFrame._make([*times, number > 0])
+            self._due.append(due if gates.pictures_s is not None else due._replace(picture=None))
+
+    def _add(self, part: Part) -> FrameCounts:
+        """Count the next records; give the frames whose gates, and pictures, have ended."""
+        windows = self._open()
+        part.check(self._stream.header.path)
+        times, bits = part.markers
+        begun = map(self._begin, times[bits & self._bit != 0].tolist())
+        gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
+        # Each gate in equal parts of whole ticks
+        steps = np.diff(gates) * np.arange(PARTS_OF_FRAME + 1) // PARTS_OF_FRAME
+        edges = gates[:, :1] + steps
+        windows.expect(edges[:, :-1].ravel(), edges[:, 1:].ravel())
+        windows.add(part)
+        counts = np.concatenate([self._counts, windows.take()])
+        ended = len(counts) // PARTS_OF_FRAME
+        waits = 0 < ended == len(self._begun) and self._followed
+        ready = ended - waits
+        self._counts = counts[ready * PARTS_OF_FRAME :]
+        starts = [self._begun.popleft() for _ in range(ready)]
+        parts = counts[: ready * PARTS_OF_FRAME].reshape(ready, PARTS_OF_FRAME, counts.shape[1])
+        return FrameCounts(np.array(starts, np.float64) * self._tick_s, parts)
+
+    @property
+    def _followed(self) -> bool:
+        """True if the frame that is shown is not the last of its list."""
+        return bool(self._due) and self._due[0].follows
+
+    def _begin(self, time: int) -> tuple[int, int] | None:
+        """Gate of the frame that a marker starts, ticks; None if the marker starts none."""
+        if not (self._skipped or self._due):
+            raise InputError(
+                f"{self._describe(time)} that starts no frame: tell frames before they are shown, "
+                "and wire the trigger so that it comes once"
+            )
+        self._check_step(time, bool(self._skipped) or self._followed)
+        self._last = time
+        if self._skipped:
+            self._skipped -= 1
+            return None
+        self._frame = frame = self._due.popleft()
+        start = time + frame.offset
+        self._skipped = frame.markers - 1
+        # The counter need not record anything after the last marker of a list: then the counts of
+        # a gate that ends after it never come
+        last = frame.follows and frame.picture is not None and not self._followed
+        if (time if last else start) < self._stop:
+            raise InputError(
+                f"{self._describe(time)}, before the gate of the frame before has ended: show "
+                "frames for longer, count them for less, or use a trigger that jitters by less "
+                "than 2 µs"
+            )
+        self._stop = start + frame.length
+        self._begun.append(time)
+        return start, self._stop
+
+    def _check_step(self, time: int, follows: bool) -> None:
+        """Raise `InputError` if a marker does not come when the picture before it ends."""
+        # The first one of a list may come later
+        frame = self._frame
+        if frame is None or frame.picture is None:
+            return
+        step = time - self._last
+        late = step - frame.picture
+        if abs(late) > frame.tolerance and (follows or late < 0):
+            raise InputError(
+                f"{self._describe(time)}, {time_text(step * self._tick_s)} after the one before, "
+                f"and that picture lasts {time_text(frame.picture * self._tick_s)}: a marker is "
+                "missing or one too many; look at the trigger"
+            )
+
+    def _describe(self, time: int) -> str:
+        return f"{self._stream.header.path} has a marker at {time * self._tick_s:.9g} s"

@@ -1,0 +1,365 @@
+"""Counts of any counter: a table with a value for each frame and input becomes `Counts`.
+
+A value is what the counter counted from one frame's marker to the next, or from `settle` after it.
+Pictures last longer than their share of the exposure asks for, so the value of frame f, counted for
+the time T_f, becomes that of its gate,
+
+    value · share_f · E / T_f,      E = Σ T_f / Σ share_f  over the masks' frames,
+
+and the budget is the flux times E: all the light of these frames.
+"""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import numpy as np
+from pydantic import ConfigDict
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.models import Amount, Count, Positive, UserModel
+from deepfsi.base.quantities import time_text
+from deepfsi.base.tables import NumberTable
+from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
+from deepfsi.counting.acquisition import MOST_READOUTS, Scene
+from deepfsi.counting.checks import Fault, check_light
+from deepfsi.counting.counts import (
+    ALL_OFF,
+    ALL_ON,
+    ENDS,
+    Ambient,
+    Corrections,
+    Counts,
+    Estimate,
+    RunLight,
+    check_clicks,
+    light_of_clicks,
+)
+from deepfsi.counting.flux import Arrivals
+from deepfsi.patterns.manifest import Manifest
+
+
+class TableSettings(UserModel):
+    """Settings with which a table is read."""
+
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
+    SCENE: ClassVar[str] = "scene"
+    LABEL: ClassVar[str] = "label"
+    WORDS: ClassVar[tuple[str, ...]] = (SCENE, LABEL)  # names of the columns of words
+
+    photons: Positive | None = None  # budget of an exposure, counts
+    background: Amount | None = None  # dark counts of an input in one exposure
+    settle_s: Amount = 0.0  # time after each marker that was not counted, seconds
+    repeats: Count = (
+        1  # exposures of each scene, one after another, where the table names no scenes
+    )
+    gain: Positive | None = None  # counts for a unit of the table, of an analogue detector
+    read_noise: Amount | None = None  # of each value of an analogue detector, counts rms
+    dead_time: DeadTime = NO_DEAD_TIME  # of a photon counter, to be corrected for
+    dark: NumberTable | None = None  # exposures with the scene dark, whose counts are subtracted
+    clicks: int | None = None  # gates of a frame, of tables of clicks: values from 0 to this
+
+    @property
+    def analogue(self) -> bool:
+        """True for values that are no photon counts."""
+        return self.gain is not None or self.read_noise is not None
+
+    def check(self) -> None:
+        """Raise `InputError` for settings that exclude each other."""
+        dead_time = bool(self.dead_time.seconds)
+        if self.analogue and dead_time:
+            raise InputError(
+                "an analogue detector counts no photons: leave `dead_time` out, or `gain` and "
+                "`read_noise`"
+            )
+        if self.clicks is not None:
+            of_photons = {
+                "`background`": self.background is not None or self.dark is not None,
+                "`dead_time`": dead_time,
+                "`gain` or `read_noise`": self.analogue,
+            }
+            check_clicks(self.clicks, of_photons)
+
+
+def column_names(manifest: Manifest) -> list[str]:
+    """Names of the values of an exposure: frame by frame, and in each frame input by input."""
+    # `on`, `off`, then `mask0` (of a single rail, or two arms) or `mask0+` and `mask0-`, last `on2`
+    # and `off2`; of several inputs `mask0+/1`, `mask0+/2` and so on
+    names: list[str] = []
+    for frame in manifest.frames:
+        name: str = frame.role
+        if frame.role == "mask":
+            sign = "" if manifest.rails == 1 or frame.rail == "both" else "+-"[frame.rail != "plus"]
+            name = f"mask{frame.mask}{sign}"
+        names.append(f"{name}2" if name in names else name)
+    if manifest.inputs == 1:
+        return names
+    return [f"{name}/{number}" for name in names for number in range(1, manifest.inputs + 1)]
+
+
+def count_table(
+    table: NumberTable, manifest: Manifest, settings: TableSettings, name: str = "the table"
+) -> tuple[Counts, tuple[Scene, ...]]:
+    """Counts of the exposures in a table, and their scenes."""
+    settings.check()
+    exposures = _Exposures.read(table, manifest, settings, name)
+    scenes, scene_of = _find_scenes(table, len(exposures.values), settings, name)
+    frames = exposures.correct()
+    light = _find_light(exposures, frames, scene_of)
+    ambient = Ambient.none(manifest)
+    if settings.dark is not None:
+        dark = _Exposures.read(settings.dark, manifest, settings, "the table of the background")
+        ambient = dark.as_ambient(exposures.sentinels)
+        light = replace(light, flux=ambient.of_flux(light.flux, name))
+    repeats = np.bincount(scene_of)
+    valid = np.arange(repeats.max()) < repeats[:, None]
+
+    def by_scene(of_frames: np.ndarray) -> np.ndarray:
+        """Readouts (S, R, rails, m[, D]) from those of masks' frames (E, f, inputs)."""
+        readouts = manifest.by_readout(of_frames)
+        out = np.zeros((*valid.shape, *readouts.shape[1:]))
+        out[valid] = readouts
+        return out
+
+    gated = exposures.in_gates(frames)
+    counts = Counts(
+        **vars(light),
+        counts=by_scene(exposures.values[:, manifest.shown]),
+        arrivals=by_scene(gated.arrivals),
+        variance=by_scene(gated.variance),
+        valid=valid,
+        gate_s=exposures.lengths_s,
+        exposure_s=exposures.exposure_s,
+        settle_s=settings.settle_s,
+        lengths_s=manifest.lengths_by_readout(exposures.lengths_s),
+        drift=0.0,
+        ambient=ambient.counts,
+        ambient_variance=ambient.variance,
+        inputs=tuple(range(manifest.inputs)),
+        dead_time=settings.dead_time,
+        gates=settings.clicks,
+    )
+    if settings.photons is None and not exposures.sentinels:
+        raise InputError(
+            f"{name} has no all-ON and all-OFF frames, which tell the budget: give `photons`"
+        )
+    if settings.photons is None and counts.gates is not None:
+        counts.check_budget(name)
+    if settings.photons is None and not (counts.flux > 0).any():
+        raise InputError(
+            f"{name} has no light: its all-ON frames are not brighter than the all-OFF ones; look "
+            "at the order of frames, or give `photons`"
+        )
+    return counts, scenes
+
+
+@dataclass(frozen=True)
+class _Exposures:
+    """Frames of the exposures in a table, each counted as one window."""
+
+    values: np.ndarray  # (E, F, inputs): Counts; 0 in all-ON and all-OFF frames that are not there
+    sentinels: bool  # whether these are there
+    seconds: np.ndarray  # (F,): For how long each frame was counted
+    manifest: Manifest
+    settings: TableSettings
+    name: str
+
+    @classmethod
+    def read(
+        cls, table: NumberTable, manifest: Manifest, settings: TableSettings, name: str
+    ) -> Self:
+        """Exposures of a table, or `InputError` if it does not hold them."""
+        values = _arrange(table, manifest, name)
+        sentinels = values.shape[1] == len(manifest.frames)
+        if not sentinels:
+            values = np.pad(values, ((0, 0), (2, 2), (0, 0)))
+        _check_values(values, manifest, settings, name)
+        seconds = np.asarray(manifest.picture_s - settings.settle_s)
+        if seconds.min() <= 0:
+            raise InputError(
+                f"`settle` {time_text(settings.settle_s)} leaves nothing of the shortest frame: "
+                f"give less than {manifest.picture_s.min():g}"
+            )
+        return cls(values, sentinels, seconds, manifest=manifest, settings=settings, name=name)
+
+    @property
+    def exposure_s(self) -> float:
+        """Total exposure: all the light of the masks' frames is counted."""
+        return float(self.seconds[self.manifest.shown].sum() / self.manifest.shares.sum())
+
+    @property
+    def lengths_s(self) -> np.ndarray:
+        """Gates (f,) that have the masks' shares of the exposure."""
+        return self.manifest.shares * self.exposure_s
+
+    def correct(self) -> Estimate:
+        """Arrivals (E, F, inputs) in all frames."""
+        values = self.values
+        settings = self.settings
+        if settings.clicks is not None:
+            return Estimate(values, values * (1 - values / settings.clicks))
+        if settings.analogue:
+            counts = values * (settings.gain or 1.0)
+            return Estimate(counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2)
+        rates = values / self.seconds[:, None]
+        corrections = Corrections.of(settings.dead_time, self.manifest)
+        corrections.check(rates, self.manifest.frames, range(self.manifest.inputs), self.name)
+        factors = corrections.factors(rates)
+        return Estimate(values * factors.arrivals, values * factors.variance)
+
+    def in_gates(self, frames: Estimate) -> Estimate:
+        """Arrivals (E, f, inputs) of the masks' frames in their gates; clicks as they are."""
+        masks = self.manifest.shown
+        scale = (self.lengths_s / self.seconds[masks])[:, None]
+        if self.settings.clicks is not None:
+            scale = np.ones_like(scale)
+        return Estimate(frames.arrivals[:, masks] * scale, frames.variance[:, masks] * scale**2)
+
+    def as_ambient(self, sentinels: bool) -> Ambient:
+        """Background that they measured with the scene dark, of scenes with sentinels or none."""
+        if self.sentinels != sentinels:
+            raise InputError(
+                f"{self.name} must have all-ON and all-OFF frames if the other has, or none"
+            )
+        frames = self.correct()
+        return Ambient.of(
+            self.manifest,
+            self.in_gates(frames),
+            self.lengths_s,
+            frames=frames.arrivals.sum(axis=0),
+            frames_s=self.seconds * len(self.values) * sentinels,
+        )
+
+
+def _arrange(table: NumberTable, manifest: Manifest, name: str) -> np.ndarray:
+    """Values (E, F, inputs) of all frames, or of the masks' alone."""
+    names = column_names(manifest)
+    inputs = manifest.inputs
+    masks = names[2 * inputs : -2 * inputs]
+    rows, columns = table.values.shape
+    if columns not in (len(masks), len(names)):
+        frames = f"{len(masks) // inputs} frames of masks"
+        if inputs > 1:
+            frames += f" x {inputs} inputs"
+        raise InputError(
+            f"{name} has {rows} rows and {columns} columns: an exposure is a row of {len(masks)} "
+            f"values ({frames}), or {len(names)} with all ON and all OFF before and after them"
+        )
+    asked = names if columns == len(names) else masks
+    for column, wanted in zip(table.names, asked, strict=False):
+        if column.lower() in names and column.lower() != wanted:
+            raise InputError(
+                f"{name} has {column!r} where {wanted!r} stands: put columns into the order of the "
+                "frames"
+            )
+    return table.values.reshape(rows, -1, inputs)
+
+
+def _find_scenes(
+    table: NumberTable, exposures: int, settings: TableSettings, name: str
+) -> tuple[tuple[Scene, ...], np.ndarray]:
+    """Scenes, and which of them each exposure (E,) is of: those of one scene follow each other."""
+    names = table.words.get(settings.SCENE)
+    labels = table.words.get(settings.LABEL)
+    repeats = settings.repeats
+    if names is None:
+        if exposures % repeats:
+            raise InputError(f"{name} has {exposures} exposures, no multiple of {repeats} repeats")
+        scene_of = np.arange(exposures) // repeats
+        names = tuple(str(k + 1) for k in scene_of.tolist())
+    else:
+        if repeats > 1:
+            raise InputError(f"{name} names its scenes: leave `repeats` out")
+        changes = [a != b for a, b in zip(names[1:], names, strict=False)]
+        scene_of = np.cumsum([0, *changes])
+        if len(set(names)) <= scene_of[-1]:
+            raise InputError(f"{name} has a scene twice, with others between: sort its rows")
+    firsts = np.searchsorted(scene_of, np.arange(scene_of[-1] + 1)).tolist()
+    scenes = (Scene(name=names[k], label=(labels[k] or None) if labels else None) for k in firsts)
+    return tuple(scenes), scene_of
+
+
+def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings, name: str) -> None:
+    """Raise `InputError` for too many values, and for photon counts or clicks that are none."""
+    if read[:, 2:-2].size > MOST_READOUTS:
+        raise InputError(f"{name} holds more than {MOST_READOUTS} values: split it")
+    wrong = read[(read < 0) | (read % 1 != 0)]
+    if wrong.size and not settings.analogue:
+        raise InputError(
+            f"{name} holds {wrong[0]:g}, which is no count of photons: give whole numbers, 0 or "
+            "more, or --gain and --read-noise of an analogue detector"
+        )
+    most = settings.clicks
+    if most is not None and (read > most).any():
+        row, value = np.argwhere(read.reshape(len(read), -1) > most)[0].tolist()
+        raise InputError(
+            f"{name} has {read[row].ravel()[value]:g} counts in {column_names(manifest)[value]} of "
+            f"exposure {row + 1}, and a detector of this design clicks at most {most} times in a "
+            f"frame: give clicks from 0 to {most}"
+        )
+
+
+def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -> RunLight:
+    """Light of each scene, all exposures of one together, from what arrived in all frames."""
+    # scene_of (E,): scene of each exposure
+    manifest = exposures.manifest
+    settings = exposures.settings
+    seconds = exposures.seconds
+    scenes = int(scene_of[-1]) + 1
+    arm = manifest.arm
+    exposure_s = exposures.exposure_s
+    stated = None if settings.background is None else settings.background / exposure_s
+    dark = np.full((scenes, manifest.inputs), stated or 0.0)
+    if not exposures.sentinels:
+        return RunLight(
+            on_rate=np.full(scenes, np.nan),
+            off_rate=np.full(scenes, np.nan),
+            flux=np.full(scenes, (settings.photons or np.nan) / exposure_s),
+            dark_rate=manifest.by_rail(dark),
+        )
+    if settings.clicks is not None:
+        clicks = frames.arrivals[:, ENDS]
+        gates = np.full((len(clicks), len(ENDS), 1), settings.clicks)
+        width = float(seconds[0]) / settings.clicks
+        return light_of_clicks(
+            clicks, clicks, gates, width_s=width, scenes=scenes, manifest=manifest
+        )
+    photons, variance = np.zeros((2, scenes, *frames.arrivals.shape[1:]))
+    np.add.at(photons, scene_of, frames.arrivals)
+    np.add.at(variance, scene_of, frames.variance)
+    spent = np.bincount(scene_of)[:, None] * seconds
+    on, off = (
+        photons[:, ends].sum(axis=1) / spent[:, ends].sum(axis=1, keepdims=True)
+        for ends in (ALL_ON, ALL_OFF)
+    )
+    if settings.analogue:
+        measured = off.copy()
+        measured[:, arm.stop :] = on[:, arm.stop :]  # the second arm is dark when all are ON
+        measured[:] = measured.mean(axis=0)
+        flux = np.full(scenes, (on - off)[:, arm].sum(axis=1).mean())
+        faults: tuple[Fault, ...] = ()
+    else:
+        arrivals = Arrivals(
+            manifest.frames,
+            photons=photons[:, :, None],
+            variance=variance[:, :, None],
+            seconds=spent[..., None],
+        )
+        light = check_light(
+            arrivals,
+            manifest,
+            range(manifest.inputs),
+            scenes=np.arange(scenes),
+        )
+        measured = light.dark_rate
+        flux = light.flux
+        faults = light.faults
+    if stated is None:
+        dark = measured
+    return RunLight(
+        on_rate=on[:, arm].sum(axis=1),
+        off_rate=off[:, arm].sum(axis=1),
+        flux=flux + (measured - dark)[:, arm].sum(axis=1),
+        dark_rate=manifest.by_rail(dark),
+        faults=faults,
+    )

@@ -1,0 +1,333 @@
+"""Frames of a recording, found by their markers, and windows of them in which photons are counted.
+
+A device gives one marker at the start of each frame; a counter records them on its own clock. A
+pass over the frames follows the schedule of its manifest, as that clock shows it, within 200 ppm.
+Between passes there may be pauses of any length. The counter's clock and the device's may differ,
+and a device may add the same time to every frame. Either stretches the whole schedule; which one is
+measured from markers that follow each other.
+
+A recording whose markers do not all follow is refused: times alone cannot tell a pass that lacks
+its first marker from one that lacks its last, when all frames are equally long.
+
+A marker may come late, and what is counted up to the next one then holds some light of the next
+frame: a microsecond of 1e7 photons/s looks like thousands of dark counts/s in an all-OFF frame. So
+windows other than gates end a *guard*, the tolerance of the markers, before the next frame. The
+guard of the all-OFF frames is counted by itself: light in it tells by how much markers are late.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+
+from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.base.quantities import time_text
+from deepfsi.counting.acquisition import MOST_READOUTS, Acquisition
+from deepfsi.counting.reader import PhotonSource, count_windows, read_markers
+from deepfsi.patterns.manifest import GatePlan, Manifest
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Windows of a pass, in their order."""
+
+    frame: np.ndarray  # (g,): Of each window
+    offset_s: np.ndarray  # (g,): When it opens after the start of its frame
+    length_s: np.ndarray  # (g,)
+    frames: int  # of a pass, F
+    # Of windows of gates, (g,), bool: readouts of the masks' frames, and ends of all-OFF frames
+    gate: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    guard: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+
+    @classmethod
+    def of_gates(cls, manifest: Manifest, gates: GatePlan, starts: "FrameStarts") -> Self:
+        """Gates of the frames of a manifest, as they were found, and what gates leave of them."""
+        dark = np.flatnonzero([frame.role == "off" for frame in manifest.frames])
+        count = np.ones(len(manifest.frames), np.int64)
+        count[manifest.shown] += gates.repeats
+        count[dark] += 1
+        frame = np.repeat(np.arange(len(count)), count)
+        first = np.cumsum(count) - count
+        gated = first[manifest.shown][:, None] + np.arange(gates.repeats)  # (f, R)
+        guards = first[dark] + 1
+        ends = starts.pictures_s - starts.tolerance_s
+        offset = np.full(len(frame), gates.settle_s)
+        offset[gated] = gates.starts_s
+        offset[gated[:, -1] + 1] = gates.settle_s + gates.repeats * gates.length_s
+        offset[guards] = ends[dark]
+        length = np.maximum(ends[frame] - offset, 0.0)
+        length[gated] = gates.length_s[:, None]
+        length[guards] = starts.tolerance_s
+        gate, guard = np.zeros((2, len(frame)), bool)
+        gate[gated] = True
+        guard[guards] = True
+        return cls(
+            frame=frame,
+            offset_s=offset,
+            length_s=length,
+            frames=len(count),
+            gate=gate,
+            guard=guard,
+        )
+
+    @classmethod
+    def of_parts(cls, starts: "FrameStarts", settle_s: float, number: int) -> Self:
+        """Equal parts of each frame, between settling and guard."""
+        rest = starts.pictures_s - settle_s
+        # A guard takes up to half of a frame after settling
+        guard = np.minimum(starts.tolerance_s, 0.5 * rest)
+        length = np.maximum(rest - guard, 0.0) / number
+        offset = settle_s + length[:, None] * np.arange(number)
+        frames = len(rest)
+        return cls(
+            frame=np.repeat(np.arange(frames), number),
+            offset_s=offset.ravel(),
+            length_s=np.repeat(length, number),
+            frames=frames,
+        )
+
+    @classmethod
+    def of_clicks(cls, gates: GatePlan, scenes: int) -> Self:
+        """Gates of clicks, or `InputError` if the scenes have too many."""
+        count = gates.clicks * gates.click_exposures
+        if scenes * count.sum() > MOST_READOUTS:
+            raise InputError(
+                f"{scenes * count.sum()} gates of {scenes} scenes are more than {MOST_READOUTS}: "
+                "count fewer --repeats, or split the acquisition"
+            )
+        frame = np.repeat(np.arange(len(count)), count)
+        order = np.arange(len(frame)) - (np.cumsum(count) - count)[frame]
+        width = gates.click_width_s[frame]
+        return cls(
+            frame=frame,
+            offset_s=gates.settle_s + order * width,
+            length_s=width,
+            frames=len(count),
+        )
+
+
+@dataclass(frozen=True)
+class WindowCounts:
+    """Photons in the windows of passes."""
+
+    photons: np.ndarray  # (P, g, inputs), int64
+    open_s: np.ndarray  # (P, g): How long each window was open
+    windows: Windows
+
+    def select(self, passes: np.ndarray) -> Self:
+        """Some of the passes, a mask (P,) of bools."""
+        return replace(self, photons=self.photons[passes], open_s=self.open_s[passes])
+
+    def per_frame(self) -> tuple[np.ndarray, np.ndarray]:
+        """Photons (P, F, inputs) of whole frames but guards, and how long they were counted."""
+        first = np.searchsorted(self.windows.frame, np.arange(self.windows.frames))
+        counted = ~self.windows.guard
+        photons = np.add.reduceat(self.photons * counted[:, None], first, axis=1)
+        return photons, np.add.reduceat(self.open_s * counted, first, axis=1)
+
+    def gates(self, repeats: int) -> np.ndarray:
+        """Photons (P, R, f, inputs) in the gates of the masks' frames."""
+        gated = self.photons[:, self.windows.gate]
+        return gated.reshape(len(gated), -1, repeats, gated.shape[-1]).swapaxes(1, 2)
+
+    def around_first_mask(self, arm: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Photons of an arm, and how long they were counted, as `find_lateness` takes them."""
+        photons, spent = self.per_frame()
+        guard = np.argmax(self.windows.guard)
+        dark, light = photons[:, 1:3, arm].sum(axis=-1).T
+        of_guard = self.photons[:, guard, arm].sum(axis=-1)
+        seconds = np.stack([self.open_s[:, guard], *spent[:, 1:3].T])
+        return np.stack([of_guard, dark, light]), seconds
+
+
+MOST_DRIFT = 2e-4
+"""Largest difference of two clocks' rates, of those planned or of those measured."""
+
+MOST_RATE = 0.02
+"""Most that all frames may be longer or shorter than planned, as a share of each."""
+
+MOST_EXTRA = 0.2
+"""Most that may be added to each frame, as a share of the shortest."""
+
+GOLDEN = 0.6180339887498949
+"""Golden section: fractional parts of its multiples are spread evenly, out of step with passes."""
+
+
+@dataclass(frozen=True)
+class FrameStarts:
+    """Frames of a recording, as its markers say when they start."""
+
+    starts_s: np.ndarray  # (S, F): Seconds on the counter's clock
+    pictures_s: np.ndarray  # (F,): Picture times on the counter's clock
+    tolerance_s: float  # by how much a marker may be off
+    drift: float  # by how much passes last longer than planned, as a share: their median
+
+    @classmethod
+    def find(
+        cls,
+        source: PhotonSource,
+        acquisition: Acquisition,
+        manifest: Manifest,
+        tolerance_s: float | None = None,
+        *,
+        progress: Progress = SILENT,
+    ) -> Self:
+        """Frames of a recording by its markers."""
+        times, bits = read_markers(source, progress)
+        wired = bits & acquisition.marker_bit != 0
+        if not wired.any():
+            advice = "wire the device's trigger to the counter"
+            others = [str(number) for number in range(4) if (bits & 1 << number).any()]
+            if others:
+                advice = f"there are some on {' and '.join(others)}: give --marker {others[0]}"
+            raise InputError(
+                f"{source.header.path} has 0 frame markers on marker input "
+                f"{acquisition.marker_bit.bit_length() - 1}; {advice}"
+            )
+        times_s = np.sort(times[wired] * source.header.tick_s)
+        try:
+            return cls.of(times_s, manifest, len(acquisition.scenes), tolerance_s)
+        except InputError as error:
+            raise InputError(
+                f"{source.header.path} has {len(times_s)} frame markers: {error}"
+            ) from None
+
+    @classmethod
+    def of(
+        cls,
+        times_s: np.ndarray,
+        manifest: Manifest,
+        scenes: int,
+        tolerance_s: float | None = None,
+    ) -> Self:
+        """Frames that markers (n,) start, each where the schedule has it, or `InputError`."""
+        planned = manifest.picture_s
+        tolerance = manifest.usual_tolerance_s if tolerance_s is None else tolerance_s
+        most = 0.2 * float(planned.min())
+        if not 0 < tolerance <= most:
+            raise InputError(
+                f"a tolerance of {tolerance!r} s is not allowed: give more than 0, up to a fifth "
+                f"of the shortest frame ({time_text(most)})"
+            )
+        # A pass that was begun after the last one is left out
+        whole, begun = divmod(len(times_s), len(planned))
+        starts = times_s[: len(times_s) - begun].reshape(whole, len(planned))
+        pictures = planned
+        if not _follows(starts, planned, tolerance):
+            pictures = _as_measured(times_s, planned, tolerance)
+            if not _follows(starts, pictures, tolerance):
+                raise InputError(_first_departure(times_s, pictures, tolerance))
+        if whole != scenes:
+            raise InputError(
+                f"they are of {whole} whole passes, and there are {scenes} scenes: record again, "
+                "or keep the scenes that were recorded in acquisition.json"
+            )
+        drifts = np.ptp(starts, axis=1) / np.ptp(manifest.starts_s) - 1
+        return cls(starts, pictures, tolerance, drift=float(np.median(drifts)))
+
+    def count_in(
+        self,
+        source: PhotonSource,
+        sets: Sequence[Windows],
+        inputs: Sequence[int],
+        progress: Progress = SILENT,
+    ) -> list[WindowCounts]:
+        """Photons of the passes in sets of windows, all read at once.
+
+        Where two clocks and a marker's jitter make a window reach into the next of its set, it ends
+        there.
+        """
+        tick_s = source.header.tick_s
+        edges = []
+        for windows in sets:
+            opens_s = self.starts_s[:, windows.frame] + windows.offset_s
+            edges_s = np.stack([opens_s, opens_s + windows.length_s]).reshape(2, -1)
+            begins, ends = np.rint(edges_s / tick_s).astype(np.int64)
+            begins = np.minimum(np.minimum.accumulate(begins[::-1])[::-1], ends.max(initial=0))
+            ends[:-1] = np.minimum(ends[:-1], begins[1:])
+            edges.append(np.stack([begins, ends]))
+        every = np.concatenate(edges, axis=1)
+        # Windows of several sets overlap: photons are counted between all of their edges
+        unique, places = np.unique(every, return_inverse=True)
+        counts = count_windows(source, unique[:-1], unique[1:], inputs, progress=progress)
+        before = np.pad(np.cumsum(counts, axis=0), ((1, 0), (0, 0)))[places.reshape(every.shape)]
+        photons = before[1] - before[0]
+        out = []
+        for windows, (begins, ends) in zip(sets, edges, strict=True):
+            shape = len(self.starts_s), len(windows.frame)
+            open_s = ((ends - begins) * tick_s).reshape(shape)
+            out.append(WindowCounts(photons[: len(begins)].reshape(*shape, -1), open_s, windows))
+            photons = photons[len(begins) :]
+        return out
+
+
+def _follows(starts: np.ndarray, pictures: np.ndarray, tolerance: float) -> bool:
+    """True if markers (P, F) of passes come when the schedule says."""
+    schedule = np.cumsum(pictures)[:-1]
+    span = starts[:, -1] - starts[:, 0]
+    rate = span / schedule[-1]
+    steps = np.diff(np.append(0.0, schedule))
+    off = np.abs(np.diff(starts) - steps * rate[:, None]).max(initial=0)
+    drift = np.abs(span - schedule[-1]).max(initial=0) - MOST_DRIFT * schedule[-1]
+    ends = starts[:-1, -1] + pictures[-1] * (1 - MOST_DRIFT)
+    overlap = (ends - starts[1:, 0]).max(initial=-np.inf)
+    return bool(max(off, drift, overlap) <= tolerance)
+
+
+def _as_measured(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> np.ndarray:
+    """Picture times (F,) on the clock on which most markers in a row follow, where that differs.
+
+    All frames are longer or shorter by a share of each, or by the same time, whichever fits better.
+    """
+    # Frames in a row that are compared with the schedule
+    size = min(8, len(pictures) // 2)
+    if len(times) <= size:
+        return pictures
+    # Places of the schedule that each is compared with, the first ones
+    planned = np.lib.stride_tricks.sliding_window_view(pictures[:-1], size)[:4096]
+    steps = np.lib.stride_tricks.sliding_window_view(np.diff(times), size)
+    # Places of a recording that are compared
+    places = np.unique((np.arange(64) * GOLDEN % 1 * len(steps)).astype(np.int64))
+    total = planned.sum(axis=1)
+    shortest = float(pictures.min())
+    fits: dict[str, list[tuple[float, float]]] = {"rate": [], "extra": []}
+    for block in steps[places]:
+        rate = block.sum() / total - 1
+        extra = (block.sum() - total) / size
+        off_rate = np.abs(block - (1 + rate[:, None]) * planned).max(axis=1)
+        off_extra = np.abs(block - planned - extra[:, None]).max(axis=1)
+        off_rate[np.abs(rate) > MOST_RATE] = np.inf
+        off_extra[(extra > MOST_EXTRA * shortest) | (extra < -MOST_RATE * shortest)] = np.inf
+        for kind, values, off in (("rate", rate, off_rate), ("extra", extra, off_extra)):
+            best = int(np.argmin(off))
+            fits[kind].append((values[best], off[best]))
+    medians = {}
+    for kind, best_fits in fits.items():
+        close = [fit for fit in best_fits if fit[1] <= 2 * tolerance]
+        if len(close) >= len(best_fits) / 8:
+            medians[kind] = np.median(close, axis=0)
+    if not medians:
+        return pictures
+    kind = min(medians, key=lambda kind: float(medians[kind][1]))
+    value = float(medians[kind][0])
+    measured = (1 + value) * pictures if kind == "rate" else pictures + value
+    return measured if abs(measured.sum() / pictures.sum() - 1) > MOST_DRIFT else pictures
+
+
+def _first_departure(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> str:
+    """Where markers leave the schedule, in words."""
+    scene, frame = np.divmod(np.arange(len(times) - 1), len(pictures))
+    planned = pictures[frame]
+    steps = np.diff(times)
+    allowed = 2 * tolerance + MOST_DRIFT * planned
+    off = (steps - planned) / allowed
+    off[(frame == len(pictures) - 1) & (off > 0)] = 0  # a pause after a pass
+    first = int(np.argmax(np.abs(off) > 1)) if (np.abs(off) > 1).any() else np.abs(off).argmax()
+    return (
+        f"they do not follow the schedule, first at {times[first + 1]:.6f} s, "
+        f"{time_text(steps[first])} after the one before, where {time_text(planned[first])} were "
+        f"planned (scene {scene[first]}, frame {frame[first]}): give the patterns that were shown, "
+        "and one marker at the start of each frame"
+    )

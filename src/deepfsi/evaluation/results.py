@@ -1,0 +1,352 @@
+"""Results of tests: how good the answers of a design at one budget are, and what light it took."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields
+from itertools import zip_longest
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from deepfsi.base.intervals import (
+    MOST_CLASSES,
+    Z_95,
+    confusion_shares,
+    frequent_confusions,
+    pack_values,
+    worst_class,
+)
+from deepfsi.base.quantities import (
+    NAME_WIDTH,
+    Table,
+    budget_text,
+    count_text,
+    rate_text,
+    short_name,
+)
+from deepfsi.camera.names import find_noise
+from deepfsi.evaluation.measures import MEASURES, Answers, ClassAnswers, Measure, ValueAnswers
+
+
+@dataclass(frozen=True)
+class _AnswerTest:
+    """A test of answers of either kind, with all measures of `MEASURES` that are of that kind."""
+
+    kind: ClassVar[type[Answers]]
+    photons: float  # budget Φ
+    noise: str
+    low: float  # interval of the measure that data are judged by
+    high: float
+    covers: str  # what the intervals cover
+    images: int
+    draws: int
+    counts: float
+    arriving: float
+    throughput: float
+    photons_per_mask: list[float]
+    further: dict[str, float | None] = field(default_factory=dict, repr=False, kw_only=True)
+    image_terms: dict[str, list[float]] = field(default_factory=dict, repr=False, kw_only=True)
+
+    @property
+    def clicks(self) -> bool:
+        """True of detectors that click, whose counts are fewer than the photons that arrive."""
+        return find_noise(self.noise).gates
+
+    @classmethod
+    def measures(cls) -> list[Measure]:
+        """Measures of such answers, that by which data are judged first."""
+        return [measure for measure in MEASURES.values() if measure.of is cls.kind]
+
+    def score(self, key: str) -> float | None:
+        """A measure by its key; None where the answers do not have it."""
+        return self.further.get(key, getattr(self, key, None))
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only, without the numbers of each image."""
+        declared = {
+            field_.name: getattr(self, field_.name) for field_ in fields(self) if field_.repr
+        }
+        return declared | self.further
+
+    def packed_terms(self) -> dict[str, str]:
+        """Numbers of the test images, packed for a record."""
+        return {name: pack_values(np.array(terms)) for name, terms in self.image_terms.items()}
+
+    @classmethod
+    def _values(cls, answers: Answers) -> dict[str, Any]:
+        """Fields that answers of either kind have: the light, and all measures."""
+        scores: dict[str, float | None] = {}
+        terms: dict[str, np.ndarray] = {}
+        for measure in cls.measures():
+            if measure.terms_of and len(numbers := measure.terms_of(answers)):
+                terms[measure.terms] = numbers
+            values = measure.values(answers, terms.get(measure.terms))
+            scores |= zip(measure.keys, values, strict=True)
+        names = {field_.name for field_ in fields(cls)}
+        return {
+            "photons": answers.photons,
+            "noise": answers.noise,
+            "covers": answers.covers,
+            "images": len(answers.truth),
+            "draws": answers.draws,
+            "counts": answers.counts,
+            "arriving": answers.arriving,
+            "throughput": sum(answers.shares),
+            "photons_per_mask": [answers.photons * share for share in answers.shares],
+            "further": {
+                key: score
+                for key, score in scores.items()
+                if key not in names and score is not None
+            },
+            "image_terms": {name: numbers.tolist() for name, numbers in terms.items()},
+            **{key: score for key, score in scores.items() if key in names},
+        }
+
+
+@dataclass(frozen=True)
+class Result(_AnswerTest):
+    """Accuracy and counts of one design at one budget.
+
+    Attributes
+    ----------
+    photons : float
+        Budget Φ.
+    noise : str
+        Of this test.
+    accuracy, low, high : float
+        Mean over images and noise draws, and its 95 % interval (`accuracy_interval`).
+    covers : str
+        What the interval covers.
+    images, draws : int
+        Scenes, and independent noise draws of each.
+    balanced, balanced_low, balanced_high : float
+        Mean of the classes' accuracies, and its 95 % interval over test images
+        (`balanced_interval`).
+    rates : list of float or None
+        Accuracy of each class (recall); None where the test has no scene of it.
+    confusion : list of list of int
+        Rows true classes, columns predicted ones, over all draws.
+    calibration_error : float
+        Mean distance of confidence, the probability of the answer, and accuracy, over 15 groups of
+        answers of like confidence, all of one size.
+    log_loss : float
+        Mean of −ln p of the true class, in nats; a p below 1.2e-7 is taken for that.
+    counts : float
+        What the detectors count, in the mean over the test scenes: photons without dark counts,
+        or clicks.
+    arriving : float
+        Photons that reach the detectors, in the same mean: `counts`, but of detectors that click.
+    throughput : float
+        Share of the budget that reaches the detectors, in the training mean; where dwells are
+        chosen, at the training's budget. Of masks that are quantised for a test only, it is that
+        of the masks before.
+    photons_per_mask : list of float
+        Expected photons of each mask's rails together, in the training mean; likewise.
+    further, image_terms
+        As of `_AnswerTest`.
+
+    Examples
+    --------
+    >>> from deepfsi import evaluate, learn, load_dataset
+    >>> digits = load_dataset("digits")
+    >>> design = learn(digits, photons=1e4, masks=6, design="pca", training={"epochs": 1})
+    >>> [result] = evaluate(design, digits, 1e4, draws=2)
+    >>> result.images * result.draws == sum(map(sum, result.confusion))
+    True
+    """
+
+    kind = ClassAnswers
+    accuracy: float
+    balanced: float
+    balanced_low: float
+    balanced_high: float
+    rates: list[float | None]
+    confusion: list[list[int]]
+    calibration_error: float
+    log_loss: float
+
+    @classmethod
+    def of(cls, answers: ClassAnswers) -> Self:
+        """The result of answers."""
+        confusion = answers.confusion.tolist()
+        return cls(**cls._values(answers), rates=answers.rates, confusion=confusion)
+
+    @property
+    def right(self) -> list[float]:
+        """Share of the draws of each test image that is answered right, in their order.
+
+        By it designs are compared on the same images (`paired_difference`).
+        """
+        return self.image_terms.get("accuracy", [])
+
+    @property
+    def worst(self) -> int:
+        """Place of the class with the lowest accuracy."""
+        return worst_class(self.rates)
+
+
+@dataclass(frozen=True)
+class Estimates(_AnswerTest):
+    """A design that estimates q values, at one budget."""
+
+    kind = ValueAnswers
+    r2: float
+    values: list[str]  # names of the values
+    r2_each: list[float]  # R² of each value
+    rmse: list[float]
+    rmse_low: list[float]
+    rmse_high: list[float]
+    bound: list[float] | None
+
+    @classmethod
+    def of(cls, answers: ValueAnswers) -> Self:
+        """The result of answers."""
+        power = answers.squares.mean(axis=0)
+        spread = answers.squares.std(axis=0, ddof=min(len(answers.truth) - 1, 1))
+        half = Z_95 * spread / np.sqrt(len(answers.truth))
+        return cls(
+            **cls._values(answers),
+            values=list(answers.names),
+            r2_each=(1 - answers.losses.mean(axis=0)).tolist(),
+            rmse=np.sqrt(power).tolist(),
+            rmse_low=np.sqrt(np.clip(power - half, 0, None)).tolist(),
+            rmse_high=np.sqrt(power + half).tolist(),
+            bound=answers.bound,
+        )
+
+
+def lit_masks(rails_or_matrix: np.ndarray) -> int:
+    """Number of masks that have light in any rail, of rails (2 or 1, m, N) or a matrix (m, N)."""
+    lit = np.asarray(rails_or_matrix).any(axis=-1)
+    return int((lit.any(axis=0) if lit.ndim == 2 else lit).sum())
+
+
+def lit_text(masks: int, lit: float) -> str:
+    """Number of masks asked and lit: 24 asked, 16 lit: 8 have no time under this budget."""
+    dark = masks - lit
+    have = "has" if dark == 1 else "have"
+    return f"{masks} asked, {lit:.3g} lit: {dark:.3g} {have} no time under this budget"
+
+
+def score_text(result: Result | Estimates) -> str:
+    """Test accuracy, or R² of values, with its interval."""
+    main, *_ = result.measures()
+    words = f"{main.title} {_interval(result, main)}"
+    return words if isinstance(result, Estimates) else f"test {words}"
+
+
+def details_text(result: Result | Estimates, classes: Sequence[str]) -> str:
+    """Test of each class in words, or of each value."""
+    if isinstance(result, Estimates):
+        errors = ", ".join(map(" ".join, zip(result.values, _answers(result, ()), strict=True)))
+        return f"root mean squared error (of the best linear estimator): {errors}"
+    balanced = MEASURES["balanced"]
+    [worst] = _answers(result, classes)
+    return f"{balanced.title} {_interval(result, balanced)}, worst class {worst}"
+
+
+def results_lines(
+    tests: Sequence[Result | Estimates],
+    *,
+    title: str,
+    classes: Sequence[str] = (),
+    bounds: Sequence[Result] = (),
+) -> Iterator[str | Table]:
+    """Tests of a design in a table, its mistakes, and what the numbers mean."""
+    results = sorted(tests, key=lambda r: r.photons)
+    values = results[0].values if isinstance(results[0], Estimates) else []
+    clicks = any(result.clicks for result in results)
+    light = ("counts", "arriving") if clicks else ("counts",)
+    measures = [
+        measure
+        for measure in results[0].measures()
+        if measure.column
+        and (measure.interval or any(r.score(measure.key) is not None for r in results))
+    ]
+    main, *others = (measure for measure in measures if measure.interval)
+    last = [measure for measure in measures if not measure.interval]
+    rows = [
+        (
+            budget_text(r.photons),
+            _interval(r, main),
+            *(_number(r.score(measure.key)) for measure in others),
+            *_answers(r, classes),
+            *(count_text(getattr(r, name)) for name in light),
+            f"{r.throughput:.3f}",
+            *(_number(r.score(measure.key)) for measure in last),
+        )
+        for r in results
+    ]
+    names = map(short_name, values) if values else ("worst class",)
+    heads = (*(measure.column for measure in (main, *others)), *names, *light, "counted")
+    heads = ("photons", *heads, *(measure.column for measure in last))
+    yield Table(title, heads, rows)
+    if values:
+        yield "of each value: root mean squared error (that of the best linear estimator)"
+    for result in results:
+        if isinstance(result, Result):
+            yield _confusion_table(result, classes)
+    if bounds:
+        yield Table(
+            "ideal observer of these counts, training scenes as prior",
+            ("photons", main.column),
+            [
+                (budget_text(r.photons), _interval(r, main))
+                for r in sorted(bounds, key=lambda r: r.photons)
+            ],
+        )
+    yield f"± half of the 95 % interval: {results[0].covers}"
+    yield (
+        "counts: clicks of the detectors, arriving: photons that reach them, in the mean over test "
+        "scenes"
+        if clicks
+        else "counts: photons that detectors count, in the mean over test scenes"
+    )
+    reached = "reaches them" if clicks else "they count"
+    yield f"counted: share of the budget that {reached}, in the mean over training scenes"
+    yield from (measure.legend for measure in measures if measure.legend)
+
+
+def _confusion_table(result: Result, classes: Sequence[str]) -> Table:
+    """Which classes are taken for which; of many, the most frequent mistakes."""
+    where = f"at {budget_text(result.photons)} photons, % of the true class"
+    if len(classes) > MOST_CLASSES:
+        mistakes = [
+            (classes[i], classes[j], f"{100 * x:.1f}")
+            for i, j, x in frequent_confusions(result.confusion)
+        ]
+        return Table(f"most frequent mistakes {where}", ("true", "answered", "share"), mistakes)
+    rows = [
+        (short_name(name), *(f"{100 * x:.0f}" if x else "" for x in row))
+        for name, row in zip(classes, confusion_shares(result.confusion), strict=True)
+    ]
+    width = NAME_WIDTH if len(classes) <= 5 else 5
+    heads = ("true \\ answered", *(short_name(name, width) for name in classes))
+    return Table(f"answers {where}", heads, rows)
+
+
+def _interval(result: Result | Estimates, measure: Measure) -> str:
+    """A measure that has an interval, with half the width of it."""
+    return rate_text(*(result.score(key) or 0.0 for key in measure.keys))
+
+
+def _number(value: float | None) -> str:
+    """A measure without an interval, of answers that may not have it."""
+    return "–" if value is None else f"{value:.3f}"
+
+
+def _answers(result: Result | Estimates, classes: Sequence[str]) -> tuple[str, ...]:
+    """The worst class; or the error of each value, and that of the best linear estimator."""
+    if isinstance(result, Estimates):
+        errors = zip_longest(result.rmse, result.bound or ())
+        return tuple(error_text(*pair) for pair in errors)
+    return (worst_text(result.rates[result.worst] or 0.0, classes[result.worst]),)
+
+
+def error_text(rmse: float, bound: float | None) -> str:
+    """A root mean squared error, and in brackets a bound where there is one: 0.052 (0.071)."""
+    return f"{rmse:.3g}" if bound is None else f"{rmse:.3g} ({bound:.3g})"
+
+
+def worst_text(rate: float, name: str) -> str:
+    """Accuracy of the worst class with its name: 0.083 (oak)."""
+    return f"{rate:.3f} ({short_name(name)})"

@@ -1,1 +1,0 @@
-"""The camera: patterns for a micromirror device, photon files, a virtual laboratory (no torch)."""

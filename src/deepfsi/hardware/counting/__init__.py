@@ -1,1 +1,0 @@
-"""Photons to counts: frames found by markers, gates counted, counts corrected; tables, too."""

@@ -1,1 +1,0 @@
-"""The light of a run, checked against what it should be."""

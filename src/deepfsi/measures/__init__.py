@@ -1,1 +1,0 @@
-"""What answers are measured by: one table, and the results of tests made with it (no torch)."""

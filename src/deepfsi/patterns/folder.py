@@ -1,0 +1,512 @@
+"""Folder of patterns: rails of a design to binary frames, and back.
+
+manifest.json        device and frames (`Manifest`)
+mirrors.npy          mirrors ON in each cell of each mask's frame
+design.safetensors   the design, where there is one
+frames.npy, …        frames of all masks and sentinels, in the format of the export (`frames`)
+patterns.csv         the frames in the order in which they are shown, for those who load them
+settings.txt         of a DLPC900 and one-bit bitmaps: the same as pattern settings of TI's program
+                     DLPC900REF-SW: file, bits, exposure and dark time in µs, colour of the board's
+                     lamps, trigger in, trigger out 2
+"""
+
+import csv
+import io
+import json
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from itertools import chain
+from pathlib import Path
+from typing import Any, ClassVar, Self, get_args
+
+import numpy as np
+
+from deepfsi.base.arrays import npy_header, read_npy
+from deepfsi.base.errors import InputError, as_input_error, check_choice
+from deepfsi.base.files import (
+    check_disk_space,
+    check_unpacked,
+    hash_file,
+    new_folder,
+    read_regular,
+    read_text,
+)
+from deepfsi.base.progress import SILENT, Progress
+from deepfsi.base.quantities import plural, time_text
+from deepfsi.camera.device import LONGEST_PICTURE_S, Device
+from deepfsi.camera.layout import USUAL_LAYOUT, DmdLayout, find_grid
+from deepfsi.camera.names import LIGHT_LAWS, LightLawName
+from deepfsi.patterns.frames import (
+    AGAIN,
+    FRAME_FORMATS,
+    Format,
+    Selection,
+    make_frames,
+    recount,
+    unpack,
+)
+from deepfsi.patterns.manifest import MOST_FRAMES, SENTINELS, GatePlan, Manifest
+from deepfsi.patterns.rails import LEAST_DIMMED, DesignRails
+
+RED = 1
+"""Colour of the lamps in TI's program, which has no other for none. Light is from outside."""
+
+
+@dataclass(frozen=True)
+class Patterns:
+    """What a device shows: the manifest of its frames, and the mirrors ON in each cell.
+
+    Parameters
+    ----------
+    manifest : Manifest
+        Device, and frames in the order in which they are shown.
+    on : array of uint32 (f, N)
+        Mirrors ON in each cell of each mask's frame.
+    folder : path, optional
+        Folder that holds them.
+    design : bytes, optional
+        Design file that is written beside them.
+    """
+
+    DESIGN: ClassVar[str] = "design.safetensors"
+    """File of the design in a folder of patterns."""
+
+    manifest: Manifest
+    on: np.ndarray
+    folder: Path | None = None
+    design: bytes | None = None
+
+    @classmethod
+    def from_rails(
+        cls,
+        rails: DesignRails,
+        device: Device,
+        dwell_s: float,
+        *,
+        selection: Selection = "ordered",
+        seed: int = 0,
+        format: Format = "npy",
+        layout: DmdLayout = USUAL_LAYOUT,
+    ) -> Self:
+        """Patterns that show rails on a device, not written yet.
+
+        Where the shares of the exposure would sum to more than 1 (`column`), all are dimmed by the
+        common factor `manifest.dimmed`.
+
+        Parameters
+        ----------
+        rails : DesignRails
+            Rails of the design.
+        device : Device
+            Device that shows the frames.
+        dwell_s : float
+            Mean picture time of the masks' frames, seconds.
+        selection, seed
+            Choice of the mirrors of a grey cell, and the seed of a random one.
+        format
+            Files of the frames.
+        layout : DmdLayout
+            How the cells lie on the device.
+
+        Raises
+        ------
+        InputError
+            If the design is dark, or the device cannot show its frames.
+        """
+        if not 0 < dwell_s <= LONGEST_PICTURE_S:
+            raise InputError(
+                f"dwell {dwell_s!r} is not allowed: give seconds above 0, up to "
+                f"{LONGEST_PICTURE_S:g}"
+            )
+        check_choice("selection", selection, get_args(Selection))
+        check_choice("format", format, get_args(Format))
+        if format == "planes" and not device.packed:
+            raise InputError(
+                f"{device.name} takes no pictures of 24 bit-planes: use format npy, raw, png or bmp"
+            )
+        frames = rails.in_mirrors(find_grid(device, rails.image_shape, layout).mirrors)
+        if not frames.mask_rails:
+            raise InputError("every mask is dark, so there is nothing to show: give a lit design")
+        if len(frames.mask_rails) + SENTINELS > MOST_FRAMES:
+            raise InputError(f"more than {MOST_FRAMES} frames: give fewer masks")
+        dwells, light = frames.shares, rails.light
+        if rails.looks is not None:
+            dwells = np.array(rails.looks.first)[[mask for mask, _ in frames.mask_rails]]
+            light = "free-dwell"
+        pictures_us, sentinel_us = _times_us(device, dwell_s, dwells, light)
+        manifest = rails.manifest(
+            frames,
+            pictures_us=pictures_us,
+            sentinel_us=sentinel_us,
+            looks=rails.looks,
+            device=device,
+            selection=selection,
+            seed=seed,
+            format=format,
+            layout=layout,
+        )
+        manifest.check_limits()
+        return cls(manifest, frames.on, design=rails.file)
+
+    def write(self, folder: str | os.PathLike[str], progress: Progress = SILENT) -> Self:
+        """Write the frames into a new folder; gives the patterns with the frames' hashes.
+
+        Raises
+        ------
+        InputError
+            If the folder exists, or the disk is full; nothing is then written.
+        """
+        manifest = self.manifest
+        device = manifest.device
+        grid = manifest.grid
+        total = len(manifest.frames)
+        if manifest.format != "png":
+            hint = 'write `format="png"`, which is small'
+            check_disk_space(folder, total * device.frame_bytes, hint)
+        ends = np.full_like(self.on[0], grid.mirrors), np.zeros_like(self.on[0])
+        frames = make_frames(
+            chain(ends, self.on, ends), device, grid, manifest.selection, manifest.seed
+        )
+        hashes: list[str] = []
+
+        def hashed() -> Iterator[np.ndarray]:
+            for frame in frames:
+                hashes.append(sha256(frame.data).hexdigest())
+                yield frame
+                progress(len(hashes) / total)
+
+        with new_folder(folder) as draft:
+            FRAME_FORMATS[manifest.format].write(draft, hashed(), total, device)
+            shown = tuple(
+                frame.model_copy(update={"sha256": digest})
+                for frame, digest in zip(manifest.frames, hashes, strict=True)
+            )
+            manifest = manifest.model_copy(update={"frames": shown})
+            digest = _digest(manifest.model_dump_json())
+            manifest = manifest.model_copy(update={"sha256": digest})
+            mirrors = np.ascontiguousarray(self.on, "<u4")
+            # numpy.save loses what a disk cannot take
+            with (draft / "mirrors.npy").open("wb") as file:
+                file.write(npy_header("<u4", mirrors.shape))
+                file.write(mirrors.data)
+            if self.design is not None:
+                (draft / self.DESIGN).write_bytes(self.design)
+            (draft / "manifest.json").write_bytes(manifest.model_dump_json(indent=1).encode())
+            for name, table in _tables(manifest).items():
+                (draft / name).write_bytes(table.encode())
+        return replace(self, manifest=manifest, folder=Path(folder))
+
+    @classmethod
+    def read(cls, folder: str | os.PathLike[str]) -> Self:
+        """Read the patterns of a folder, without its frames.
+
+        Raises
+        ------
+        InputError
+            If they were changed after they were written.
+        """
+        path = Path(folder) / "manifest.json"
+        content = read_text(path, 2**29, "make patterns with `deepfsi dmd export`")
+        with as_input_error(str(path), AGAIN, content):
+            manifest = Manifest.model_validate_json(content)
+        if manifest.sha256 not in (None, _digest(content)):
+            raise InputError(
+                f"{path} was changed after it was written: export the patterns again, or remove "
+                "its sha256 to use it as it is"
+            )
+        shape = (len(manifest.shown), math.prod(manifest.image_shape))
+        counts = Path(folder) / "mirrors.npy"
+        on = read_npy(counts)
+        stored = np.ascontiguousarray(on, "<u4")
+        if (
+            on.shape != shape
+            or on.dtype != np.uint32
+            or sha256(stored.data).hexdigest() != manifest.mirrors_sha256
+        ):
+            raise InputError(
+                f"{counts} was changed after it was written: export the patterns again, or copy it "
+                "from the patterns that were shown"
+            )
+        numbers = manifest.rails * manifest.masks * on.shape[1]
+        check_unpacked(numbers, on.nbytes, f"the masks of {path}", AGAIN)
+        if on.max(initial=0) > manifest.grid.mirrors:
+            raise InputError(
+                f"{counts} has cells with more than their {manifest.grid.mirrors} mirrors: {AGAIN}"
+            )
+        return cls(manifest, on, Path(folder))
+
+    def frames(self) -> Iterator[np.ndarray]:
+        """Packed frames of the folder in their order, uint8 (rows, bytes of a row) each.
+
+        Raises
+        ------
+        InputError
+            If a frame is not the one that was exported.
+        """
+        manifest = self.manifest
+        assert self.folder is not None
+        stored = FRAME_FORMATS[manifest.format].read(
+            self.folder, len(manifest.frames), manifest.device
+        )
+        for index, (packed, frame) in enumerate(zip(stored, manifest.frames, strict=True)):
+            if sha256(packed.data).hexdigest() != frame.sha256:
+                raise InputError(
+                    f"frame {index} of {self.folder} ({frame}) is not what was exported: {AGAIN}"
+                )
+            yield packed
+
+    def check(self, progress: Progress = SILENT) -> Self:
+        """Compare every file of the folder with the manifest and the mirrors ON."""
+        manifest = self.manifest
+        folder = self.folder
+        assert folder is not None
+        manifest.check_limits()
+        masks = iter(self.on)
+        for index, packed in enumerate(self.frames()):
+            frame = manifest.frames[index]
+            all_on = manifest.grid.mirrors * (frame.role == "on")
+            wanted = next(masks) if frame.role == "mask" else all_on
+            lit = unpack(packed, manifest.device) ^ manifest.layout.invert
+            on = recount(lit, manifest.grid)
+            if (on != wanted).any() or np.count_nonzero(lit) != on.sum():
+                raise InputError(
+                    f"frame {index} of {folder} ({frame}) does not show what manifest.json and "
+                    f"mirrors.npy say: {AGAIN}"
+                )
+            progress((index + 1) / len(manifest.frames))
+        for name, table in _tables(manifest).items():
+            content = table.encode()
+            if read_regular(folder / name, 2 * len(content), AGAIN) != content:
+                raise InputError(f"{folder / name} does not say what manifest.json says: {AGAIN}")
+        design = folder / self.DESIGN
+        if manifest.design_sha256 and hash_file(design) != manifest.design_sha256:
+            raise InputError(f"{design} is not the one that was exported: {AGAIN}")
+        return self
+
+    @property
+    def fractions(self) -> np.ndarray:
+        """Share of each cell's mirrors that are ON, k / K, float64 (f, N)."""
+        return self.on / self.manifest.grid.mirrors
+
+    @property
+    def rails(self) -> np.ndarray:
+        """Realised rails, float64 (rails, m, N): share of each pixel's photons."""
+        manifest = self.manifest
+        lit = np.stack([self.fractions, 1 - self.fractions])
+        rail, mask, column, arm = manifest.read
+        out = np.zeros((manifest.rails, manifest.masks, self.on.shape[1]))
+        out[rail, mask] = manifest.shares[column, None] * lit[arm, column]
+        return out
+
+    @property
+    def realised(self) -> tuple[np.ndarray, tuple[int, ...], float]:
+        """Rails, image shape and dimming, as `Design.as_shown` takes them."""
+        return self.rails, self.manifest.image_shape, self.manifest.dimmed
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only: what is shown, for how long, and what it costs."""
+        manifest = self.manifest
+        device = manifest.device
+        cost = self._cost
+        return {
+            "frames": len(manifest.frames),
+            "mask_frames": len(manifest.shown),
+            "mean_picture_s": float(manifest.picture_s[manifest.shown].mean()),
+            "pass_s": manifest.pass_s,
+            "longest_exposure_s": None if cost is None else self._longest_s,
+            "uncounted": cost,
+            "dimmed": manifest.dimmed,
+            "looks": manifest.looks.count if manifest.looks else 1,
+            "load_s": device.load_us and device.load_us * 1e-6,
+            "device": device.name,
+            "cell": [manifest.grid.height, manifest.grid.width],
+            "aspect": manifest.grid.aspect,
+            "used": manifest.used,
+            "layout": manifest.layout.model_dump(),
+            "most_frames": device.patterns,
+            "picture_us": self._shortest_and_longest_us,
+            "departures": manifest.departures,
+        }
+
+    def lines(self) -> Iterator[str]:
+        """Say what is shown, for how long, what it costs, and whether the device can."""
+        manifest = self.manifest
+        device = manifest.device
+        grid = manifest.grid
+        yield from self._pass_lines()
+        shape = f"{grid.aspect:.3g} times as wide as high"
+        if abs(grid.aspect - 1) < 1e-9:
+            shape = "square"
+        layout = manifest.layout
+        turned = "; flipped" if layout.flip else ""
+        if layout.rotate:
+            turned += f"; turned by {layout.rotate} degrees clockwise"
+        if layout.invert:
+            turned += "; 1 is OFF in the files"
+        yield (
+            f"cells of {grid.width} x {grid.height} mirrors, {shape}, on "
+            f"{grid.across * grid.width} x {grid.down * grid.height} of {device.columns} x "
+            f"{device.rows} mirrors: {manifest.used:.1%} of the device's light is used{turned}"
+        )
+        longest = f" to {device.longest_us}"
+        if device.longest_us == LONGEST_PICTURE_S * 1e6:
+            longest = " or more"
+        held = "" if device.patterns is None else f" of {device.patterns}"
+        low, high = self._shortest_and_longest_us
+        yield (
+            f"limits of {device.name}: {len(manifest.frames)} frames{held}, pictures of {low} to "
+            f"{high} µs ({device.shortest_us}{longest} allowed)"
+        )
+        for departure in manifest.departures:
+            yield f"beyond its documents: {departure}"
+        if manifest.dimmed < LEAST_DIMMED:
+            yield (
+                f"cost in light: one device shows a {manifest.light} design with "
+                f'{manifest.dimmed:.3g} of its light; learn it with `light="free-dwell"` or '
+                "equal-dwell instead"
+            )
+
+    @property
+    def _shortest_and_longest_us(self) -> list[int]:
+        """Shortest and longest picture time, µs."""
+        times = [frame.picture_us for frame in self.manifest.frames]
+        return [min(times), max(times)]
+
+    @property
+    def _longest_s(self) -> float:
+        """Longest exposure that the frames hold, seconds."""
+        return self.manifest.longest_exposure_s(self.manifest.device.settle_us * 1e-6)
+
+    @property
+    def _cost(self) -> dict[str, float] | None:
+        """Shares of a pass that this exposure does not count; None of adaptive masks."""
+        manifest = self.manifest
+        if manifest.looks is not None:
+            return None
+        gates = GatePlan.of(manifest, self._longest_s)
+        masks_s = float(manifest.picture_s[manifest.shown].sum())
+        settling_s = gates.settle_s * len(manifest.shown)
+        idle_s = masks_s - settling_s - gates.repeats * float(gates.length_s.sum())
+        total_s = manifest.pass_s
+        return {
+            "sentinels": (total_s - masks_s) / total_s,
+            "settling": settling_s / total_s,
+            "idle": max(idle_s, 0.0) / total_s,
+        }
+
+    def _pass_lines(self) -> Iterator[str]:
+        """Say the frames of a pass, its longest exposure and what it costs."""
+        manifest = self.manifest
+        device = manifest.device
+        looks = manifest.looks
+        frames = (
+            f"{plural(len(manifest.shown), 'frame')} of masks and "
+            f"{len(manifest.frames) - len(manifest.shown)} all-ON and all-OFF ones"
+        )
+        cost = self._cost
+        if looks and looks.dictionary:
+            yield (
+                f"{frames}: {plural(looks.count, 'look')}, each at one of these masks by its "
+                "index, so that nothing is loaded between looks; show them with `deepfsi camera "
+                "live`"
+            )
+            if device.packed:
+                yield (
+                    f"virtual devices alone show them: the driver of {device.name} shows its "
+                    "table from the beginning, and no frame by its index"
+                )
+        elif looks:
+            yield (
+                f"{frames}: the mask of the first look, of {looks.count}; a live run loads a new "
+                f"one before each look, {device.load_us} µs a frame on {device.name}, in which no "
+                "photon is counted; show them with `deepfsi camera live`"
+            )
+        elif cost is not None:
+            reason = f"no picture is shorter than {device.shortest_us} µs"
+            if device.video_us:
+                reason = "all pictures last as long as the longest"
+            yield (
+                f"{frames}, {time_text(manifest.pass_s)} a pass, exposures up to "
+                f"{time_text(self._longest_s)}"
+            )
+            yield (
+                f"cost in time: at that exposure {sum(cost.values()):.1%} of a pass is not "
+                f"counted: {cost['sentinels']:.1%} for all-ON and all-OFF frames, "
+                f"{cost['settling']:.1%} for mirrors to settle, {cost['idle']:.1%} since {reason}"
+            )
+
+
+def _times_us(
+    device: Device, dwell_s: float, shares: np.ndarray, light: LightLawName
+) -> tuple[list[int], int]:
+    """Picture times of the masks' frames and of a sentinel, µs: one for all in a video."""
+    # Under `equal-dwell` all frames last the mean time. Otherwise what a picture lasts beyond the
+    # time to settle is in proportion to its share (f,) of the exposure. Times are rounded up to
+    # whole microseconds and to the device's shortest
+    mean = max(dwell_s * 1e6, device.shortest_us)
+    rest = mean - device.settle_us
+    if rest <= 0:
+        raise InputError(
+            f"pictures of {mean:g} µs leave no time after the {device.settle_us:g} µs in which "
+            "mirrors settle: give a longer --exposure"
+        )
+    wanted = device.settle_us + rest * len(shares) * shares / shares.sum()
+    if LIGHT_LAWS[light].equal_times:
+        wanted = np.full(len(shares), mean)
+    elif wanted.max() > device.longest_us:
+        raise InputError(
+            f"with pictures of {time_text(dwell_s)} in the mean the longest picture takes "
+            f"{time_text(wanted.max() / 1e6)}, and {device.name} allows "
+            f"{time_text(device.longest_us / 1e6)}: give a shorter --exposure"
+        )
+    # Rounded to 1e-6 µs first: floating point adds less
+    pictures = [max(device.shortest_us, math.ceil(round(us, 6))) for us in wanted.tolist()]
+    sentinel = max(device.shortest_us, math.ceil(round(dwell_s * 1e6, 6)))
+    if not device.video_us:
+        return pictures, sentinel
+    total = len(shares) + SENTINELS
+    together = device.packed_frames(total)
+    one = max(*pictures, sentinel, -(-device.video_us // together))
+    if one > device.longest_us:
+        raise InputError(
+            f"{total} frames, {together} in each picture of the video, would last {one} µs "
+            f"each, and {device.name} shows {device.longest_us} at most: give a shorter "
+            f"--exposure, or masks that make with {SENTINELS} sentinels a multiple of more "
+            "frames"
+        )
+    return [one] * len(pictures), one
+
+
+def _tables(manifest: Manifest) -> dict[str, str]:
+    """Files that say how the frames are shown, for those who load them: name and content."""
+    device = manifest.device
+    # A controller of the DLPC347x family turns all mirrors OFF between frames, for the time in
+    # which they settle; the others change from frame to frame
+    dark = round(device.settle_us) if device.controller == "dlpc347x" else 0
+    out = io.StringIO()
+    rows = csv.writer(out, lineterminator="\n")
+    heads = ("pattern", "image", "bit", "exposure_us", "dark_us", "trigger_out", "new_image")
+    rows.writerow([*heads, "shows", "settle_us"])
+    settings = ["Normal Mode"]
+    form = FRAME_FORMATS[manifest.format]
+    for place, frame in enumerate(manifest.frames):
+        image, bit = form.location(place, len(manifest.frames), device)
+        exposure = frame.picture_us - dark
+        where = [place, image, "" if bit is None else bit]
+        new_image = int(not bit)
+        shown = [str(frame), f"{device.settle_us:g}"]
+        rows.writerow([*where, exposure, dark, 1, new_image, *shown])
+        settings.append(f"{image},1,{exposure},{dark},{RED},0,1")
+    tables = {"patterns.csv": out.getvalue()}
+    if (device.controller, manifest.format) == ("dlpc900", "bmp"):
+        tables["settings.txt"] = "\n".join([*settings, ""])
+    return tables
+
+
+def _digest(manifest: str | bytes) -> str:
+    """Hash of a manifest's JSON but for the hash itself, whatever its layout."""
+    content = {key: value for key, value in json.loads(manifest).items() if key != "sha256"}
+    return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,371 @@
+"""Frames: which mirrors of each cell are ON, their packed bits, and the files that hold them.
+
+A cell's grey level is the number `k` of its `K` mirrors that are ON, exact in both selections.
+`ordered` takes the first k of a fixed order in which every beginning is spread evenly over the
+cell, so that k/K of the light is taken even where a scene varies within a cell; `random` takes any
+k, drawn anew for each cell of each frame.
+
+Bits are packed along rows, the leftmost mirror in the highest bit of a byte, ON as 1 unless the
+layout inverts them; each row begins a new byte.
+
+`FRAME_FORMATS` is the table of files. Another one is a class with the methods of `_Pictures`, and
+its line in the table:
+
+npy    frames.npy, uint8 (frames, rows, bytes of a row)
+raw    frames.bin, the same bytes without the header, top row first
+png    frames/0000.png ..., one bit a pixel, ON white
+bmp    frames/0000.bmp ..., the same as Windows bitmaps, which programs of controllers read
+planes images/0000.bmp ..., 24 bits a pixel: each bit of a pixel is a mirror of another frame
+"""
+
+import io
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from deepfsi.base.arrays import npy_header
+from deepfsi.base.errors import InputError
+from deepfsi.base.files import open_regular
+from deepfsi.camera.device import Device
+from deepfsi.camera.layout import DmdGrid
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+Selection = Literal["ordered", "random"]
+"""Choice of the mirrors of a grey cell."""
+
+POTENTIAL_UNIT = 2**15
+"""Repelling potential of a mirror on itself in each direction, in the whole numbers used."""
+
+
+def make_frames(
+    on: Iterable[np.ndarray],
+    device: Device,
+    grid: DmdGrid,
+    selection: Selection = "ordered",
+    seed: int = 0,
+) -> Iterator[np.ndarray]:
+    """Make packed frames, one at a time."""
+    counts = (frame[grid.pixels] for frame in on)  # (down, across)
+    aligned = grid.width % 8 == 0 == grid.left % 8  # every cell begins and ends with a byte
+    table_bits = (grid.mirrors + 1) * grid.mirrors
+    if selection == "random":
+        frames = _draw(counts, device, grid, np.random.default_rng(seed))
+    # Largest table of every grey level of a cell, packed; larger ones are not worth their memory
+    elif aligned and table_bits <= 8 * 2**24:
+        frames = _look_up(counts, device, grid)
+    else:
+        frames = _compare(counts, device, grid)
+    for frame in frames:
+        yield _as_written(frame, device, grid)
+
+
+def make_frame(on: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
+    """Make the packed frame of cells (N,) that have all mirrors ON where true, or else none."""
+    sides = grid.down, grid.height, grid.across, grid.width
+    lit = np.broadcast_to(on[grid.pixels][:, None, :, None], sides)
+    return _as_written(_pack(lit, device, grid), device, grid)
+
+
+def _as_written(frame: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
+    """Packed frame as the layout has it: inverted, or as it is."""
+    if not grid.layout.invert:
+        return frame
+    return frame ^ np.packbits(np.ones((device.rows, device.columns), dtype=np.bool_), axis=1)
+
+
+def unpack(frame: np.ndarray, device: Device) -> np.ndarray:
+    """Mirrors, bool (rows, columns), True where a packed frame (rows, bytes of a row) has a 1."""
+    return np.unpackbits(frame, axis=1, count=device.columns).view(np.bool_)
+
+
+def recount(mirrors: np.ndarray, grid: DmdGrid) -> np.ndarray:
+    """Mirrors ON in each cell, uint32 (N,), of a frame's mirrors, bool (rows, columns)."""
+    window = mirrors[grid.window].view(np.uint8)
+    cells = window.reshape(grid.down, grid.height, grid.across, grid.width)
+    out = np.empty(grid.pixels.size, dtype=np.uint32)
+    out[grid.pixels] = cells.sum(axis=(1, 3), dtype=np.uint32)
+    return out
+
+
+@lru_cache(maxsize=4)
+def order_mirrors(height: int, width: int) -> np.ndarray:
+    """Number of each mirror of a cell in the order in which grey levels switch them ON."""
+    # Each next mirror is the one that brings the mean of a repelling potential over the mirrors
+    # chosen closest to its mean over the whole cell (kernel herding), so that every beginning of
+    # the order represents the cell. Of very large cells whole blocks of mirrors are chosen, as
+    # often as they have mirrors, and each gives those in an order of its own. Places are 0 to
+    # height · width - 1, each once, in an array (height, width) that is read only
+    rows = height
+    columns = width
+    # Most mirrors of a cell that are put in order one by one: the time grows with the square
+    while rows * columns > 2**12:
+        if rows > columns:
+            rows = -(-rows // 2)
+        else:
+            columns = -(-columns // 2)
+    down = np.arange(height) * rows // height
+    across = np.arange(width) * columns // width
+    block = np.add.outer(down * columns, across).ravel()
+    chosen = _herd(np.bincount(down), np.bincount(across))
+    order = np.empty(height * width, dtype=np.uint32)
+    order[np.lexsort((_inside(down, across), block))] = np.argsort(chosen, kind="stable")
+    order.flags.writeable = False
+    return order.reshape(height, width)
+
+
+def _inside(down: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Order of each mirror in its block; neighbouring blocks are mirror images."""
+    places = []
+    for axis in (down, across):
+        most = np.bincount(axis).max()
+        place = np.arange(len(axis)) - np.searchsorted(axis, axis)
+        places.append(np.where(axis % 2, most - 1 - place, place))
+    most = tuple(int(place.max()) + 1 for place in places)
+    if most == (1, 1):
+        return np.zeros(len(down) * len(across), dtype=np.uint32)
+    return order_mirrors(*most)[np.ix_(*places)].ravel()
+
+
+def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """Blocks of a cell in the order of herding, each as often as it has mirrors."""
+    # In whole numbers, so that every machine finds the same. They are exact although sums may pass
+    # 64 bits on the way: what is compared is small, and what wraps around comes back
+    near = []
+    for sides in (heights, widths):
+        centre = (np.cumsum(sides) - sides / 2) / sides.sum()
+        distance = np.abs(np.subtract.outer(centre, centre))
+        # Length over which mirrors repel each other, in sides of a cell
+        near.append(np.rint(POTENTIAL_UNIT * np.exp(-distance / 0.3)).astype(np.int64))
+    down, across = near
+    free = np.outer(heights, widths)
+    mirrors = int(free.sum())
+    wanted = 2 * np.outer(down @ heights, across @ widths)
+    excess = np.full(free.shape, POTENTIAL_UNIT**2 * mirrors)
+    chosen = np.empty(mirrors, dtype=np.intp)
+    for place in range(mirrors):
+        excess -= wanted
+        chosen[place] = excess.argmin()
+        row, column = divmod(int(chosen[place]), len(widths))
+        excess += np.outer(down[row], 2 * mirrors * across[column])
+        free[row, column] -= 1
+        if not free[row, column]:
+            excess[row, column] = 2**62  # beyond what any other reaches
+    return chosen
+
+
+def _look_up(on: Iterable[np.ndarray], device: Device, grid: DmdGrid) -> Iterator[np.ndarray]:
+    """Frames put together from packed cells, one for each grey level."""
+    order = order_mirrors(grid.height, grid.width)
+    levels = np.arange(grid.mirrors + 1)[:, None, None]
+    tiles = np.concatenate(
+        [np.packbits(order < batch, axis=2) for batch in np.array_split(levels, 64)]
+    ).transpose(1, 0, 2)
+    rows_of_cells = np.ascontiguousarray(tiles).view(f"V{grid.width // 8}")[..., 0]
+    for counts in on:
+        frame = np.zeros(device.frame_shape, dtype=np.uint8)
+        rows = frame[grid.top : grid.top + grid.down * grid.height]
+        left = grid.left // 8
+        window = rows[:, left : left + grid.across * grid.width // 8]
+        cells = rows_of_cells[:, counts]
+        shape = grid.down, grid.height, grid.across * grid.width // 8
+        window.reshape(shape)[...] = cells.transpose(1, 0, 2).copy().view(np.uint8).reshape(shape)
+        yield frame
+
+
+def _compare(on: Iterable[np.ndarray], device: Device, grid: DmdGrid) -> Iterator[np.ndarray]:
+    """Frames from comparing each mirror's place in the order with its cell's count."""
+    order = order_mirrors(grid.height, grid.width)[None, :, None, :]
+    for counts in on:
+        lit = order < counts[:, None, :, None]
+        yield _pack(lit, device, grid)
+
+
+def _draw(
+    on: Iterable[np.ndarray], device: Device, grid: DmdGrid, rng: np.random.Generator
+) -> Iterator[np.ndarray]:
+    """Frames with mirrors drawn at random, as many as counted."""
+    places = np.arange(grid.mirrors, dtype=np.uint32)
+    for counts in on:
+        lit = places < counts.reshape(-1, 1)
+        grey = ((counts > 0) & (counts < grid.mirrors)).ravel()
+        lit[grey] = rng.permuted(lit[grey], axis=1)
+        cells = lit.reshape(grid.down, grid.across, grid.height, grid.width)
+        yield _pack(cells.transpose(0, 2, 1, 3), device, grid)
+
+
+def _pack(lit: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
+    """Packed frame of mirrors (down, height, across, width)."""
+    mirrors = np.zeros((device.rows, device.columns), dtype=np.bool_)
+    mirrors[grid.window] = lit.reshape(grid.down * grid.height, grid.across * grid.width)
+    return np.packbits(mirrors, axis=1)
+
+
+# Files -------------------------------------------------------------------------------------------
+
+AGAIN = "export the patterns again"
+"""Way on where a file of a folder is not what was exported."""
+
+
+@dataclass(frozen=True)
+class _OneFile:
+    """All frames in one file, with the header of a numpy file or without."""
+
+    name: str
+    header: bool
+
+    def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
+        """Write a number of packed frames as they come."""
+        with (folder / self.name).open("wb") as stream:
+            if self.header:
+                stream.write(npy_header("|u1", (total, *device.frame_shape)))
+            for frame in frames:
+                stream.write(frame.data)
+
+    def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
+        """Read the packed frames back in their order."""
+        path = folder / self.name
+        shape = device.frame_shape
+        header = npy_header("|u1", (total, *shape)) if self.header else b""
+        with open_regular(path, advice=AGAIN) as file:
+            size = os.fstat(file.fileno()).st_size - len(header)
+            if file.read(len(header)) != header or size != total * device.frame_bytes:
+                raise InputError(f"{path} does not hold the {total} frames of the export: {AGAIN}")
+            for _ in range(total):
+                content = file.read(device.frame_bytes)
+                yield np.frombuffer(content, dtype=np.uint8).reshape(shape)
+
+    def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
+        """File of a frame; no bit, as it holds all frames."""
+        return self.name, None
+
+
+@dataclass(frozen=True)
+class _Pictures:
+    """A picture of one bit a pixel for each frame."""
+
+    ending: Literal["png", "bmp"]
+
+    def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
+        """Write a number of packed frames as they come."""
+        from PIL import Image
+
+        options = {"compress_level": 1} if self.ending == "png" else {}  # no larger
+        (folder / "frames").mkdir()
+        for index, frame in enumerate(frames):
+            picture = Image.frombytes("1", (device.columns, device.rows), frame.tobytes())
+            name, _ = self.location(index, total, device)
+            _save_picture(picture, folder / name, **options)
+
+    def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
+        """Read the packed frames back in their order."""
+        for index in range(total):
+            name, _ = self.location(index, total, device)
+            content = _read_picture(folder / name, device, "1").tobytes()
+            yield np.frombuffer(content, dtype=np.uint8).reshape(device.frame_shape)
+
+    def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
+        """File of a frame, numbered with as many digits as the last one, and the bit in it."""
+        digits = max(4, len(str(total - 1)))
+        return f"frames/{index:0{digits}d}.{self.ending}", 0
+
+
+class _Planes:
+    """Frames as the bit-planes of 24-bit pictures, for controllers that take them so.
+
+    Frames fill the pictures in the order in which they are shown. `Device.planes` says which
+    colours hold bit positions 0 to 7, 8 to 15 and 16 to 23, each colour's lowest bit first.
+    """
+
+    def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
+        """Write a number of packed frames as they come."""
+        from PIL import Image
+
+        (folder / "images").mkdir()
+        for image, picture in enumerate(self.pictures(frames, total, device)):
+            _save_picture(Image.fromarray(picture), folder / f"images/{image:04d}.bmp")
+
+    def pictures(
+        self, frames: Iterable[np.ndarray], total: int, device: Device
+    ) -> Iterator[np.ndarray]:
+        """Pictures of frames, uint8 (rows, columns, red green blue), as the frames come."""
+        together = device.packed_frames(total)
+        picture = np.zeros((device.rows, device.columns, 3), np.uint8)
+        for index, frame in enumerate(frames):
+            bit = index % together
+            lit = np.unpackbits(frame, axis=1, count=device.columns)
+            picture[..., self._channel(device, bit)] |= lit << bit % 8
+            if bit == together - 1 or index == total - 1:
+                yield picture
+                picture = np.zeros_like(picture)
+
+    def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
+        """Read the packed frames back in their order."""
+        for index in range(total):
+            name, bit = self.location(index, total, device)
+            if bit == 0:
+                picture = np.asarray(_read_picture(folder / name, device, "RGB"))
+            yield np.packbits(picture[..., self._channel(device, bit)] >> bit % 8 & 1, axis=1)
+
+    def location(self, index: int, total: int, device: Device) -> tuple[str, int]:
+        """File of a frame, and the bit position in it."""
+        image, bit = divmod(index, device.packed_frames(total))
+        return f"images/{image:04d}.bmp", bit
+
+    @staticmethod
+    def _channel(device: Device, bit: int) -> int:
+        """Number of a bit position's colour among red, green and blue."""
+        return "RGB".index(device.planes[bit // 8])
+
+
+Format = Literal["npy", "raw", "png", "bmp", "planes"]
+"""Files of the frames."""
+
+PLANES_FORMAT = _Planes()
+
+FRAME_FORMATS: dict[Format, _OneFile | _Pictures | _Planes] = {
+    "npy": _OneFile("frames.npy", header=True),
+    "raw": _OneFile("frames.bin", header=False),
+    "png": _Pictures("png"),
+    "bmp": _Pictures("bmp"),
+    "planes": PLANES_FORMAT,
+}
+"""Files of frames by name."""
+
+
+def _save_picture(picture: "Image", path: Path, **options: int) -> None:
+    """Write a picture in the format that its name ends in."""
+    from PIL import Image
+
+    file = io.BytesIO()  # Pillow itself loses what a full disk does not take
+    picture.save(file, Image.registered_extensions()[path.suffix], **options)
+    path.write_bytes(file.getvalue())
+
+
+def _read_picture(path: Path, device: Device, mode: str) -> "Image":
+    """Picture of a frame, or of several, that has a device's size and this mode."""
+    from PIL.BmpImagePlugin import BmpImageFile
+    from PIL.PngImagePlugin import PngImageFile
+
+    opener = PngImageFile if path.suffix == ".png" else BmpImageFile
+    with open_regular(path, 2**31, AGAIN) as file:
+        try:
+            picture = opener(file)
+            fits = (picture.mode, picture.size) == (mode, (device.columns, device.rows))
+            if fits:
+                picture.load()
+        except (OSError, SyntaxError, ValueError) as error:
+            raise InputError(f"{path} cannot be read ({error}): {AGAIN}") from None
+    if not fits:
+        depth = "one bit" if mode == "1" else "24 bits"
+        raise InputError(
+            f"{path} is a {picture.size[0]} x {picture.size[1]} {picture.format} of mode "
+            f"{picture.mode}, not {device.columns} x {device.rows} at {depth} a pixel: {AGAIN}"
+        )
+    return picture

@@ -1,0 +1,165 @@
+"""No fault of the light goes by in silence, and sound light is not called faulty.
+
+`DEEPFSI_LIGHT` asks for more recordings than the few of every run: 1000 of either kind are meant.
+"""
+
+import os
+
+import numpy as np
+import pytest
+from light_faults import FAULTS, Lit, patterns_of, while_in
+from scipy.stats import binom
+
+from deepfsi.base.errors import InputError
+from deepfsi.camera.detectors import DetectorMap
+from deepfsi.counting import checks, flux
+from deepfsi.counting.checks import find_lateness
+from deepfsi.counting.counts import Counts
+from deepfsi.counting.flux import FALSE_ALARMS
+from deepfsi.counting.recording import Recording
+
+RECORDINGS = int(os.environ.get("DEEPFSI_LIGHT", "45"))
+LIGHTS = ("free-dwell", "two-arm")
+LARGEST_ERROR = 0.35
+"""Of the features of a scene that is classified, rms, apart from photon noise."""
+
+TOLERATED_ERROR = 0.17
+"""What is left alone (0.05) and the brightness of a scene that is alone (0.12)."""
+
+LEAST_TOLD = 0.99
+"""Share of faulty recordings in which no scene is off by more than that.
+
+The rest cannot be told by any test: a lamp that fades slowly looks like scenes in order of
+brightness, and one with the rhythm of the passes shows each frame the same light each time.
+"""
+
+WEAK = ("lamp_flickers", "stray_burst")
+"""Faults that may be weak in all-ON and all-OFF frames, and then stay behind masks."""
+
+FLICKER_TOLD = 0.85
+"""That share of a lamp with a rhythm: only all-ON and all-OFF frames are compared."""
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    home = tmp_path_factory.mktemp("light")
+    return {light: (home / light, patterns_of(home / light, light)) for light in LIGHTS}
+
+
+@pytest.fixture
+def counted(shown, tmp_path):
+    """Counts of a random recording, or None where it is refused."""
+
+    def make(seed: int, *, light: str = "", fault: str = "") -> tuple[Lit, Counts | None]:
+        folder, patterns = shown[light or LIGHTS[seed % 2]]
+        lit = Lit.sound(patterns, np.random.default_rng(seed))
+        if fault:
+            FAULTS[fault](lit)
+        run = tmp_path / f"{fault}-{seed}"
+        lit.record(run, folder)
+        try:
+            return lit, Recording.read(run).count()
+        except InputError:
+            return lit, None
+
+    return make
+
+
+def usable(counts: Counts) -> np.ndarray:
+    return counts.valid.any(axis=1) & ~counts.spoilt
+
+
+NAMES = {
+    "lamp_off": {"dark"},
+    "lamp_steps": {"level", "unsteady"},
+    "lamp_decays": {"level"},
+    "lamp_flickers": {"flicker", "unsteady"},
+    "lamp_sags": {"unsteady"},
+    "stray_burst": {"unsteady", "brighter"},
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_no_fault_of_the_light_goes_by_in_silence(counted, fault):
+    """A scene is classified only where its features are right, and the fault has its name."""
+    named, kinds, off, number = 0, set(), [], RECORDINGS // len(FAULTS)
+    for seed in range(number):
+        lit, counts = counted(seed + 1000 * list(FAULTS).index(fault), fault=fault)
+        named += counts is None or bool(counts.faults)
+        kinds |= {each.kind for each in counts.faults} if counts else set()
+        worst = 0.0 if counts is None else lit.errors(counts)[usable(counts)].max(initial=0)
+        assert worst < LARGEST_ERROR or fault in WEAK, (fault, seed)
+        if worst > TOLERATED_ERROR:
+            off.append((seed, worst))
+    assert named > 0
+    assert kinds & NAMES[fault]
+    told = FLICKER_TOLD if fault == "lamp_flickers" else LEAST_TOLD
+    assert len(off) <= binom.isf(1e-6, number, 1 - told), off
+
+
+def test_sound_light_is_not_called_faulty(counted):
+    """Of n recordings, so few are that their stated chance gives more in one of 10⁶ tries."""
+    found = []
+    for seed in range(RECORDINGS):
+        lit, counts = counted(seed + 10**6)
+        assert counts is not None
+        if counts.faults:
+            found.append((seed, [str(fault) for fault in counts.faults]))
+        assert lit.errors(counts)[usable(counts)].max() < TOLERATED_ERROR
+    assert len(found) <= binom.isf(1e-6, RECORDINGS, FALSE_ALARMS), found
+
+
+@pytest.mark.parametrize("seconds", [0.01, 4.0])
+def test_law_few_photons_alone_are_no_gain(seconds):
+    """Shares of 120 photons a scene err by a tenth and more; half of the light is no error."""
+    rng, scenes = np.random.default_rng(6), 3
+    known = DetectorMap(count=2, shares=((0.5, 0.5), (0.4, 0.6)), spread=(0.0, 0.0))
+
+    def found(gain: float, mean: float) -> list:
+        detectors = []
+        for share in (0.5 * gain, 0.5):
+            photons = rng.poisson(mean * share, (scenes, 4, 1))
+            open_s = np.full((scenes, 4, 1), seconds)
+            places = np.arange(scenes), (0, 2), (1, 3), ()
+            curve = flux.LightCurve(photons, open_s, *places, "", sees_part=True)
+            none = flux.Background(np.zeros(scenes), np.ones(scenes), [slice(0, scenes)])
+            detectors.append(checks.PassLight.of(curve, none, 1e-4))
+        return checks.find_unequal_gains(detectors, known)
+
+    assert sum(bool(found(1.0, 20)) for _ in range(300)) == 0
+    assert all(found(0.3, 2e3) for _ in range(20))
+
+
+@pytest.mark.parametrize("longer", [1.0, 20.0])
+def test_law_lateness_is_certain_at_six_standard_deviations_of_sound_draws(longer):
+    """The guard is `longer` than usual; the counts of the dark frame err, too."""
+    scenes = 400
+    seconds = np.tile([[1e-5 * longer], [9.7e-4], [9.7e-4]], scenes)
+    mean = np.rint(np.array([[1e5], [1e5], [1e6]]) * seconds).astype(int)
+    share = seconds[0, 0] / seconds[1, 0]
+    draws = np.random.default_rng(3).poisson
+    guards = draws(mean[0, 0], (20_000,))
+    others = draws(mean[0, 0] / share, (20_000,))
+    spread = float((guards - share * others).std()) * (scenes - 1) ** 0.5
+
+    def named(excess: float) -> bool:
+        photons = mean.copy()
+        photons[0] += round(excess) // scenes
+        photons[0, : round(excess) % scenes] += 1
+        return bool(find_lateness(photons, seconds, room_s=1.0))
+
+    assert not named(5.3 * spread)
+    assert named(6.7 * spread)
+
+
+def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp_path):
+    """Stray light that is steady while one mask is shown is told by its brightness alone."""
+    folder, patterns = shown["free-dwell"]
+    lit, place = Lit.sound(patterns, np.random.default_rng(8)), int(patterns.manifest.shown[3])
+    begin, end = lit.starts()[2, place : place + 2]
+    lit.stray = while_in(begin, end, 1.5 * lit.flux, lit.stray(np.zeros(1))[0])
+    lit.record(tmp_path / "run", folder)
+    counts = Recording.read(tmp_path / "run").count()
+    (fault,) = counts.faults
+    assert (fault.kind, fault.scene, fault.frame) == ("brighter", 2, place)
+    assert np.flatnonzero(counts.spoilt).tolist() == [2]

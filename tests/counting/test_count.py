@@ -1,0 +1,99 @@
+"""Photons of a recording: each counted for its readout, or its exposure given up."""
+
+import json
+
+import numpy as np
+import pytest
+import recording_samples
+from recording_samples import DWELL, train
+
+from deepfsi.base.errors import InputError
+from deepfsi.counting.recording import Recording
+
+run, whole = recording_samples.run, recording_samples.whole
+
+
+def test_every_photon_of_a_frame_is_counted_for_its_readout(run):
+    counts = Recording.read(run.folder).count()
+    manifest = run.patterns.manifest
+    assert counts.counts.shape == (3, 1, 2, 6)
+    assert counts.counts.dtype == np.int64
+    assert counts.valid.all()
+    assert counts.faults == ()
+    rail, mask, column, _ = manifest.read
+    shown = run.photons[:, manifest.shown, 0]
+    assert (counts.counts[:, 0, rail, mask] == shown[:, column]).all()
+    assert counts.counts.sum() == shown.sum()  # a rail is dark
+    seconds = DWELL - 3e-5  # less settling and guard
+    assert np.allclose(counts.on_rate, run.photons[:, 0, 0] / seconds, rtol=2e-3)
+    assert np.allclose(counts.off_rate, 3 / seconds, rtol=2e-3)
+    flux = (run.photons[:, 0, 0] - 3).mean() / seconds
+    assert counts.photons == pytest.approx(flux * counts.exposure_s, rel=2e-3)
+    dark = counts.background
+    assert (dark[:, 1, 0] == 0).all()
+    assert dark[:, 0, 0] == pytest.approx(3, rel=0.05)
+    assert (counts.signal() == counts.counts - dark[:, None]).all()
+
+
+@pytest.mark.parametrize("pauses", [0.0, 0.02])
+@pytest.mark.parametrize("trouble", ["early", "late"])
+def test_a_run_whose_markers_are_one_frame_off_is_refused(run, pauses, trouble):
+    """One is missing at an end and another extra at the other: times fit, the light does not."""
+    starts = train(run.patterns.manifest, 3, pauses=pauses)
+    markers = starts.ravel()
+    step = DWELL if trouble == "late" else -DWELL
+    markers = np.append(markers[1:], markers[-1] + step) if step > 0 else markers
+    markers = np.append(markers[0] + step, markers[:-1]) if step < 0 else markers
+    run.record(starts, markers, run.photons)
+    run.refused("bright all-OFF frames|follow the schedule")
+
+
+def test_a_recording_of_other_patterns_is_refused(run):
+    photons = np.roll(run.photons, 3, axis=1)  # not where ON and OFF should be
+    run.record(run.starts, run.starts.ravel(), photons)
+    run.refused("no light on input 3: .* patterns that were shown")
+
+
+def refuse(folder, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        Recording.read(folder).read_counts()
+
+
+def test_counts_are_of_the_acquisition_and_the_photons_beside_them(run):
+    photons, wanted = run.folder / "photons.ptu", Recording.read(run.folder).read_counts().counts
+    run.edit(settle_s=1e-5)
+    refuse(run.folder, r"counts\.npz is of another acquisition")
+    run.edit(settle_s=2e-5)
+    content = bytearray(photons.read_bytes())
+    content[-1] ^= 1
+    photons.write_bytes(content)
+    refuse(run.folder, r"counts\.npz is of another photons\.ptu")
+    photons.unlink()  # kept elsewhere
+    assert (Recording.read(run.folder).read_counts().counts == wanted).all()
+
+
+EDITS = {
+    "scenes swapped": lambda held, about: held.update(counts=held["counts"][[1, 0, 2]]),
+    "brighter": lambda held, about: held.update(on_rate=10 * held["on_rate"]),
+    "exposure": lambda held, about: about.update(exposure_s=2 * about["exposure_s"]),
+}
+
+
+@pytest.mark.parametrize("change", EDITS.values(), ids=EDITS)
+def test_edited_counts_are_refused(run, change):
+    path = run.folder / "counts.npz"
+    with np.load(path) as file:
+        held = dict(file)
+    about = json.loads(held["about"].tobytes())
+    change(held, about)
+    np.savez(path, **held | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
+    refuse(run.folder, r"counts\.npz was changed after it was written")
+
+
+def test_cut_or_missing_counts_are_refused(run):
+    path = run.folder / "counts.npz"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-100])
+    refuse(run.folder, r"counts\.npz .*not a zip file.* camera count")
+    path.unlink()
+    refuse(run.folder, r"counts\.npz is missing.* camera count")

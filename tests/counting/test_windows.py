@@ -1,0 +1,63 @@
+"""Windows of frames: no light of the next frame in the dark, and late markers named."""
+
+import numpy as np
+import pytest
+from recording_samples import DWELL, named, patterns_of, train, write_photons
+
+from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.patterns.folder import Patterns
+
+FLUX, DARK, SCENES = 1e7, 100.0, 5
+
+
+@pytest.fixture
+def lamp(tmp_path):
+    """Record scenes of 1e7 photons/s whose markers come late."""
+    patterns = patterns_of(tmp_path / "patterns")
+    Recording.prepare(tmp_path / "run", Patterns.read(tmp_path / "patterns"), named(SCENES))
+
+    def record(late: float, burst: float = 0.0, rate: float = 0.0) -> None:
+        manifest, rng = patterns.manifest, np.random.default_rng(0)
+        begins = train(manifest, SCENES, rate, jitter=0)
+        rates = np.zeros(len(manifest.frames))
+        rates[[0, -2]] = FLUX
+        rates[manifest.shown] = FLUX * patterns.fractions.mean(axis=1)
+        starts, lengths = begins.ravel(), (1 + rate) * np.tile(manifest.picture_s, SCENES)
+        many = rng.poisson(np.tile(rates, SCENES) * lengths)
+        photons = np.repeat(starts, many) + np.repeat(lengths, many) * rng.random(many.sum())
+        span = starts[-1] + lengths[-1]
+        dark = rng.uniform(0, span, rng.poisson(DARK * span))
+        flash = begins[2, 2] - burst * rng.random(round(FLUX * burst))
+        times = np.concatenate([starts + late, photons, dark, flash])
+        codes = np.zeros(len(times), int)
+        codes[: len(starts)] = -1
+        write_photons(tmp_path / "run", times, codes)
+
+    return tmp_path / "run", record
+
+
+@pytest.mark.parametrize(("late", "rate"), [(0, 0), (1e-6, 0), (5e-6, 0), (5e-6, -0.01), (0, 0.01)])
+def test_a_late_trigger_gives_no_dark_counts(lamp, late, rate):
+    """At 1 µs and 1e7 photons/s there were thousands a second."""
+    folder, record = lamp
+    record(late, rate=rate)
+    counts = Recording.read(folder).count()
+    seconds = 2 * SCENES * ((1 + rate) * DWELL - 3e-5)
+    assert counts.off_rate.mean() == pytest.approx(DARK, abs=5 * np.sqrt(DARK / seconds))
+    assert counts.dark_rate[0] == pytest.approx(counts.off_rate.mean())
+    assert counts.on_rate.mean() == pytest.approx(FLUX, rel=5 / np.sqrt(FLUX * seconds))
+    faults = [fault for fault in counts.faults if fault.kind == "late"]
+    assert len(faults) == len(counts.faults) == (late > 0)
+    if late:
+        said = float(faults[0].detail.removeprefix("all markers, by ").split(" µs")[0]) * 1e-6
+        photons = FLUX * late * (SCENES - 1)  # the brightest is left out
+        assert said == pytest.approx(late, rel=6 / np.sqrt(photons), abs=5e-8)
+        assert "--exposure" not in str(faults[0])  # gates end long before their frames
+
+
+def test_gates_that_hold_light_of_the_next_frame_are_said(lamp):
+    folder, record = lamp
+    record(5e-6)
+    (fault,) = Recording.read(folder).count(CountSettings(exposure_s=11 * (DWELL - 2.2e-5))).faults
+    assert "gates end 2.0 µs before the next marker" in fault.detail
+    assert "--exposure" in fault.detail

@@ -1,0 +1,51 @@
+"""A measure is one entry of the table: results, records, tables, points and pages have it."""
+
+import numpy as np
+import polars
+import pytest
+
+from conftest import quick
+from deepfsi import evaluate
+from deepfsi.evaluation.measures import MEASURES, ClassAnswers, Measure
+from deepfsi.evaluation.results import results_lines
+from deepfsi.report.comparison_page import write_report
+from deepfsi.sweeps.plan import plan_trials
+from deepfsi.sweeps.records import write_table
+from deepfsi.sweeps.results import read_results, write_results
+from deepfsi.sweeps.summary import summarise_records
+from shared.trials import small, train_trials
+
+
+def among_two(answers):
+    """Share of exposures whose true class is one of the two most probable ones."""
+    first = np.argsort(-answers.chances, axis=1)[:, :2]
+    return float((first == answers.true[:, None]).any(axis=1).mean())
+
+
+TOP_2 = Measure(
+    key="top_2", title="top-2 accuracy", of=ClassAnswers, compute=among_two, column="top 2",
+    averaged=True, chooses=True,
+)  # fmt: skip
+
+
+@pytest.mark.usefixtures("uncharacterised", "undrawn")
+def test_a_new_measure_is_one_entry(digits, tmp_path, monkeypatch):
+    monkeypatch.setitem(MEASURES, "top_2", TOP_2)
+    design = quick(digits, "pca", masks=3, epochs=2)
+    [result] = evaluate(design, digits, 1e3, draws=1)
+    assert result.accuracy < result.further["top_2"] < 1
+    assert list(result.as_dict())[-1] == "top_2"
+    table = str([*results_lines([result], title="", classes=digits.classes)])
+    assert "top 2" in table
+    assert f"{result.score('top_2'):.3f}" in table
+    recipe = small(designs=("pca",), photons=(1e3,), masks=(3,))
+    records = train_trials(plan_trials(recipe, digits), digits, tmp_path / "runs")
+    [row] = polars.read_csv(write_table(records, tmp_path / "a.csv")).to_dicts()
+    assert row["validation_top_2"] > row["validation_accuracy"]
+    results = summarise_records(recipe, digits, [digits], [records], command="deepfsi", seconds=1.0)
+    write_results(tmp_path / "results.json", results)
+    [point] = read_results(tmp_path / "results.json").points
+    assert point.further == {"top_2": row["top_2"]}
+    page = write_report(tmp_path).read_text(encoding="utf-8")
+    assert '<button type="button">top 2</button>' in page
+    assert f"<td>{row['top_2']:.3f}</td>" in page
