@@ -16,14 +16,14 @@ SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
     "adaptive": 1492,
-    "base": 2151,
-    "camera": 1312,
+    "base": 2144,
+    "camera": 1296,
     "cli": 2487,
     "counting": 4333,
     "datasets": 2503,
-    "design": 1205,
+    "design": 1162,
     "designfile": 1393,
-    "evaluation": 1601,
+    "evaluation": 1597,
     "exposure": 1122,
     "jobs": 1656,
     "lab": 4313,

@@ -166,7 +166,7 @@ def test_a_page_has_no_dictionary(ready, digits):
 
 def test_a_dictionary_is_of_adaptive_masks_and_one_detector(digits):
     for settings, words in (
-        ({"design": "pca"}, "`dictionary` is of adaptive masks"),
+        ({"design": "pca"}, "no adaptive masks: leave `dictionary` out"),
         ({"design": "adaptive", "camera": "dmd-2x2"}, "one detector and one arm"),
     ):
         with pytest.raises(InputError, match=words):

@@ -80,7 +80,7 @@ def stopped(process: subprocess.Popen, number: int = signal.SIGINT, alone: bool 
     _, errors = process.communicate(timeout=PATIENCE)
     assert not psutil.wait_procs(children, timeout=PATIENCE)[1]
     assert process.returncode == 128 + number, errors
-    lines = [line for line in errors.splitlines() if line and line[:7] != "sweep: "]  # progress
+    lines = [line for line in errors.splitlines() if line and line[:8] != "trials: "]  # progress
     said = "deepfsi: stopped", "deepfsi: stopped; finished trials are kept, run again to go on"
     assert lines in [[said[1]]] if before else [[each] for each in said], errors
     assert lines == [said[0]] or any(folder.glob("trials/*.json"))

@@ -46,7 +46,7 @@ def test_a_page_has_scenes_of_each_class_by_lot():
     rng = np.random.default_rng(0)
     labels = np.repeat(np.arange(4), [1, 20, 300, 79])
     prior = ScenePrior(rng.random((400, 6)).astype(np.float32), labels, 4, spread=0.5)
-    few, again, other = prior.few(100, 1), prior.few(100, 1), prior.few(100, 2)
+    few, again, other = prior.subset(100, 1), prior.subset(100, 1), prior.subset(100, 2)
     assert few.sizes == [1, 5, 75, 19]
     assert torch.equal(few.coefficients, again.coefficients)
     assert not torch.equal(few.coefficients, other.coefficients)
@@ -55,7 +55,7 @@ def test_a_page_has_scenes_of_each_class_by_lot():
     found = (far <= 0.501 * step).all(dim=2).nonzero()[:, 1]
     assert len(found) == 100  # each is one of them, and no other
     assert torch.equal(few.labels, prior.labels[found])
-    assert prior.few(10**6).sizes == prior.sizes
+    assert prior.subset(10**6).sizes == prior.sizes
 
 
 def test_the_flattest_training_scene_is_the_one_of_the_least_spread(made, digits):

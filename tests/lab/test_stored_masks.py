@@ -12,7 +12,7 @@ from deepfsi.lab import results as frame_log
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import virtual_setup
 from deepfsi.patterns.folder import Patterns
-from deepfsi.patterns.frames import unpack
+from deepfsi.patterns.frames import make_frame, unpack
 from shared.live_samples import (
     DEVICE,
     EXPOSURE_S,
@@ -87,7 +87,7 @@ def test_frames_that_are_shown_are_the_exported_ones_bit_for_bit(
             assert asked.pop(0) == [frame, OFF]
             assert chosen.pop(0) == frame - 2
             mask = run.looks.stored.masks[frame - 2].bool().numpy()
-            assert np.array_equal(pictures[frame], manifest.lit_frame(mask))
+            assert np.array_equal(pictures[frame], make_frame(mask, manifest.device, manifest.grid))
     assert not asked
 
 

@@ -193,9 +193,10 @@ def _looks(
 
 
 def sharing_threshold(used: np.ndarray, confidence: np.ndarray, light: float) -> float:
-    """Highest confidence above which exposures stop and take a share of the light at most.
+    """Highest probability at which exposures may end, so that their mean light fits a share.
 
-    From the share of the budget that is taken after each look (K,), and the confidence (E, K) then.
+    `used` (K,) is the share of the budget after each step, `confidence` (E, K) the probability of
+    the likeliest class then.
     """
 
     def taken(threshold: float) -> float:
@@ -358,12 +359,12 @@ class AdaptiveExposure(ExposureKind):
                 break
         return chances, counts, used
 
-    def few(self, coefficients: int, seed: int) -> "AdaptiveExposure":
-        """The kind that knows some of the scenes, with so many coefficients.
+    def with_fewer_scenes(self, coefficients: int, seed: int) -> "AdaptiveExposure":
+        """The exposure with fewer scenes in its prior, which have at most these coefficients.
 
-        It stops nowhere, unless exposures share their light: their budget is none without stops.
+        It never ends early, except where exposures share light.
         """
-        prior = self.prior.few(coefficients // len(self.prior.components), seed)
+        prior = self.prior.subset(coefficients // len(self.prior.components), seed)
         if self.settings.cap > 1:
             return replace(self, prior=prior)
         whole = self.settings.model_copy(update={"until": 1.0})

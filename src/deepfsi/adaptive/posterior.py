@@ -205,8 +205,8 @@ class ScenePrior:
             prior.temperatures = Temperatures.restored(temperatures, looks)
         return prior
 
-    def few(self, count: int, seed: int = 0) -> "ScenePrior":
-        """Prior of at most so many scenes, but one of each class, as a file would keep them."""
+    def subset(self, count: int, seed: int = 0) -> "ScenePrior":
+        """Prior of at most `count` of the scenes, and at least one of each class."""
         rng = np.random.default_rng(seed)
         own = np.array(self.sizes)
         kept = np.minimum(own, np.maximum(own * count // len(self), 1))

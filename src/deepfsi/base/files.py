@@ -144,13 +144,6 @@ def readable_name(name: str) -> str:
     return os.fsencode(name).decode("utf-8", "backslashreplace")
 
 
-def check_readable_name(path: str) -> str:
-    """The path, or `InputError` where bytes of it are no UTF-8: no file of ours could keep it."""
-    if readable_name(path) != path:
-        raise InputError(f"the name {readable_name(path)} is not UTF-8: rename the file or folder")
-    return path
-
-
 def hash_file(path: Path) -> str:
     """SHA-256 of a file's content."""
     from hashlib import file_digest

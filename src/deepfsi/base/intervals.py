@@ -161,7 +161,7 @@ is right in the mean, but the variance of three trainings is often far below tha
 would then be told apart in up to 9 of 100 studies instead of 7 (`benchmarks/coverage.py`)."""
 
 
-class AccuracyTrials(Protocol):
+class _AccuracyTrials(Protocol):
     """Accuracies of trials, the 95 % interval of their mean, and terms of the test images."""
 
     @property
@@ -254,7 +254,7 @@ def paired_difference(first: np.ndarray, second: np.ndarray) -> Difference:
     return replace(images, seeds_error=error, seeds_freedom=fewest - 1)
 
 
-def accuracy_difference(first: AccuracyTrials, second: AccuracyTrials) -> Difference:
+def accuracy_difference(first: _AccuracyTrials, second: _AccuracyTrials) -> Difference:
     """Accuracy of some trials less that of others, paired on the images that both were tested with.
 
     Of trials that keep no values of images those of one seed are paired, and the error is that over

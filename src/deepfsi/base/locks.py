@@ -21,7 +21,7 @@ PROCESS_PATTERN = r"[0-9a-f]{12}-\d+-\d+-[0-9a-f]{8}"
 """Regular expression of the name of a process."""
 
 
-class ProcessId(NamedTuple):
+class _ProcessId(NamedTuple):
     """A process, and a number that tells apart what it owns; as text it is a file's name."""
 
     host: str
@@ -56,17 +56,17 @@ class ProcessId(NamedTuple):
             return False
 
 
-def this_process() -> ProcessId:
+def this_process() -> _ProcessId:
     """Name of this process for something new that it makes."""
-    return ProcessId(_host_id(), os.getpid(), _this_start(os.getpid()), os.urandom(4).hex())
+    return _ProcessId(_host_id(), os.getpid(), _this_start(os.getpid()), os.urandom(4).hex())
 
 
-def parse_process(name: str) -> ProcessId | None:
+def _parse_process(name: str) -> _ProcessId | None:
     """Process whose name this is, or None if it is none."""
     if not re.fullmatch(PROCESS_PATTERN, name):
         return None
     host, number, start, token = name.split("-")
-    return ProcessId(host, int(number), int(start), token)
+    return _ProcessId(host, int(number), int(start), token)
 
 
 @cache
@@ -173,7 +173,7 @@ def _make(mine: Path) -> None:
 
 def _over(lock: Path, now: float = 0.0) -> bool:
     """Take a lock's file away if its process is gone; True if nothing is left of it."""
-    owner = parse_process(lock.name)
+    owner = _parse_process(lock.name)
     try:
         silent = now - lock.stat().st_mtime > SILENT_SECONDS
     except FileNotFoundError:

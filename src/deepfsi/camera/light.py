@@ -37,32 +37,16 @@ def check_budget(photons: Any) -> float:
             f"photon budget {photons!r} is no number: give the lowest of a range, with "
             "`exposure=Range(span=...)`, its highest divided by its lowest"
         )
-    return _checked(photons, f"photon budget {photons!r} is", "1e4")
-
-
-def _checked(value: Any, what: str, example: str) -> float:
     try:
-        number = math.nan if isinstance(value, bool) else float(value)
+        number = math.nan if isinstance(photons, bool) else float(photons)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not BUDGETS[0] <= number <= BUDGETS[1]:
         raise InputError(
-            f"{what} not allowed: give a number from {BUDGETS[0]:g} to {BUDGETS[1]:g}, such as "
-            f"{example}"
+            f"photon budget {photons!r} is not allowed: give a number from {BUDGETS[0]:g} to "
+            f"{BUDGETS[1]:g}, such as 1e4"
         )
     return number
-
-
-def check_one_budget(photons: float | None, counts: float | None) -> float:
-    """Return the budget, told as photons or as counts."""
-    if photons is not None and counts is None:
-        return check_budget(photons)
-    if counts is None or photons is not None:
-        raise InputError(
-            "the light of a design is told once: give `photons`, the budget on the device, or "
-            "`counts`, the photons that its detectors are to count, or a camera with its flux"
-        )
-    return _checked(counts, f"{counts!r} counts are", "30")
 
 
 def summed_reflectance(x: np.ndarray) -> float:

@@ -28,7 +28,7 @@ class Scene(StrictModel):
     name: str = Field(max_length=1000)  # By which results name it
     label: str | None = Field(default=None, max_length=1000)  # Its class, where that is known
     # Of its picture as the design of the patterns sees it, where there is one: tells scenes that
-    # the design was trained on (`designfile.scene_hashes`)
+    # the design was trained on (`provenance.scene_hashes`)
     hash: str | None = Field(
         default=None, pattern="^[0-9a-f]{8}$", exclude_if=lambda known: known is None
     )

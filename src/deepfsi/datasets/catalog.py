@@ -65,7 +65,7 @@ def _data_folders(name: str) -> list[Path]:
 
 
 @dataclass
-class NamedDataset(ABC):
+class _NamedDataset(ABC):
     """A data set that has a name."""
 
     name: str
@@ -125,7 +125,7 @@ class NamedDataset(ABC):
         return x
 
 
-class Digits(NamedDataset):
+class Digits(_NamedDataset):
     """The digits of scikit-learn, which have no files."""
 
     ends = DIM_BLACK
@@ -148,7 +148,7 @@ class Digits(NamedDataset):
         )
 
 
-class IdxImages(NamedDataset):
+class IdxImages(_NamedDataset):
     """MNIST or Fashion-MNIST: the original gzipped idx files, framed to 32x32."""
 
     FRAME = ((0, 0), (2, 2), (2, 2))  # pixels in front of and behind each axis
@@ -191,7 +191,7 @@ def _read_idx(path: Path) -> npt.NDArray[np.uint8]:
     return np.frombuffer(content, np.uint8, offset=start).reshape(lengths)
 
 
-class Cifar10(NamedDataset):
+class _Cifar10(_NamedDataset):
     """CIFAR-10 in grey: the official binary archive."""
 
     BATCHES = (*(f"data_batch_{i}.bin" for i in range(1, 6)), "test_batch.bin")
@@ -230,7 +230,7 @@ class Cifar10(NamedDataset):
         ]
 
 
-class CifarJpeg(Cifar10):
+class _CifarJpeg(_Cifar10):
     """CIFAR-10 decoded from a copy in JPEG, which says so in its name."""
 
     def load(self, options: Origin) -> Dataset:
@@ -246,7 +246,7 @@ class CifarJpeg(Cifar10):
             return dataset_of_pictures(listing, "JPEG-decoded CIFAR-10", options, bilinear=True)
 
 
-class IndianPines(NamedDataset):
+class _IndianPines(_NamedDataset):
     """Indian Pines: the scene of the AVIRIS spectrometer, without the bands of water vapour.
 
     The corrected cube of the Grupo de Inteligencia Computacional, UPV/EHU, has 200 of its 220
@@ -358,13 +358,13 @@ def restore_high_bytes(
     return values.reshape(cube.shape).astype(np.uint16)
 
 
-_KINDS: dict[str, type[NamedDataset]] = {
+_KINDS: dict[str, type[_NamedDataset]] = {
     "digits": Digits,
     "mnist": IdxImages,
     "fashion-mnist": IdxImages,
-    "cifar10": Cifar10,
-    "cifar10-jpeg": CifarJpeg,
-    "indian-pines": IndianPines,
+    "cifar10": _Cifar10,
+    "cifar10-jpeg": _CifarJpeg,
+    "indian-pines": _IndianPines,
 }
 
 _FACTS = tomllib.loads(files(__package__).joinpath("originals.toml").read_text("utf-8"))
@@ -373,7 +373,7 @@ DATASETS = {name: kind(name, **_FACTS[name]) for name, kind in _KINDS.items()}
 """Data sets by their names."""
 
 
-class DatasetInfo(NamedTuple):
+class _DatasetInfo(NamedTuple):
     """Sizes of a named data set, and where it is."""
 
     name: str
@@ -383,10 +383,10 @@ class DatasetInfo(NamedTuple):
     where: str  # "embedded", its folder, or "not here"
 
 
-def list_datasets() -> list[DatasetInfo]:
+def list_datasets() -> list[_DatasetInfo]:
     """Data sets that have a name. Files are looked for, but not opened."""
     return [
-        DatasetInfo(
+        _DatasetInfo(
             name,
             images=named.images,
             pixels=named.pixels,
@@ -399,4 +399,4 @@ def list_datasets() -> list[DatasetInfo]:
 
 def load_indian_pines() -> SpectralImage:
     """Whole image of Indian Pines, for maps and overviews."""
-    return cast(IndianPines, DATASETS["indian-pines"]).scene()
+    return cast(_IndianPines, DATASETS["indian-pines"]).scene()

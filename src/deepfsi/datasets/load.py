@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy.typing as npt
 
 from deepfsi.base.errors import InputError, as_input_error, closest_choice
-from deepfsi.base.files import check_readable_name
+from deepfsi.base.files import readable_name
 from deepfsi.datasets.arrays import load_arrays
 from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.dataset import Dataset, Ends, Origin
@@ -18,7 +18,7 @@ from deepfsi.datasets.pictures import as_shape, load_pictures
 from deepfsi.datasets.spectra import CUBE_ENDINGS, read_cube
 
 
-class FileKind(NamedTuple):
+class _FileKind(NamedTuple):
     """Files of one kind that hold a data set."""
 
     what: str
@@ -36,17 +36,17 @@ FOLDER = "/"
 """What stands for the ending of a folder."""
 
 FILE_KINDS = (
-    FileKind(
+    _FileKind(
         "a folder or .zip of images with a folder for each class",
         (FOLDER, ".zip"),
         ("size", "images", "white", "skip_bad"),
         load_pictures,
     ),
-    FileKind(
+    _FileKind(
         "a .csv of their names and labels", (".csv",), ("size", "white", "skip_bad"), load_pictures
     ),
-    FileKind(f"a cube ({', '.join(CUBE_ENDINGS)})", CUBE_ENDINGS, ("split",), _load_cube),
-    FileKind("an .npz file of arrays x and y", (".npz",), ("white",), load_arrays),
+    _FileKind(f"a cube ({', '.join(CUBE_ENDINGS)})", CUBE_ENDINGS, ("split",), _load_cube),
+    _FileKind("an .npz file of arrays x and y", (".npz",), ("white",), load_arrays),
 )
 """Kinds of files that hold a data set: a new one is an entry here."""
 
@@ -149,7 +149,7 @@ def load_dataset(
     return replace(data, origin=options.model_copy(update={"white": data.white}))
 
 
-def _kind_of(path: Path) -> FileKind:
+def _kind_of(path: Path) -> _FileKind:
     """Kind of a file or folder that is there, or `InputError` where it holds no data set."""
     ending = FOLDER if path.is_dir() else path.suffix.lower()
     for kind in FILE_KINDS:
@@ -169,7 +169,10 @@ def absolute_source(source: str) -> str:
     """Name of a data set as it is, absolute path of any other."""
     if source in DATASETS:
         return source
-    return check_readable_name(str(Path(source).expanduser().absolute()))
+    path = str(Path(source).expanduser().absolute())
+    if readable_name(path) != path:  # a file of ours could not keep it
+        raise InputError(f"the name {readable_name(path)} is not UTF-8: rename the file or folder")
+    return path
 
 
 def options_of(source: str) -> tuple[str, ...]:

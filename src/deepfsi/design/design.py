@@ -15,7 +15,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, check_ending, write_atomically
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget
-from deepfsi.camera.names import LIGHT_LAWS, NoiseName
+from deepfsi.camera.names import NoiseName
 from deepfsi.design.file import fields_of, file_of
 from deepfsi.design.networks import Given, OwnClassifier, make_custom
 from deepfsi.designfile.design_file import DesignFile, Temperatures, find_design
@@ -24,7 +24,7 @@ from deepfsi.designfile.provenance import (
     click_gates,
     trained_camera,
 )
-from deepfsi.designfile.view_test import SceneModel, SceneReadouts, ViewResult, ViewTest
+from deepfsi.designfile.view_test import SceneModel
 from deepfsi.exposure.kind import (
     EXPOSED_AT_ONCE,
     Answer,
@@ -47,7 +47,7 @@ class Design:
     Attributes
     ----------
     name : str
-        Which design, a key of `codes.DESIGNS`.
+        Which design, a key of `jobs.designs.DESIGNS`.
     classes : tuple of str
         Their names; none of a design that estimates values.
     exposure : ExposureKind
@@ -509,46 +509,3 @@ def _check_readouts(
             f"{tuple(read.shape)}: give one number, or one for each exposure"
         ) from None
     return read, budget
-
-
-def judge(
-    design: Design, signal: np.ndarray, budgets: np.ndarray, *,
-    often: np.ndarray, sums: np.ndarray, noise: np.ndarray,
-) -> tuple[np.ndarray, ConsistencyResult | None, ViewResult | None]:  # fmt: skip
-    """Answer counts of a run by a design as its patterns realise it, and test them.
-
-    Of S scenes with R exposures each: counts less the background (S, R, rails, m, D), budget of an
-    exposure (S,), number of sound exposures (S,), their counts together (S, rails, m, D), and the
-    variance of these beyond that of Poisson counts. Chances (S, R, C), the consistency of the
-    scenes with sound exposures, and the test of the view, which takes photon counts.
-    """
-    consistency = None
-    if design.distribution is not None:
-        some = often > 0
-        counts, beyond = (design.readouts(each[some]) for each in (sums, noise))
-        consistency = design.consistency(counts, (budgets * often)[some], beyond)
-    view = None
-    if design.scene_model is not None and design.gates is None:
-        view = _view_of(design, design.scene_model, budgets * often, sums=sums, noise=noise)
-    return design.classify(design.readouts(signal), budgets[:, None]), consistency, view
-
-
-def _view_of(
-    design: Design, model: SceneModel, light: np.ndarray, *, sums: np.ndarray, noise: np.ndarray
-) -> ViewResult:
-    """Test of how the camera saw scenes whose sound exposures have so much light (S,) together."""
-    rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
-    detection = design.exposure.detection
-    if detection.labels is not None:
-        rails = rails * (detection.labels.cpu().numpy() == np.arange(detection.count)[:, None])
-    shape = rails.shape[:-1]  # (rails, m, D)
-    two_arms = LIGHT_LAWS[design.mask_exposure.light].arms == 2
-    arms = np.arange(shape[0]) if two_arms else np.zeros(shape[0], int)
-    inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
-    test = ViewTest(model, design.image_shape)
-    for scene in np.flatnonzero(light).tolist():
-        gain = light[scene] / design.summed_reflectance
-        masks = gain * rails.reshape(-1, rails.shape[-1])
-        counts, more = sums[scene].ravel(), noise[scene].ravel()
-        test.add(SceneReadouts(masks, counts, noise=more, inputs=inputs.ravel()))
-    return test.result

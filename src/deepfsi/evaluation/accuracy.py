@@ -60,7 +60,7 @@ def evaluate(
         Noise draws of each scene (1 is enough without noise).
     seed : int
         Of the noise.
-    report : Report, optional
+    report : Progress, optional
         Where to say how far it is; a bar where a terminal is attached unless given.
     **settings
         Fields of the camera in place of its own, such as ``noise="gaussian", sigma=2``.

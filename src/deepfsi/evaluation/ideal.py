@@ -119,7 +119,7 @@ def ideal_observer(
         Noise draws of each scene.
     seed : int
         Of the noise.
-    report : Report, optional
+    report : Progress, optional
         Where to say how far it is; a bar where a terminal is attached unless given.
 
     Raises

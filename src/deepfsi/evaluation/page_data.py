@@ -53,7 +53,8 @@ def playable(
     inside = [each for each in trained or () if SLIDER_BUDGETS[0] <= each <= SLIDER_BUDGETS[-1]]
     if design.exposure.makes_masks:
         budgets = sorted({*SLIDER_BUDGETS[::2], *inside})
-        tested = few_tests(fresh, seed)
+        rows = np.random.default_rng(seed).permutation(len(fresh.x_test))[:TESTED]
+        tested = replace(fresh, x_test=fresh.x_test[rows], y_test=fresh.y_test[rows])
         whole = design
         design = of_page(whole, seed)
         optics = _posterior(design, whole)
@@ -93,13 +94,8 @@ def playable(
 
 def of_page(design: Design, seed: int = 0) -> Design:
     """The design as a page plays it: with some of its scenes, and a stop for shared light alone."""
-    return replace(design, exposure=design.prior_exposure.few(10**6, seed))  # 8 bits each
-
-
-def few_tests(data: Dataset, seed: int) -> Dataset:
-    """The data with some of its test scenes, drawn by lot."""
-    rows = np.random.default_rng(seed).permutation(len(data.x_test))[:TESTED]
-    return replace(data, x_test=data.x_test[rows], y_test=data.y_test[rows])
+    fewer = design.prior_exposure.with_fewer_scenes(10**6, seed)  # coefficients of 8 bits
+    return replace(design, exposure=fewer)
 
 
 def check_playable(design: Design) -> None:

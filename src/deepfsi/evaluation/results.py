@@ -142,7 +142,7 @@ class Result(_AnswerTest):
     photons_per_mask : list of float
         Expected photons of each mask's rails together, in the training mean; likewise.
     further, image_terms
-        As of `_AnswerTest`.
+        Other measures of the test, and their values for each image, by name.
 
     Examples
     --------

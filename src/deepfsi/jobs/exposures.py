@@ -203,8 +203,8 @@ class SharedLight(Exposure):
     cap: float = Field(
         gt=1,
         le=100,
-        description="most light of one exposure with adaptive masks, over the mean of all, which "
-        "the budget then is: each ends as soon as a class is sure; all take the same unless given",
+        description="largest light of one exposure with adaptive masks, as a multiple of the mean; "
+        "exposures end when one class is certain; by default all take the same",
     )
 
     @property

@@ -15,7 +15,7 @@ from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.models import UserModel
 from deepfsi.base.registry import UNNAMED_PLUGIN
 from deepfsi.camera.camera import Camera, CameraSource
-from deepfsi.camera.light import PhotonBudget, check_budget, check_one_budget
+from deepfsi.camera.light import PhotonBudget, check_budget
 from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light_law, find_noise, noise_name
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.designs import (
@@ -116,12 +116,19 @@ class Job(UserModel):
             return given
         given = {name: value for name, value in given.items() if value is not None}
         for name in given.keys() - cls.model_fields.keys():
-            where = table_advice(name) or closest_choice(name, cls.model_fields)
+            table, _ = find_table(name)
+            where = f"give `{table}={{{name!r}: ...}}`" if table else ""
+            where = where or closest_choice(name, cls.model_fields)
             raise InputError(f"a job has no setting {name!r}: {where}")
         camera = Camera.load(given.get("camera"))
         photons = given.get("photons")
         if photons is None:
-            photons = check_one_budget(camera.budget, None)
+            photons = camera.budget
+        if photons is None:
+            raise InputError(
+                "the light of a design is told once: give `photons`, the budget on the device, or "
+                "`counts`, the photons that its detectors are to count, or a camera with its flux"
+            )
         given = {**given, "camera": camera, "photons": photons}
         training = _training_of(given)
         exposure = find_exposure(given.get("exposure", {}))
@@ -411,12 +418,6 @@ def find_table(setting: str) -> tuple[str, str]:
     return next((table for table, fields in tables.items() if setting in fields), ""), setting
 
 
-def table_advice(setting: str) -> str | None:
-    """Advice to give a setting in the table of a job that holds it; None where none does."""
-    table, name = find_table(setting)
-    return f"give `{table}={{{name!r}: ...}}`" if table else None
-
-
 def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of a job of single settings, each in the table where it is declared."""
     tables: dict[str, dict[str, Any]] = {"": {}, "camera": {}, "exposure": {}, "training": {}}
@@ -442,7 +443,7 @@ def job_of(
         given = {"design": "custom", "masks": len(matrix), **given}
     training = _training_of(given)
     if counts is not None and "photons" not in given:
-        given["photons"] = check_one_budget(None, counts)
+        given["photons"] = check_budget(counts)
     elif counts is not None and isinstance(training, Mapping):
         given["training"] = {**training, "counts": counts}
     code = DESIGNS.get(given.get("design", "deepfsi"))

@@ -19,6 +19,7 @@ from deepfsi.base.tables import read_table
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import NO_DEAD_TIME
 from deepfsi.camera.light import TOO_DIM, check_budget
+from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.counting.acquisition import Scene
 from deepfsi.counting.checks import Fault
 from deepfsi.counting.counts import Counts
@@ -26,7 +27,7 @@ from deepfsi.counting.recording import Recording
 from deepfsi.counting.tables import TableSettings, count_table
 from deepfsi.designfile.distribution import ConsistencyResult
 from deepfsi.designfile.provenance import was_trained_on
-from deepfsi.designfile.view_test import ViewResult
+from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.results import (
     LOG,
@@ -253,8 +254,6 @@ def _classify_counts(
     `InputError` if none can be classified, or the counts do not look like the training's. Shapes: S
     scenes, R exposures of each.
     """
-    from deepfsi.design.design import judge
-
     if counts.gates != design.gates:
         words = [
             "photons" if gates is None else f"clicks of {gates} gates a frame"
@@ -283,14 +282,15 @@ def _classify_counts(
     number = exposures.sum(axis=1)
     noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
     signal = counts.signal()
-    chances, consistency, view = judge(
-        design,
-        signal,
-        budgets,
-        often=often,
-        sums=signal.sum(axis=1, where=exposures),
-        noise=noise + counts.excess.sum(axis=1, where=exposures),
-    )
+    noise = noise + counts.excess.sum(axis=1, where=exposures)
+    sums = signal.sum(axis=1, where=exposures)
+    consistency = None
+    if design.distribution is not None:
+        some = often > 0
+        read, beyond = (design.readouts(each[some]) for each in (sums, noise))
+        consistency = design.consistency(read, (budgets * often)[some], beyond)
+    view = _view_of(design, budgets * often, sums=sums, noise=noise)
+    chances = design.classify(design.readouts(signal), budgets[:, None])
     for test in (consistency, view):
         if test is not None and test.refused and not force:
             raise InputError(f"{test.refusal}; `force` classifies them all the same")
@@ -309,6 +309,32 @@ def _classify_counts(
         consistency=consistency,
         view=view,
     )
+
+
+def _view_of(
+    design: "Design", light: np.ndarray, *, sums: np.ndarray, noise: np.ndarray
+) -> ViewResult | None:
+    """Test of the camera's view, from counts (S, rails, m, D) of scenes with this light (S,).
+
+    None if the design has no model of scenes, or reads clicks.
+    """
+    if design.scene_model is None or design.gates is not None:
+        return None
+    rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
+    detection = design.exposure.detection
+    if detection.labels is not None:
+        rails = rails * (detection.labels.cpu().numpy() == np.arange(detection.count)[:, None])
+    shape = rails.shape[:-1]  # (rails, m, D)
+    two_arms = LIGHT_LAWS[design.mask_exposure.light].arms == 2
+    arms = np.arange(shape[0]) if two_arms else np.zeros(shape[0], int)
+    inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
+    test = ViewTest(design.scene_model, design.image_shape)
+    for scene in np.flatnonzero(light).tolist():
+        gain = light[scene] / design.summed_reflectance
+        masks = gain * rails.reshape(-1, rails.shape[-1])
+        counts, more = sums[scene].ravel(), noise[scene].ravel()
+        test.add(SceneReadouts(masks, counts, noise=more, inputs=inputs.ravel()))
+    return test.result
 
 
 def _answers(

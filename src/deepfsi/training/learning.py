@@ -113,7 +113,7 @@ def learn(
         Your sensing matrix, for ``design="custom"``.
     device : str or torch.device
         Torch device such as ``"cuda:1"``; ``"auto"`` takes a GPU if there is one.
-    report : Report, optional
+    report : Progress, optional
         Receives the progress. Default: a bar if a terminal is attached.
     checkpoint : path, optional
         File for the state of the training, written every two minutes and at Ctrl-C, removed at the
@@ -212,7 +212,7 @@ def learn_job(
             made = train_at(job.photons, bar)
         else:
             share = _first_share(training_set, job, matrix, start)
-            made = train_for_counts(counts, share, train_at, bar)
+            made = _train_for_counts(counts, share, train_at, bar)
     state.remove()
     return made
 
@@ -266,7 +266,7 @@ def train(
     return designs
 
 
-def train_for_counts(
+def _train_for_counts(
     counts: float, share: float, train: Callable[[float, Progress], Design], report: Progress
 ) -> Design:
     """Design that counts this many photons, averaged over training scenes, to within `NEAR`."""
