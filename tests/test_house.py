@@ -15,18 +15,18 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
-    "adaptive": 1492,
+    "adaptive": 1493,
     "base": 2144,
     "camera": 1296,
-    "cli": 2487,
+    "cli": 2485,
     "counting": 4333,
-    "datasets": 2503,
+    "datasets": 2506,
     "design": 1162,
     "designfile": 1393,
     "evaluation": 1597,
     "exposure": 1122,
-    "jobs": 1656,
-    "lab": 4313,
+    "jobs": 1657,
+    "lab": 4339,
     "patterns": 1508,
     "physics": 1925,
     "report": 1428,

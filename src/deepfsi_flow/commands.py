@@ -70,10 +70,8 @@ class FindTransits(Command):
     design: PassingDesign
     file: fields.ExistingPath = fields.argument("photon file, without markers", "PTU")
     bin_s: Seconds = fields.option("length of a time bin, such as 100us", ..., alias="bin")
-    photons: float | None = fields.option("budget of a transit; that of the training unless given")
-    background: float | None = fields.option(
-        "counts/s without a scene; from the record unless given"
-    )
+    photons: float | None = fields.option("budget of a transit; default: that of the training")
+    background: float | None = fields.option("counts/s without a scene; default: from the record")
     false_alarms: float = fields.option("expected false alarms in the whole record, at most", 0.01)
     counter_input: Count = fields.option("input of the counter, 1 for the first", 1, alias="input")
     out: Annotated[Path | None, fields.Output((".csv",))] = fields.option(

@@ -59,20 +59,20 @@ class Passing(Exposure):
         default=32,
         ge=2,
         le=4096,
-        description="time bins of a scene that passes a static pattern; 32 unless given",
+        description="time bins of a scene that passes a static pattern; default: 32",
     )
     speed: float = Field(
         default=1.0,
         gt=0,
         allow_inf_nan=False,
-        description="speed of a passing scene, pixels a bin; 1 unless given",
+        description="speed of a passing scene, pixels a bin; default: 1",
     )
     jitter: float = Field(
         default=0.0,
         ge=0,
         allow_inf_nan=False,
-        description="standard deviation of a passing scene's place in an exposure, pixels; 0 "
-        "unless given",
+        description="standard deviation of a passing scene's place in an exposure, pixels; "
+        "default: 0",
     )
     speed_jitter: float = Field(
         default=0.0,

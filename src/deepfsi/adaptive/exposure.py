@@ -517,7 +517,7 @@ class AdaptiveTraining:
     ) -> tuple[AdaptiveExposure, LeftOutAnswers]:
         """The exposure with light and misfit of left-out scenes, and answers to these.
 
-        They are drawn of the training scenes unless given.
+        Default: drawn from the training scenes.
         """
         shape = self.data.image_shape
         none = torch.zeros(self.settings.looks)

@@ -189,9 +189,9 @@ class Camera(UserModel):
     )
     rails: RailsKind = Field(
         default_factory=lambda fields: _law(fields).usual_rails,
-        description="dual: signed masks of two frames each; single: non-negative masks; dual for "
+        description="dual: signed masks of two frames each; single: non-negative masks; default: dual for "
         + " and ".join(name for name, law in LIGHT_LAWS.items() if law.usual_rails == "dual")
-        + ", else single unless given",
+        + ", else single",
     )
     detectors: Annotated[str | tuple[int, ...], BeforeValidator(_detectors)] = Field(
         default="1x1",
@@ -200,8 +200,8 @@ class Camera(UserModel):
     )
     readout: Readout = Field(
         default_factory=lambda fields: _law(fields).usual_readout,
-        description="what the network reads of two rails: both, or their difference; both for "
-        "two-arm, else difference unless given",
+        description="what the network reads of two rails: both, or their difference; default: both "
+        "for two-arm, else difference",
     )
     device: Annotated[Device | None, BeforeValidator(_device)] = Field(
         default=None,
@@ -211,15 +211,15 @@ class Camera(UserModel):
     region: Region | None = Field(
         default=None,
         description="part of the device that holds the masks, COLUMNSxROWS of mirrors in its "
-        "middle or COLUMNSxROWS+LEFT+TOP; the largest that its square cells fill unless given",
+        "middle or COLUMNSxROWS+LEFT+TOP; default: the largest that its square cells fill",
     )
     stretch: bool = Field(
         default=False, description="cells fill the device or region, and need not be square"
     )
     shortest_dwell: Seconds = Field(
         default_factory=lambda fields: _shortest_frame(fields.get("device")),
-        description="shortest time for which a frame is counted, such as 32us; the device's "
-        "shortest picture less settling and 2 us unless given",
+        description="shortest time for which a frame is counted, such as 32us; default: the "
+        "device's shortest picture less settling and 2 us",
     )
     exposure: Seconds | None = Field(
         default=None,
@@ -230,7 +230,7 @@ class Camera(UserModel):
     levels: Levels | None = Field(
         default=None,
         description="grey levels of the masks, dark included: 2 for ON and OFF, 0 for continuous "
-        "values; one for each mirror of a cell, and dark, unless given",
+        "values; default: one for each mirror of a cell, and dark",
     )
     flux: float | None = Field(
         default=None,
@@ -271,8 +271,8 @@ class Camera(UserModel):
         default_factory=lambda fields: _noise(fields).usual_sigma,
         ge=0,
         allow_inf_nan=False,
-        description="read noise of gaussian and camera noise, counts rms per readout; 1 for "
-        "gaussian, 0 for camera unless given",
+        description="read noise of gaussian and camera noise, counts rms per readout; default: 1 "
+        "for gaussian, 0 for camera",
     )
     fluctuation: float = Field(
         default=0.0,
@@ -288,7 +288,7 @@ class Camera(UserModel):
         validate_default=True,
         exclude_if=lambda contrast: not contrast,
         description="contrast of a projector (light law dose), light of an ON pixel over that of "
-        "an OFF one, such as 1000; OFF is dark unless given",
+        "an OFF one, such as 1000; default: OFF is dark",
     )
 
     if TYPE_CHECKING:  # a field has one type, and may be given as others
@@ -313,7 +313,7 @@ class Camera(UserModel):
         Parameters
         ----------
         source : str, path, mapping or Camera, optional
-            One of `PRESETS`, a file ending in ``.toml``, fields, or a camera; `dmd` unless given.
+            One of `PRESETS`, a file ending in ``.toml``, fields, or a camera. Default: `dmd`.
         settings
             Fields of the camera that override those of the source.
 

@@ -38,7 +38,7 @@ Region = Annotated[str, AfterValidator(_region)]
 class DmdLayout(StrictModel):
     """Place of the cells of masks on a device."""
 
-    region: Region | None = None  # that holds the cells; the whole device unless given
+    region: Region | None = None  # that holds the cells; None for the whole device
     stretch: bool = False  # True where cells fill the region, and need not be square
     flip: bool = False  # left and right of the masks exchanged, before they are turned
     rotate: Literal[0, 90, 180, 270] = 0  # by how many degrees masks are turned, clockwise

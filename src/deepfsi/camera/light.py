@@ -30,7 +30,7 @@ TOO_DIM = 10.0
 """Lowest budget of a training over that below which a design has too little light."""
 
 
-def check_budget(photons: Any) -> float:
+def check_budget(photons: Any, name: str = "photon budget") -> float:
     """Return a photon budget as a float; `InputError` unless it is within `BUDGETS`."""
     if isinstance(photons, tuple | list):
         raise InputError(
@@ -43,7 +43,7 @@ def check_budget(photons: Any) -> float:
         number = math.nan
     if not BUDGETS[0] <= number <= BUDGETS[1]:
         raise InputError(
-            f"photon budget {photons!r} is not allowed: give a number from {BUDGETS[0]:g} to "
+            f"{name} {photons!r} is not allowed: give a number from {BUDGETS[0]:g} to "
             f"{BUDGETS[1]:g}, such as 1e4"
         )
     return number

@@ -31,7 +31,7 @@ class DescribeCamera(Command):
 
     source: Path | None = fields.argument(
         "camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper), a TOML file, a design file, or "
-        "a folder of patterns or of a run; dmd unless given",
+        "a folder of patterns or of a run; default: dmd",
         "[source]",
         default=None,
     )
@@ -131,8 +131,8 @@ class CheckView(Command):
 class ExportPatterns(Command):
     """`deepfsi dmd export`.
 
-    Device, region and exposure are those of the design's camera unless given; a DLP7000 where it
-    has none. Cells are square. Where `camera check` finds that your camera shows scenes turned or
+    Without options, the design's camera gives device, region and exposure; a DLP7000 if it has no
+    device. Cells are square. Where `camera check` finds that your camera shows scenes turned or
     flipped, export again with the --flip and --rotate that it names.
 
     A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan
@@ -150,19 +150,19 @@ class ExportPatterns(Command):
         "folder for the patterns, new", ...
     )
     size: fields.HeightWidth | None = fields.option(
-        "cells of raster or hadamard, HEIGHTxWIDTH; 32x32 unless given"
+        "cells of raster or hadamard, HEIGHTxWIDTH; default: 32x32"
     )
     detectors: Annotated[int, Field(ge=1, le=64)] | None = fields.option(
         "number of detectors during raster or hadamard, so that `camera calibrate` finds the cells "
-        "of each; 1 unless given"
+        "of each; default: 1"
     )
     shortest: Seconds | None = fields.option(
-        "shortest picture time of the device; its own unless given"
+        "shortest picture time of the device; default: its own"
     )
-    settle: Seconds | None = fields.option("time for its mirrors to settle; its own unless given")
+    settle: Seconds | None = fields.option("time for its mirrors to settle; default: its own")
     dwell: Seconds | None = fields.option(
-        "mean picture time of a frame, settling included, such as 1ms or 44us; what the camera's "
-        "exposure takes unless given, or 1ms"
+        "mean picture time of a frame, settling included, such as 1ms or 44us; default: what "
+        "the camera's exposure takes, or 1ms"
     )
     selection: str = fields.option(
         "mirrors of a grey cell: ordered (low discrepancy) or random", "ordered"
@@ -176,8 +176,8 @@ class ExportPatterns(Command):
         "write 0 for a mirror that sends light to the detector, and 1 for OFF", False
     )
     kind: str | None = fields.option(
-        "npy or raw (packed bits), png or bmp (one a frame), or planes (24 frames a picture); what "
-        "the device takes unless given",
+        "npy or raw (packed bits), png or bmp (one a frame), or planes (24 frames a picture); "
+        "default: what the device takes",
         alias="format",
     )
 

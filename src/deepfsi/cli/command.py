@@ -180,7 +180,7 @@ def _parameter(
         return argument
     default = field.default
     known = default not in (None, PydanticUndefined, ()) and not isinstance(default, bool)
-    if known and not (axis or heading == "Camera" or "unless given" in words):
+    if known and not (axis or heading == "Camera" or "default" in words):
         text = ",".join(map(str, default)) if isinstance(default, tuple) else default
         words = f"{words}  [default: {text}]"
     option = _Option(

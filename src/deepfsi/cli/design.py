@@ -172,7 +172,7 @@ class ShowDesign(Command):
 
     file: fields.DesignPath = fields.argument("design file")
     out: Path | None = fields.option(
-        "picture: .png, .svg or .pdf; the design's name with .png unless given"
+        "picture: .png, .svg or .pdf; default: the design's name with .png"
     )
     count: Count = fields.option("at most this many masks", 24)
     force: fields.Force = False
@@ -247,7 +247,7 @@ class ExportClassifier(Command):
     """
 
     file: fields.DesignOrPatterns
-    out: Path | None = fields.option("the design's name with .onnx unless given")
+    out: Path | None = fields.option("graph, .onnx; default: the design's name")
     trust: fields.Trust = False
     force: fields.Force = False
 

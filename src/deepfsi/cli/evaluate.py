@@ -106,8 +106,8 @@ class PredictClasses(Command):
         "file names and labels"
     )
     photons: float | None = fields.option(
-        "budget of an exposure, such as 1e4; the light of the design's camera, which it was "
-        "trained for, unless given"
+        "budget of an exposure, such as 1e4; default: the light of the design's camera, which "
+        "it was trained for"
     )
     out: Annotated[Path | None, fields.Output((".csv",))] = fields.option(
         "table with a line for each picture, .csv"

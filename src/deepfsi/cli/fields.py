@@ -216,7 +216,7 @@ TrainingData = Annotated[
 ]
 TestData = Annotated[
     DataSource | None,
-    Field(description="name or path, as for `design`; the design's own unless given"),
+    Field(description="name or path, as for `design`; default: the design's own"),
 ]
 SkipBad = Annotated[
     bool, Field(description="leave pictures that cannot be read out, and name them")
@@ -236,7 +236,7 @@ DesignOrPatterns = Annotated[
 ]
 NoiseOption = Annotated[
     str | None,
-    Field(description="noise of the tests; that of the design's camera unless given"),
+    Field(description="noise of the tests; default: that of the design's camera"),
 ]
 Sigma = Annotated[
     Amount | None,
@@ -261,9 +261,7 @@ Trust = Annotated[bool, Field(description="run the code of the classifier that t
 TorchDevice = Annotated[
     str, Field(description="auto, cpu, cuda, one of several GPUs such as cuda:1, or mps")
 ]
-WorkerCount = Annotated[
-    Count | None, Field(description="processes; one for each core unless given")
-]
+WorkerCount = Annotated[Count | None, Field(description="processes; default: one for each core")]
 Ray = Annotated[str | None, Field(description="work on a Ray cluster: its address, or auto")]
 Force = Annotated[bool, Field(description="replace what is at --out")]
 
@@ -275,13 +273,13 @@ SettleTime = Annotated[
     Seconds | None,
     Field(
         alias="settle",
-        description="time for mirrors to settle in each frame; the device's, or the recorded one, "
-        "unless given",
+        description="time for mirrors to settle in each frame; default: the device's, or the "
+        "recorded one",
     ),
 ]
 Repeats = Annotated[
     Count | None,
-    Field(description="exposures in one pass; as many as fit, or were recorded, unless given"),
+    Field(description="exposures in one pass; default: as many as fit, or were recorded"),
 ]
 Inputs = Annotated[
     tuple[
@@ -308,8 +306,8 @@ MarkerBit = Annotated[
 ExposureBudget = Annotated[
     float | None,
     Field(
-        description="budget of an exposure in counts, detector efficiency included; that of the "
-        "all-ON frames unless given"
+        description="budget of an exposure in counts, detector efficiency included; default: "
+        "that of the all-ON frames"
     ),
 ]
 

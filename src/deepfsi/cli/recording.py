@@ -49,8 +49,8 @@ class _Run(Command):
     scene: ShownScenes
     out: NewRun
     virtual: str | None = fields.option(
-        "virtual camera: ideal, pmt, spad, or a TOML file; with the dark counts and dead time of "
-        "the design's camera unless given, or pmt where that is no laboratory's"
+        "virtual camera: ideal, pmt, spad, or a TOML file; default: with the dark counts and "
+        "dead time of the design's camera, or pmt where that is no laboratory's"
     )
     inputs: fields.Inputs = ()
     seed: WholeNumber = fields.option(
@@ -81,7 +81,7 @@ class _Run(Command):
 class SimulateRun(_Run):
     """`deepfsi camera simulate`.
 
-    Exposure, flux, dark counts, dead time and gates are those of the design's camera unless given.
+    Without options, the design's camera gives exposure, flux, dark counts, dead time and gates.
 
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
@@ -157,7 +157,7 @@ class _DeviceRun(_Run):
         "virtual, or NAME[,SETTING=VALUE...] of a driver, such as swabian,trigger=8", "virtual"
     )
     latency_s: Seconds | None = fields.option(
-        "time from a decision until virtual devices show its frames; 1ms unless given",
+        "time from a decision until virtual devices show its frames; default: 1ms",
         alias="latency",
     )
     marker_bit: fields.MarkerBit = None
@@ -278,7 +278,7 @@ class RunLive(_DeviceRun):
     """
 
     until: float | None = fields.option(
-        "confidence above which an exposure stops; that of the design's rule unless given"
+        "confidence above which an exposure stops; default: that of the design's rule"
     )
     photons: fields.ExposureBudget = None
 
@@ -344,9 +344,9 @@ class RunLive(_DeviceRun):
 class ImportRecording(Command):
     """`deepfsi camera import`.
 
-    With --patterns and --scenes it becomes an acquisition folder for `camera count`. Exposure and
-    flux are those of the design's camera unless given; the longest exposure that fits where it has
-    none.
+    With --patterns and --scenes it becomes an acquisition folder for `camera count`. Without
+    options, the design's camera gives exposure and flux; the exposure is the longest that fits
+    where it has none.
 
     Without patterns, time stamps become a photon file alone, as for `camera transits`. Their
     trigger is marker 0; without a trigger the file has no markers.
@@ -371,10 +371,10 @@ class ImportRecording(Command):
     repeats: fields.Repeats = None
     unit: Seconds | None = fields.option("time stamps: unit of the times, such as 1ps")
     marker_channel: int | None = fields.option(
-        "time stamps: channel of the device's trigger; none unless given"
+        "time stamps: channel of the device's trigger; default: none"
     )
     channels: tuple[int, ...] = fields.option(
-        "time stamps: channel of each detector, in order; all others unless given",
+        "time stamps: channel of each detector, in order; default: all others",
         (),
         alias="channel",
     )

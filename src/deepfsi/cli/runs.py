@@ -56,12 +56,12 @@ class CountRun(Command):
     folder: fields.RunFolder
     settings: Annotated[dict[str, Any], fields.run_options(*fields.COUNTER_EFFECTS)]
     exposure_s: Seconds | None = fields.option(
-        "total exposure, such as 0.01 or 10ms; the recorded one unless given", alias="exposure"
+        "total exposure, such as 0.01 or 10ms; default: the recorded one", alias="exposure"
     )
     settle_s: fields.SettleTime = None
     repeats: fields.Repeats = None
     tolerance_s: Seconds | None = fields.option(
-        "how far a marker may be off; 10us or a tenth of a frame unless given", alias="tolerance"
+        "how far a marker may be off; default: 10us or a tenth of a frame", alias="tolerance"
     )
     background: str | None = fields.option(
         "scene of this run that was dark, or folder of a run with the scene dark: its counts are "
@@ -113,11 +113,11 @@ class ClassifyRun(Command):
     )
     photons: fields.ExposureBudget = None
     background: str | None = fields.option(
-        "table: dark counts of an input in one exposure, those of the all-OFF frames unless given; "
+        "table: dark counts of an input in one exposure; default: those of the all-OFF frames; "
         "or a table of exposures with the scene dark, to be subtracted"
     )
     settle_s: Seconds | None = fields.option(
-        "table: time after each marker without counting; 0 unless given", alias="settle"
+        "table: time after each marker without counting; default: 0", alias="settle"
     )
     repeats: Count = fields.option("table: number of consecutive exposures of each scene", 1)
     gain: float | None = fields.option(

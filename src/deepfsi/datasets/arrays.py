@@ -70,7 +70,7 @@ def from_arrays(
     classes : sequence of str, optional
         Class names. Integer labels then count into them from 0; string labels are among them.
     values : sequence of str, optional
-        Names of the q values; value 1, value 2, … unless given.
+        Names of the q values. Default: value 1, value 2, … .
     name : str
         Name of the data set in tables and records.
     seed : int

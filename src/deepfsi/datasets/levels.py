@@ -205,7 +205,7 @@ class Tally:
         return Image.fromarray(values if family == "byte" else values.astype(np.float32))
 
     def levels(self, white: float | None) -> ValueRange:
-        """Range of all pictures and their white, which is measured unless given."""
+        """Range of all pictures and their white, measured if none is given."""
         assert self.family is not None
         name = f"{self.first} and {self.count - 1} others" if self.count > 1 else self.first
         kind = {"byte": "8-bit", "float": "float"}.get(self.family, "16-bit")

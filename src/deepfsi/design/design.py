@@ -331,7 +331,7 @@ class Design:
         counts, photons
             As for `classify`.
         background : float or array, broadcastable to counts
-            Counts that were subtracted from each readout; 0 unless given.
+            Counts that were subtracted from each readout. Default: 0.
 
         Raises
         ------

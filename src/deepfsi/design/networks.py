@@ -60,8 +60,8 @@ class Mlp(Classifier):
     dropout : float
         Probability, in steps of 2⁻¹⁶.
     generator : torch.Generator, optional
-        For the initial weights (uniform in ±1/√inputs, as `nn.Linear`) and for dropout; torch's
-        global one unless given.
+        For the initial weights (uniform in ±1/√inputs, as `nn.Linear`) and for dropout. Default:
+        torch's global one.
 
     Examples
     --------

@@ -55,13 +55,13 @@ def evaluate(
     photons : float or sequence of float
         Budgets Φ.
     camera : Camera, str, path or mapping, optional
-        Whose noise, dark counts and read noise are in force; the design's own unless given.
+        Camera whose noise, dark counts and read noise hold. Default: the design's.
     draws : int
         Noise draws of each scene (1 is enough without noise).
     seed : int
         Of the noise.
     report : Progress, optional
-        Where to say how far it is; a bar where a terminal is attached unless given.
+        Receives the progress. Default: a bar if a terminal is attached.
     **settings
         Fields of the camera in place of its own, such as ``noise="gaussian", sigma=2``.
 
@@ -140,7 +140,7 @@ def _answering(design: Design, camera: Camera, x: Tensor) -> Guess:
 
 
 def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> Camera:
-    """Camera of a test, the design's own unless given."""
+    """Camera of a test: the design's if none is given."""
     base = design.camera if camera is None else Camera.load(camera)
     if "noise" not in settings and camera is None and base.noise_name not in get_args(NoiseName):
         raise InputError(

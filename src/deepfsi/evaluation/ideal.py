@@ -120,7 +120,7 @@ def ideal_observer(
     seed : int
         Of the noise.
     report : Progress, optional
-        Where to say how far it is; a bar where a terminal is attached unless given.
+        Receives the progress. Default: a bar if a terminal is attached.
 
     Raises
     ------

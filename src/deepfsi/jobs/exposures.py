@@ -300,8 +300,8 @@ class AdaptiveMasks(UserModel):
         le=MOST_READY,
         strict=True,
         exclude_if=lambda count: count is None,
-        description="masks that stay on the device, of which each look shows one, at most; masks "
-        "are made anew unless given",
+        description="most masks that stay on the device, of which each look shows one; default: "
+        "masks are made anew",
     )
 
     @property

@@ -77,12 +77,12 @@ class Job(UserModel):
     masks: int = Field(ge=1, description="number of masks, m")
     photons: Annotated[PhotonBudget, BeforeValidator(check_budget)] = Field(
         description="budget Φ: expected photons on the coding device, LOW:HIGH for a range of "
-        "budgets; flux times exposure of the camera unless given"
+        "budgets; default: flux times exposure of the camera"
     )
     camera: Camera = Field(
         default=Camera(),
         description="the camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper) or a "
-        "TOML file; dmd unless given",
+        "TOML file; default: dmd",
     )
     exposure: AnyExposure = Field(default=Fixed(), description="what is shown when")
     training: Training = Field(default=Training(), description="settings of the training")
@@ -443,7 +443,7 @@ def job_of(
         given = {"design": "custom", "masks": len(matrix), **given}
     training = _training_of(given)
     if counts is not None and "photons" not in given:
-        given["photons"] = check_budget(counts)
+        given["photons"] = check_budget(counts, "number of counts")
     elif counts is not None and isinstance(training, Mapping):
         given["training"] = {**training, "counts": counts}
     code = DESIGNS.get(given.get("design", "deepfsi"))

@@ -170,7 +170,7 @@ class Training(UserModel):
     batch: int | None = Field(
         default=None,
         ge=2,
-        description="scenes of a step; a hundredth of all, 32 to 500, unless given",
+        description="scenes of a step; default: a hundredth of all, 32 to 500",
     )
     lr: Positive = Field(
         default=1e-2,
@@ -214,27 +214,27 @@ class Training(UserModel):
     )
     start: Annotated[str, AfterValidator(_start)] = Field(
         default="pca",
-        description="design that learned masks start from; unless given pca, for few counts random",
+        description="design that learned masks start from; default: pca, for few counts random",
     )
     start_counts: Positive = Field(
         default=10.0,
         exclude_if=lambda times: times == 10,  # keys and files of before it stay as they are
-        description="of few counts: masks start from so many times those asked for, unless that "
-        "would be nine tenths of all gates",
+        description="of few counts: masks start at this multiple of the counts asked for, unless "
+        "nine tenths of all gates would click",
     )
     clusters: int | None = Field(
         default=None,
         ge=1,
-        description="of adaptive masks: the prior is the centres of so many clusters of each "
-        "class; all training scenes unless given",
+        description="of adaptive masks: the prior has the centres of this many clusters of each "
+        "class; default: all training scenes",
     )
     dictionary: int | None = Field(
         default=None,
         ge=1,
         le=MOST_READY,
         exclude_if=lambda count: count is None,
-        description="of adaptive masks: each look shows one of so many masks, which stay on the "
-        "device; masks are made anew unless given",
+        description="of adaptive masks: each look shows one of this many masks, which stay on the "
+        "device; default: masks are made anew",
     )
     precision: Precision = Field(
         default="auto",
@@ -244,12 +244,12 @@ class Training(UserModel):
     loss: Loss = Field(
         default=None,
         description="module:function of a loss of your own, of outputs (n, C) and truth (n,) of "
-        "classes or (n, q) of values; cross entropy, or the squared error of values, unless given",
+        "classes or (n, q) of values; default: cross entropy, or the squared error of values",
     )
     noise: NoiseSetting | None = Field(
         default=None,
         description="noise of the training, if other than the camera's: ml_gauss, poisson, "
-        "gaussian, camera or none; unless given ml_gauss stands for photon noise",
+        "gaussian, camera or none; default: ml_gauss stands for photon noise",
     )
 
     @model_validator(mode="before")

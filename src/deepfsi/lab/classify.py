@@ -82,7 +82,7 @@ def classify_run(
     folder : str or path
         Of the acquisition, with its counts.
     photons : float, optional
-        Budget Φ of an exposure, counts; that of each scene's all-ON frames unless given.
+        Budget Φ of an exposure, counts. Default: from each scene's all-ON frames.
     force : bool
         Classify even if the counts do not look like those of the training.
     trust : bool

@@ -71,11 +71,11 @@ class LiveRun:
     exposure_s : float
         Time of all looks at a scene, seconds.
     shortest_s : float, optional
-        Shortest time for which a frame is counted, seconds; that of the device unless given.
+        Shortest time for which a frame is counted, seconds. Default: of the device.
     photons : float, optional
-        Budget of an exposure, counts; measured by the all-ON frames unless given.
+        Budget of an exposure, counts. Default: measured by the all-ON frames.
     until : float, optional
-        Confidence above which an exposure stops; that of the design's rule unless given.
+        Probability at which an exposure ends. Default: of the design's rule.
     dead_time : DeadTime
         Dead time of the counter, to be corrected.
     **others

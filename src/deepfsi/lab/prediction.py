@@ -115,10 +115,10 @@ def predict(
         array, whole numbers are pictures as those of files; floats are reflectance in [0, 1] as a
         data set of the design has it, and get no preprocessing.
     photons : float, optional
-        Budget Φ; that of the camera unless given, within the budgets of the training, else the
-        lowest of these.
+        Budget Φ. Default: that of the camera if it is within the budgets of the training, else
+        the lowest of these.
     camera : Camera, str, path or mapping, optional
-        Whose noise, dark counts and read noise are in force; the design's own unless given.
+        Camera whose noise, dark counts and read noise hold. Default: the design's.
     seed : int
         Of the noise.
     skip_bad : bool

@@ -47,7 +47,7 @@ class Series:
 
     @classmethod
     def of(cls, results: Results, points: Iterable[Measured] | None = None) -> "Series":
-        """Series of some points of a comparison, all unless given."""
+        """Series of some points of a comparison; None for all."""
         return cls(results.points if points is None else points, series_axes(results))
 
     def key(self, point: Measured) -> SeriesKey:

@@ -160,11 +160,11 @@ class Recipe(UserModel):
         default=False, description="leave images that cannot be read out, and name them"
     )
     images: int | None = Field(
-        default=None, ge=1, description="training images that are taken; all unless given"
+        default=None, ge=1, description="training images that are taken; default: all"
     )
     split: Literal["random", "blocks"] | None = Field(
         default=None,
-        description="how a hyperspectral image is divided for testing; random unless given",
+        description="how a hyperspectral image is divided for testing; default: random",
     )
     designs: FilledAxis[DesignKind] = Field(
         default=(
@@ -185,7 +185,7 @@ class Recipe(UserModel):
         default=(), description="budgets under gaussian noise, if others"
     )
     ratios: Axis[Annotated[float, Field(gt=0, le=1)]] = Field(
-        default=(), description="readouts over pixels, m · D / N; the paper's unless given"
+        default=(), description="readouts over pixels, m · D / N; default: the paper's"
     )
     masks: Axis[Count] = Field(default=(), description="mask counts, instead of ratios")
     camera: Annotated[dict[str, Any], BeforeValidator(_read_camera)] = Field(
@@ -199,7 +199,7 @@ class Recipe(UserModel):
     validation: int | None = Field(
         default=None,
         ge=0,
-        description="training scenes held out to choose on; a sixth unless given",
+        description="training scenes held out to choose on; default: a sixth",
     )
     folds: int | None = Field(
         default=None,
@@ -211,10 +211,10 @@ class Recipe(UserModel):
     )
     draws: int = Field(default=3, ge=1, le=MOST_DRAWS, description="noise draws of each test scene")
     test_photons: Axis[PhotonBudget] = Field(
-        default=(), description="budgets of the tests; that of the training unless given"
+        default=(), description="budgets of the tests; default: that of the training"
     )
     test_noise: Axis[TestNoise] = Field(
-        default=(), description="noises of the tests; that of the camera unless given"
+        default=(), description="noises of the tests; default: that of the camera"
     )
     test_levels: FilledAxis[Levels] = Field(
         default=(0,),
