@@ -133,7 +133,7 @@ def test_markers_and_gates_that_do_not_fit_are_refused(tmp_path, offset, lengths
 
 
 def test_the_lines_of_the_page_run(tmp_path, monkeypatch, capsys):
-    page = (Path(__file__).parents[3] / "docs/develop/drivers.md").read_text()
+    page = (Path(__file__).parents[2] / "docs/develop/drivers.md").read_text()
     blocks = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
     (lines,) = (block for block in blocks if "FrameCounter" in block)
     record(tmp_path, [54e-6, 110e-6], 1e6)

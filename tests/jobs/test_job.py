@@ -138,7 +138,7 @@ def test_a_job_comes_back_from_json():
         ({"training": 3}, "training = 3"),
         ({"design": "pca", "training": {"start": "lda"}}, "no masks of PCA learn"),
         ({"photons": None}, "told once: .*or a camera with its flux"),
-        ({"photons": None, "counts": -1.0}, "-1.0 counts"),
+        ({"photons": None, "counts": -1.0}, "number of counts -1.0"),
         ({"photons": None, "counts": 30.0, "exposure": {"span": 10.0}}, "leave .*`span`, out"),
         ({"masks": None}, "masks: it is missing"),
     ],

@@ -116,7 +116,7 @@ def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digi
 
     calls = [
         lambda: learn_adaptive().prior_exposure.prior.components,
-        lambda: learn(span).mean,
+        lambda: learn(span).exposure.mean,
         lambda: deepfsi.load_design(file).rails.stacked,
         lambda: deepfsi.load_design(adaptive_file).prior_exposure.prior.components,
         lambda: [design.to_bytes(), adaptive.to_bytes()],

@@ -189,7 +189,8 @@ class Camera(UserModel):
     )
     rails: RailsKind = Field(
         default_factory=lambda fields: _law(fields).usual_rails,
-        description="dual: signed masks of two frames each; single: non-negative masks; default: dual for "
+        description="dual: signed masks of two frames each; single: non-negative masks; default: "
+        "dual for "
         + " and ".join(name for name, law in LIGHT_LAWS.items() if law.usual_rails == "dual")
         + ", else single",
     )
