@@ -33,7 +33,7 @@ SummedReflectance = Annotated[float, Field(ge=1e-6, allow_inf_nan=False)]
 class LightLawFacts:
     """Facts of a light law, whatever its masks are."""
 
-    optics: str  # what realises it, in words
+    optics: str  # a phrase for the optics that realise it
     in_turn: bool = True
     one_device: bool = True  # True if one micromirror device shows the masks
     lights_all: bool = False
@@ -86,7 +86,7 @@ class NoiseFacts:
     """Facts of a noise, whatever it is drawn of."""
 
     title: str  # name for headings and sentences
-    shot: bool = False  # True if its mean and its variance grow with the light as those of photons
+    shot: bool = False  # whether mean and variance grow with the light as for photons
     counting: bool = False  # True if whole counts are drawn, whose mean is known
     dark: bool = False
     read_noise: bool = False
@@ -105,7 +105,7 @@ class NoiseFacts:
 
     @property
     def exact(self) -> bool:
-        """True if counts are those of photons of steady light and of nothing else."""
+        """Whether counts are photons of steady light and nothing else."""
         return self.shot and self.counting and self.steady and not (self.dark or self.read_noise)
 
 
@@ -130,7 +130,7 @@ NOISES: dict[str, NoiseFacts] = {
 
 
 def find_noise(noise: Any) -> NoiseFacts:
-    """Facts of a noise of a name; of one's own, nothing is known but what it is called."""
+    """Facts of a noise by name; of a user's noise only the name is known."""
     name = noise_name(noise)
     return NOISES.get(name) or NoiseFacts(f"{name} noise")
 
@@ -169,4 +169,4 @@ NoiseSetting = Annotated[
     PlainSerializer(noise_name, return_type=str),
     WithJsonSchema({"type": "string"}),
 ]
-"""Name of a noise, import path of one's own, or its function."""
+"""Name of a noise, or a user's noise: its import path or function."""

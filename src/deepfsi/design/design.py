@@ -42,30 +42,30 @@ from deepfsi.physics.surroundings import library_defaults, torch_device
 
 @dataclass(repr=False)
 class Design:
-    """Masks and the classifier that reads them, or a prior of scenes of which masks are made.
+    """Masks and the classifier that reads them, or the prior of scenes that makes masks.
 
     Attributes
     ----------
     name : str
-        Which design, a key of `jobs.designs.DESIGNS`.
+        Name of the kind of design, a key of `jobs.designs.DESIGNS`.
     classes : tuple of str
-        Their names; none of a design that estimates values.
+        Class names; empty for a design that estimates values.
     exposure : ExposureKind
-        What is shown of a scene and what is read: the masks with their light law, detectors and
-        statistics; or the prior of adaptive masks.
+        Masks with their light law, detectors and statistics, or the prior of adaptive masks.
     classifier : nn.Module or None
-        Inputs, as the exposure makes them of features (..., m), to logits (..., C). None of
+        Maps the inputs that the exposure makes from features (..., m) to logits (..., C). None for
         adaptive masks, whose posterior answers.
     info : dict
-        Provenance: how it was trained, on which data, with which versions. JSON types only.
+        Provenance in JSON types: training, data and versions.
     distribution, scene_model : ReadoutDistribution and SceneModel, optional
-        Of the training: what `consistency`, and the view of a camera's runs, are tested against.
+        Models of the training's readouts and scenes, against which `consistency` and the view of a
+        camera's runs are tested.
     temperatures : Temperatures, optional
-        What divides the logits at each budget, so that probabilities are those of being right.
+        Divisors of the logits at each budget, which calibrate the probabilities.
     values : Values, optional
-        Names, mean and spread of the values that it estimates in place of classes.
-    training_scenes : array, shape (n,), optional
-        Hashes, int32, of the scenes that it was made with; None of files of older versions.
+        Names, mean and spread of the values that a design estimates in place of classes.
+    training_scenes : array of int32, shape (n,), optional
+        Hashes of the training scenes. None in files of older versions.
 
     Examples
     --------
@@ -137,12 +137,12 @@ class Design:
 
     @property
     def masks(self) -> int:
-        """m, number of masks; of adaptive ones that of looks, each of which has one."""
+        """m, number of masks; adaptive masks have one for each look."""
         return self.exposure.count
 
     @property
     def counts_shape(self) -> tuple[int, ...]:
-        """Shape ([2,] m [, D]) of the counts of one exposure, as `classify` takes them."""
+        """Shape ([2,] m [, D]) of the counts that `classify` takes for one exposure."""
         return self.mask_exposure.counts_shape
 
     @property
@@ -170,12 +170,12 @@ class Design:
     def scanner(
         self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
-        """Optical front end with a noise of your choice; parameters as of `Scanner.from_rails`."""
+        """Optical front end with a noise of your choice, given as to `Scanner.from_rails`."""
         return self.mask_exposure.scanner(noise, sigma, dark)
 
     @library_defaults()
     def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
-        """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
+        """Expected counts (..., rails, m · D) of reflectances (..., N) at the budget 1."""
         return self.mask_exposure.rates(scanner, scenes)
 
     @library_defaults()
@@ -188,9 +188,10 @@ class Design:
 
     @library_defaults(grad=False)
     def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> tuple[np.ndarray, ...]:
-        """One exposure of a scene (N,) with adaptive masks; parameters as of `expose`.
+        """One exposure of a scene (N,) with adaptive masks.
 
-        After each of K looks: masks and mean scenes (K, N) of the posterior, chances (K, C).
+        Returns, for each of K looks, the masks and mean scenes (K, N) of the posterior and the
+        class probabilities (K, C).
         """
         generator = torch.Generator().manual_seed(seed)
         looks = self.prior_exposure.look_by_look(torch.from_numpy(scene), photons, generator)
@@ -204,7 +205,7 @@ class Design:
 
     @library_defaults(grad=False)
     def expose(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
-        """Counts of one simulated exposure of each scene, in the shape that `classify` takes.
+        """Counts of one simulated exposure of each scene, shaped for `classify`.
 
         Parameters
         ----------
@@ -213,7 +214,7 @@ class Design:
         photons : float
             Budget Φ.
         seed : int
-            Of the noise, which is that of the design's camera.
+            Seed of the noise of the design's camera.
 
         Returns
         -------
@@ -280,11 +281,11 @@ class Design:
         Parameters
         ----------
         counts : array, shape (..., 2, m) for dual-rail designs, (..., m) for single-rail ones
-            Counts of each readout, first the positive rails, then the negative ones. A dark rail
-            reads 0. Of D detectors there are D for each, (..., 2, m, D) or (..., m, D). Where P
-            parts of a scene have detectors of their own, theirs is the axis before, (..., P, 2, m).
+            Counts of each readout, positive rails first. A dark rail reads 0. D detectors add a
+            last axis, (..., 2, m, D) or (..., m, D). P parts of a scene that have their own
+            detectors add an axis before, (..., P, 2, m).
         photons : float or array, shape (...)
-            Budget Φ of each exposure, or an estimate of it (an all-ON frame gives one).
+            Budget Φ of each exposure, or an estimate, for instance from an all-ON frame.
 
         Raises
         ------
@@ -296,10 +297,9 @@ class Design:
 
     @library_defaults(grad=False)
     def estimate(self, counts: Any, photons: Any) -> np.ndarray:
-        """Values (..., q) of one or many exposures, in the units that the training had.
+        """Values (..., q) of one or many exposures, in the units of the training data.
 
-        Parameters as of `classify`. Raises `InputError` as that does, or if the design answers
-        classes.
+        Takes what `classify` takes, and refuses what it refuses, and a design that answers classes.
         """
         if self.values is None:
             raise InputError("this design answers classes and estimates no values: use classify")
@@ -322,9 +322,9 @@ class Design:
 
     @library_defaults()
     def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> ConsistencyResult:
-        """Consistency of exposures with the training, each of another scene.
+        """Test whether the counts of exposures, each of another scene, look like the training's.
 
-        Exposures of one scene are to be added before, counts, photons and background.
+        Sum exposures of one scene first: their counts, photons and background.
 
         Parameters
         ----------
@@ -365,17 +365,17 @@ class Design:
         return self  # its distribution stays: counts are tested where they arrive
 
     def quantised(self, levels: int) -> "Design":
-        """The design as a device of that many grey levels shows it, dark included (paper: 769).
+        """The design as a device with these grey levels shows it, dark included (paper: 769).
 
-        Classifier and statistics stay; a camera with so many `levels` trains for such a device.
+        Classifier and statistics stay. Train with the camera's `levels` to learn for the device.
         """
         return replace(self, exposure=self.exposure.quantised(levels), distribution=None)
 
     def as_shown(self, rails: np.ndarray, image_shape: tuple[int, ...], dimmed: float) -> "Design":
-        """The design as patterns on a device realise it, with rails (2 or 1, m, N) and cells.
+        """The design as a device's patterns realise it, with rails (2 or 1, m, N) and cells.
 
-        Where one device gives a design less light, `dimmed`, its features are as much smaller, and
-        so are the statistics that scale them. Parameters as of `Patterns.realised`.
+        A device that passes only the share `dimmed` of the light makes features smaller; the
+        statistics that scale them follow.
         """
         self.exposure.check("frames")
         if self.gates is not None and dimmed != 1:
@@ -416,9 +416,9 @@ class Design:
         trust: bool = False,
         classifier: Given | None = None,
     ) -> "Design":
-        """Read a design file. That runs no code of a classifier of its maker's unless told to.
+        """Read a design file. Code that its maker wrote runs only if you say so.
 
-        Without `trust` and `classifier` such a design has its masks, and classifies nothing.
+        Without `trust` or `classifier`, a design with such a classifier has masks only.
 
         Parameters
         ----------
@@ -467,8 +467,8 @@ def load_design(
 ) -> Design:
     """Open a design file, or a published design by its name, ``"dmd-mnist"`` for example.
 
-    Other parameters as of `Design.load`, and so are errors. Adaptive masks are computed on the
-    processor.
+    It takes what `Design.load` takes, and refuses what it refuses. Adaptive masks are computed on
+    the processor.
 
     Examples
     --------

@@ -29,7 +29,7 @@ from deepfsi.evaluation.measures import MEASURES, Answers, ClassAnswers, Measure
 
 @dataclass(frozen=True)
 class _AnswerTest:
-    """A test of answers of either kind, with all measures of `MEASURES` that are of that kind."""
+    """Test of answers, with each measure of `MEASURES` for their kind."""
 
     kind: ClassVar[type[Answers]]
     photons: float  # budget Φ
@@ -48,12 +48,12 @@ class _AnswerTest:
 
     @property
     def clicks(self) -> bool:
-        """True of detectors that click, whose counts are fewer than the photons that arrive."""
+        """Whether detectors click, so that fewer photons count than arrive."""
         return find_noise(self.noise).gates
 
     @classmethod
     def measures(cls) -> list[Measure]:
-        """Measures of such answers, that by which data are judged first."""
+        """Measures of such answers, the main one first."""
         return [measure for measure in MEASURES.values() if measure.of is cls.kind]
 
     def score(self, key: str) -> float | None:
@@ -134,13 +134,13 @@ class Result(_AnswerTest):
         What the detectors count, in the mean over the test scenes: photons without dark counts,
         or clicks.
     arriving : float
-        Photons that reach the detectors, in the same mean: `counts`, but of detectors that click.
+        Photons that reach the detectors in the same mean; they equal `counts` unless detectors
+        click.
     throughput : float
-        Share of the budget that reaches the detectors, in the training mean; where dwells are
-        chosen, at the training's budget. Of masks that are quantised for a test only, it is that
-        of the masks before.
+        Share of the budget that reaches the detectors, averaged over training scenes. For masks
+        quantised only in the test, it is the share before.
     photons_per_mask : list of float
-        Expected photons of each mask's rails together, in the training mean; likewise.
+        Expected photons of each mask, both rails together, averaged in the same way.
     further, image_terms
         Other measures of the test, and their values for each image, by name.
 
@@ -343,7 +343,7 @@ def _answers(result: Result | Estimates, classes: Sequence[str]) -> tuple[str, .
 
 
 def error_text(rmse: float, bound: float | None) -> str:
-    """A root mean squared error, and in brackets a bound where there is one: 0.052 (0.071)."""
+    """A root mean squared error, and its bound in brackets if known: 0.052 (0.071)."""
     return f"{rmse:.3g}" if bound is None else f"{rmse:.3g} ({bound:.3g})"
 
 
