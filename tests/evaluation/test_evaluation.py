@@ -31,7 +31,7 @@ def test_counts_in_the_mean_are_the_budget_times_the_shares(made, digits, light,
     trained = made("deepfsi", light, rails)
     known = replace(digits, x_test=digits.x_train, y_test=digits.y_train)
     [result] = evaluate(trained, known, 300.0, draws=1)
-    assert result.counts == pytest.approx(300 * float(trained.shares.sum()), rel=1e-4)
+    assert result.counts == pytest.approx(300 * float(trained.exposure.shares.sum()), rel=1e-4)
     assert result.counts == pytest.approx(300 * result.throughput, rel=1e-4)
     assert sum(result.photons_per_mask) == pytest.approx(300 * result.throughput)
     n = len(known.y_test)
