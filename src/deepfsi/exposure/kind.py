@@ -1,8 +1,8 @@
-"""Base of all kinds of exposure: what each shows of a scene, and what its counts tell.
+"""Kinds of exposure: what each shows of a scene, and how its counts are read.
 
-One class for each kind. Most hold masks that are known before (`MaskExposure`, itself the kind of
-fixed dwells); adaptive masks hold a prior of scenes, of which they make theirs. What needs one or
-the other asks `makes_masks`.
+Each kind is a class. `MaskExposure` has masks that are known before, each with a fixed dwell, and
+is the base of most kinds. Adaptive masks have a prior of scenes and make each mask from the counts
+so far; `makes_masks` says so.
 """
 
 import math
@@ -28,11 +28,11 @@ from deepfsi.physics.noise import NoiseFunction, full_gates, noise_of, to_traini
 from deepfsi.physics.scanner import Scanner
 
 Use = Literal["masks", "frames", "graph", "page", "comparison", "ideal observer"]
-"""What not every kind can be used for: masks that are known before, with counts of them; frames of
-a device; an ONNX graph; a page; the comparison of counts alone; the ideal observer."""
+"""Uses that some kinds refuse: known masks and their counts; frames for a device; an ONNX graph; a
+page; the test of counts alone; the ideal observer."""
 
 EXPOSED_AT_ONCE = 1024
-"""Scenes that are exposed at a time."""
+"""Scenes in a batch."""
 
 
 class Answer(NamedTuple):
@@ -40,26 +40,26 @@ class Answer(NamedTuple):
 
     logits: Tensor  # (..., C)
     chances: Tensor  # (..., C)
-    classes: Tensor  # (...), that logits may tell apart where rounded chances do not
+    classes: Tensor  # (...); logits can tell classes apart whose chances round alike
 
 
 class CountedLight(NamedTuple):
-    """Light of exposures together."""
+    """Light of all exposures of a test."""
 
     counts: float
     photons: float
-    used: float | None = None  # light on the coding device, of exposures that stop
+    used: float | None = None  # light on the device, if exposures may end early
 
 
 Exposures = Callable[[float, torch.Generator], tuple[Answer, CountedLight]]
-"""Scenes before a camera: answers to one exposure of each at a budget, and their light together."""
+"""Function of a budget: exposes scenes once each and returns answers and light."""
 
 Network = Callable[[Tensor, Tensor | float], Answer]
-"""Answers to features (..., k) of exposures, over the budget, at a budget of each."""
+"""Function of features (..., k) over the budget, and of budgets: returns answers."""
 
 
 class ExposureKind(ABC):
-    """One kind of exposure, of a design that was made: what it shows, reads and answers."""
+    """What a trained design shows of a scene, and how it reads the counts."""
 
     image_shape: tuple[int, ...]  # of a scene
     summed_reflectance: float  # s, the training scenes' mean summed reflectance; λ = Φ x / s
@@ -68,34 +68,34 @@ class ExposureKind(ABC):
     detection: Detection  # detectors on parts of the device, and what is read of two rails
 
     makes_masks: ClassVar[bool] = False
-    """Whether masks are made of the counts so far."""
+    """Whether each mask is made from the counts so far."""
 
     comparable: ClassVar[bool] = True
-    """Whether counts can be held against those of the training."""
+    """Whether counts can be tested against the training's."""
 
     refusals: ClassVar[dict[Use, str]] = {}
-    """Why the kind cannot be used for something."""
+    """Uses that the kind refuses, with the reason."""
 
     def check(self, use: Use, name: str | None = None) -> None:
-        """Raise `InputError` where a design, of such a name, cannot be used for something."""
+        """Raise `InputError` if a design, called `name` in the message, refuses a use."""
         text = self.refusals.get(use)
         if text is not None:
             raise InputError(text if name is None else text.replace("this design", name, 1))
 
     @property
     def device(self) -> torch.device:
-        """Where exposures are computed."""
+        """Torch device of the tensors."""
         return self.shares.device
 
     @property
     @abstractmethod
     def count(self) -> int:
-        """Number of masks, or of looks of adaptive masks."""
+        """Number of masks; adaptive masks have one for each look."""
 
     @property
     @abstractmethod
     def title(self) -> str:
-        """The kind in a few words, for a reader."""
+        """Short description for a reader."""
 
     @property
     @abstractmethod
@@ -105,18 +105,18 @@ class ExposureKind(ABC):
     @property
     @abstractmethod
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays of a design file that are the kind's own."""
+        """Arrays that the kind keeps in a design file."""
 
     @abstractmethod
     def exposures(self, scenes: Tensor, camera: Camera, network: Network) -> Exposures:
-        """Exposures of scenes (n, N) by a camera, answered by what reads the counts of masks."""
+        """Exposures of scenes (n, N) by a camera; a network answers counts of known masks."""
 
     def full_gates(self, counts: float, photons: float) -> str | None:
-        """Remark on clicks in nearly all gates of an exposure; None where none is to be said."""
+        """Warning if nearly all gates of an exposure click, else None."""
         return None
 
     def quantised(self, levels: int) -> "ExposureKind":
-        """The kind as a device of so many grey levels shows it."""
+        """The kind as a device with these grey levels shows it."""
         return self
 
     def to(self, device: str | torch.device) -> "ExposureKind":
@@ -127,19 +127,19 @@ class ExposureKind(ABC):
 class Clicks(NamedTuple):
     """Clicks of detectors that fire at most once a gate."""
 
-    gates: int  # clicks of a readout at most
-    photons: float  # budget of the training, for which clicks are read
+    gates: int  # most clicks of a readout
+    photons: float  # budget of the training, at which the network reads clicks
 
     @classmethod
     def of(cls, info: Mapping[str, Any]) -> "Clicks | None":
-        """Clicks of a design of such a provenance; None where its detectors count."""
+        """Clicks of a design, from its provenance; None if its detectors count photons."""
         gates = click_gates(info)
         return None if gates is None else cls(gates, info["job"]["photons"])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MaskExposure(ExposureKind):
-    """Exposure of masks that are known before: each is shown once, for its own dwell.
+    """Exposure with masks that are known before; each is shown once, for its dwell.
 
     Training and design file make it of its entry, in one way: `Entry.restored_by` names the class.
     """
@@ -182,7 +182,7 @@ class MaskExposure(ExposureKind):
 
     @property
     def size_text(self) -> str:
-        """Masks, and detectors where there are several."""
+        """Masks, and detectors if there are several."""
         parts = [f"{self.count} masks"]
         if self.detection.count > 1:
             parts.append(f"{self.detection.count} detectors")
@@ -227,11 +227,11 @@ class MaskExposure(ExposureKind):
 
     @property
     def part_axis(self) -> tuple[int, ...]:
-        """Axis (P,) of counts of parts of a scene, before those of masks; none of whole scenes."""
+        """Axis (P,) for parts of a scene, before the axes of masks; () for whole scenes."""
         return ()
 
     def quantised(self, levels: int) -> Self:
-        """The kind as a device of so many grey levels shows it."""
+        """The kind as a device with these grey levels shows it."""
         rails = light_law(self.light).quantise(self.rails.stacked, levels)
         return replace(self, rails=Rails.of(rails))
 
@@ -265,13 +265,13 @@ class MaskExposure(ExposureKind):
     def scanner(
         self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
-        """The optical front end; parameters as for `Scanner`."""
+        """The optical front end, made as by `Scanner`."""
         return Scanner.from_rails(
             self.rails.stacked, noise, sigma=sigma, dark=dark, detection=self.detection
         )
 
     def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
-        """Expected counts (..., rails, m · D) of reflectances (..., N), for a budget of one."""
+        """Expected counts (..., rails, m · D) of reflectances (..., N) at the budget 1."""
         return scanner.rates(scenes.to(self.device) / self.summed_reflectance)
 
     def placed(self, rates: Tensor, generator: torch.Generator) -> Tensor:
@@ -283,7 +283,7 @@ class MaskExposure(ExposureKind):
         return rates
 
     def scale(self, photons: Tensor | float) -> Tensor | float:
-        """Divisor of features in counts: the budget; of clicks that of the training, always."""
+        """Divisor of features in counts: the budget, or for clicks the training's budget."""
         return photons if self.clicks is None else 0 * photons + self.clicks.photons
 
     def exposures(self, scenes: Tensor, camera: Camera, network: Network) -> Exposures:
@@ -304,7 +304,7 @@ class MaskExposure(ExposureKind):
     # Answering
 
     def full_gates(self, counts: float, photons: float) -> str | None:
-        """Remark on clicks in nearly all gates of an exposure; None where they are not so many."""
+        """Warning if nearly all gates of an exposure click, else None."""
         if self.clicks is None:
             return None
         return full_gates(counts / (prod(self.counts_shape) * self.clicks.gates), photons)
@@ -333,7 +333,7 @@ class MaskExposure(ExposureKind):
         return (features - self.mean) / self.std
 
     def budget(self, photons: Tensor) -> Tensor:
-        """Budget (..., 1) of an exposure, of that of each of its parts."""
+        """Budget (..., 1) of an exposure, from the budgets of its parts."""
         return photons
 
 

@@ -55,7 +55,7 @@ class JobGroup:
     """Jobs that train side by side, R of them, and what they train with."""
 
     training_set: TrainingSet
-    jobs: Sequence[Job]  # those of one seed one after another
+    jobs: Sequence[Job]  # jobs of one seed are neighbours
     noise: TrainingNoise
     matrix: np.ndarray | None = None  # (m, N), a user's own, for ``design="custom"``
     masks: FixedMasks | LearnedMasks | None = None  # that were learned before, of a control group
@@ -94,8 +94,8 @@ FeatureStatistics = tuple[Tensor, Tensor, Tensor]
 class ExposureTraining(ABC):
     """Masks of R jobs side by side in a training, and what classifiers get of a step's scenes."""
 
-    masks: FixedMasks | LearnedMasks  # of R replicas, or of one where all share them
-    entries: Sequence[Entry]  # of each job, of which its exposure is made
+    masks: FixedMasks | LearnedMasks  # R replicas, or one that all jobs share
+    entries: Sequence[Entry]  # header entry of each job's exposure
     weights: Sequence[dict[str, Tensor]]  # further tensors of each job's design file
     counts: Tensor | None = None  # (R,)
 
@@ -126,7 +126,7 @@ class ExposureTraining(ABC):
         """Inputs (B, R, …) of the classifiers in a step."""
 
     def fix(self) -> None:
-        """Take masks that have learned as they are at the end of their training."""
+        """Fix learned masks at the end of their training."""
         if not self.learns:
             return
         pixels = self.scenes.pixels(self.camera.light)
@@ -225,7 +225,7 @@ class ExposureTraining(ABC):
         return mean.expand_as(std), std, light.expand_as(std)
 
     def trained(self, statistics: FeatureStatistics) -> list[MaskExposure]:
-        """Exposure of each job with its masks, with statistics of all."""
+        """Exposure of each job, with its masks and statistics."""
         s = self.training_set.summed_reflectance
         mean, std, light = statistics
         rails = self.masks().stacked
@@ -253,7 +253,7 @@ class ExposureTraining(ABC):
         return torch.stack([self._matrix(seed) for seed in matrix_seeds(self.jobs)])
 
     def _matrix(self, seed: int) -> Tensor:
-        """Matrix (m, N) of a seed; of one rail the first lit frames of a design."""
+        """Matrix (m, N) of a seed; a single rail takes the first lit frames of a design."""
         # Learned masks of two arms that are both read start from these frames, too, and the other
         # arm from what they leave: so they begin where one arm does (0.848 on MNIST's validation
         # images at 1e4 photons and 24 masks; 0.838 from the signed matrix, whose zeros are half
@@ -327,7 +327,7 @@ class _FixedTraining(ExposureTraining):
         self.masks = group.masks or self.fixed_masks(self.named_rails(group.matrix))
 
     def prepare(self) -> None:
-        """Take the products of all scenes, and their statistics."""
+        """Compute the products of all scenes and their statistics."""
         noise = self.noise
         detection = self.detection
         arranged = self.masks().map(detection.arrange)
@@ -359,7 +359,7 @@ class _FixedTraining(ExposureTraining):
         self.means.sub_(self.mean[:replicas]).div_(self.std[:replicas])
 
     def inputs(self, draws: Draws) -> Tensor:
-        """Features (B, R, k), standardised as those of the whole training set."""
+        """Features (B, R, k), standardised by the statistics of the whole training set."""
         return draws.side_by_side(self._of_seed)
 
     def _of_seed(self, stream: SeedStream) -> Tensor:
@@ -441,7 +441,7 @@ def fixed_training(group: JobGroup) -> ExposureTraining:
 
 
 def standardised(features: Tensor, scale: Scale) -> Tensor:
-    """Features (B, R, k) as of `training.standardise`, which rounds otherwise: bits stay."""
+    """Standardise features (B, R, k) in their batch; `standardise` rounds differently."""
     over = (0,) if scale == "each" else (0, 2)
     power = features.square().sum(dim=over, keepdim=True)
     power = power / (features.numel() // power.numel())
@@ -449,7 +449,7 @@ def standardised(features: Tensor, scale: Scale) -> Tensor:
 
 
 class ConditionedTraining(ExposureTraining):
-    """Masks of which each scene has a budget of its own in each step."""
+    """Training for a range: each scene of a step draws its own budget."""
 
     def __init__(self, group: JobGroup) -> None:
         super().__init__(group)
@@ -479,7 +479,7 @@ class ConditionedTraining(ExposureTraining):
         features = []
         ratios = []
         for stream in draws.streams:
-            # 1, whose gradient is that of rounding: trainings are bit for bit those of before
+            # a factor 1 whose gradient is only rounding: it keeps the bits of earlier trainings
             whole = stream.of_jobs(used / used).T.unsqueeze(-1)
             ratio = stream.budgets(self.span, self.job.masks) / whole
             normal = stream.normal(masks.shape[-2] * parts) * stream.noise.unit / ratio.sqrt()
