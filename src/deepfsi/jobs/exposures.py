@@ -32,28 +32,28 @@ if TYPE_CHECKING:
 
 
 class Exposure(UserModel):
-    """An exposure of which every mask is shown once, and all are needed."""
+    """Settings of an exposure, which shows every mask once."""
 
     training: ClassVar[dict[str, Any]] = {"start": "pca"}
-    """Settings of the training where none are given."""
+    """Defaults of the training."""
 
     side_by_side: ClassVar[bool] = True
     """Whether jobs that differ in budget and seed train together."""
 
     features: ClassVar[str] = ""
-    """Parts of scenes whose features classifiers get; none of whole scenes."""
+    """Parts of scenes whose features a classifier reads; "" for whole scenes."""
 
     trained_by: ClassVar[str] = "deepfsi.exposure.training:fixed_training"
     """Import path of the training of its masks."""
 
     entry_type: ClassVar[type["Entry"]]
-    """Entry in a header, of an exposure that a package beside the core has."""
+    """Header entry; only exposures of packages beside the core declare it here."""
 
     takes_start: ClassVar[bool] = True
-    """Whether masks that learn can start from a design or a matrix."""
+    """Whether learned masks can start from a design or a matrix."""
 
     allow_bf16: ClassVar[bool] = True
-    """Whether products of masks in bfloat16 were tried."""
+    """Whether masks may be multiplied in bfloat16."""
 
     def allow_bf16_networks(self, device: str, wide: bool) -> bool:
         """True if networks are faster in bfloat16: wide ones, on a processor."""
@@ -65,12 +65,12 @@ class Exposure(UserModel):
 
     @property
     def most_light(self) -> float:
-        """Most light of one exposure over the budget; above 1 the budget is the mean of all."""
+        """Largest light of one exposure over the budget; above 1 the budget is a mean."""
         return 1.0
 
     @property
     def fixed_mask_count(self) -> int | None:
-        """Number of masks, where the exposure has it and a design no choice."""
+        """Number of masks, if the exposure fixes it."""
         return None
 
     def optics(self, camera: Camera) -> dict[str, Any]:
@@ -123,7 +123,7 @@ class Fixed(Exposure):
 
 
 class FixedEntry(Entry):
-    """Exposure of which all masks are needed, each with its own dwell."""
+    """Header entry of fixed masks, each with its dwell."""
 
     kind: Literal["fixed"] = "fixed"
 
@@ -142,11 +142,11 @@ class Range(Exposure):
     span: float = Field(gt=1, le=1e12, description="highest budget over the lowest, `photons`")
 
     def highest(self, photons: float) -> float:
-        """The other end of the range."""
+        """The upper end of the range."""
         return photons * self.span
 
     def faults(self, job: "Job") -> Iterator[str]:
-        """Another training noise than MLGauss, or masks that learn under one."""
+        """Refuse a training noise other than MLGauss, and the control group's."""
         if job.code.learned_under:
             left = f"{job.design}, whose masks learn under {job.code.learned_under} noise"
         elif not find_noise(job.noise).stands_for:
@@ -159,20 +159,20 @@ class Range(Exposure):
 
 
 class ConditionedEntry(Entry):
-    """Exposure of fixed dwells whose classifier has the budget as an input."""
+    """Header entry of fixed masks whose classifier has the budget as an input."""
 
     photons: Positive  # lowest budget of the training
     span: Annotated[float, Field(ge=1, allow_inf_nan=False)]  # highest over lowest
-    masks: Count  # m, of the whole sequence
-    nested: Literal[0] = 0  # of earlier versions
+    masks: Count  # m
+    nested: Literal[0] = 0  # files of earlier versions have it
     width: Count = 1  # features of each mask
-    used: Positive = 1.0  # share of the light law that the masks take within the whole sequence
+    used: Positive = 1.0  # share of the light law that the masks take
     kind: Literal["conditioned"] = "conditioned"
     restored_by: ClassVar[str] = "deepfsi.exposure.kind:ConditionedExposure"
 
 
 def _registered_entry(kind: Any) -> type[Entry] | None:
-    """Entry of a kind that a package beside the core has."""
+    """Entry of a kind that a package beside the core registered."""
     _, path = installed().schemes.get(str(kind), ((), ""))
     return resolve_name(path).entry_type if path else None
 
@@ -182,15 +182,15 @@ ExposureEntry = Annotated[
     SerializeAsAny[Annotated[_Entries, Field(discriminator="kind")]],
     of_kinds(get_args(_Entries), _registered_entry),
 ]
-"""Field of a header: how the masks of a design are exposed, where they are known before."""
+"""Field of a header that says how known masks are exposed."""
 
 
 class SharedLight(Exposure):
-    """Adaptive masks that share the light among exposures: the budget is the mean of all.
+    """Adaptive masks that share light: the budget is the mean light of all exposures.
 
-    An exposure ends as soon as the probability of a class is above a threshold, and takes at most
-    `cap` times the budget where it is never. The training finds the threshold at which its own
-    scenes, each left out of the prior, take the budget in the mean.
+    An exposure ends when the probability of one class reaches a threshold, or when it has taken
+    `cap` times the budget. The training chooses the threshold so that its scenes, each left out of
+    the prior, take the budget on average.
 
     Examples
     --------
@@ -213,7 +213,7 @@ class SharedLight(Exposure):
         return self.cap
 
     def faults(self, job: "Job") -> Iterator[str]:
-        """Masks that are not adaptive."""
+        """Refuse masks that are not adaptive."""
         if not job.code.adaptive:
             yield (
                 "`cap` is of exposures that may end early: leave it out, or give "
@@ -222,14 +222,14 @@ class SharedLight(Exposure):
 
 
 DICTIONARY_SPREAD = 0.5
-"""Spread of a prior whose masks are of a dictionary, better than 0.7 on training images of MNIST.
+"""Spread of a prior with a dictionary of masks: better than 0.7 on training images of MNIST.
 
-What a look tells of how far the scene is from those of the prior is not kept for the next.
+A look does not remember what earlier looks told of the scene's distance from the prior.
 """
 
 
 class AdaptiveMasks(UserModel):
-    """Exposure with adaptive masks: how a design that makes each next mask looks at a scene."""
+    """Settings of adaptive masks, each made from the counts so far."""
 
     looks: int = Field(
         default=16, ge=1, le=1024, strict=True, description="masks that are shown one after another"
@@ -244,7 +244,7 @@ class AdaptiveMasks(UserModel):
         default=1.0,
         gt=0,
         le=1,
-        description="probability of a class above which the exposure stops; 1 for never",
+        description="probability of a class at which the exposure ends; 1 for never",
     )
     components: int = Field(
         default=120,
@@ -264,15 +264,15 @@ class AdaptiveMasks(UserModel):
         default=None,
         ge=1,
         strict=True,
-        description="clusters of each class whose centres stand for its scenes; all scenes unless "
-        "given",
+        description="clusters of each class whose centres stand for its scenes; default: all "
+        "scenes",
     )
 
     cap: float = Field(
         default=1.0,
         ge=1,
         le=100,
-        exclude_if=lambda cap: cap == 1,  # files of before it stay as they are, as of others
+        exclude_if=lambda cap: cap == 1,  # here and below: earlier files keep their bytes
         description="light of all looks over the budget, which is the mean of exposures that stop",
     )
 
@@ -281,8 +281,8 @@ class AdaptiveMasks(UserModel):
         ge=0,
         allow_inf_nan=False,
         exclude_if=lambda price: price is None,
-        description="of a detector that clicks at most once a look: information about the class "
-        "that a click has to tell, nats; none of detectors that count",
+        description="for a detector that clicks at most once a look: nats about the class that a "
+        "click must tell; none for detectors that count",
     )
 
     light_price: float = Field(
@@ -290,8 +290,8 @@ class AdaptiveMasks(UserModel):
         ge=0,
         allow_inf_nan=False,
         exclude_if=lambda price: price == 0,
-        description="of a detector that clicks at most once a look: clicks that a photon on the "
-        "device is taken to cost",
+        description="for a detector that clicks at most once a look: price in clicks of a photon "
+        "on the device",
     )
 
     dictionary: int | None = Field(

@@ -1,8 +1,8 @@
-"""Jobs: one design to be trained, with its camera, its exposure and the settings of the training.
+"""Jobs: each is one design to train, with its camera, exposure and training.
 
-Each setting is declared here, in `training`, in `exposures` or in the camera, with the text that
-helps to choose it. Options of the command line, keywords of `learn`, axes of recipes, records and
-tables of the documents are made from these fields.
+Each setting is declared once, here, in `training`, in `exposures` or in the camera, with a text
+that helps to choose it. These fields become options of the command line, keywords of `learn`, axes
+of recipes, keys of records, and tables of the pages.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -48,20 +48,20 @@ from deepfsi.jobs.training import (
 )
 
 FEW_SCENES = 1000
-"""Training scenes below which a design is surer of them than it is right on others.
+"""Training sets below this size are learned by heart, so folds of them calibrate a design.
 
-Some of so few are left out in folds, of more only those that the user holds out.
+Larger sets are calibrated on their training scenes, or on scenes that the user holds out.
 """
 
 REVISION = 5
-"""Raised whenever a change makes the same job end in another design: old records then expire."""
+"""Raised when a change makes the same job end in another design, so that old records expire."""
 
 
 class Job(UserModel):
-    """One design to be trained.
+    """One design to train.
 
-    Settings of the training that are not given are those tuned for the design and its exposure.
-    An exposure may be given by its settings, ``{"span": 100}``, and a training by its fields.
+    The training's defaults are tuned for the design and its exposure. Give an exposure or a
+    training as an object or as its fields, such as ``{"span": 100}``.
 
     Examples
     --------
