@@ -17,7 +17,7 @@ SOURCE = ROOT / "src/deepfsi"
 LINES = {
     "adaptive": 1493,
     "base": 2144,
-    "camera": 1296,
+    "camera": 1297,
     "cli": 2485,
     "counting": 4333,
     "datasets": 2506,

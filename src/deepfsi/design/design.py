@@ -170,7 +170,7 @@ class Design:
     def scanner(
         self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
-        """Optical front end with a noise of your choice, given as to `Scanner.from_rails`."""
+        """Optical front end with your noise. Parameters as for `Scanner.from_rails`."""
         return self.mask_exposure.scanner(noise, sigma, dark)
 
     @library_defaults()
@@ -188,7 +188,7 @@ class Design:
 
     @library_defaults(grad=False)
     def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> tuple[np.ndarray, ...]:
-        """One exposure of a scene (N,) with adaptive masks.
+        """One exposure of a scene (N,) with adaptive masks. Parameters as for `expose`.
 
         Returns, for each of K looks, the masks and mean scenes (K, N) of the posterior and the
         class probabilities (K, C).
@@ -299,7 +299,7 @@ class Design:
     def estimate(self, counts: Any, photons: Any) -> np.ndarray:
         """Values (..., q) of one or many exposures, in the units of the training data.
 
-        Takes what `classify` takes, and refuses what it refuses, and a design that answers classes.
+        Parameters and errors as for `classify`; a design that answers classes is refused, too.
         """
         if self.values is None:
             raise InputError("this design answers classes and estimates no values: use classify")
@@ -375,7 +375,7 @@ class Design:
         """The design as a device's patterns realise it, with rails (2 or 1, m, N) and cells.
 
         A device that passes only the share `dimmed` of the light makes features smaller; the
-        statistics that scale them follow.
+        statistics that scale them follow. Parameters as for `Patterns.realised`.
         """
         self.exposure.check("frames")
         if self.gates is not None and dimmed != 1:
@@ -467,8 +467,7 @@ def load_design(
 ) -> Design:
     """Open a design file, or a published design by its name, ``"dmd-mnist"`` for example.
 
-    It takes what `Design.load` takes, and refuses what it refuses. Adaptive masks are computed on
-    the processor.
+    Other parameters and errors as for `Design.load`. Adaptive masks are computed on the processor.
 
     Examples
     --------
