@@ -467,7 +467,7 @@ def load_design(
 ) -> Design:
     """Open a design file, or a published design by its name, ``"dmd-mnist"`` for example.
 
-    Other parameters and errors as for `Design.load`. Adaptive masks are computed on the processor.
+    Other parameters as for `Design.load`. Adaptive masks are computed on the processor.
 
     Examples
     --------
