@@ -45,7 +45,7 @@ def apart(first: Design, second: Design, pixels: torch.Tensor) -> float:
     Not of the mean, which takes up whatever masks do where pixels do not vary.
     """
     masks = [each.rails.stacked[..., pixels] for each in (first, second)]
-    pairs = [masks, (first.std, second.std)]
+    pairs = [masks, (first.exposure.std, second.exposure.std)]
     pairs += zip(first.classifier.parameters(), second.classifier.parameters(), strict=True)
     return max(((a - b).abs().max() / b.abs().max()).item() for a, b in pairs)
 
