@@ -18,7 +18,7 @@ LINES = {
     "adaptive": 1493,
     "base": 2144,
     "camera": 1297,
-    "cli": 2485,
+    "cli": 2487,
     "counting": 4333,
     "datasets": 2506,
     "design": 1162,

@@ -118,6 +118,8 @@ def run_command_line() -> NoReturn:
             raise
         code = STOPPED_EXIT_CODE
     except OSError as error:
+        with contextlib.suppress(OSError):  # or Python flushes again at its end, and exits with 120
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
     if code == STOPPED_EXIT_CODE:
         say_stopped()
