@@ -4,6 +4,7 @@ Words and summaries are in `commands.toml`, so that `--help` of a group loads no
 """
 
 import contextlib
+import functools
 import gc
 import io
 import os
@@ -21,6 +22,13 @@ from deepfsi.base.registry import installed, require_extras
 
 COMMANDS = Path(__file__).with_name("commands.toml")
 """File of the commands of the core."""
+
+
+@functools.cache
+def _entries() -> dict[str, dict[str, Any]]:
+    """Commands and groups by their words, under headings, those of other packages last."""
+    core = tomllib.loads(COMMANDS.read_text(encoding="utf-8"))
+    return {**core, "Beside the core": installed().commands}
 
 
 @click.pass_context
@@ -44,8 +52,7 @@ class Group(click.Group):
         )
         # By heading and name: target and summary, of a group its summary alone
         self.headings: dict[str, dict[str, Any]] = {}
-        core = tomllib.loads(COMMANDS.read_text(encoding="utf-8"))
-        for heading, entries in {**core, "Beside the core": installed().commands}.items():
+        for heading, entries in _entries().items():
             for words, entry in entries.items():
                 *first, last = words.split()
                 if tuple(first) == above:

@@ -1,6 +1,6 @@
 """Commands that test a design: under simulated light, and on pictures."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +10,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.models import Amount
 from deepfsi.camera.camera import Camera
+from deepfsi.camera.names import find_noise
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
@@ -59,7 +60,7 @@ class EvaluateDesign(Command):
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
         options = self.explicit(("noise", "sigma", "dark", "fluctuation"))
         camera = camera_for(design, None, **options)
-        fields.check_sigma(options, camera.noise_name)
+        _check_sigma(options, camera.noise_name)
         if self.ideal:
             _check_ideal(design, camera)
         scenes, notes = data_of(design, self.data, self.size, self.view)
@@ -130,7 +131,7 @@ class PredictClasses(Command):
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
         options = self.explicit(("noise", "sigma", "dark"))
-        fields.check_sigma(options, camera_for(design, None, **options).noise_name)
+        _check_sigma(options, camera_for(design, None, **options).noise_name)
         with terminal.progress("predict"):
             predictions = predict(
                 design,
@@ -149,6 +150,14 @@ class PredictClasses(Command):
                 *predictions.lines(f"{design.name}, {design.exposure.size_text}"),
                 *([] if self.out is None else [f"table: {self.out}"]),
             ],
+        )
+
+
+def _check_sigma(options: Mapping[str, Any], noise: str) -> None:
+    """Raise `InputError` if read noise is given and the noise has none."""
+    if "sigma" in options and not find_noise(noise).read_noise:
+        raise InputError(
+            f"--sigma is not of {noise} noise: leave it out, or give --noise gaussian or camera"
         )
 
 

@@ -20,7 +20,6 @@ from deepfsi.base.models import Amount, Count, Seconds, WholeNumber
 from deepfsi.base.registry import check_report
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import MOST_INPUTS
-from deepfsi.camera.names import find_noise
 from deepfsi.datasets.load import check_source
 from deepfsi.designfile.design_file import find_design
 from deepfsi.jobs.exposures import exposure_kinds
@@ -140,14 +139,6 @@ def check_design_file(path: Path) -> Path:
     if not file.exists():
         raise InputError(f"no design file at {path}: make one with `deepfsi design`")
     return file
-
-
-def check_sigma(options: Mapping[str, Any], noise: str) -> None:
-    """Raise `InputError` if read noise is given and the noise has none."""
-    if "sigma" in options and not find_noise(noise).read_noise:
-        raise InputError(
-            f"--sigma is not of {noise} noise: leave it out, or give --noise gaussian or camera"
-        )
 
 
 def split_commas(text: Any) -> Any:
@@ -321,7 +312,7 @@ Folds = Annotated[
     Annotated[int, Field(ge=1, le=100)] | None,
     Field(
         description="parts of the scenes, each tested by designs that are trained on the others, "
-        "so that every scene is tested once; 1 for none. Unless given 5 where a test part was "
+        "so that every scene is tested once; 1 for none; default: 5 where a test part was "
         "drawn from the scenes and has fewer than 300"
     ),
 ]

@@ -2,7 +2,6 @@
 
 from contextlib import closing
 from pathlib import Path
-from shutil import copyfile
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -408,8 +407,7 @@ class ImportRecording(Command):
             if photons.suffix.lower() != ".ptu":
                 photons = Path(folder) / "photons.ptu"
                 self._write_photons(photons)
-            acquisition = Recording.prepare(self.out, patterns, planned).acquisition
-            copyfile(photons, self.out / "photons.ptu")
+            acquisition = Recording.prepare(self.out, patterns, planned, photons).acquisition
         return Outcome(
             {"folder": str(self.out), "acquisition": acquisition.model_dump(mode="json")},
             [

@@ -181,14 +181,7 @@ class Counts:
             raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
         return cls(
             **arrays,
-            exposure_s=provenance.exposure_s,
-            settle_s=provenance.settle_s,
-            drift=provenance.drift,
-            inputs=provenance.inputs,
-            faults=provenance.faults,
-            dead_time=provenance.dead_time,
-            gains=provenance.gains,
-            gates=provenance.gates,
+            **{name: value for name, value in provenance if name in cls.__dataclass_fields__},
         )
 
 
@@ -217,10 +210,6 @@ def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
     return np.frombuffer(digest.digest(), np.uint8)
 
 
-Gains = tuple[float, ...]
-"""Relative efficiency of each detector; empty for equal ones."""
-
-
 @dataclass(frozen=True)
 class Corrections:
     """What a counter does to counts, undone by factors of them."""
@@ -229,8 +218,8 @@ class Corrections:
     gains: np.ndarray  # (inputs,): how many times as much of the light as usual each counts
 
     @classmethod
-    def of(cls, dead_time: DeadTime, manifest: Manifest, gains: Gains = ()) -> Self:
-        """Corrections on the inputs of a manifest, or `InputError` for gains of others."""
+    def of(cls, dead_time: DeadTime, manifest: Manifest, gains: tuple[float, ...] = ()) -> Self:
+        """Corrections on the inputs of a manifest; no gains are equal ones, else one for each."""
         if gains and len(gains) != manifest.inputs:
             raise InputError(
                 f"the flat field is of {len(gains)} detectors, and these patterns are for "

@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
+from shutil import copyfile
 from typing import Any, Self
 
 import numpy as np
@@ -79,9 +80,13 @@ class Recording:
 
     @classmethod
     def prepare(
-        cls, folder: str | os.PathLike[str], patterns: Patterns, acquisition: Acquisition
+        cls,
+        folder: str | os.PathLike[str],
+        patterns: Patterns,
+        acquisition: Acquisition,
+        photons: Path | None = None,
     ) -> Self:
-        """Make the folder of a recording of patterns, to which photons.ptu is then added."""
+        """Make the folder of a recording, with a copy of its photon file or to be recorded into."""
         source = patterns.folder
         assert source is not None
         names = ["manifest.json", "mirrors.npy"]
@@ -101,6 +106,8 @@ class Recording:
             for name, data in content.items():
                 (draft / "patterns" / name).write_bytes(data)
             (draft / "acquisition.json").write_bytes(acquisition.model_dump_json(indent=1).encode())
+            if photons is not None:
+                copyfile(photons, draft / "photons.ptu")
         return cls(Path(folder), acquisition, patterns)
 
     @classmethod

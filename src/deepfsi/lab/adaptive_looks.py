@@ -84,7 +84,7 @@ class AdaptiveLooks:
             raise InputError(
                 f"{folder} has the patterns of a design whose masks are known before: learn one of "
                 '`design="adaptive"` masks, or record it with `deepfsi camera simulate` or '
-                "`prepare`"
+                "`import`"
             )
         if hash_file(folder / Patterns.DESIGN) != patterns.manifest.design_sha256:
             raise InputError(

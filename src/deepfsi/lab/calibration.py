@@ -160,7 +160,6 @@ def _find_spots(pictures: np.ndarray) -> np.ndarray:
     # (across, down) in the unit square. A spot is seen where it stands out of the noise
     from scipy import ndimage
 
-    pictures = np.asarray(pictures, dtype=float)
     down, across = np.indices(pictures.shape[1:])
     out = np.full((len(pictures), 2), np.nan)
     for place, picture in enumerate(pictures):
@@ -240,7 +239,6 @@ def _find_flat(
     # as for `geometry_matrix`
     from scipy import ndimage
 
-    white = np.asarray(white, dtype=float)
     view = geometry_matrix(image_shape, white.shape, homography, blur)
     filled = view.sum(axis=1).reshape(white.shape)
     # Share of a cell that the display fills where the flat field is fitted, not continued
@@ -339,7 +337,7 @@ def _fit_view(
     # scenes (spots, h, w); pictures (spots, down, across); matrix (3, 3); agreed (spots,)
     spots = DisplayedScenes(scenes, grid)
     used = agreed
-    view = np.append((matrix / matrix[2, 2]).ravel()[:8], 0.3)
+    view = np.append(matrix.ravel()[:8], 0.3)
     for _ in range(3):
         view, jacobian, noise = _solve(DisplayedScenes(scenes[used], grid), pictures[used], view)
         shifts, bright = _shifts(spots, pictures, view)
@@ -597,13 +595,19 @@ def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
     # The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
     # Directions that the masks hardly see are left out (singular values below 1e-3 of the largest)
     run = Recording.read(folder)
+    return _reconstructed(run, run.read_counts().check_photons(folder))
+
+
+def _reconstructed(run: Recording, counts: Counts) -> np.ndarray:
+    """Pictures (S, *shape) of the scenes of a run that was counted."""
     patterns = run.patterns
-    counts = run.read_counts().check_photons(folder)
     stated = run.acquisition.flux
     flux = np.nanmean(counts.flux) if stated is None else stated
     budget = float(flux * counts.exposure_s)
     if not budget > 0:
-        raise InputError(f"{folder} has no light: its all-ON frames are not brighter than the dark")
+        raise InputError(
+            f"{run.folder} has no light: its all-ON frames are not brighter than the dark"
+        )
     valid = np.asarray(counts.valid.any(axis=1))
     weights = counts.valid / np.maximum(counts.valid.sum(axis=1, keepdims=True), 1)
     mean = np.einsum("sr,sr...->s...", weights, counts.signal())[valid]
@@ -638,7 +642,7 @@ def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, 
     fitted = calibrate_run(
         dict(zip(display.names, display.x, strict=True)),
         [scene.name for scene in run.acquisition.scenes],
-        pictures=reconstruct(folder),
+        pictures=_reconstructed(run, counts),
         counts=counts,
         patterns=run.patterns,
     )

@@ -1,10 +1,9 @@
 """Devices of a run: protocols of projector and counter, and virtual ones.
 
 Projector and counter are context managers that let go of their device on every way out, Ctrl-C
-included, so that a laboratory can bring its own. Virtual devices have a clock of their own:
-nothing waits: the clock is set on by the time that each step takes. What the display shows is seen
-frame by frame as by the virtual camera; photons and markers are written to a PTU file as they
-come, and the counts are read from that file while it grows.
+included, so that a laboratory can bring its own. Virtual devices do not wait: each step sets their
+clock on by the time that it takes. They see what the display shows frame by frame as the virtual
+camera does, write photons and markers to a PTU file, and read counts from it while it grows.
 """
 
 import math
