@@ -123,7 +123,8 @@ class ClickCommand(click.Command):
         as_json = given.pop("json", False)
         settings = self._read(given)
         for name, field in self.command.model_fields.items():
-            output, path = _metadata(field, Output), getattr(settings, name)
+            output = _metadata(field, Output)
+            path = getattr(settings, name)
             if output is not None and path is not None:
                 output.check(path, getattr(settings, "force", False))
         typed = shlex.join(["deepfsi", *map(readable_name, sys.argv[1:])])
@@ -170,7 +171,8 @@ def _parameter(
     form, several = _form(field.annotation, tuple(field.metadata))
     if axis and form:
         form = f"{form},…"
-    words, extra = str(field.description), field.json_schema_extra
+    words = str(field.description)
+    extra = field.json_schema_extra
     if isinstance(extra, dict) and "argument" in extra:
         metavar = str(extra["argument"] or key.upper())
         argument = _Argument(

@@ -9,7 +9,6 @@ from pydantic import Field
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.models import Amount
-from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import find_noise
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
@@ -62,7 +61,13 @@ class EvaluateDesign(Command):
         camera = camera_for(design, None, **options)
         _check_sigma(options, camera.noise_name)
         if self.ideal:
-            _check_ideal(design, camera)
+            if not camera.noise_facts.exact:
+                steady = camera.noise_facts.steady
+                other = camera.noise_name if steady else "light that fluctuates"
+                raise InputError(
+                    f"the ideal observer is of photon noise, not {other}: leave --ideal out"
+                )
+            design.exposure.check("ideal observer")
         scenes, notes = data_of(design, self.data, self.size, self.view)
         how: dict[str, Any] = {"draws": self.draws, "seed": self.seed}
         with terminal.progress("evaluate") as report:
@@ -159,14 +164,6 @@ def _check_sigma(options: Mapping[str, Any], noise: str) -> None:
         raise InputError(
             f"--sigma is not of {noise} noise: leave it out, or give --noise gaussian or camera"
         )
-
-
-def _check_ideal(design: "Design", camera: Camera) -> None:
-    """Raise `InputError` where the counts of a design have no ideal observer here."""
-    if not camera.noise_facts.exact:
-        other = camera.noise_name if camera.noise_facts.steady else "light that fluctuates"
-        raise InputError(f"the ideal observer is of photon noise, not {other}: leave --ideal out")
-    design.exposure.check("ideal observer")
 
 
 def data_lines(data: "Dataset | Data", notes: Sequence[str] = ()) -> list[str]:

@@ -85,7 +85,10 @@ class Output:
             raise InputError(f"{path} is a folder: give a file name ending in {ends}")
         if self.endings:
             check_ending(path, self.endings)
-            check_free(path, force)
+            if path.exists() and not force:
+                raise InputError(
+                    f"{path} exists already: give another name, or --force to replace it"
+                )
         if self.endings == PICTURES:
             check_report()
         _check_writable(path, path.parent if self.endings or self.new else path)
@@ -113,12 +116,6 @@ def run_options(*names: str) -> OptionsOf:
     fields = {"camera": Job.model_fields["camera"]}
     fields |= {name: Camera.model_fields[name] for name in names}
     return OptionsOf({name: ("Camera", field) for name, field in fields.items()})
-
-
-def check_free(path: Path, force: bool) -> None:
-    """Raise `InputError` if there is something at the path that may not be replaced."""
-    if path.exists() and not force:
-        raise InputError(f"{path} exists already: give another name, or --force to replace it")
 
 
 def _check_writable(path: Path, folder: Path) -> None:
@@ -167,11 +164,6 @@ def height_width(text: Any) -> Any:
     return int(sides[0]), int(sides[-1])
 
 
-def _known_source(name: str) -> str:
-    check_source(name)
-    return name
-
-
 def _existing(path: Path) -> Path:
     if not path.exists():
         raise InputError(f"there is nothing at {path}: give another path")
@@ -195,7 +187,7 @@ ExistingPath = Annotated[Path, AfterValidator(_existing)]
 Size = Annotated[
     HeightWidth | None, Field(description="resize images to HEIGHTxWIDTH, or one number for both")
 ]
-DataSource = Annotated[str, AfterValidator(_known_source)]
+DataSource = Annotated[str, AfterValidator(check_source)]
 """Name or path of data that are there."""
 
 TrainingData = Annotated[

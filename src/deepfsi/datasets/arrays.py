@@ -439,14 +439,16 @@ def draw_stratified(
 def load_arrays(source: Path | tuple[Any, ...], options: Origin) -> Dataset:
     """Data set of arrays x and y, and of a test part where it is there, in a tuple or a file."""
     if isinstance(source, Path):
-        name, arrays = source.stem, read_npz(source)
+        name = source.stem
+        arrays = read_npz(source)
         if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test", "values"}:
             raise InputError(
                 f"{source} holds {', '.join(arrays) or 'nothing'}; "
                 "give x and y, optionally x_test, y_test and names of values, and no other names"
             )
     elif len(source) in (2, 4):
-        name, arrays = "arrays", dict(zip(("x", "y", "x_test", "y_test"), source, strict=False))
+        name = "arrays"
+        arrays = dict(zip(("x", "y", "x_test", "y_test"), source, strict=False))
     else:
         raise InputError(
             f"a tuple of {len(source)} arrays was given; give (x, y) or (x, y, x_test, y_test)"

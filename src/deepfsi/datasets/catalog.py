@@ -286,8 +286,7 @@ class _IndianPines(_NamedDataset):
 
     def load(self, options: Origin) -> Dataset:
         """Load its labelled pixels."""
-        split = options.split or "random"
-        return self.scene().dataset(split, options.seed, self.pixels, options.rescale)
+        return self.scene().dataset(options.split, options.seed, self.pixels, options.rescale)
 
     def scene(self) -> SpectralImage:
         """Whole image."""

@@ -42,12 +42,6 @@ PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
 GREY_MODES = ("1", "L", "LA", "I", "F")
 """Pillow's modes of grey images, besides those that begin with I;16."""
 
-BITS_TAG = 258
-"""Tag of a TIFF file for the bits of its samples."""
-
-PHOTOMETRIC_TAG, WHITE_IS_ZERO = 262, 0
-"""Tag of a TIFF that says which of its values is white, and its value where 0 is."""
-
 WRITTEN = "deepfsi"
 """Word in the head of a PNG file that holds reflectance as a data set had it."""
 
@@ -243,10 +237,10 @@ def check_depth(image: Any, where: str) -> None:
     """
     tags = getattr(image, "tag_v2", {})
     if image.mode in ("I", "F") or image.mode.startswith("I;16"):
-        if tags.get(PHOTOMETRIC_TAG) == WHITE_IS_ZERO:
+        if tags.get(262) == 0:  # TIFF's tag PhotometricInterpretation: 0 is white
             raise InputError(f"{where} has 0 for white: save it with 0 for black")
         return
-    bits = max(tags.get(BITS_TAG, ()), default=8)
+    bits = max(tags.get(258, ()), default=8)  # TIFF's tag BitsPerSample
     tiles = getattr(image, "tile", ())
     if bits > 8 or any(
         ";16" in str(tile[3]) or (tile[0] == "ppm" and tile[3][1] > 255) for tile in tiles

@@ -28,8 +28,7 @@ class _FileKind(NamedTuple):
 
 
 def _load_cube(path: Path, options: Origin) -> Dataset:
-    split = options.split or "random"
-    return read_cube(path).dataset(split, options.seed, rescale=options.rescale)
+    return read_cube(path).dataset(options.split, options.seed, rescale=options.rescale)
 
 
 FOLDER = "/"
@@ -187,10 +186,11 @@ def as_dataset(data: Source) -> Dataset:
     return data if isinstance(data, Dataset) else load_dataset(data)
 
 
-def check_source(source: str) -> None:
-    """Raise `InputError` unless a name is known or there is something at a path."""
+def check_source(source: str) -> str:
+    """A name that is known, or a path where there is something; else `InputError`."""
     if source not in DATASETS:
         _existing(source)
+    return source
 
 
 def _existing(name: str) -> Path:

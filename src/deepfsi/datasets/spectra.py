@@ -175,12 +175,13 @@ class SpectralImage:
 
     def dataset(
         self,
-        split: str = "random",
+        split: str | None = None,
         seed: int = 0,
         bands: int | None = None,
         rescale: Ends | None = None,
     ) -> Dataset:
         """Make a data set of the labelled pixels."""
+        split = split or "random"
         spectra = self.scenes(bands)
         y = np.searchsorted(np.unique(self.labels[self.labels != 0]), self.labels.ravel())
         train, test = (np.flatnonzero(part) for part in self.parts(split, seed))

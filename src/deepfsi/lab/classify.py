@@ -332,8 +332,10 @@ def _view_of(
     for scene in np.flatnonzero(light).tolist():
         gain = light[scene] / design.summed_reflectance
         masks = gain * rails.reshape(-1, rails.shape[-1])
-        counts, more = sums[scene].ravel(), noise[scene].ravel()
-        test.add(SceneReadouts(masks, counts, noise=more, inputs=inputs.ravel()))
+        summed = SceneReadouts(
+            masks, sums[scene].ravel(), noise=noise[scene].ravel(), inputs=inputs.ravel()
+        )
+        test.add(summed)
     return test.result
 
 

@@ -221,8 +221,10 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
         self._add(marks, -self.wiring[1])
         self._see(frames, ends)
         self._frame = int(frames[-1])
-        # All that came before the last frame's marker is handed over with it.
-        self.now_s = self._handed_over(float(marks[-1]) * DETECTOR_TICK_S)
+        # What came before the last frame's marker is handed over with it, in its block
+        block = self.latencies["block"]
+        whole = math.ceil(float(marks[-1]) * DETECTOR_TICK_S / block) * block
+        self.now_s = whole + self.latencies["transfer"] + self.latencies["decision"]
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """One picture for each frame, of its time."""
@@ -240,12 +242,6 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
         end = max(self._ticks(self.now_s), self._end + self._reach)
         self._see(np.array([self._frame]), np.array([end]))
         self.now_s = end * DETECTOR_TICK_S
-
-    def _handed_over(self, time_s: float) -> float:
-        """Time at which the computer has decided upon what was recorded until a time."""
-        block = self.latencies["block"]
-        whole = math.ceil(time_s / block) * block
-        return whole + self.latencies["transfer"] + self.latencies["decision"]
 
     @staticmethod
     def _ticks(seconds: float) -> int:

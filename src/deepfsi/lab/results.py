@@ -51,20 +51,14 @@ class LoggedList(StrictModel):
     @classmethod
     def of(cls, asked: FrameList, markers: np.ndarray) -> Self:
         """A list that was shown, with the markers (F + 1,) of its frames and of the last one."""
+        packed = () if asked.masks is None else np.packbits(asked.masks, axis=1)
         return cls(
             look=asked.look,
             frames=tuple(asked.frames.tolist()),
             gate_ns=tuple(asked.gate_ns.tolist()),
             markers=tuple(markers.tolist()),
-            masks=_packed(asked.masks),
+            masks=tuple(b64encode(bits.tobytes()).decode() for bits in packed),
         )
-
-
-def _packed(masks: np.ndarray | None) -> tuple[str, ...]:
-    """Masks (F, N) of bool, or none, each as the base64 of its bits."""
-    if masks is None:
-        return ()
-    return tuple(b64encode(bits.tobytes()).decode() for bits in np.packbits(masks, axis=1))
 
 
 class LoggedScene(StrictModel):

@@ -132,10 +132,10 @@ class Patterns:
             raise InputError("every mask is dark, so there is nothing to show: give a lit design")
         if len(frames.mask_rails) + SENTINELS > MOST_FRAMES:
             raise InputError(f"more than {MOST_FRAMES} frames: give fewer masks")
-        dwells, light = frames.shares, rails.light
+        dwells = frames.shares
         if rails.looks is not None:
             dwells = np.array(rails.looks.first)[[mask for mask, _ in frames.mask_rails]]
-            light = "free-dwell"
+        light = rails.light if rails.looks is None else "free-dwell"
         pictures_us, sentinel_us = _times_us(device, dwell_s, dwells, light)
         manifest = rails.manifest(
             frames,
