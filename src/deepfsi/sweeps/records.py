@@ -4,7 +4,7 @@ A folder holds
 
     trials/KEY.json           one record: settings, validation and test results
     designs/KEY.safetensors   the design itself; KEY is of what its training depends on
-    locks/KEY/OWNER          while a process trains the design
+    locks/KEY.lock           locked while a process trains the design
     checkpoints/KEY.safetensors  state of a training under way, of the first of its designs: of
                              whoever has the lock, removed with the last of them
     finished-KEY/            files of trials that were trained together, before they are moved
@@ -22,6 +22,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from filelock import FileLock, Timeout
+
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import (
     check_ending,
@@ -30,7 +32,6 @@ from deepfsi.base.files import (
     write_atomically,
 )
 from deepfsi.base.interrupts import note_saved_work
-from deepfsi.base.locks import Locks, list_folder
 from deepfsi.evaluation.measures import MEASURES, MainMeasure
 from deepfsi.sweeps.plan import Trial
 from deepfsi.sweeps.results import RESULTS_SCHEMA
@@ -61,7 +62,10 @@ class Records:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._locks = Locks(folder)
+        self._locks: dict[str, FileLock] = {}
+        for lock in _files(folder / "locks"):  # of processes that are gone
+            if self._take(lock.stem):
+                self._give_up(lock.stem)
         for left in folder.glob("finished-*"):
             self._move(left)
         self._clear_checkpoints()
@@ -120,7 +124,7 @@ class Records:
         """Move finished files to their places, each record after its design."""
         for name, suffix in (("designs", ".safetensors"), ("trials", ".json")):
             (self.folder / name).mkdir(exist_ok=True)
-            for path in (file for file in list_folder(finished) if file.suffix == suffix):
+            for path in (file for file in _files(finished) if file.suffix == suffix):
                 with suppress(FileNotFoundError):  # another process that found them moved it
                     os.replace(path, self.folder / name / path.name)
         with suppress(OSError):
@@ -128,7 +132,7 @@ class Records:
 
     def _clear_checkpoints(self) -> None:
         """Remove the checkpoints of designs that are there, and their folder with the last."""
-        for path in list_folder(self.checkpoints):
+        for path in _files(self.checkpoints):
             if (self.folder / "designs" / path.name).is_file():
                 path.unlink(missing_ok=True)
         with suppress(OSError):
@@ -138,7 +142,7 @@ class Records:
         """Claim trials for this process, all or none; False where another one has any of them."""
         taken: list[Trial] = []
         for trial in trials:
-            if not self._locks.take(trial.design_key):
+            if not self._take(trial.design_key):
                 self.release(taken)
                 return False
             taken.append(trial)
@@ -147,17 +151,47 @@ class Records:
     def release(self, trials: Iterable[Trial]) -> None:
         """Give up locks. A process that dies gives up its own."""
         for trial in trials:
-            self._locks.give_up(trial.design_key)
+            self._give_up(trial.design_key)
 
     def release_all(self) -> None:
         """Give up every lock of this process."""
-        self._locks.give_up_all()
+        for key in list(self._locks):
+            self._give_up(key)
+
+    def _take(self, key: str) -> bool:
+        """Lock a design; False where it is locked, here or elsewhere."""
+        path = self.folder / "locks" / f"{key}.lock"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(path, blocking=False, thread_local=False)
+        try:
+            lock.acquire()
+        except (Timeout, FileNotFoundError):  # another process takes the folder away at its end
+            return False
+        self._locks[key] = lock
+        return True
+
+    def _give_up(self, key: str) -> None:
+        lock = self._locks.pop(key)
+        path = Path(lock.lock_file)
+        with suppress(OSError):  # Windows removes no open file
+            path.unlink()
+        lock.release()
+        with suppress(OSError):  # others are locked
+            path.parent.rmdir()
 
     def _record_path(self, trial: Trial) -> Path:
         return self.folder / "trials" / f"{trial.key}.json"
 
     def _design_path(self, trial: Trial) -> Path:
         return self.folder / "designs" / f"{trial.design_key}.safetensors"
+
+
+def _files(folder: Path) -> list[Path]:
+    """Paths in a folder; none where another process took it away."""
+    try:
+        return list(folder.iterdir())
+    except FileNotFoundError:
+        return []
 
 
 def write_table(records: Sequence[Record], path: Path) -> Path:
