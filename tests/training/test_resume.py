@@ -1,7 +1,5 @@
 """The law of checkpoints: a resumed training ends in the bits of one that was never stopped."""
 
-import os
-import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,9 +7,7 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from conftest import RECIPE
-from deepfsi.base import interrupts
 from deepfsi.base.errors import InputError
-from deepfsi.base.progress import Progress
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.training import checkpoint as module
 from deepfsi.training import loop
@@ -153,29 +149,3 @@ def test_a_full_disk_does_not_end_a_training(few, writes, monkeypatch, path):
     with pytest.warns(UserWarning, match="no space left"):
         design = learn(few, checkpoint=path, **SHORT)
     assert bits(design) == bits(learn(few, **SHORT))
-
-
-@pytest.mark.usefixtures("trained_once")
-@pytest.mark.parametrize("number", interrupts.STOP_SIGNALS)
-def test_a_signal_ends_a_training_after_its_step_and_writes_it(few, monkeypatch, path, number):
-    """A handler that a command line has: it raises. The resumed training is the whole one."""
-    usual, steps = signal.getsignal(number), []
-    monkeypatch.setattr(module, "STOP_SECONDS", 0.0)
-    monkeypatch.setattr(loop, "REPORT_SECONDS", 0.0)
-
-    def stop(number, frame):
-        raise KeyboardInterrupt
-
-    def report(share, what):
-        steps.append(share)
-        if len(steps) == 3:
-            os.kill(os.getpid(), number)
-
-    signal.signal(number, stop)
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            learn(few, checkpoint=path, report=Progress(report), **SHORT)
-    finally:
-        signal.signal(number, usual)
-    assert path.exists()
-    assert bits(learn(few, checkpoint=path, **SHORT)) == bits(learn(few, **SHORT))

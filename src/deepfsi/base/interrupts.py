@@ -15,6 +15,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from types import FrameType
 from typing import Any, NoReturn
@@ -27,9 +28,6 @@ STOP_SIGNALS = signal.SIGINT, signal.SIGTERM
 
 GRACE_SECONDS = 1.2
 """Time from Ctrl-C until the process is ended."""
-
-RAY_GRACE_SECONDS = 20.0
-"""The same where work runs on a Ray cluster, which has to be told to stop."""
 
 _said = threading.Event()
 _came = signal.SIGINT
@@ -86,53 +84,27 @@ def end_process() -> NoReturn:
     os._exit(128 + _came)
 
 
-class PostponedSignals:
-    """Signals that stop and have come in a block of `postponed`."""
-
-    def __init__(self) -> None:
-        self.came: list[int] = []
-        self.usual: dict[int, Any] = {}
-
-    def deliver(self) -> None:
-        """Let the first of them stop, if there is one."""
-        if self.came:
-            first = self.came[0]
-            self.came.clear()
-            self.usual[first](first, sys._getframe())
-
-
-@contextlib.contextmanager
-def postpone_signals() -> Iterator[PostponedSignals]:
-    """Postpone what stops until the block asks for it, or ends."""
-    signals = PostponedSignals()
-    usual = {number: signal.getsignal(number) for number in STOP_SIGNALS}
-    elsewhere = threading.current_thread() is not threading.main_thread()
-    if sys.platform == "win32" or elsewhere or usual[signal.SIGINT] is None:
-        yield signals
-        return
-    signals.usual = {number: usual[number] for number in STOP_SIGNALS if callable(usual[number])}
-    for number in signals.usual:
-        signal.signal(number, lambda number, frame: signals.came.append(number))
-    try:
-        yield signals
-    finally:
-        for number, handler in signals.usual.items():
-            signal.signal(number, handler)
-        signals.deliver()
-
-
 @contextlib.contextmanager
 def block_ctrl_c() -> Iterator[None]:
     """Hold back what stops until the block ends; processes started in it never see Ctrl-C."""
-    with postpone_signals() as signals:
-        if not signals.usual:
-            yield
-            return
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-        try:
-            yield
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    usual = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    handlers: dict[int, Any] = {number: one for number, one in usual.items() if callable(one)}
+    elsewhere = threading.current_thread() is not threading.main_thread()
+    if sys.platform == "win32" or elsewhere or not handlers:
+        yield
+        return
+    came: list[int] = []
+    for number in handlers:
+        signal.signal(number, lambda number, frame: came.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        if came:
+            handlers[came[0]](came[0], sys._getframe())
 
 
 @contextlib.contextmanager
@@ -173,17 +145,11 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _end_in_time(reading: int) -> None:
-    """End the process some time after the first signal that stops, or at the second."""
+    """End the process some time after the first signal that stops."""
     global _came
-    _came = _wait_for_stop(reading)
-    again = threading.Thread(target=_wait_for_stop, args=(reading,), daemon=True)
-    again.start()
-    ray = any(word.split("=")[0] == "--ray" for word in sys.argv)
-    again.join(RAY_GRACE_SECONDS if ray else GRACE_SECONDS)
-    end_process()
-
-
-def _wait_for_stop(reading: int) -> signal.Signals:
     while (number := os.read(reading, 1)[0]) not in STOP_SIGNALS:
         pass
-    return signal.Signals(number)
+    _came = signal.Signals(number)
+    ray = any(word.split("=")[0] == "--ray" for word in sys.argv)  # its cluster has to be told
+    time.sleep(20.0 if ray else GRACE_SECONDS)
+    end_process()

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from deepfsi.base.arrays import read_tensors
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
-from deepfsi.base.interrupts import PostponedSignals, note_saved_work, postpone_signals
+from deepfsi.base.interrupts import note_saved_work
 from deepfsi.base.registry import UNNAMED_PLUGIN, source_hash
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import REVISION, Job, custom_parts
@@ -34,9 +34,6 @@ from deepfsi.training.losses import CountsCost
 
 CHECKPOINT_SECONDS = 120.0
 """Seconds between two writes."""
-
-STOP_SECONDS = 10.0
-"""Seconds since the last write after which Ctrl-C writes the state once more."""
 
 SCHEMA: Literal[1] = 1
 """Number of the file's schema."""
@@ -143,7 +140,6 @@ class Checkpoint:
         self._loops: list[tuple[int, Arrays]] = []  # finished in this run
         self._before: list[tuple[int, Arrays]] = []  # read from the file
         self._began = self._written = time.monotonic()
-        self._stop = PostponedSignals()
 
     @classmethod
     def of(
@@ -207,18 +203,13 @@ class Checkpoint:
                 loop.restore(*self._before[place])
             except (KeyError, IndexError, TypeError, ValueError, RuntimeError) as error:
                 raise self._damaged() from error
-        with postpone_signals() as self._stop:
-            yield
+        yield
         self._loops.append((loop.step, loop.arrays()))
 
     def keep(self, loop: LoopState) -> None:
-        """Write the state of a loop after a step if it is time or a signal has come."""
-        if self.path is None:
-            return
-        since = time.monotonic() - self._written
-        if since >= (STOP_SECONDS if self._stop.came else CHECKPOINT_SECONDS):
+        """Write the state of a loop after a step if it is time."""
+        if self.path is not None and time.monotonic() - self._written >= CHECKPOINT_SECONDS:
             self._write(loop)
-        self._stop.deliver()
 
     def _write(self, loop: LoopState) -> None:
         assert self.path is not None
