@@ -22,18 +22,6 @@ from deepfsi.base.files import UNPACKED_RATIO, check_unpacked, open_regular, rea
 LARGEST_ARRAY_FILE = 2**36
 """Bytes of a file of arrays at most."""
 
-MAT_HEADER = 128
-"""Bytes of the header of a ``.mat`` file."""
-
-MAT_DEFLATED = 15
-"""Type of a variable in a ``.mat`` file that is compressed."""
-
-MAT_TAG = 8
-"""Bytes of a tag in a ``.mat`` file, which holds type and length."""
-
-MAT_PARTS = {*range(1, 8), 9, *range(12, 19)}
-"""Types of the parts of a variable in a ``.mat`` file."""
-
 
 def split_variable(source: str) -> tuple[Path, str]:
     """Path and variable of FILE or FILE:VARIABLE."""
@@ -141,15 +129,15 @@ def _read_mat(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 def _check_mat(content: bytes) -> None:
     """Raise `ValueError` for parts of an unknown type: at them scipy ends the process."""
-    order = {b"IM": "<", b"MI": ">"}.get(content[MAT_HEADER - 2 : MAT_HEADER], "")
-    start = MAT_HEADER
-    while order and start + MAT_TAG <= len(content):
+    # A header of 128 bytes, then variables: a tag of 8 bytes, type and length, and their parts
+    order = {b"IM": "<", b"MI": ">"}.get(content[126:128], "")
+    start = 128
+    while order and start + 8 <= len(content):
         kind, length = struct.unpack_from(f"{order}II", content, start)
-        start += MAT_TAG
+        start += 8
         variable = content[start : start + length]
-        if kind == MAT_DEFLATED:
-            variable = zlib.decompressobj().decompress(variable, UNPACKED_RATIO * len(content))
-            variable = variable[MAT_TAG:]
+        if kind == 15:  # compressed
+            variable = zlib.decompressobj().decompress(variable, UNPACKED_RATIO * len(content))[8:]
         _check_parts(variable, order)
         start += length
 
@@ -157,13 +145,13 @@ def _check_mat(content: bytes) -> None:
 def _check_parts(variable: bytes, order: str) -> None:
     """Raise `ValueError` for a part of a variable of an unknown type."""
     start = 0
-    while start + MAT_TAG <= len(variable):
+    while start + 8 <= len(variable):
         kind, length = struct.unpack_from(f"{order}II", variable, start)
-        if (kind & 0xFFFF) not in MAT_PARTS:
+        if (kind & 0xFFFF) not in {*range(1, 8), 9, *range(12, 19)}:
             raise ValueError(f"a part of type {kind}")
-        start += MAT_TAG
+        start += 8
         if kind < 1 << 16:  # else the values are in the tag
-            start += -(-length // MAT_TAG) * MAT_TAG
+            start += -(-length // 8) * 8
 
 
 @contextmanager

@@ -28,27 +28,11 @@ from deepfsi.base.errors import InputError
 DESIGN_ENDINGS = (".safetensors",)
 """Ends of the names of design files."""
 
-DRAFT_SECONDS = 86400.0
-"""Age from which a draft is left over: its process was killed."""
-
-
 WINDOWS_ENCODING = "cp1252"
 """Encoding of text that Windows' programs save for western Europe and America."""
 
-LARGEST_TOML = 2**18
-"""Bytes of a TOML file at most."""
-
-MOST_DOTS = 500
-"""Dots of a key of a TOML file at most: to read a key takes time in the square of its parts."""
-
-LONGEST_NAME = 50
-"""Letters of a file's name that its draft has at most."""
-
-UNPACKED_SPARE = 2**24
-"""Values, or bytes, that any file may unpack to."""
-
 UNPACKED_RATIO = 32
-"""Values, or bytes, that a file may unpack to beyond that, for each of its bytes."""
+"""Values, or bytes, that a file may unpack to for each of its bytes, beyond some millions."""
 
 
 @contextmanager
@@ -107,9 +91,10 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Tables of a TOML file."""
     import tomllib
 
-    content = read_text(path, LARGEST_TOML, "give a TOML file")
-    if max(part.count(".") for part in re.split(r"[\n,={}\[\]]", content)) > MOST_DOTS:
-        raise InputError(f"{path} has a key of more than {MOST_DOTS} dots: break it up")
+    content = read_text(path, 2**18, "give a TOML file")
+    # to read a key takes time in the square of its parts
+    if max(part.count(".") for part in re.split(r"[\n,={}\[\]]", content)) > 500:
+        raise InputError(f"{path} has a key of more than 500 dots: break it up")
     try:
         return tomllib.loads(content)
     except (ValueError, RecursionError) as error:
@@ -118,7 +103,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def check_unpacked(unpacked: float, packed: int, what: str, advice: str) -> None:
     """Raise `InputError` for far more values, or bytes, than a file of so many bytes explains."""
-    limit = UNPACKED_SPARE + UNPACKED_RATIO * packed
+    limit = 2**24 + UNPACKED_RATIO * packed
     if unpacked > limit:
         raise InputError(
             f"{what} would unpack {packed} bytes to {unpacked:.3g}, and {limit} are allowed: "
@@ -253,16 +238,16 @@ def _draft(target: Path) -> Path:
     """Path for what is to become `target`; its folder is made, and cleared of old drafts."""
     target.parent.mkdir(parents=True, exist_ok=True)
     _remove_old_drafts(target.parent.resolve())
-    return target.parent / f".{target.name[:LONGEST_NAME]}.{os.urandom(4).hex()}.draft"
+    return target.parent / f".{target.name[:50]}.{os.urandom(4).hex()}.draft"
 
 
 @cache
 def _remove_old_drafts(folder: Path) -> None:
-    """Remove what processes that were killed left in a folder."""
+    """Remove what processes that were killed left in a folder, a day after."""
     import shutil
 
     for draft in folder.glob(".*.draft"):
         with suppress(OSError):
-            if time.time() - draft.lstat().st_mtime > DRAFT_SECONDS:
+            if time.time() - draft.lstat().st_mtime > 86400:
                 remove = shutil.rmtree if draft.is_dir() else Path.unlink
                 remove(draft)

@@ -22,10 +22,6 @@ import numpy.typing as npt
 
 Z_95 = NormalDist().inv_cdf(0.975)
 
-PRIOR_SQUARES = 1.0
-"""Sum of squares, beside the images' own, with which their values are taken to spread as right and
-wrong do: among few images with an error the true spread may not show."""
-
 
 class Interval(NamedTuple):
     """A mean and its 95 % interval."""
@@ -142,7 +138,9 @@ def _score(values: np.ndarray) -> Interval:
     mean = float(values.mean())
     count = len(values)
     squares = float(np.square(values - mean).sum())
-    share = (squares + PRIOR_SQUARES) / (count * mean * (1 - mean) + PRIOR_SQUARES)
+    # A square beside the images' own is taken to spread as right and wrong do: among few images
+    # with an error the true spread may not show
+    share = (squares + 1.0) / (count * mean * (1 - mean) + 1.0)
     return Interval(mean, *_wilson(mean, count / share))
 
 
@@ -155,30 +153,20 @@ CONFIDENCE = 0.95
 """Of the intervals."""
 
 
-SHARE_TAKEN_OFF = 0.5
-"""Part of the share of images and draws in the trainings' variance that is taken off it: the whole
-is right in the mean, but the variance of three trainings is often far below that, and alike designs
-would then be told apart in up to 9 of 100 studies instead of 7 (`benchmarks/coverage.py`)."""
-
-
 class _AccuracyTrials(Protocol):
-    """Accuracies of trials, the 95 % interval of their mean, and terms of the test images."""
+    """Accuracies of trials, the 95 % interval of their mean, and terms whose means they are."""
 
     @property
-    def accuracies(self) -> Sequence[float]:
-        """Of each trial, by seed."""
+    def accuracies(self) -> Sequence[float]: ...
 
     @property
-    def low(self) -> float:
-        """Lower end of the interval."""
+    def low(self) -> float: ...
 
     @property
-    def high(self) -> float:
-        """Upper end of the interval."""
+    def high(self) -> float: ...
 
     @property
-    def terms(self) -> Sequence[str]:
-        """Of each trial, values of the test images whose mean is its accuracy; none of old ones."""
+    def terms(self) -> Sequence[str]: ...
 
 
 @dataclass(frozen=True)
@@ -246,10 +234,14 @@ def paired_difference(first: np.ndarray, second: np.ndarray) -> Difference:
     freedom = max(len(each) - 1, 1)
     squares = float(np.square(each - mean).sum() + 2 * np.square(each).max())
     images = Difference(mean, math.sqrt(squares / freedom / len(each)), freedom)
+    # Half of the share of images and draws is taken off the trainings' variance: the whole is right
+    # in the mean, but the variance of three trainings is often far below that, and alike designs
+    # would be told apart in up to 9 of 100 studies instead of 7 (`benchmarks/coverage.py`)
+    off = 0.5
     if len(first) == len(second):
-        error = seeds_error(first - second, SHARE_TAKEN_OFF)
+        error = seeds_error(first - second, off)
         return replace(images, seeds_error=error, seeds_freedom=max(len(first) - 1, 1))
-    error = math.hypot(*(seeds_error(values, SHARE_TAKEN_OFF) for values in (first, second)))
+    error = math.hypot(*(seeds_error(values, off) for values in (first, second)))
     fewest = min(len(values) for values in (first, second) if len(values) > 1)
     return replace(images, seeds_error=error, seeds_freedom=fewest - 1)
 
@@ -283,10 +275,6 @@ def all_above(differences: Iterable[Difference], limit: float = 0.0) -> bool | N
     return True if all(each.low > limit for each in every) else None
 
 
-CURVE_BUDGETS = 1000
-"""Budgets at which a curve is computed, between the lowest and the highest tried."""
-
-
 @dataclass(frozen=True)
 class Crossing:
     """Where a curve of accuracy over photons meets a target."""
@@ -314,7 +302,7 @@ def find_crossing(
     means = [float(np.mean(trials)) for trials in accuracies]
     fitted = IsotonicRegression().fit_transform(tried, means)
     below, above = _half_widths(fitted, accuracies, images)
-    budgets = np.union1d(np.linspace(tried[0], tried[-1], CURVE_BUDGETS), tried)
+    budgets = np.union1d(np.linspace(tried[0], tried[-1], 1000), tried)
     curve = PchipInterpolator(tried, fitted)(budgets)
     least, most = _shapes(tried, fitted, budgets)
     lower = least - np.interp(budgets, tried, below)
@@ -377,10 +365,6 @@ def _half_widths(
     return np.hypot(fitted - middle + half, seeds), np.hypot(middle + half - fitted, seeds)
 
 
-LARGEST_TERMS = 2**27
-"""Bytes of the values of one test at most."""
-
-
 def pack_values(values: np.ndarray) -> str:
     """Values (n,) of images as text."""
     content = np.asarray(values, dtype="<f4").tobytes()
@@ -388,25 +372,20 @@ def pack_values(values: np.ndarray) -> str:
 
 
 def unpack_values(text: str) -> np.ndarray:
-    """Values (n,) that `pack` wrote; `ValueError` of other text."""
+    """Values (n,) that `pack_values` wrote; `ValueError` of other text."""
+    reader = zlib.decompressobj()
     try:
-        reader = zlib.decompressobj()
-        content = reader.decompress(base64.b64decode(text, validate=True), LARGEST_TERMS)
+        content = reader.decompress(base64.b64decode(text, validate=True), 2**27)
     except zlib.error as error:
         raise ValueError("values of images are damaged") from error
-    if not reader.eof or len(content) % 4 or not content:
-        raise ValueError("values of images are damaged")
     values = np.frombuffer(content, dtype="<f4").astype(float)
-    if not np.isfinite(values).all():
+    if not (reader.eof and values.size and np.isfinite(values).all()):
         raise ValueError("values of images are damaged")
     return values
 
 
 MOST_CLASSES = 20
 """Classes whose whole matrix can be read; of more, the most frequent confusions are told."""
-
-MOST_CONFUSIONS = 10
-"""Confusions that are told of many classes."""
 
 
 def confusion_shares(confusion: Sequence[Sequence[int]]) -> npt.NDArray[np.float64]:
@@ -416,9 +395,9 @@ def confusion_shares(confusion: Sequence[Sequence[int]]) -> npt.NDArray[np.float
 
 
 def frequent_confusions(confusion: Sequence[Sequence[int]]) -> list[tuple[int, int, float]]:
-    """True class, wrong answer and the answer's share, of the most frequent ones."""
+    """True class, wrong answer and the answer's share, of the ten most frequent ones."""
     wrong = confusion_shares(confusion)
     np.fill_diagonal(wrong, 0)
     rows, columns = np.unravel_index(np.argsort(-wrong, axis=None, kind="stable"), wrong.shape)
     pairs = zip(rows.tolist(), columns.tolist(), strict=True)
-    return [(i, j, float(wrong[i, j])) for i, j in pairs if wrong[i, j] > 0][:MOST_CONFUSIONS]
+    return [(i, j, float(wrong[i, j])) for i, j in pairs if wrong[i, j] > 0][:10]

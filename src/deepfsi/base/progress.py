@@ -39,15 +39,6 @@ SILENT = Progress()
 FIRST_LINE_SECONDS = 2.0
 """Time after which a task says how far it is, where no terminal shows a bar."""
 
-MOST_LINE_SECONDS = 300.0
-"""Longest time between two lines; each time is twice the one before."""
-
-LEAST_PROGRESS = 0.05
-"""Share of a task after which the time left is estimated, at the pace of what was done of it."""
-
-WHOLE_TASK = 1e7
-"""Seconds that the time left is estimated over: all that have passed, as batches end rarely."""
-
 
 @contextmanager
 def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
@@ -69,7 +60,8 @@ def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
         return
     words = TextColumn("{task.description}", markup=False)
     columns = (SpinnerColumn(), words, BarColumn(), TimeElapsedColumn(), TimeLeft())
-    with Bar(*columns, console=console, transient=True, speed_estimate_period=WHOLE_TASK) as bar:
+    # The time left is estimated over all that has passed, as batches end rarely
+    with Bar(*columns, console=console, transient=True, speed_estimate_period=1e7) as bar:
         task = bar.add_task(what, total=1.0)
         yield Progress(
             lambda share, now: bar.update(task, completed=share, description=now or what)
@@ -89,9 +81,9 @@ class _Lines:
         if now < self.due:
             return
         passed = now - self.began
-        self.due = now + min(passed, MOST_LINE_SECONDS)
+        self.due = now + min(passed, 300)  # twice the time before
         left = ""
-        if share >= LEAST_PROGRESS:
+        if share >= 0.05:
             left = f", about {_duration_text(passed / share * (1 - share))} left"
         print(f"{self.what}: {share:.0%} after {_duration_text(passed)}{left}", file=sys.stderr)
 

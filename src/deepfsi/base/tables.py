@@ -26,20 +26,11 @@ TEXT_ENDINGS = (".csv", ".txt", ".tsv", ".dat")
 TABLE_ENDINGS = (*TEXT_ENDINGS, ".parquet", ".npy", ".mat")
 """Ends of the names of files that hold tables."""
 
-USUAL_VARIABLE = "counts"
-"""Name of the table of a file that holds several."""
-
-LARGEST_TABLE = 2**27
-"""Numbers of a table at most."""
-
 LARGEST_TABLE_FILE = 2**31
 """Bytes of a text or Parquet file at most."""
 
 MOST_COLUMNS = 2**15
 """Columns of a file at most: each takes 8 kB of memory, however few its rows are."""
-
-LARGEST_WHOLE = 2.0**53
-"""Numbers above which floating point leaves out whole ones."""
 
 LABEL_HEADS = ("label", "labels", "class", "classes", "category", "target", "y", "class name")
 """Words over a column of labels, in lower case."""
@@ -92,7 +83,7 @@ def read_whole_numbers(
         _check_numbers(path, column.to_frame(), floats[:, None])
         whole = None if column.dtype.is_float() else column.cast(pl.Int64, strict=False)
         if whole is None or whole.null_count():
-            wrong = floats[(floats != np.rint(floats)) | (np.abs(floats) > LARGEST_WHOLE)]
+            wrong = floats[(floats != np.rint(floats)) | (np.abs(floats) > 2.0**53)]
             if wrong.size:
                 raise InputError(
                     f"{path}, column {column.name}, holds {wrong[0]:.17g}: give whole numbers "
@@ -123,7 +114,7 @@ def _read(source: str | Path) -> "tuple[Path, tuple[str, ...], pl.DataFrame]":
         names = tuple(frame.columns)
     else:
         dimensions = (2,) if suffix == ".mat" else (1, 2)
-        values = read_array(path, dimensions, variable, largest=LARGEST_TABLE, usual=USUAL_VARIABLE)
+        values = read_array(path, dimensions, variable, largest=2**27, usual="counts")
         if values.ndim not in dimensions:
             raise InputError(
                 f"{path} holds an array of shape {values.shape}: give rows and columns"
