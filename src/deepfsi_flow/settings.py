@@ -59,27 +59,25 @@ class Passing(Exposure):
         default=32,
         ge=2,
         le=4096,
-        description="time bins of a scene that passes a static pattern; default: 32",
+        description="time bins of a scene that passes a static pattern",
     )
     speed: float = Field(
         default=1.0,
         gt=0,
         allow_inf_nan=False,
-        description="speed of a passing scene, pixels a bin; default: 1",
+        description="speed of a passing scene, pixels a bin",
     )
     jitter: float = Field(
         default=0.0,
         ge=0,
         allow_inf_nan=False,
-        description="standard deviation of a passing scene's place in an exposure, pixels; "
-        "default: 0",
+        description="standard deviation of a passing scene's place in an exposure, pixels",
     )
     speed_jitter: float = Field(
         default=0.0,
         ge=0,
         le=0.3,
-        description="standard deviation of a passing scene's speed over the mean one; 0 unless "
-        "given",
+        description="standard deviation of a passing scene's speed over the mean one",
     )
     pattern_width: int | None = Field(
         default=None,

@@ -168,16 +168,6 @@ def lose_passes(run, found, spots):
         calibrate_run(displayed, names, pictures, counts, recorded.patterns)
 
 
-def test_a_large_recording_is_asked_for(done, refuse, lab, tmp_path, monkeypatch):
-    """All of a pass is written: its photons are forecast before the work."""
-    words = ["camera", "simulate", lab / "p", "--scene", lab / "images", "--exposure", "5ms"]
-    words += ["--virtual", "ideal", "--flux"]
-    out = ["-o", tmp_path / "run"]
-    monkeypatch.setattr("deepfsi.cli.recording.MOST_EVENTS", 1e3)
-    assert "--yes" in refuse(*words, 1e6, *out)
-    done(*words, 1e6, "--yes", *out)
-
-
 def deep(folder, pictures, bright):
     """Pictures (n, 8, 8) as 16-bit PNG files, half in each class; the brightest value is given."""
     for place, picture in enumerate(np.rint(pictures.reshape(-1, 8, 8) * bright)):

@@ -44,7 +44,7 @@ def test_an_acquisition_is_classified_as_the_design_was_tested(
     """Inputs that are swapped are not what the design of unlike detectors was trained for."""
     rails, run = RAILS[name], tmp_path / "run"
     given = ["--scene", lab / "images", "--flux", 1e7, "--exposure", "1ms", "--repeats", 1]
-    done("camera", "simulate", lab / name, *given, "--virtual", "ideal", "-o", run, "--yes")
+    done("camera", "simulate", lab / name, *given, "--virtual", "ideal", "-o", run)
     said = json.loads(done("camera", "count", run, "--json"))
     assert said["inputs"] == list(range(1, 4 * rails + 1))
     assert np.shape(said["counts"]) == (SCENES, 1, rails, 4, 4)

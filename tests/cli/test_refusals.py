@@ -72,16 +72,16 @@ REFUSED = {
     """,
     "design --photons 1e4 --masks 3 --light free-dwell --rails single --detectors": """
         9x9 | do not divide scenes of 8x8: give ROWSxCOLUMNS from 1x1 to 8x8
-        four | give ROWSxCOLUMNS such as 2x2, a number of bands, or a .npy map
+        four | give ROWSxCOLUMNS such as 2x2, a number of bands, or
         none.npy | none.npy
-        bright.npy | give the detector of each pixel as a whole number
+        bright.npy | the detector of each pixel as a whole number
         gap.npy | from 0 without a gap
         tens.npy | give 64 whole numbers
     """,
     "evaluate": """
         a --photons 1e3 | did you mean a.safetensors?
         a.safetensors --photons 1e4 --draws 0 | --draws 0: give
-        a.safetensors --photons 1e4 --sigma -1 --noise gaussian | --sigma -1: give
+        a.safetensors --photons 1e4 --sigma -1 --noise gaussian | sigma = '-1': give
         a.safetensors --photons 1e4 --sigma 5 --noise none | --sigma is not of none noise
         a.safetensors --photons 1e3 --ideal --noise gaussian | leave --ideal out
         a.safetensors --photons 1e3 --data small.npz | 64
@@ -93,7 +93,7 @@ REFUSED = {
         a.safetensors --selection some | unknown selection 'some'
         a.safetensors --device 64x48 --rotate 45 | rotate = 45: give 0, 90, 180 or 270
         a.safetensors --device 64x48 --format jpg | unknown format 'jpg'
-        a.safetensors --device 64x48 --shortest 1.5us | whole microseconds
+        a.safetensors --device 64x48 --shortest 1.5us | shortest_us = 1.5: give a whole number
         a.safetensors --device 64x48 --settle 60us --dwell 50us | in which mirrors settle
         a.safetensors --device 64x48 --size 8x8 | has its cells and detectors; leave them out
         hadamard --size 16x16 --device dlp6500 | 515 frames do not fit dlp6500
@@ -122,7 +122,6 @@ REFUSED = {
         --until 2 | --until between 0 and 1
         --exposure 1e9s | hold
         --flux 1e14 | flux
-        --flux 1e12 | --yes
         --input 1 --input 1 | an input of its own
         --input 40 --input 41 | inputs
     """,

@@ -19,7 +19,7 @@ from deepfsi.counting.reader import summarise
 from deepfsi.counting.recording import Recording
 from deepfsi.lab import virtual_detector as detector
 from deepfsi.lab import virtual_optics as module
-from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera, arrival_rates, expected_events
+from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera, arrival_rates
 from deepfsi.patterns.folder import Patterns
 
 GRID = find_grid(DEVICE, SHAPE, DmdLayout(stretch=True))
@@ -94,16 +94,6 @@ def test_rates_of_the_ideal_camera_are_those_of_the_realised_masks(tmp_path, lig
     assert (flow[:, off, 0] == 0).all()
     if light == "two-arm":
         assert flow.sum(axis=-1) == pytest.approx(np.tile(whole[:, None], flow.shape[1]), rel=1e-5)
-
-
-@pytest.mark.parametrize(("light", "rails"), [("free-dwell", "dual"), ("two-arm", "dual")])
-def test_photons_of_a_recording_are_forecast(tmp_path, light, rails):
-    shown = patterns(tmp_path / "p", light, rails)
-    camera = VirtualCamera(efficiency=0.3, dark=1e3, ambient=2e4)
-    grey = np.full((2, *SHAPE), 0.4)
-    rates = arrival_rates(Patterns.read(tmp_path / "p"), grey, camera, 1e5)
-    events = (rates.sum(axis=2) * shown.manifest.picture_s).sum()
-    assert expected_events(shown, grey, camera, 1e5) == pytest.approx(events, rel=1e-4)
 
 
 @pytest.mark.parametrize("light", ["equal-dwell", "two-arm"])

@@ -10,7 +10,7 @@ no exposure is given it lasts one second, so that a rate is the counts of an exp
 import json
 import os
 import re
-from collections.abc import Container, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -64,25 +64,19 @@ Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
 
 def _detectors(given: Any) -> str | tuple[int, ...]:
     """Field of a camera: a name, bands as text, or the detector of each pixel, or its .npy file."""
-    if isinstance(given, str):
-        if not given.lower().endswith(".npy"):
-            return given.lower()
-        labels = read_npy(Path(given))
-        if labels.dtype.kind not in "iu":
-            raise InputError(
-                f"{given} holds numbers of type {labels.dtype}: give the detector of each pixel as "
-                "a whole number, from 0"
-            )
-        return tuple(labels.ravel().tolist())
     if isinstance(given, int):
-        return str(given)
-    detectors = np.asarray(given).ravel()
-    if detectors.dtype.kind not in "iu":
+        given = str(given)
+    if isinstance(given, str) and re.fullmatch(r"[1-9]\d*(x[1-9]\d*)?", given.lower()):
+        return given.lower()
+    if isinstance(given, str) and given.lower().endswith(".npy"):
+        given = read_npy(Path(given))
+    labels = np.asarray(given).ravel()
+    if labels.dtype.kind not in "iu":
         raise ValueError(
-            "give ROWSxCOLUMNS such as 2x2, a number of bands, or the number of each pixel's "
-            "detector, from 0"
+            "give ROWSxCOLUMNS such as 2x2, a number of bands, or the detector of each pixel as a "
+            "whole number from 0, such as a .npy map"
         )
-    return tuple(detectors.tolist())
+    return tuple(labels.tolist())
 
 
 def _device(given: Any) -> Any:
@@ -104,26 +98,14 @@ def _law(fields: Fields) -> LightLawFacts:
     return LIGHT_LAWS[fields.get("light", "free-dwell")]
 
 
-def _noise(fields: Fields) -> NoiseFacts:
-    """Facts of the noise; where the noise is not valid, of one that has everything."""
-    if "noise" not in fields:
-        return NoiseFacts("any noise", dark=True, gates=True)
-    return find_noise(fields["noise"])
-
-
 def _conflict(field: str, value: Any, fields: Fields) -> str:
     """What a field does not go with among those before it, and what to do; "" if nothing."""
     law = _law(fields)
     light = fields.get("light")
-    noise = _noise(fields)
-    name = noise_name(fields.get("noise"))
+    noise = find_noise(fields.get("noise", "poisson"))
     match field:
         case "rails" if law.arms == 2 and value == "single":
             return "two-arm with a single rail is not allowed: each arm is a rail; use dual rails"
-        case "detectors" if isinstance(value, str) and not re.fullmatch(
-            r"[1-9]\d*(x[1-9]\d*)?", value
-        ):
-            return "give ROWSxCOLUMNS such as 2x2, a number of bands, or a .npy map"
         case "detectors" if not law.one_device and value not in NAMES_OF_ONE:
             return (
                 f"several detectors are parts of one device, and {light} is other optics: give "
@@ -139,16 +121,12 @@ def _conflict(field: str, value: Any, fields: Fields) -> str:
                 f"a frame is counted for {fields['shortest_dwell']:g} s at least: give a longer "
                 "exposure, or another device or shortest_dwell"
             )
-        case "gates" if value > 1 and fields.get("dark"):
-            return "clicks have no dark counts here: leave dark or gates out"
-        case "gates" if value > 1 and fields.get("dead_time"):
-            return "clicks have no dead time here: leave dead_time or gates out"
         case "noise" if fields.get("dark") and not noise.dark:
-            return f"{name} noise has no dark counts: give noise camera, or leave dark or noise out"
+            return f"{noise.title} has no dark counts: give noise camera, or leave dark out"
         case "noise" if fields.get("dead_time") and not noise.dead_time:
-            return "clicks have no dead time here: leave dead_time or noise out"
+            return "clicks have no dead time here: leave dead_time out"
         case "noise" if fields.get("gates", 1) > 1 and not noise.gates:
-            return f"{name} noise has no gates: give noise click, or leave gates or noise out"
+            return f"{noise.title} has no gates: give noise click, or leave gates out"
         case "fluctuation" if value > 0 and not law.in_turn:
             return (
                 "light fluctuates from frame to frame, and column shows all masks at once: give "
@@ -264,12 +242,13 @@ class Camera(UserModel):
         default_factory=lambda fields: (
             "click" if fields.get("gates", 1) > 1 else "camera" if fields.get("dark") else "poisson"
         ),
+        validate_default=True,
         description="noise of the counts: poisson, gaussian, camera (photons, dark counts and "
         "read noise), click (a gated detector that fires at most once in a gate), none, or "
         "module:function of your own; poisson, click with gates, or camera with dark counts",
     )
     sigma: float = Field(
-        default_factory=lambda fields: _noise(fields).usual_sigma,
+        default_factory=lambda fields: find_noise(fields.get("noise", "poisson")).usual_sigma,
         ge=0,
         allow_inf_nan=False,
         description="read noise of gaussian and camera noise, counts rms per readout; default: 1 "
@@ -296,9 +275,7 @@ class Camera(UserModel):
 
         def __init__(self, **fields: Any) -> None: ...
 
-    @field_validator(
-        "rails", "detectors", "device", "exposure", "gates", "noise", "fluctuation", "contrast"
-    )
+    @field_validator("rails", "detectors", "device", "exposure", "noise", "fluctuation", "contrast")
     @classmethod
     def _fits(cls, value: Any, info: ValidationInfo) -> Any:
         """The value of a field, or `ValueError` where it does not go with those before it."""
@@ -324,16 +301,17 @@ class Camera(UserModel):
             In one line that names the field which cannot be used.
         """
         fields = {**_fields(source), **settings}
-        if "noise" in settings:  # the source's fields that this noise does not have go
+        if "noise" in settings:
             noise = find_noise(settings["noise"])
-            if not noise.dark:
-                fields["dark"] = settings.get("dark", 0.0)
-            if not noise.dead_time:
-                fields["dead_time"] = settings.get("dead_time", 0.0)  # a gate that fired is blind
-            if not noise.gates:
-                fields["gates"] = settings.get("gates", 1)
-            if not noise.fluctuates:
-                fields["fluctuation"] = settings.get("fluctuation", 0.0)
+            has = {
+                "dark": noise.dark,
+                "dead_time": noise.dead_time,  # a gate that fired is blind
+                "gates": noise.gates,
+                "fluctuation": noise.fluctuates,
+            }
+            for name in has.keys() - settings.keys():
+                if not has[name]:
+                    fields.pop(name, None)
         is_file = isinstance(source, str | os.PathLike) and str(source).lower().endswith(".toml")
         with as_input_error(str(source) if is_file else ""):
             return cls.model_validate(fields)
@@ -438,17 +416,11 @@ class Camera(UserModel):
         return self.detectors in NAMES_OF_ONE
 
     @property
-    def counter_dead_time(self) -> DeadTime:
-        """Dead time of the counter."""
+    def counter_dead_time(self) -> DeadTime | None:
+        """Dead time of the counter, if it has one."""
+        if not self.dead_time:
+            return None
         return DeadTime(seconds=self.dead_time, paralysable=self.dead_time_model == "paralysable")
-
-    def corrected_dead_time(self, settings: Container[str] = ()) -> DeadTime | None:
-        """Dead time to be corrected, if there is one; `InputError` for a model of none."""
-        if self.dead_time:
-            return self.counter_dead_time
-        if "dead_time_model" in settings:
-            raise InputError("`dead_time_model` is of a dead time: give `dead_time`, such as 20ns")
-        return None
 
     @classmethod
     def template(cls) -> str:
@@ -463,43 +435,32 @@ class Camera(UserModel):
         return "\n".join(lines)
 
     def describe(self) -> str:
-        """The camera in a few lines: its optics, what it can show, its light."""
-        law = LIGHT_LAWS[self.light]
+        """The camera in a few lines: its optics, its other fields, and the light of an exposure."""
         noise = find_noise(self.noise)
-        masks = {"single": "non-negative masks", "dual": "signed masks of two rails"}[self.rails]
-        lines = [f"{law.optics} (light law {self.light}); {masks}"]
-        if law.in_turn:
-            where = " on each arm" if law.arms == 2 else ""
-            many = self.detectors if isinstance(self.detectors, str) else "of a map"
-            lines.append("one detector" + where if many == "1x1" else f"{many} detectors{where}")
+        shown: dict[str, Any] = dict(self) | {
+            "light": None,  # on the first line
+            "detectors": self.detectors if isinstance(self.detectors, str) else "of a map",
+            "device": self.device and self.device.name,
+            "shortest_dwell": self.shortest_dwell and time_text(self.shortest_dwell),
+            "exposure": self.exposure and time_text(self.exposure),
+            "flux": self.flux and f"{count_text(self.flux)}/s",
+            "dark": self.dark and f"{count_text(self.dark)}/s",
+            "dead_time": self.dead_time and time_text(self.dead_time),
+            "dead_time_model": self.dead_time and self.dead_time_model,
+            "gates": self.gates * noise.gates,
+            "noise": self.noise_name,
+            "sigma": self.sigma * noise.read_noise,
+        }
+        fields = [f"{name} {value}" for name, value in shown.items() if value]
+        lines = [f"light law {self.light}: {LIGHT_LAWS[self.light].optics}", ", ".join(fields)]
         if self.device is not None:
-            device = self.device
-            lines.append(f"device {device.name}: {device.columns} x {device.rows} mirrors")
-            cells = "cells that fill" if self.stretch else "square cells in the middle of"
-            lines[-1] += f", {cells} {self.region or 'the device'}"
-        if self.shortest_dwell:
-            lines.append(f"frames are counted for {time_text(self.shortest_dwell)} or longer")
-        if self.shortest_dwell and self.exposure is not None:
-            most = int(1 / self.shortest_share)
-            lines[-1] += f": up to {most} in an exposure of {time_text(self.exposure)}"
+            lines.append(f"{self.device.columns} x {self.device.rows} mirrors")
+        if self.shortest_dwell and self.exposure:
+            lines.append(f"up to {int(1 / self.shortest_share)} frames in an exposure")
         if self.budget is not None:
-            lines.append(
-                f"budget {count_text(self.budget)} counts in {time_text(self.exposure_s)}, at "
-                f"{count_text(self.flux or 0)} counts/s with all mirrors of the region ON"
-            )
+            lines.append(f"budget {count_text(self.budget)} counts in an exposure")
         if self.dark:
             lines.append(f"{count_text(self.dark_counts)} dark counts of a detector in an exposure")
-        if noise.gates:
-            gates = f"{self.gates} gates" if self.gates > 1 else "one gate"
-            lines.append(f"detectors that click at most once in a gate, {gates} a frame")
-        if self.sigma and noise.read_noise:
-            lines.append(f"read noise of {self.sigma:g} counts rms a readout")
-        if self.contrast:
-            lines.append(f"OFF pixels of the projector send 1/{self.contrast:g} of the light of ON")
-        if self.fluctuation:
-            lines.append(f"light that fluctuates by {self.fluctuation:.3g} from frame to frame")
-        if self.dead_time:
-            lines.append(f"dead time {self.dead_time * 1e9:.4g} ns, {self.dead_time_model}")
         return "\n".join(lines)
 
 

@@ -144,7 +144,7 @@ class ExportPatterns(Command):
 
     file: Path = fields.argument("design file; or raster or hadamard, to calibrate with")
     settings: Annotated[
-        dict[str, Any], fields.run_options("device", "exposure", "region", "stretch")
+        dict[str, Any], fields.camera_options("camera", "device", "exposure", "region", "stretch")
     ]
     out: Annotated[Path, fields.Output(new=True)] = fields.option(
         "folder for the patterns, new", ...

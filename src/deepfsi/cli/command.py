@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import click
 from pydantic import BeforeValidator, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails, PydanticUndefined
+from pydantic_core import ErrorDetails
 
 from deepfsi.base.errors import InputError, field_errors
 from deepfsi.base.files import readable_name
@@ -27,9 +27,6 @@ from deepfsi.base.quantities import seconds
 from deepfsi.camera.camera import Camera
 from deepfsi.cli.fields import FIRST, OptionsOf, Output, height_width, job_options
 from deepfsi.cli.terminal import Outcome, Terminal, as_options, option_name
-
-ONE_VALUE = ("camera", "hidden")
-"""Options of one value where others are axes."""
 
 FORMS: dict[Any, str] = {
     seconds: "time",
@@ -86,7 +83,7 @@ class ClickCommand(click.Command):
                 params.append(_parameter(field.alias or field_name, field, field.is_required()))
                 continue
             for key, (heading, of_model) in source.fields.items():
-                axis = source.axes and key not in ONE_VALUE
+                axis = source.axes and key not in ("camera", "hidden")
                 params.append(_parameter(key, of_model, False, heading=heading, axis=axis))
         params.append(_Option(["--json"], is_flag=True, help="print JSON and nothing else"))
         _, _, rest = inspect.cleandoc(command.__doc__ or "").partition("\n\n")
@@ -181,10 +178,11 @@ def _parameter(
         argument.words = words
         return argument
     default = field.default
-    known = default not in (None, PydanticUndefined, ()) and not isinstance(default, bool)
-    if known and not (axis or heading == "Camera" or "default" in words):
-        text = ",".join(map(str, default)) if isinstance(default, tuple) else default
-        words = f"{words}  [default: {text}]"
+    if isinstance(default, tuple):
+        default = ",".join(map(str, default))
+    known = isinstance(default, str | int | float | Path) and not isinstance(default, bool)
+    if known and default != "" and not axis and heading != "Camera":
+        words = f"{words}  [default: {default}]"
     option = _Option(
         [key, option_name(key), *(["-o"] if key == "out" else [])],
         is_flag=None if form else True,

@@ -8,6 +8,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
 from deepfsi.base.models import Count
 from deepfsi.base.quantities import budget_text, confidence_text, count_text
+from deepfsi.base.registry import check_report
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.evaluate import data_lines, full_gates_lines, with_classes
@@ -180,7 +181,8 @@ class ShowDesign(Command):
     def run(self, terminal: Terminal) -> Outcome:
         """Picture of the masks."""
         out = self.out or Path(f"{self.file.stem}.png")
-        fields.Output(fields.PICTURES).check(out, self.force)
+        fields.Output((".png", ".svg", ".pdf")).check(out, self.force)
+        check_report()
         from deepfsi.design.design import load_design
         from deepfsi.designfile.provenance import trained_on
         from deepfsi.lab.design_data import data_of

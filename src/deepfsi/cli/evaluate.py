@@ -8,8 +8,7 @@ from pydantic import Field
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
-from deepfsi.base.models import Amount
-from deepfsi.camera.names import find_noise
+from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
@@ -25,21 +24,19 @@ if TYPE_CHECKING:
 class EvaluateDesign(Command):
     """`deepfsi evaluate`.
 
-    The test scenes are those of the data that it was trained on, which the design remembers.
+    The test scenes are those of the data that it was trained on, and the camera is the design's,
+    unless given.
 
     Example: deepfsi evaluate digits.safetensors --photons 1e2,1e3,1e4
     """
 
+    settings: Annotated[
+        dict[str, Any], fields.camera_options("noise", "sigma", "dark", "fluctuation")
+    ]
     file: fields.DesignOrPatterns
     photons: fields.NumberList = fields.option("budgets, such as 1e2,1e3,1e4", ...)
     data: fields.TestData = None
     size: fields.Size = None
-    noise: fields.NoiseOption = None
-    sigma: fields.Sigma = None
-    dark: fields.Dark = None
-    fluctuation: Amount | None = fields.option(
-        "relative standard deviation of the light from frame to frame"
-    )
     draws: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = fields.option(
         "noise draws of each scene", 3
     )
@@ -57,9 +54,8 @@ class EvaluateDesign(Command):
         from deepfsi.physics.surroundings import torch_device
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
-        options = self.explicit(("noise", "sigma", "dark", "fluctuation"))
-        camera = camera_for(design, None, **options)
-        _check_sigma(options, camera.noise_name)
+        camera = camera_for(design, **self.settings)
+        _check_sigma(self.settings, camera)
         if self.ideal:
             if not camera.noise_facts.exact:
                 steady = camera.noise_facts.steady
@@ -101,11 +97,13 @@ class EvaluateDesign(Command):
 class PredictClasses(Command):
     """`deepfsi predict`.
 
-    They get the preprocessing of the data that the design was trained on, which it remembers.
+    They get the preprocessing of the data that the design was trained on. The camera is the
+    design's, unless given.
 
     Example: deepfsi predict digits.safetensors pictures/ -o classes.csv
     """
 
+    settings: Annotated[dict[str, Any], fields.camera_options("noise", "sigma", "dark")]
     file: fields.DesignOrPatterns
     pictures: fields.ExistingPath = fields.argument(
         "picture, or folder of pictures, with or without a folder for each class, or .csv of "
@@ -118,9 +116,6 @@ class PredictClasses(Command):
     out: Annotated[Path | None, fields.Output((".csv",))] = fields.option(
         "table with a line for each picture, .csv"
     )
-    noise: fields.NoiseOption = None
-    sigma: fields.Sigma = None
-    dark: fields.Dark = None
     skip_bad: fields.SkipBad = False
     seed: fields.NoiseSeed = 0
     trust: fields.Trust = False
@@ -135,8 +130,7 @@ class PredictClasses(Command):
         from deepfsi.physics.surroundings import torch_device
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
-        options = self.explicit(("noise", "sigma", "dark"))
-        _check_sigma(options, camera_for(design, None, **options).noise_name)
+        _check_sigma(self.settings, camera_for(design, **self.settings))
         with terminal.progress("predict"):
             predictions = predict(
                 design,
@@ -144,7 +138,7 @@ class PredictClasses(Command):
                 self.photons,
                 seed=self.seed,
                 skip_bad=self.skip_bad,
-                **options,
+                **self.settings,
             )
         if self.out is not None:
             write_atomically(self.out, predictions.as_csv().encode())
@@ -158,11 +152,12 @@ class PredictClasses(Command):
         )
 
 
-def _check_sigma(options: Mapping[str, Any], noise: str) -> None:
+def _check_sigma(settings: Mapping[str, Any], camera: Camera) -> None:
     """Raise `InputError` if read noise is given and the noise has none."""
-    if "sigma" in options and not find_noise(noise).read_noise:
+    if "sigma" in settings and not camera.noise_facts.read_noise:
         raise InputError(
-            f"--sigma is not of {noise} noise: leave it out, or give --noise gaussian or camera"
+            f"--sigma is not of {camera.noise_name} noise: leave it out, or give --noise gaussian "
+            "or camera"
         )
 
 

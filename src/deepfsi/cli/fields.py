@@ -5,19 +5,19 @@ shows. Options of what has a model in a lower room are not written again: `Optio
 from there.
 """
 
+import re
 import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.fields import FieldInfo
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_ending
-from deepfsi.base.models import Amount, Count, Seconds, WholeNumber
-from deepfsi.base.registry import check_report
+from deepfsi.base.models import Count, Seconds, WholeNumber
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import MOST_INPUTS
 from deepfsi.datasets.load import check_source
@@ -28,27 +28,6 @@ from deepfsi.jobs.training import Training
 
 FIRST = "Options"
 """Heading of the options that most need, first of all."""
-
-JOB_FIELDS = ("design", "masks", "photons", "camera", "seed")
-"""Fields of a job that are settings themselves."""
-
-TYPED: dict[str, tuple[type[BaseModel], tuple[str, ...]]] = {
-    "camera": (
-        Camera,
-        ("light", "rails", "detectors", "device", "exposure", "levels", "flux", "dark", "noise"),
-    ),
-    "training": (Training, ("epochs", "batch", "mask_lr", "hidden", "counts", "clusters")),
-}
-"""Fields that are options; the rarer ones a camera's file gives, and a recipe or Python."""
-
-COUNTER_EFFECTS = ("dead_time", "dead_time_model")
-"""Fields of a camera that say what its counts are corrected for."""
-
-MOST_PIXELS = 10_000
-"""Pixels of a side of an image."""
-
-PICTURES = (".png", ".svg", ".pdf")
-"""Ends of the names of pictures."""
 
 
 def option(words: str, default: Any = None, **more: Any) -> Any:
@@ -89,19 +68,33 @@ class Output:
                 raise InputError(
                     f"{path} exists already: give another name, or --force to replace it"
                 )
-        if self.endings == PICTURES:
-            check_report()
-        _check_writable(path, path.parent if self.endings or self.new else path)
+        folder = path.parent if self.endings or self.new else path
+        there = next(each for each in (folder, *folder.parents) if each.exists())
+        if not there.is_dir():
+            raise InputError(f"cannot write to {path}: {there} is a file; give another place")
+        try:
+            with tempfile.TemporaryFile(dir=there) as file:
+                file.write(bytes(2**20))  # a file may be made where nothing can be written into it
+        except OSError as error:
+            raise InputError(
+                f"cannot write to {path}: {error.strerror}; give another place"
+            ) from None
 
 
 def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
     """Options of the settings of a job: its camera, its exposure and its training."""
+    # The rarer ones a camera's file gives, and a recipe or Python
+    optics = ("light", "rails", "detectors", "device", "exposure", "levels", "flux", "dark")
+    learning = ("epochs", "batch", "mask_lr", "hidden", "counts", "clusters")
     names = {field: option for option, field in SETTING_ALIASES.items()}
-    fields = {name: (FIRST, Job.model_fields[name]) for name in JOB_FIELDS}
-    for table, (model, typed) in TYPED.items():
+    job = ("design", "masks", "photons", "camera", "seed")
+    fields = {name: (FIRST, Job.model_fields[name]) for name in job}
+    for table, fields_of, typed in (
+        ("camera", Camera.model_fields, (*optics, "noise")),
+        ("training", Training.model_fields, learning),
+    ):
         fields |= {
-            names.get((table, name), name): (table.capitalize(), model.model_fields[name])
-            for name in typed
+            names.get((table, name), name): (table.capitalize(), fields_of[name]) for name in typed
         }
     fields |= {
         name: ("Exposure", kind.model_fields[name])
@@ -111,23 +104,10 @@ def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
     return OptionsOf({name: each for name, each in fields.items() if name not in leave}, axes)
 
 
-def run_options(*names: str) -> OptionsOf:
-    """Options of the camera of a run, and some of its fields."""
-    fields = {"camera": Job.model_fields["camera"]}
-    fields |= {name: Camera.model_fields[name] for name in names}
-    return OptionsOf({name: ("Camera", field) for name, field in fields.items()})
-
-
-def _check_writable(path: Path, folder: Path) -> None:
-    """Write a file in the folder, or in the lowest one above that is there, and leave nothing."""
-    there = next(each for each in (folder, *folder.parents) if each.exists())
-    if not there.is_dir():
-        raise InputError(f"cannot write to {path}: {there} is a file; give another place")
-    try:
-        with tempfile.TemporaryFile(dir=there) as file:
-            file.write(bytes(2**20))  # a file may be made where nothing can be written into it
-    except OSError as error:
-        raise InputError(f"cannot write to {path}: {error.strerror}; give another place") from None
+def camera_options(*names: str) -> OptionsOf:
+    """Options of some fields of a camera, or of the camera itself."""
+    fields = {"camera": Job.model_fields["camera"], **Camera.model_fields}
+    return OptionsOf({name: ("Camera", fields[name]) for name in names})
 
 
 def check_design_file(path: Path) -> Path:
@@ -155,12 +135,8 @@ def height_width(text: Any) -> Any:
     if not isinstance(text, str):
         return text
     sides = text.lower().split("x")
-    sound = all(side.isdecimal() and 0 < int(side) <= MOST_PIXELS for side in sides)
-    if not sound or len(sides) > 2:
-        raise ValueError(
-            f"{text!r} is not allowed: give HEIGHTxWIDTH, such as 32x32, of at most "
-            f"{MOST_PIXELS} pixels each"
-        )
+    if len(sides) > 2 or not all(re.fullmatch("[1-9][0-9]{0,3}", side) for side in sides):
+        raise ValueError(f"{text!r} is not allowed: give HEIGHTxWIDTH, such as 32x32, below 10000")
     return int(sides[0]), int(sides[-1])
 
 
@@ -216,18 +192,6 @@ DesignPath = Annotated[Path, AfterValidator(check_design_file)]
 
 DesignOrPatterns = Annotated[
     DesignPath, argument("design file, or a folder of patterns that `dmd export` wrote")
-]
-NoiseOption = Annotated[
-    str | None,
-    Field(description="noise of the tests; default: that of the design's camera"),
-]
-Sigma = Annotated[
-    Amount | None,
-    Field(description="read noise of gaussian and camera noise, counts rms per readout"),
-]
-Dark = Annotated[
-    Amount | None,
-    Field(description="dark counts/s of a detector; in an exposure, where no time is given"),
 ]
 NoiseSeed = Annotated[WholeNumber, Field(description="seed of the noise")]
 Matrix = Annotated[

@@ -5,8 +5,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from pydantic import Field
-
 from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.models import Seconds, WholeNumber
 from deepfsi.base.progress import SILENT
@@ -20,21 +18,7 @@ if TYPE_CHECKING:
     from deepfsi.counting.acquisition import Acquisition
     from deepfsi.datasets.display import Display
     from deepfsi.lab.devices import Setup
-    from deepfsi.lab.virtual_optics import VirtualCamera
     from deepfsi.patterns.folder import Patterns
-
-
-MOST_EVENTS = 1e8
-"""Photons of a simulated recording that are written without --yes."""
-
-EVENT_BYTES = 4
-"""Bytes of a photon in its file."""
-
-NewRun = Annotated[Path, fields.Output(new=True), Field(description="acquisition folder, new")]
-ShownScenes = Annotated[
-    Path,
-    Field(description="image, or folder of images, with or without a folder for each class"),
-]
 
 
 class _Run(Command):
@@ -43,10 +27,12 @@ class _Run(Command):
     patterns: fields.PatternFolder
     settings: Annotated[
         dict[str, Any],
-        fields.run_options("exposure", "flux", "dark", *fields.COUNTER_EFFECTS),
+        fields.camera_options("camera", "exposure", "flux", "dark", "dead_time", "dead_time_model"),
     ]
-    scene: ShownScenes
-    out: NewRun
+    scene: Path = fields.option(
+        "image, or folder of images, with or without a folder for each class", ...
+    )
+    out: Annotated[Path, fields.Output(new=True)] = fields.option("acquisition folder, new", ...)
     virtual: str | None = fields.option(
         "virtual camera: ideal, pmt, spad, or a TOML file; default: with the dark counts and "
         "dead time of the design's camera, or pmt where that is no laboratory's"
@@ -55,26 +41,18 @@ class _Run(Command):
     seed: WholeNumber = fields.option(
         "seed of the random numbers: the same one repeats the run exactly", 0
     )
-    yes: bool = fields.option("write a large file", False)
 
-    def check_room(
-        self,
-        patterns: "Patterns",
-        images: "Display",
-        camera: "VirtualCamera",
-        flux: float,
-        passes: float = 1.0,
-    ) -> None:
-        """Raise `InputError` before a photon file beyond `MOST_EVENTS` that nobody asked for."""
-        from deepfsi.lab.virtual_optics import expected_events
+    def of_virtual(self, camera: Camera, **changes: Any) -> dict[str, Any]:
+        """Settings of an acquisition with the virtual camera, which needs light."""
+        from deepfsi.lab.virtual_optics import virtual_camera
 
-        events = passes * expected_events(patterns, images.x, camera, flux)
-        if events > MOST_EVENTS and not self.yes:
+        if camera.flux is None:
             raise InputError(
-                f"the recording would hold {events:.2g} photons, {events * EVENT_BYTES / 1e9:.2g} "
-                "GB: lower --flux, show fewer scenes, export with a shorter --exposure (all of a "
-                "pass is recorded), or add --yes"
+                "a virtual camera needs its light: give `flux`, such as 1e6, or a camera"
             )
+        virtual = virtual_camera(self.virtual, self.patterns, self.settings)
+        shown = virtual.model_copy(update=changes).model_dump(mode="json")
+        return {"flux": camera.flux, "seed": self.seed, "camera": shown}
 
 
 class SimulateRun(_Run):
@@ -92,27 +70,21 @@ class SimulateRun(_Run):
         """Run as it was recorded."""
         from deepfsi.counting.acquisition import Acquisition
         from deepfsi.lab.design_data import camera_of, displayed, scenes_of
-        from deepfsi.lab.virtual_optics import record_scenes, virtual_camera
+        from deepfsi.lab.virtual_optics import record_scenes
         from deepfsi.patterns.folder import Patterns
 
         patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
-        virtual = virtual_camera(self.virtual, self.patterns, self.settings)
-        if self.virtual is None:
-            clicks = camera_of(self.patterns).clicks
-            virtual = virtual.model_copy(update={"gates": clicks})
-        flux = _flux_of(camera)
+        gates = {} if self.virtual else {"gates": camera_of(self.patterns).clicks}
+        virtual = self.of_virtual(camera, **gates)
         images = displayed(self.scene, patterns)
         acquisition = Acquisition.plan(
             patterns.manifest,
             scenes_of(images, self.scene, patterns),
-            exposure_s=_exposure_of(camera),
-            flux=flux or None,
-            camera=virtual.model_dump(mode="json"),
-            seed=self.seed,
+            exposure_s=camera.exposure,
+            **virtual,
             **self.explicit(("settle_s", "repeats", "inputs")),
         )
-        self.check_room(patterns, images, virtual, flux)
         with terminal.progress("photons") as report:
             acquisition = record_scenes(self.out, patterns, images.x, acquisition, report)
         return Outcome(
@@ -129,24 +101,10 @@ class SimulateRun(_Run):
         )
 
 
-def _exposure_of(camera: Camera) -> float:
-    """Time of a whole exposure in seconds, or `InputError` where the camera has none."""
-    if camera.exposure is None:
-        raise InputError("an exposure needs a time: give `exposure`, such as 10ms, or a camera")
-    return camera.exposure
-
-
-def _flux_of(camera: Camera) -> float:
-    """Flux in counts/s, or `InputError` where the camera has none."""
-    if camera.flux is None:
-        raise InputError("a virtual camera needs its light: give `flux`, such as 1e6, or a camera")
-    return camera.flux
-
-
 class _DeviceRun(_Run):
     """A run with devices, virtual or real."""
 
-    OF_VIRTUAL: ClassVar = ("flux", "dark", "virtual", "latency_s", "seed", "yes")
+    OF_VIRTUAL: ClassVar = ("flux", "dark", "virtual", "latency_s", "seed")
     """Settings that only virtual devices take."""
 
     projector: str = fields.option(
@@ -230,24 +188,25 @@ class RecordRun(_DeviceRun):
         from deepfsi.counting.recording import CountSettings, Recording
         from deepfsi.lab.design_data import camera_of, displayed, listed_scenes, scenes_of
         from deepfsi.lab.live import record_run
-        from deepfsi.lab.virtual_optics import virtual_camera
         from deepfsi.patterns.folder import Patterns
 
         projector = self.open_projector("projector")
         patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
-        wiring = self.explicit(("settle_s", "repeats", "inputs", "marker_bit"))
+        wiring = {"flux": camera.flux}
         images = None
         if projector is None:
+            wiring = self.of_virtual(camera)
             images = displayed(self.scene, patterns)
-            virtual = virtual_camera(self.virtual, self.patterns, self.settings)
-            self.check_room(patterns, images, virtual, _flux_of(camera))
             scenes = scenes_of(images, self.scene, patterns)
-            wiring |= {"seed": self.seed, "camera": virtual.model_dump(mode="json")}
         else:
             scenes = listed_scenes(self.scene, patterns)
         acquisition = Acquisition.plan(
-            patterns.manifest, scenes, exposure_s=camera.exposure, flux=camera.flux, **wiring
+            patterns.manifest,
+            scenes,
+            exposure_s=camera.exposure,
+            **wiring,
+            **self.explicit(("settle_s", "repeats", "inputs", "marker_bit")),
         )
         setup = self.setup(projector, patterns, images, acquisition, terminal)
         loading = SILENT if terminal.as_json else None
@@ -256,7 +215,7 @@ class RecordRun(_DeviceRun):
             for scene in scenes_so_far:
                 terminal.say(str(scene))
         settings = CountSettings(
-            dead_time=camera.corrected_dead_time(self.settings),
+            dead_time=camera.counter_dead_time,
             clicks=camera_of(self.patterns).clicks,
         )
         with terminal.progress("counting") as report:
@@ -286,21 +245,20 @@ class RunLive(_DeviceRun):
         from deepfsi.lab.design_data import camera_of, displayed, scenes_of
         from deepfsi.lab.live import LiveRun
         from deepfsi.lab.results import LiveAnswers
-        from deepfsi.lab.virtual_optics import virtual_camera
         from deepfsi.patterns.folder import Patterns
 
         projector = self.open_projector("list projector")
         camera = camera_of(self.patterns, self.settings)
-        exposure_s = _exposure_of(camera)
+        exposure_s = camera.exposure
+        if exposure_s is None:
+            raise InputError("an exposure needs a time: give `exposure`, such as 10ms, or a camera")
         patterns = Patterns.read(self.patterns)
         images = displayed(self.scene, patterns)
-        others = self.explicit(("inputs", "marker_bit"))
-        if dead_time := camera.corrected_dead_time(self.settings):
+        others = self.explicit(("inputs", "marker_bit")) | {"flux": camera.flux}
+        if dead_time := camera.counter_dead_time:
             others["dead_time"] = dead_time
         if projector is None:
-            flux = _flux_of(camera)
-            virtual = virtual_camera(self.virtual, self.patterns, self.settings)
-            others |= {"seed": self.seed, "camera": virtual.model_dump(mode="json")}
+            others |= self.of_virtual(camera)
         run = LiveRun(
             patterns,
             scenes_of(images, self.scene, patterns),
@@ -308,12 +266,8 @@ class RunLive(_DeviceRun):
             camera.shortest_dwell or None,
             photons=self.photons,
             until=self.until,
-            flux=camera.flux,
             **others,
         )
-        if projector is None:
-            passes = exposure_s / patterns.manifest.pass_s + 1  # at most
-            self.check_room(patterns, images, virtual, flux, passes)
         decision_s = run.looks.decision_s
         setup = self.setup(projector, patterns, images, run.settings, terminal, decision_s)
         scenes = []
@@ -357,7 +311,7 @@ class ImportRecording(Command):
         "photon file (.ptu), or time stamps in two columns, time and channel (.txt .csv .npy "
         ".parquet)"
     )
-    settings: Annotated[dict[str, Any], fields.run_options("exposure", "flux")]
+    settings: Annotated[dict[str, Any], fields.camera_options("camera", "exposure", "flux")]
     out: Path = fields.option("acquisition folder, new; or the photon file, .ptu", ...)
     patterns: Path | None = fields.option("folder of the patterns that were shown for each scene")
     scenes: Path | None = fields.option(
@@ -433,9 +387,6 @@ class ImportRecording(Command):
         photons = {number + 1: contents.photons.get(number, 0) for number in range(len(channels))}
         triggers = contents.markers.get(1, 0)
         left_out = len(times) - sum(photons.values()) - triggers
-        marker = f"channel {self.marker_channel}: {triggers} markers on 0"
-        if self.marker_channel is None:
-            marker = "no trigger, so no markers: give --marker-channel if a channel has it"
         return Outcome(
             {
                 "file": str(out),
@@ -446,13 +397,8 @@ class ImportRecording(Command):
                 "span_s": contents.span_s,
             },
             [
-                *(
-                    f"channel {channel}: {count} photons on input {number}"
-                    for channel, (number, count) in zip(channels, photons.items(), strict=True)
-                ),
-                marker,
+                contents.table(str(out)),
                 f"{left_out} events of other channels left out",
-                f"time from the first event to the last: {contents.span_s:.6g} s",
                 f"photons: {out}",
             ],
         )

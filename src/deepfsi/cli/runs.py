@@ -54,7 +54,9 @@ class CountRun(Command):
     """
 
     folder: fields.RunFolder
-    settings: Annotated[dict[str, Any], fields.run_options(*fields.COUNTER_EFFECTS)]
+    settings: Annotated[
+        dict[str, Any], fields.camera_options("camera", "dead_time", "dead_time_model")
+    ]
     exposure_s: Seconds | None = fields.option(
         "total exposure, such as 0.01 or 10ms; default: the recorded one", alias="exposure"
     )
@@ -84,7 +86,7 @@ class CountRun(Command):
         with terminal.progress("counting") as report:
             settings = CountSettings(
                 **options,
-                dead_time=camera_of(self.folder, self.settings).corrected_dead_time(self.settings),
+                dead_time=camera_of(self.folder, self.settings).counter_dead_time,
                 gains=() if self.flat is None else gains_of(self.flat),
                 clicks=camera_of(self.folder).clicks,
             )
@@ -102,7 +104,9 @@ class ClassifyRun(Command):
     Example: deepfsi camera classify one-dmd.safetensors run_0001
     """
 
-    settings: Annotated[dict[str, Any], fields.run_options(*fields.COUNTER_EFFECTS)]
+    settings: Annotated[
+        dict[str, Any], fields.camera_options("camera", "dead_time", "dead_time_model")
+    ]
     file: fields.DesignPath = fields.argument(
         "design file whose patterns were shown, or the folder of its patterns"
     )

@@ -31,17 +31,8 @@ if TYPE_CHECKING:
     from deepfsi.sweeps.records import Record
     from deepfsi.sweeps.results import Results
 
-PAPER_PACKAGE = "deepfsi_paper"
-"""The paper's experiments: a package of their own, beside this one, which works without it."""
-
+# A comparison on digits, where no ratios, masks or trials are given
 QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": {"epochs": 30}}
-"""Recipe of a comparison on digits, where no ratios, masks or trials are given."""
-
-OF_ONE_DESIGN = ("design", "seed")
-"""Settings of a job that a comparison does not have."""
-
-RECIPE_FIELDS = ("size", "skip_bad", "designs", "ratios", "trials", "folds")
-"""Fields of a recipe, besides the data, that are options by themselves."""
 
 
 class _Study(Command):
@@ -94,7 +85,7 @@ class CompareDesigns(_Study):
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
 
-    settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=OF_ONE_DESIGN)]
+    settings: Annotated[dict[str, Any], fields.job_options(axes=True, leave=("design", "seed"))]
     out: Annotated[Path, fields.Output()] = fields.option("output folder", Path("runs/compare"))
     data: fields.TrainingData = "digits"
     size: fields.Size = None
@@ -126,7 +117,7 @@ class CompareDesigns(_Study):
         elif self.data == "digits" and not (self.ratios or self.trials or "masks" in self.settings):
             base |= QUICK
         unnamed = not (self.designs or self.matrix or "designs" in base)
-        chosen = self.explicit(RECIPE_FIELDS)
+        chosen = self.explicit(("size", "skip_bad", "designs", "ratios", "trials", "folds"))
         if self.data != "digits":
             chosen["data"] = self.data
         recipe, scenes = _checked(_recipe_settings(self.settings, chosen, base), matrix)
@@ -185,8 +176,8 @@ class SweepRecipe(_Study):
 def _shipped_recipes() -> "dict[str, Traversable]":
     """Recipes that come with the package and with the paper's experiments, by name."""
     folders = [files("deepfsi") / "sweeps" / "recipes"]
-    if find_spec(PAPER_PACKAGE) is not None:
-        folders.append(files(PAPER_PACKAGE) / "recipes")
+    if find_spec("deepfsi_paper") is not None:
+        folders.append(files("deepfsi_paper") / "recipes")
     return {Path(each.name).stem: each for folder in folders for each in folder.iterdir()}
 
 

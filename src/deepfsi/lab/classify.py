@@ -195,7 +195,7 @@ def classify_table(
     made = _opened(design, patterns, trust)
     settings = (settings or TableSettings()).model_copy(update={"clicks": made.gates})
     if camera:
-        dead_time = Camera.of_run(made.camera, **camera).corrected_dead_time(camera)
+        dead_time = Camera.of_run(made.camera, **camera).counter_dead_time
         settings = settings.model_copy(update={"dead_time": dead_time or NO_DEAD_TIME})
     if patterns is not None:
         manifest = patterns.manifest

@@ -51,8 +51,8 @@ Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 FRAME_MARKER = 1
 """Bits of the marker at the start of each frame."""
 
-MOST_FLUX = 1e12
-"""Most photons/s on the device."""
+MOST_FLUX = 1e10
+"""Most photons/s on the device: no counter takes more, and each photon takes memory."""
 
 SCENES_AT_ONCE = 64
 """Scenes whose light on the mirrors is held in memory."""
@@ -120,11 +120,10 @@ class VirtualCamera(Detector):
     def of(cls, camera: Camera) -> "VirtualCamera":
         """One with the dark counts, dead time and fluctuating light of a laboratory's camera."""
         # Its flux is of counts: the efficiency of the detector is in it
-        dead = camera.counter_dead_time
         return cls(
             dark=camera.dark,
-            dead_time_s=dead.seconds,
-            paralysable=dead.paralysable,
+            dead_time_s=camera.dead_time,
+            paralysable=camera.dead_time_model == "paralysable",
             fluctuation=camera.fluctuation,
         )
 
@@ -315,26 +314,6 @@ def arrival_rates(
             done += len(some)
             report((first * frames + done * len(part)) / (len(images) * frames))
     return out
-
-
-def expected_events(
-    patterns: Patterns, scenes: np.ndarray, camera: VirtualCamera, flux: float
-) -> float:
-    """Photons and dark counts that a recording is expected to hold, at most, without dead time.
-
-    As if the camera saw each scene whole: in the frames of the masks and the sentinels, in gates
-    and between them. Parameters as of `arrival_rates`.
-    """
-    manifest = patterns.manifest
-    grid = manifest.grid
-    images = check_scenes(scenes, manifest, flux)
-    opened = np.array([frame.role == "on" for frame in manifest.frames], dtype=float)
-    opened[manifest.shown] = patterns.fractions.mean(axis=1)
-    lit_s = manifest.pass_s if manifest.two_arm else float(manifest.picture_s @ opened)
-    white = flux * grid.down * grid.across / manifest.summed_reflectance
-    light = white * images.mean(axis=(1, 2)).sum() + camera.ambient * manifest.used * len(images)
-    dark = camera.dark * manifest.inputs * len(images)
-    return float(camera.efficiency * light * lit_s + dark * manifest.pass_s)
 
 
 def check_scenes(scenes: np.ndarray, manifest: Manifest, flux: float) -> np.ndarray:
