@@ -8,7 +8,6 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-from conftest import quick
 from deepfsi import Design, InputError, evaluate
 from deepfsi.cli import app
 from deepfsi.counting.recording import Recording
@@ -73,22 +72,6 @@ def test_a_dimmed_design_reads_its_own_counts(made, tmp_path, done):
     )
     light = [each.rails.total.sum() for each in (shown, column)]
     np.testing.assert_allclose(light[0], dimmed * light[1], rtol=0.01)
-
-
-def test_counts_of_another_design_are_refused_unless_forced(
-    refuse, done, digits, lab, run, acquire, tmp_path
-):
-    theirs = acquire(tmp_path / "theirs", quick(digits, "random", light="equal-dwell"))
-    (theirs / "photons.ptu").rename(run / "photons.ptu")
-    done("camera", "count", run)
-    words = ["camera", "classify", lab / "design.safetensors", run]
-    assert "do not look like what this design was trained for" in refuse(*words)
-    said = json.loads(done(*words, "--force", "--json"))
-    assert said["consistency"]["whole"] < said["consistency"]["false_alarms"]
-    assert any(scene["unsure"] for scene in said["scenes"])
-    text = done(*words, "--force")
-    assert "do not look like" in text
-    assert "unsure" in text
 
 
 def test_labels_that_the_design_does_not_know_are_left_out(done, lab, run):

@@ -33,22 +33,19 @@ def lab(tmp_path_factory, digits):
     return folder
 
 
-@pytest.mark.parametrize("command", ["simulate", "live"])
-def test_a_camera_file_drives_a_run_as_its_options_do(done, lab, tmp_path, command):
-    """The design, its patterns, the photons and the classes; of adaptive masks, the live run."""
-    trained = ("--design", "adaptive", "--masks", 3) if command == "live" else TRAINED
+def test_a_camera_file_drives_a_run_as_its_options_do(done, lab, tmp_path):
+    """The design, its patterns, the photons and the classes."""
     found = []
     for name, camera, told in (
         ("file", ("--camera", lab / "my-lab.toml"), ()),
         ("words", (*OPTICS, *TIMES[:-2]), TIMES),
     ):
         design, patterns, run = tmp_path / f"{name}.safetensors", tmp_path / name, tmp_path / "run"
-        done("design", *camera, *trained, "-o", design)
+        done("design", *camera, *TRAINED, "-o", design)
         exported = told and ("--device", "dlp7000", "--exposure", "10ms")
         done("dmd", "export", design, *exported, "-o", patterns)
-        done("camera", command, patterns, "--scene", lab / "images", *told, "-o", run)
-        if command == "simulate":
-            done("camera", "count", run, *told[-2:])
+        done("camera", "simulate", patterns, "--scene", lab / "images", *told, "-o", run)
+        done("camera", "count", run, *told[-2:])
         classes = json.loads(done("camera", "classify", design, run, "--force", "--json"))
         tensors = {key: one.tobytes() for key, one in load_file(design).items()}
         files = {
@@ -61,5 +58,4 @@ def test_a_camera_file_drives_a_run_as_its_options_do(done, lab, tmp_path, comma
     assert found[0] == found[1]
     _, scenes, files = found[0]
     assert len(files) >= 2
-    if command == "simulate":
-        assert [scene["photons"] for scene in scenes] == pytest.approx([1e4] * 3, rel=0.2)
+    assert [scene["photons"] for scene in scenes] == pytest.approx([1e4] * 3, rel=0.2)

@@ -35,18 +35,6 @@ def test_without_a_command_its_help_is_printed(done, words):
     assert f"Usage: deepfsi {' '.join(words)}".strip() in " ".join(done(*words).split())
 
 
-def test_options_override_a_recipe(done, tmp_path):
-    recipe = tmp_path / "own.toml"
-    recipe.write_text(
-        'data = "digits"\ndesigns = "raster"\nphotons = 1e3\n[training]\nepochs = 9\n'
-        "[tuned.pca]\nepochs = 5\nlr = 1e-3\n"
-    )
-    words = ["--designs", "pca", "--masks", 2, "--epochs", 1, "-o", tmp_path / "out", "--json"]
-    used = json.loads(done("compare", "--recipe", recipe, *words))["recipe"]
-    assert (used["designs"], used["photons"], used["training"]) == (["pca"], [1e3], {"epochs": [1]})
-    assert used["tuned"] == {"pca": {"lr": [1e-3]}}
-
-
 @pytest.mark.parametrize("kind", ["npy", "tif"])
 def test_own_masks_are_a_matrix_or_images(done, tmp_path, kind):
     masks = np.random.default_rng(0).integers(0, 256, (4, 8, 8), dtype=np.uint8)

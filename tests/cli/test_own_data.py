@@ -94,20 +94,6 @@ def test_of_scenes_by_name_it_is_not_known(done, pictures, file, patterns, tmp_p
     assert "whether the design was trained on them is not known" in printed
 
 
-def test_pictures_that_were_trained_on_are_told_apart_in_a_live_run(done, pictures, file, tmp_path):
-    frames, run = tmp_path / "patterns", tmp_path / "run"
-    adaptive = ("--light", "free-dwell", "--design", "adaptive")
-    done("design", "--data", pictures, *LIT, *adaptive, "-o", file)
-    done("dmd", "export", file, "--device", "dlp7000", "--dwell", "4ms", "-o", frames)
-    words = ("--scene", pictures / "oak", *SHOWN, "-o", run, "--json")
-    told = json.loads(done("camera", "live", frames, *words))
-    trained_on = [scene["trained_on"] for scene in told["scenes"]]
-    assert sum(trained_on) == 24, "30 pictures of a class, of which six are test scenes"
-    again = json.loads(done("camera", "classify", file, run, "--json"))
-    assert [scene["trained_on"] for scene in again["scenes"]] == trained_on
-    assert again["score"] == told["score"]
-
-
 def test_pictures_that_cannot_be_read_are_left_out_and_named(done, refuse, pictures, file):
     (pictures / "ash" / "bad.png").write_text("no picture")
     words = ["design", "--design", "pca", "--data", pictures, *TRAINED, "-o", file]

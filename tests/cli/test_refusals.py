@@ -326,7 +326,6 @@ def test_a_file_is_replaced_with_force_only(call, refuse, tmp_path, monkeypatch,
 
 MISSING = """
 compare --data none.npz
-compare --recipe none.toml
 sweep none.toml
 design --photons 1e3 -o d.safetensors --data none.npz
 evaluate none.safetensors --photons 1e3

@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from deepfsi.sweeps.records import Record
     from deepfsi.sweeps.results import Results
 
-# A comparison on digits, where no ratios, masks or trials are given
-QUICK: dict[str, Any] = {"ratios": (0.06, 0.16, 0.36), "trials": 3, "training": {"epochs": 30}}
-
 
 class _Study(Command):
     """Training of many designs, into one folder."""
@@ -95,9 +92,6 @@ class CompareDesigns(_Study):
     trials: Count | None = fields.option("training seeds for each point")
     folds: fields.Folds = None
     matrix: fields.Matrix = None
-    recipe: str | None = fields.option(
-        "name of a recipe, or TOML file; options given here override it"
-    )
     target: float | None = fields.option(
         "accuracy, such as 0.9: read off the curves the photons and masks that it needs"
     )
@@ -105,23 +99,20 @@ class CompareDesigns(_Study):
     def run(self, terminal: Terminal) -> Outcome:
         """Results, a page of them and the verdict."""
         check_report()
-        base: dict[str, Any] = {"data": self.data}
-        file = read_recipe(self.recipe) if self.recipe else {}
+        matrix = None if self.matrix is None else read_matrix(self.matrix)
+        chosen = {"data": self.data, **self.explicit(("size", "skip_bad", "designs", "folds"))}
+        options = dict(self.settings)
+        if "masks" in options and self.ratios:
+            raise InputError("--masks and --ratios say one thing in two ways: give one, not both")
+        if self.data == "digits" and not (self.ratios or self.trials or "masks" in options):
+            chosen |= {"ratios": (0.06, 0.16, 0.36), "trials": 3}
+            options = {"epochs": "30", **options}
+        chosen |= self.explicit(("ratios", "trials"))
+        recipe, scenes = _checked(chosen | _recipe_settings(options), matrix)
         from deepfsi.sweeps.plan import with_adaptive
-        from deepfsi.sweeps.recipe import only
         from deepfsi.sweeps.summary import check_target
 
-        matrix = None if self.matrix is None else read_matrix(self.matrix)
-        if self.recipe:
-            base = only(file)
-        elif self.data == "digits" and not (self.ratios or self.trials or "masks" in self.settings):
-            base |= QUICK
-        unnamed = not (self.designs or self.matrix or "designs" in base)
-        chosen = self.explicit(("size", "skip_bad", "designs", "ratios", "trials", "folds"))
-        if self.data != "digits":
-            chosen["data"] = self.data
-        recipe, scenes = _checked(_recipe_settings(self.settings, chosen, base), matrix)
-        if unnamed:
+        if not (self.designs or self.matrix):
             recipe = with_adaptive(recipe, scenes)
         if self.target is not None:
             check_target(self.target, recipe, scenes)
@@ -195,14 +186,9 @@ def read_recipe(source: str) -> dict[str, Any]:
     return settings
 
 
-def _recipe_settings(
-    options: Mapping[str, Any], chosen: Mapping[str, Any], base: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Settings of the recipe that the options of a command ask for."""
-    if "masks" in options and "ratios" in chosen:
-        raise InputError("--masks and --ratios are two ways to say one thing: give one, not both")
-    given = dict(chosen)
-    tables: dict[str, dict[str, Any]] = {"camera": {}, "exposure": {}, "training": {}}
+def _recipe_settings(options: Mapping[str, str]) -> dict[str, Any]:
+    """Settings of the recipe that options of a job ask for, each an axis."""
+    settings: dict[str, Any] = {}
     for name, text in options.items():
         table, key = find_table(name)
         try:
@@ -210,25 +196,11 @@ def _recipe_settings(
         except ValueError as error:
             raise InputError(f"--{name}: {error}") from None
         if name == "camera":
-            tables["camera"] = Camera.load(text).given_fields
-        elif table:
-            tables[table][key] = [axis] if name == "hidden" else axis  # widths of one network
+            settings["camera"] = Camera.load(text).given_fields
         else:
-            given[key] = axis
-    replaced = {"masks": "ratios", "ratios": "masks"}
-    left_out = {replaced[name] for name in given if name in replaced}
-    merged = {name: value for name, value in base.items() if name not in left_out} | given
-    for table, axes in tables.items():
-        if axes and isinstance(of_base := merged.get(table, {}), dict):
-            merged[table] = {**of_base, **axes}
-    if isinstance(tuned := merged.get("tuned"), dict):
-        merged["tuned"] = {
-            design: {name: value for name, value in of.items() if name not in tables["training"]}
-            if isinstance(of, dict)
-            else of
-            for design, of in tuned.items()
-        }
-    return merged
+            fields_of = settings.setdefault(table, {}) if table else settings
+            fields_of[key] = [axis] if name == "hidden" else axis  # widths of one network
+    return settings
 
 
 def _checked(
