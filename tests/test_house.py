@@ -16,9 +16,9 @@ SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
     "adaptive": 1493,
-    "base": 1846,
-    "camera": 1247,
-    "cli": 2383,
+    "base": 1831,
+    "camera": 1231,
+    "cli": 2355,
     "counting": 4329,
     "datasets": 2502,
     "design": 1161,
@@ -26,8 +26,8 @@ LINES = {
     "evaluation": 1597,
     "exposure": 1122,
     "jobs": 1657,
-    "lab": 4313,
-    "patterns": 1508,
+    "lab": 4310,
+    "patterns": 1504,
     "physics": 1925,
     "report": 1428,
     "sweeps": 2511,

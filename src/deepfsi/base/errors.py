@@ -121,7 +121,7 @@ def _field(fault: "ErrorDetails") -> str:
 
 
 def _given(fault: "ErrorDetails") -> str:
-    """A field with its value; that of a table is left out, as its faults name their own fields."""
+    """A field with its value; a table is left out, as its faults name their own fields."""
     if not fault["loc"]:
         return ""
     if isinstance(fault["input"], dict):

@@ -10,7 +10,6 @@ folder removes it after a day.
 
 import codecs
 import errno
-import math
 import os
 import re
 import stat
@@ -42,7 +41,7 @@ def open_regular(
     advice: str = "give a file that can be read",
     buffering: int = -1,
 ) -> Iterator[BufferedReader]:
-    """Open a regular file of so many bytes at most to read; `InputError` for anything else."""
+    """Open a regular file to read, up to a size; `InputError` for anything else."""
     try:
         file = open(path, "rb", buffering, opener=_open_at_once)  # noqa: SIM115 - errors of what follows are not ours
     except FileNotFoundError:
@@ -102,7 +101,7 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def check_unpacked(unpacked: float, packed: int, what: str, advice: str) -> None:
-    """Raise `InputError` for far more values, or bytes, than a file of so many bytes explains."""
+    """Raise `InputError` for far more values, or bytes, than the packed bytes explain."""
     limit = 2**24 + UNPACKED_RATIO * packed
     if unpacked > limit:
         raise InputError(
@@ -181,19 +180,6 @@ class GrowingFile(FileIO):
                 "kept: free the disk, or give a folder on another one"
             ) from error
         return len(part)
-
-
-def check_disk_space(path: str | os.PathLike[str], size: float, advice: str) -> None:
-    """Raise `InputError` where the disk of a file to be has no room for so many bytes."""
-    import shutil
-
-    above = next((each for each in Path(path).absolute().parents if each.exists()), None)
-    free = shutil.disk_usage(above).free if above else math.inf
-    if size > free:
-        raise InputError(
-            f"{path} would take {size / 1e6:.4g} MB, and its disk has {free / 1e6:.4g} "
-            f"MB free: free the disk, give a folder on another one, or {advice}"
-        )
 
 
 @contextmanager

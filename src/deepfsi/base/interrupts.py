@@ -21,7 +21,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 STOPPED_EXIT_CODE = 130
-"""Exit code of a command that was stopped, here; `leave` gives that of the signal."""
+"""Exit code of a command that was stopped by Ctrl-C."""
 
 STOP_SIGNALS = signal.SIGINT, signal.SIGTERM
 """What stops a command."""

@@ -247,11 +247,10 @@ def paired_difference(first: np.ndarray, second: np.ndarray) -> Difference:
 
 
 def accuracy_difference(first: _AccuracyTrials, second: _AccuracyTrials) -> Difference:
-    """Accuracy of some trials less that of others, paired on the images that both were tested with.
+    """Difference of two accuracies, paired on the images that both were tested with.
 
-    Of trials that keep no values of images those of one seed are paired, and the error is that over
-    seeds; of a single such trial it combines the two intervals over images as if these were
-    independent.
+    Trials without values of images are paired by seed, and their differences give the error. Of a
+    single such trial the two intervals over images are combined as if they were independent.
     """
     if first.terms and second.terms:
         rows = [
@@ -292,8 +291,8 @@ def find_crossing(
 
     The tried accuracies are made to rise with the budget (isotonic regression) and joined by a
     monotone cubic over its logarithm. The interval holds all budgets at which the curve's own one
-    holds the target: that of the test images (Wilson) and of training seeds (Student, with one
-    variance for all budgets), added in squares.
+    holds the target, over test images (Wilson) and training seeds (Student, with one variance for
+    all budgets), added in squares.
     """
     from scipy.interpolate import PchipInterpolator
     from sklearn.isotonic import IsotonicRegression

@@ -69,10 +69,10 @@ Seconds = Annotated[float, BeforeValidator(seconds)]
 
 
 Count = Annotated[int, Field(ge=1)]
-"""Number of things of which there is one at least."""
+"""Number of things, 1 or more."""
 
 WholeNumber = Annotated[int, Field(ge=0)]
-"""Number of things of which there may be none, or the place of one among others."""
+"""Number of things or place in a list, 0 or more."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 """Number above 0."""

@@ -12,7 +12,7 @@ def _nothing(share: float, what: str) -> None:
 
 
 class Progress(NamedTuple):
-    """Where a task says how far it is."""
+    """A task reports the share that is done."""
 
     show: Callable[[float, str], None] = _nothing
     begin: float = 0.0
@@ -23,7 +23,7 @@ class Progress(NamedTuple):
         self.show(self.begin + share * (self.end - self.begin), what)
 
     def between(self, begin: float, end: float) -> "Progress":
-        """Progress of a part of this task, from one share of it to another."""
+        """Progress of this task from one share to another."""
         span = self.end - self.begin
         return Progress(self.show, self.begin + begin * span, self.begin + end * span)
 
@@ -37,7 +37,7 @@ SILENT = Progress()
 
 
 FIRST_LINE_SECONDS = 2.0
-"""Time after which a task says how far it is, where no terminal shows a bar."""
+"""Time after which a task says what share is done, where no terminal shows a bar."""
 
 
 @contextmanager
@@ -69,7 +69,7 @@ def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
 
 
 class _Lines:
-    """Says at times how far a task is, from the second second on."""
+    """Says at times what share of a task is done, from the second second on."""
 
     def __init__(self, what: str) -> None:
         self.what = what

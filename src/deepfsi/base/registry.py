@@ -83,7 +83,7 @@ def load_plugin(path: str) -> Any:
 
 
 def import_path(part: Any) -> str | None:
-    """Where a part can be imported from again, or None, as for what a script itself defines."""
+    """Where a part can be imported from again; None if a script defines it."""
     module = getattr(part, "__module__", None)
     name = getattr(part, "__qualname__", None)
     if not module or not name or module == "__main__" or "<" in name:
@@ -148,7 +148,7 @@ class Registry:
 
 @cache
 def installed() -> Registry:
-    """Parts of all packages that are installed; one that was removed is left out."""
+    """Parts of all installed packages."""
     from importlib.metadata import entry_points
 
     registry = Registry()

@@ -40,7 +40,7 @@ from deepfsi.camera.names import (
 )
 
 NAMES_OF_ONE = ("1x1", "1")
-"""Names of one detector that sees all, of images and of spectra."""
+"""Names of one detector that sees all of an image or a spectrum."""
 
 PRESETS: dict[str, dict[str, Any]] = {
     "dmd": {"light": "free-dwell"},
@@ -326,7 +326,7 @@ class Camera(UserModel):
     ) -> "Camera":
         """Camera of a run of a design: what one device cannot show is shown with less light.
 
-        Another camera stands in its place; parameters as of `load`.
+        A `camera` replaces the source; other parameters as of `load`.
         """
         known = cls.load(source if camera is None else camera)
         if "device" in settings and not LIGHT_LAWS[known.light].one_device:
@@ -335,7 +335,7 @@ class Camera(UserModel):
 
     @classmethod
     def restored(cls, fields: Mapping[str, Any]) -> "Camera":
-        """Camera of all its fields, as a file has them, of which some follow from others again."""
+        """Camera of a file that holds all fields: those that follow from others do so again."""
         if "stretch" not in fields:  # of a version that knew no other cells than stretched ones
             fields = {**fields, "stretch": fields.get("device") is not None}
         whole = cls.model_validate(fields)

@@ -66,7 +66,7 @@ class DeadTime(StrictModel):
 
 @dataclass(frozen=True)
 class CorrectionFactors:
-    """Factors of registered counts, of which arrivals are estimated."""
+    """Factors that turn registered counts into arrivals."""
 
     arrivals: np.ndarray  # arrivals for each count, in the shape of the rates
     variance: np.ndarray  # variance of the arrivals for each count, of the same shape

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Self
+from typing import Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.models import Amount, Share, StrictModel, WholeNumber
@@ -50,22 +50,12 @@ class DetectorMap(StrictModel):
 
     @property
     def labels(self) -> np.ndarray | None:
-        """Detector of each cell, int64 (N,); None of one that sees all, and where none is known."""
+        """Detector of each cell, int64 (N,); None if one sees all, or before a calibration."""
         return None if self.cells is None else np.array(self.cells, dtype=np.int64)
 
 
 ONE_DETECTOR = DetectorMap(count=1)
 """One detector that sees all."""
-
-
-def _check_several(detectors: DetectorMap) -> DetectorMap:
-    if detectors.count < 2:
-        raise ValueError("one detector sees all cells, and needs no map")
-    return detectors
-
-
-SeveralDetectors = Annotated[DetectorMap, AfterValidator(_check_several)]
-"""Field of a file that has none where one detector sees all."""
 
 
 def _divided(name: str, image_shape: tuple[int, ...]) -> np.ndarray:

@@ -14,12 +14,6 @@ from pydantic import Field, model_validator
 from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.models import Count, Positive, UserModel
 
-MOST_MIRRORS = 2**14
-"""Mirrors of a device in each direction at most."""
-
-MOST_TOGETHER = 2**25
-"""Mirrors of a device in all at most."""
-
 LONGEST_PICTURE_S = 1e3
 """Longest picture time that is exported, seconds."""
 
@@ -40,8 +34,8 @@ class Device(UserModel):
     """A micromirror device and its controller."""
 
     name: str  # by which messages and results name it
-    columns: int = Field(ge=1, le=MOST_MIRRORS)  # mirrors across, as they are addressed
-    rows: int = Field(ge=1, le=MOST_MIRRORS)  # mirrors down
+    columns: int = Field(ge=1, le=2**14)  # mirrors across, as they are addressed
+    rows: int = Field(ge=1, le=2**14)  # mirrors down
     # Shortest picture time, µs
     shortest_us: int = Field(default=44, ge=1, le=LONGEST_PICTURE_US)
     # Longest picture time, µs
@@ -67,8 +61,8 @@ class Device(UserModel):
     def _consistent(self) -> Self:
         if self.shortest_us > self.longest_us:
             raise ValueError("shortest_us is above longest_us")
-        if self.columns * self.rows > MOST_TOGETHER:
-            raise ValueError(f"columns and rows make more than {MOST_TOGETHER} mirrors")
+        if self.columns * self.rows > 2**25:
+            raise ValueError("columns and rows make more than 33 million mirrors")
         if sorted(self.planes) != sorted("BGR"):
             raise ValueError("planes has to name B, G and R, in the order of bit positions")
         return self

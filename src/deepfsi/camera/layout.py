@@ -64,7 +64,7 @@ class DmdLayout(StrictModel):
 
 
 USUAL_LAYOUT = DmdLayout()
-"""Square cells in the middle, as they are."""
+"""Square cells in the middle, neither flipped nor turned."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class DmdGrid:
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """Rows and columns of the mirrors of all cells, to index those of a device."""
+        """Rows and columns that all cells take on the device."""
         return (
             slice(self.top, self.top + self.down * self.height),
             slice(self.left, self.left + self.across * self.width),
@@ -109,7 +109,7 @@ class DmdGrid:
         return self.down * self.height, 2 * columns if self.diamond else columns
 
     def at_mirrors(self, values: "np.ndarray") -> "np.ndarray":
-        """Values at the mirrors of all cells, of those on `lattice_shape`."""
+        """Values at the mirrors, from values on `lattice_shape`."""
         if not self.diamond:
             return values
         out = values[:, ::2].copy()

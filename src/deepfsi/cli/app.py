@@ -26,7 +26,7 @@ COMMANDS = Path(__file__).with_name("commands.toml")
 
 @functools.cache
 def _entries() -> dict[str, dict[str, Any]]:
-    """Commands and groups by their words, under headings, those of other packages last."""
+    """Commands and groups by name, under headings; other packages come last."""
     core = tomllib.loads(COMMANDS.read_text(encoding="utf-8"))
     return {**core, "Beside the core": installed().commands}
 
@@ -39,7 +39,7 @@ def _print_help(ctx: click.Context) -> None:
 
 
 class Group(click.Group):
-    """Commands under headings, each with its whole sentence, none of it cut."""
+    """Commands under headings, each with its whole sentence."""
 
     def __init__(self, name: str, help: str, above: tuple[str, ...] = ()) -> None:
         super().__init__(

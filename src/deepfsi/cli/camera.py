@@ -236,7 +236,7 @@ class CheckPatterns(Command):
     folder: fields.PatternFolder
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Patterns of the folder, all of whose frames are as they were exported."""
+        """Patterns of the folder; each frame is as it was exported."""
         from deepfsi.patterns.folder import Patterns
 
         with terminal.progress("frames") as report:

@@ -116,7 +116,7 @@ def _job_settings(options: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _scenes_text(data: Dataset) -> str:
-    """Scenes of a training and its test in words, and what `compare` does otherwise."""
+    """Say how many scenes train and test the design, and how many `compare` leaves out."""
     from deepfsi.sweeps.recipe import Recipe
 
     words = (
@@ -128,7 +128,7 @@ def _scenes_text(data: Dataset) -> str:
 
 
 def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[str]:
-    """Tests of a new design, of whose masks so many have light, and what may be done better."""
+    """Say how a new design with `lit` masks tests, and what may be done better."""
     for result in results:
         counts = f"{count_text(result.counts)} counts"
         if result.clicks:

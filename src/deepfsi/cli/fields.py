@@ -27,11 +27,11 @@ from deepfsi.jobs.job import SETTING_ALIASES, Job
 from deepfsi.jobs.training import Training
 
 FIRST = "Options"
-"""Heading of the options that most need, first of all."""
+"""Heading of the options that most need."""
 
 
 def option(words: str, default: Any = None, **more: Any) -> Any:
-    """Field of an option; the default ``...`` is of one that must be given."""
+    """Field of an option; one whose default is ``...`` must be given."""
     return Field(default, description=words, **more)
 
 
@@ -105,7 +105,7 @@ def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
 
 
 def camera_options(*names: str) -> OptionsOf:
-    """Options of some fields of a camera, or of the camera itself."""
+    """Options of fields of a camera, and of the camera itself by the name `camera`."""
     fields = {"camera": Job.model_fields["camera"], **Camera.model_fields}
     return OptionsOf({name: ("Camera", fields[name]) for name in names})
 

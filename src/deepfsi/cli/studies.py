@@ -48,7 +48,7 @@ class _Study(Command):
         matrix: np.ndarray | None = None,
         ray: str | None = None,
     ) -> "tuple[Results, list[Record]]":
-        """Results and records of the trials; those of other settings are lost with --force only."""
+        """Train and test; results of other settings are lost with --force only."""
         from deepfsi.sweeps.run import check_kept, compare
 
         if not self.force:

@@ -39,7 +39,7 @@ class Terminal:
         return progress_bar(SILENT if self.as_json else None, what)
 
     def say(self, line: str | Table) -> None:
-        """Print a part of a result at once, which JSON has at the end."""
+        """Print a line of a result at once; JSON has it at the end."""
         if not self.as_json:
             self._print(line)
 

@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, field_validator
 
 from deepfsi.base.errors import InputError, as_input_error, closest_choice
-from deepfsi.base.files import check_disk_space, new_folder, read_toml
+from deepfsi.base.files import new_folder, read_toml
 from deepfsi.base.models import WholeNumber
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.camera import Camera
@@ -371,9 +371,6 @@ def record_scenes(
         gates = None
         if camera.gates:
             gates = acquisition.gates(manifest).with_clicks(manifest, camera.gates)
-        else:
-            events = float(np.einsum("sfd,f->", camera.registered(flow), manifest.picture_s))
-            check_disk_space(out, 4 * events, "give less `flux` or a shorter `exposure`")
         write_photons(
             draft / "photons.ptu",
             manifest,

@@ -27,7 +27,6 @@ import numpy as np
 from deepfsi.base.arrays import npy_header, read_npy
 from deepfsi.base.errors import InputError, as_input_error, check_choice
 from deepfsi.base.files import (
-    check_disk_space,
     check_unpacked,
     hash_file,
     new_folder,
@@ -163,9 +162,6 @@ class Patterns:
         device = manifest.device
         grid = manifest.grid
         total = len(manifest.frames)
-        if manifest.format != "png":
-            hint = 'write `format="png"`, which is small'
-            check_disk_space(folder, total * device.frame_bytes, hint)
         ends = np.full_like(self.on[0], grid.mirrors), np.zeros_like(self.on[0])
         frames = make_frames(
             chain(ends, self.on, ends), device, grid, manifest.selection, manifest.seed

@@ -26,7 +26,7 @@ from pydantic import Field, model_validator
 from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.models import Amount, Count, Share, StrictModel
 from deepfsi.base.quantities import time_text
-from deepfsi.camera.detectors import SeveralDetectors
+from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import DEVICE_SOURCES, DEVICES, Device
 from deepfsi.camera.layout import DmdGrid, DmdLayout, find_grid
 from deepfsi.camera.names import LIGHT_LAWS, Readout, SummedReflectance
@@ -128,7 +128,7 @@ class Manifest(StrictModel):
     summed_reflectance: SummedReflectance
     brightness: Brightness | None = None  # By how much scenes differ from it, where that is known
     # Which see which cells; None where one sees all that an arm sends
-    detectors: SeveralDetectors | None = None
+    detectors: DetectorMap | None = None
     readout: Readout = "difference"  # What the network reads of two rails
     # Where masks are chosen while the exposure runs; the frames' shares are then equal ones
     looks: LookPlan | None = None
