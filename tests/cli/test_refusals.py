@@ -118,7 +118,6 @@ REFUSED = {
     f"camera live looks --scene few --virtual ideal {FAST}": """
         --projector dlp | unknown projector
         --projector vialux | do not go together
-        --latency fast | is not a time
         --until 2 | --until between 0 and 1
         --exposure 1e9s | hold
         --flux 1e14 | flux

@@ -104,7 +104,7 @@ class SimulateRun(_Run):
 class _DeviceRun(_Run):
     """A run with devices, virtual or real."""
 
-    OF_VIRTUAL: ClassVar = ("flux", "dark", "virtual", "latency_s", "seed")
+    OF_VIRTUAL: ClassVar = ("flux", "dark", "virtual", "seed")
     """Settings that only virtual devices take."""
 
     projector: str = fields.option(
@@ -112,10 +112,6 @@ class _DeviceRun(_Run):
     )
     counter: str = fields.option(
         "virtual, or NAME[,SETTING=VALUE...] of a driver, such as swabian,trigger=8", "virtual"
-    )
-    latency_s: Seconds | None = fields.option(
-        "time from a decision until virtual devices show its frames; default: 1ms",
-        alias="latency",
     )
     marker_bit: fields.MarkerBit = None
 
@@ -130,8 +126,7 @@ class _DeviceRun(_Run):
             return None
         for setting in self.OF_VIRTUAL:
             if setting in self.settings.keys() | self.model_fields_set:
-                option = option_name(setting.removesuffix("_s"))
-                raise InputError(f"{option} is for virtual devices: leave it out")
+                raise InputError(f"{option_name(setting)} is for virtual devices: leave it out")
         return installed().open_device(role, self.projector)
 
     def setup(
@@ -148,14 +143,7 @@ class _DeviceRun(_Run):
 
         if images is not None and projector is None:
             with terminal.progress("light of the scenes") as report:
-                return virtual_setup(
-                    patterns,
-                    images.x,
-                    acquisition,
-                    report,
-                    latency_s=self.latency_s,
-                    decision_s=decision_s,
-                )
+                return virtual_setup(patterns, images.x, acquisition, report, decision_s=decision_s)
         wiring = {"inputs": acquisition.inputs, "marker_bit": acquisition.marker_bit}
         counter = installed().open_device("counter", self.counter, **wiring)
 
