@@ -24,14 +24,14 @@ LINES = {
     "design": 1161,
     "designfile": 1393,
     "evaluation": 1597,
-    "exposure": 1122,
+    "exposure": 1115,
     "jobs": 1657,
     "lab": 4310,
     "patterns": 1504,
     "physics": 1925,
     "report": 1428,
     "sweeps": 2511,
-    "training": 1736,
+    "training": 1582,
 }
 """Lines of each room, which may only fall: lower the number with them."""
 

@@ -43,7 +43,6 @@ def test_networks_noises_and_loops_of_ones_own(names):
     assert names["results"][1].accuracy > 0.7
     assert names["plain"] > 0.85
     assert names["chances"].shape == (5, 10)
-    assert names["last"].info["schedule"] == "cosine"
 
 
 @pytest.mark.skipif(not find_spec("lightning"), reason="needs lightning: pip install lightning")

@@ -23,8 +23,7 @@ SOURCE = Path(deepfsi.__file__).parent
 
 def test_learn_takes_the_fields_of_a_job_and_its_words_name_each():
     keywords = inspect.signature(deepfsi.learn).parameters
-    own = {"data", "counts", "matrix", "start", "device", "report", "checkpoint", "callback"}
-    own |= {"patience", "optimiser", "schedule"}
+    own = {"data", "counts", "matrix", "device", "report", "checkpoint", "callback"}
     assert set(keywords) == own | set(Job.model_fields)
     assert all(f"\n    {name} : " in deepfsi.learn.__doc__ for name in keywords)
     for name in ("design", "seed"):

@@ -50,7 +50,6 @@ class Passing(Exposure):
     """
 
     training: ClassVar[dict[str, Any]] = {"start": "random"}
-    takes_start: ClassVar[bool] = False
     trained_by: ClassVar[str] = "deepfsi_flow.exposure:PassingTraining"
     entry_type: ClassVar[type[Entry]] = PassingEntry
     allow_bf16: ClassVar[bool] = False

@@ -9,17 +9,7 @@ from typing import Any
 from deepfsi import learn as learned
 from deepfsi.jobs.job import Job, sorted_settings
 
-OF_LEARN = (
-    "counts",
-    "matrix",
-    "device",
-    "report",
-    "checkpoint",
-    "callback",
-    "patience",
-    "optimiser",
-    "schedule",
-)
+OF_LEARN = ("counts", "matrix", "device", "report", "checkpoint", "callback")
 
 
 def sorted_of(**settings: Any) -> dict[str, Any]:

@@ -59,15 +59,10 @@ class JobGroup:
     noise: TrainingNoise
     matrix: np.ndarray | None = None  # (m, N), a user's own, for ``design="custom"``
     masks: FixedMasks | LearnedMasks | None = None  # that were learned before, of a control group
-    start: np.ndarray | None = None  # (m, N)
 
     @classmethod
     def of(
-        cls,
-        training_set: TrainingSet,
-        jobs: Sequence[Job],
-        matrix: np.ndarray | None = None,
-        start: np.ndarray | None = None,
+        cls, training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None = None
     ) -> "JobGroup":
         """Group with the noise that its jobs ask for."""
         job = jobs[0]
@@ -79,7 +74,7 @@ class JobGroup:
         gains = [each.photons / training_set.summed_reflectance for each in jobs]
         seeds = [each.seed for each in jobs]
         noise = TrainingNoise.of(noises, gains, seeds, training_set.device)
-        return cls(training_set, jobs, noise, matrix=matrix, start=start)
+        return cls(training_set, jobs, noise, matrix)
 
     def training(self) -> "ExposureTraining":
         """Masks of the jobs before their training, by the class that their exposure names."""
@@ -171,9 +166,7 @@ class ExposureTraining(ABC):
     def start(self) -> Tensor:
         """Matrices (R, m, P) that masks learn from, of the pixels that they may light."""
         pixels = self.scenes.pixels(self.camera.light).cpu()
-        own = self.group.start
-        matrices = self._matrices() if own is None else torch.from_numpy(own).unsqueeze(0)
-        signed = self.detection.of_pixels(pixels).arrange(matrices[..., pixels])
+        signed = self.detection.of_pixels(pixels).arrange(self._matrices()[..., pixels])
         return signed.expand(len(self.jobs), -1, -1).clone()
 
     def centred(self) -> tuple[Tensor, FixedMasks | LearnedMasks]:

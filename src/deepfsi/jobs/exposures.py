@@ -49,9 +49,6 @@ class Exposure(UserModel):
     entry_type: ClassVar[type["Entry"]]
     """Header entry; only exposures of packages beside the core declare it here."""
 
-    takes_start: ClassVar[bool] = True
-    """Whether learned masks can start from a design or a matrix."""
-
     allow_bf16: ClassVar[bool] = True
     """Whether masks may be multiplied in bfloat16."""
 

@@ -149,7 +149,6 @@ class Checkpoint:
         jobs: Sequence[Job],
         matrix: np.ndarray | None = None,
         counts: float | None = None,
-        start: np.ndarray | None = None,
     ) -> "Checkpoint":
         """Checkpoint of jobs that train together; an existing file is read."""
         if path is None:
@@ -157,8 +156,7 @@ class Checkpoint:
         job = jobs[0]
         name = training_set.data.name
         title = f"{job.design}, {job.masks} masks, {job.photons:g} photons on {name}"
-        masks = {"matrix": matrix} if start is None else {"matrix": matrix, "start": start}
-        checkpoint = cls(Path(path), _key(training_set, jobs, masks, counts), title)
+        checkpoint = cls(Path(path), _key(training_set, jobs, matrix, counts), title)
         if os.path.lexists(path):
             checkpoint._read()
         return checkpoint
@@ -248,7 +246,7 @@ NO_CHECKPOINT = Checkpoint()
 def _key(
     training_set: TrainingSet,
     jobs: Sequence[Job],
-    masks: Mapping[str, np.ndarray | None],
+    matrix: np.ndarray | None,
     counts: float | None,
 ) -> str:
     """Hash of everything that the bits of a training depend on."""
@@ -263,17 +261,12 @@ def _key(
         "jobs": [job.model_dump(mode="json") for job in jobs],
         "sources": [source_hash(name) for name in names],
         "data": (training_set.data.hash, training_set.data.held_out),
-        **{name: None if array is None else array_hash(array) for name, array in masks.items()},
+        "matrix": None if matrix is None else _content({"matrix": np.asarray(matrix, np.float32)}),
         "counts": counts,
         "torch": torch.__version__,
         "device": training_set.device.type,
     }
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
-
-
-def array_hash(matrix: np.ndarray) -> str:
-    """SHA-256 in hex over a matrix in float32."""
-    return _content({"matrix": np.asarray(matrix, np.float32)})
 
 
 def _content(arrays: Mapping[str, np.ndarray]) -> str:

@@ -1,20 +1,18 @@
-"""A user's hooks in the training loop: callback, patience, optimiser and schedule.
+"""Epochs of a training, which a user's callback follows and may end.
 
 After each epoch the designs, as if the training ended there, classify the held-out scenes
 (`Dataset.hold_out`). This draws from a separate generator, and the generators of the training are
-set back, so that hooks change no bit of it.
+set back, so that a callback changes no bit of it.
 """
 
 import copy
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.optim.lr_scheduler import LRScheduler
 
 from deepfsi.design.design import Design
 from deepfsi.design.networks import Replicas
@@ -44,84 +42,51 @@ class Epoch:
 
 
 @dataclass
-class LoopHooks:
-    """A user's hooks in the loops of a training."""
+class EpochWatch:
+    """A user's callback in the loops of a training, and the epochs that they took."""
 
     callback: Callable[[Epoch], bool | None] | None = None
-    patience: int | None = None
-    optimiser: Callable[[list[dict[str, Any]]], torch.optim.Optimizer] | None = None
-    schedule: Callable[[torch.optim.Optimizer, int], LRScheduler] | None = None
+    most: tuple[int, ...] = ()  # largest number of epochs of each loop
     lengths: list[int] = field(default_factory=list)  # epochs of each finished loop
     history: list[list[Epoch]] = field(default_factory=list)  # last loop, for each design
-    _most: tuple[int, ...] = ()  # largest number of epochs of each loop
 
-    @property
-    def watched(self) -> bool:
-        """Whether a hook needs epochs."""
-        return self.callback is not None or self.patience is not None
-
-    def for_fold(self) -> "LoopHooks":
-        """Hooks for a fold: it takes as many epochs and tells nobody."""
-        most = tuple(self.lengths) if self.watched else ()
-        return LoopHooks(optimiser=self.optimiser, schedule=self.schedule, _most=most)
-
-    def info(self, place: int) -> dict[str, Any]:
-        """JSON entries of `Design.info` for a design of the last loop."""
-        entry: dict[str, Any] = {}
-        if self.watched:
-            entry["history"] = [asdict(epoch) for epoch in self.history[place]]
-        for name in ("optimiser", "schedule"):
-            if (made := getattr(self, name)) is not None:
-                entry[name] = getattr(made, "__qualname__", type(made).__name__)
-        return entry
-
-    @contextmanager
-    def of_loop(
-        self, exposure: ExposureTraining, state: LoopState, loss: SceneLoss, networks: Sequence[Any]
-    ) -> Iterator["_LoopWatch"]:
-        """Watch a loop; with patience, its end restores the best epoch."""
-        most = self._most[len(self.lengths)] if self._most else None
-        watch = _LoopWatch(self, exposure, state=state, loss=loss, networks=networks, most=most)
-        yield watch
-        if watch.best is not None:
-            for name, tensor in state.learned().items():
-                tensor.copy_(watch.best[name])
-        self.lengths.append(watch.number)
-        self.history = watch.history
+    def for_fold(self) -> "EpochWatch":
+        """Watch of a fold: it takes as many epochs and tells nobody."""
+        return EpochWatch(most=tuple(self.lengths) if self.callback else ())
 
 
-class _LoopWatch:
+class LoopWatch:
     """Epochs of one loop, which trains R designs side by side."""
 
     def __init__(
         self,
-        hooks: LoopHooks,
+        watch: EpochWatch,
         exposure: ExposureTraining,
         *,
         state: LoopState,
         loss: SceneLoss,
         networks: Sequence[nn.Module],
-        most: int | None = None,
     ) -> None:
-        self.hooks = hooks
+        self.callback = watch.callback
+        self.most = watch.most[len(watch.lengths)] if watch.most else None
         self.exposure = exposure
         self.state = state
         self.loss = loss
         self.networks = networks
-        self.most = most
         self.steps = state.draws.steps
-        self.number = state.step // self.steps
         self.history: list[list[Epoch]] = [[] for _ in exposure.jobs]
-        self.best: dict[str, Tensor] | None = None
-        self._lowest = float("inf")
-        self._best_number = self.number
         self._losses: list[Tensor] = []
         self._lr = 0.0
         self._fixed: list[Design] | None = None
 
+    @property
+    def number(self) -> int:
+        """Epochs so far."""
+        return self.state.step // self.steps
+
     def take(self, losses: Tensor) -> None:
         """Note losses (B · R,) of a step."""
-        if self.hooks.watched:
+        if self.callback is not None:
             # they stay on the device, and are read once an epoch
             self._losses.append(losses.detach().view(-1, len(self.exposure.jobs)).mean(dim=0))
             self._lr = self.state.optimiser.param_groups[0]["lr"]
@@ -130,15 +95,13 @@ class _LoopWatch:
         """Whether the loop ends after this step."""
         if self.state.step % self.steps:
             return False
-        self.number = self.state.step // self.steps
-        if not self.hooks.watched:
+        if self.callback is None:
             return self.number == self.most
         means = torch.stack(self._losses).mean(dim=0).tolist()
         self._losses = []
-        tests = self._validated()
         stop = False
         for job, mean, test, history in zip(
-            self.exposure.jobs, means, tests, self.history, strict=True
+            self.exposure.jobs, means, self._validated(), self.history, strict=True
         ):
             epoch = Epoch(
                 epoch=self.number,
@@ -151,19 +114,8 @@ class _LoopWatch:
                 **test,
             )
             history.append(epoch)
-            stop |= self.hooks.callback is not None and bool(self.hooks.callback(epoch))
-        return self._out_of_patience() or stop
-
-    def _out_of_patience(self) -> bool:
-        """Keep the best weights so far; true once patience is over."""
-        if self.hooks.patience is None:
-            return False
-        loss = float(np.mean([epochs[-1].validation_loss for epochs in self.history]))
-        if loss < self._lowest or self.best is None:
-            self._lowest = loss
-            self._best_number = self.number
-            self.best = {name: weight.clone() for name, weight in self.state.learned().items()}
-        return self.number - self._best_number >= self.hooks.patience
+            stop |= bool(self.callback(epoch))
+        return stop
 
     def _validated(self) -> list[dict[str, float]]:
         """Validation loss and accuracy of each design; none without held-out scenes."""
@@ -216,8 +168,6 @@ class _LoopWatch:
             if design.values is None:
                 right.append(logits.argmax(dim=-1) == answers)
         test = {"validation_loss": float(torch.cat(losses).mean())}
-        return (
-            test
-            if design.values
-            else {**test, "validation_accuracy": float(torch.cat(right).float().mean())}
-        )
+        if right:
+            test["validation_accuracy"] = float(torch.cat(right).float().mean())
+        return test

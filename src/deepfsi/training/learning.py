@@ -10,12 +10,11 @@ two agree.
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 import torch
-from torch.optim.lr_scheduler import LRScheduler
 
 from deepfsi.adaptive.exposure import (
     AdaptiveExposure,
@@ -47,8 +46,8 @@ from deepfsi.training.characterisation import (
     folds_of,
     provenance,
 )
-from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint, array_hash
-from deepfsi.training.hooks import Epoch, LoopHooks
+from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
+from deepfsi.training.hooks import Epoch, EpochWatch
 from deepfsi.training.loop import batch_of, optimise
 
 NEAR = 0.02
@@ -77,11 +76,7 @@ def learn(
     device: str | torch.device = "auto",
     report: Progress | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
-    start: Design | np.ndarray | None = None,
     callback: Callable[[Epoch], bool | None] | None = None,
-    patience: int | None = None,
-    optimiser: Callable[[list[dict[str, Any]]], torch.optim.Optimizer] | None = None,
-    schedule: Callable[[torch.optim.Optimizer, int], LRScheduler] | None = None,
 ) -> Design:
     """Train one design on all training scenes of a data set.
 
@@ -119,21 +114,10 @@ def learn(
         File for the state of the training, written every two minutes and at Ctrl-C, removed at the
         end. A training that finds it there resumes, to the same bits. Give your own parts by import
         path then; your modules must keep their state in parameters and buffers.
-    start : Design or array, shape (m, N), optional
-        Masks that learned masks start from. Default: `training.start`.
     callback : callable, optional
         Called with an `Epoch` after each epoch: loss, learning rate, and loss and accuracy of the
         scenes that ``data.hold_out()`` holds out. The training ends if it returns true, and does
         not otherwise depend on it. `Design.info` keeps the ``history``.
-    patience : int, optional
-        The training ends after this many epochs without a lower loss of held-out scenes. The
-        design has the weights of its best epoch.
-    optimiser : callable, optional
-        Makes a torch optimiser from groups of parameters with ``lr`` and ``weight_decay``, such as
-        ``torch.optim.SGD``. Default: AdamW.
-    schedule : callable, optional
-        Makes a torch schedule from the optimiser and the number of steps; each step advances it.
-        Default: ``OneCycleLR``.
 
     Raises
     ------
@@ -156,9 +140,6 @@ def learn(
         "training": training,
         "seed": seed,
     }
-    if start is not None:
-        start = _start_matrix(start)
-        settings["masks"] = len(start) if masks is None else masks
     scenes = as_dataset(data)
     return learn_job(
         job_of(settings, scenes, counts=counts, matrix=matrix),
@@ -168,8 +149,7 @@ def learn(
         device=device,
         report=report,
         checkpoint=checkpoint,
-        start=start,
-        hooks=LoopHooks(callback, patience, optimiser=optimiser, schedule=schedule),
+        callback=callback,
     )
 
 
@@ -183,35 +163,24 @@ def learn_job(
     device: str | torch.device = "auto",
     report: Progress | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
-    start: np.ndarray | None = None,
-    hooks: LoopHooks | None = None,
+    callback: Callable[[Epoch], bool | None] | None = None,
 ) -> Design:
     """Train the design of a job; the other arguments are those of `learn`."""
-    hooks = hooks or LoopHooks()
+    if callback is not None and job.code.adaptive:
+        raise InputError("adaptive masks learn by no steps: leave callback out")
     training_set = TrainingSet(data, device)
-    _check_hooks(hooks, job, training_set.data, resumable=checkpoint is not None)
-    state = Checkpoint.of(
-        checkpoint, training_set, [job], matrix=matrix, counts=counts, start=start
-    )
+    state = Checkpoint.of(checkpoint, training_set, [job], matrix=matrix, counts=counts)
 
     def train_at(photons: float, bar: Progress) -> Design:
         at_budget = job.model_copy(update={"photons": check_budget(photons)})
-        [made] = train(
-            training_set,
-            [at_budget],
-            matrix,
-            report=bar,
-            checkpoint=state,
-            start=start,
-            hooks=hooks,
-        )
+        [made] = train(training_set, [at_budget], matrix, bar, state, callback)
         return made
 
     with progress_bar(report, f"{job.design}, {job.masks} masks") as bar:
         if counts is None or job.training.counts is not None:
             made = train_at(job.photons, bar)
         else:
-            share = _first_share(training_set, job, matrix, start)
+            share = _first_share(training_set, job, matrix)
             made = _train_for_counts(counts, share, train_at, bar)
     state.remove()
     return made
@@ -224,35 +193,30 @@ def train(
     matrix: np.ndarray | None = None,
     report: Progress = SILENT,
     checkpoint: Checkpoint = NO_CHECKPOINT,
-    start: np.ndarray | None = None,
-    hooks: LoopHooks | None = None,
+    callback: Callable[[Epoch], bool | None] | None = None,
 ) -> Sequence[Design]:
     """Train designs side by side that differ only in budget, sigma and seed.
 
-    Shapes: matrix (m, N); start (m, N).
+    Shapes: matrix (m, N).
     """
     began = time.perf_counter()
-    hooks = hooks or LoopHooks()
-    _check(training_set, jobs, matrix, start)
+    _check(training_set, jobs, matrix)
     if jobs[0].code.adaptive:
         return _adaptive_designs(training_set, jobs, report)
     folds = [] if training_set.data.held_out else folds_of(training_set.data)
     own, *others = report.split(1 + len(folds))
-    masks = {"matrix": matrix, "start": start}
-    hooks.lengths.clear()
-    designs = _designs(
-        JobGroup.of(training_set, jobs, **masks), own, checkpoint=checkpoint, hooks=hooks
-    )
+    epochs = EpochWatch(callback)
+    group = JobGroup.of(training_set, jobs, matrix)
+    designs = _designs(group, own, checkpoint=checkpoint, epochs=epochs)
     for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
         design.info = provenance(job, training_set.data, training_set.device)
-        design.info |= hooks.info(place)
-        if start is not None:
-            design.info["start"] = array_hash(start)
+        if callback is not None:
+            design.info["history"] = [asdict(epoch) for epoch in epochs.history[place]]
         design.training_scenes = training_set.hashes
     left_out = []
     for fold, span in zip(folds, others, strict=True):
-        group = JobGroup.of(training_set.of(fold), jobs, **masks)
-        without = _designs(group, span, checkpoint=checkpoint, hooks=hooks.for_fold())
+        group = JobGroup.of(training_set.of(fold), jobs, matrix)
+        without = _designs(group, span, checkpoint=checkpoint, epochs=epochs.for_fold())
         left_out.append((fold, without))
     characterise(training_set, jobs, designs, left_out)
     seconds = (checkpoint.seconds + time.perf_counter() - began) / len(jobs)
@@ -288,88 +252,33 @@ def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
     return (job.model_dump_json(exclude=apart), types)
 
 
-def _check(
-    training_set: TrainingSet,
-    jobs: Sequence[Job],
-    matrix: np.ndarray | None,
-    start: np.ndarray | None,
-) -> None:
+def _check(training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None) -> None:
     """Raise `InputError` unless jobs can train together on the data in the free memory."""
     for job in jobs:
         job.check(training_set.data, matrix)
-        if start is not None:
-            _check_start(start, job, training_set)
     check_fits(training_set, jobs)
 
 
-def _start_matrix(start: Design | np.ndarray) -> np.ndarray:
-    """Matrix (m, N) of a start."""
-    matrix = np.asarray(start.matrix if isinstance(start, Design) else start)
-    if matrix.ndim != 2 or matrix.dtype.kind not in "biuf" or not np.isfinite(matrix).all():
-        raise InputError(
-            f"masks cannot start from an array of shape {matrix.shape} and type {matrix.dtype}: "
-            "give a design, or finite numbers (masks, pixels)"
-        )
-    return matrix.astype(np.float32)
-
-
-def _check_start(start: np.ndarray, job: Job, training_set: TrainingSet) -> None:
-    """Raise `InputError` unless the masks of a job learn and can start from this matrix."""
-    if not job.mask_job().code.learned:
-        raise InputError(f"masks of {job.design} do not learn: leave `start` out")
-    if not job.exposure.takes_start:
-        raise InputError("the exposure's masks start at random: leave `start` out")
-    shape = job.masks, training_set.view(job.exposure).data.pixels
-    if start.shape != shape:
-        raise InputError(f"a start of shape {start.shape} does not fit: give {shape}")
-    if job.optics.rails == "single" and (start < 0).any():
-        raise InputError("a start of a single rail has negative entries: give 0 or more")
-
-
-def _check_hooks(hooks: LoopHooks, job: Job, data: Dataset, resumable: bool) -> None:
-    """Raise `InputError` if a training cannot use these hooks."""
-    extra = [
-        name
-        for name in ("callback", "patience", "optimiser", "schedule")
-        if getattr(hooks, name) is not None
-    ]
-    if extra and job.code.adaptive:
-        raise InputError(f"adaptive masks learn by no steps: leave {' and '.join(extra)} out")
-    apart = [name for name in extra if name != "callback"]
-    if resumable and apart:
-        raise InputError(
-            f"a training with {' and '.join(apart)} is not resumed: leave {' and '.join(apart)}, "
-            "or `checkpoint`, out"
-        )
-    if hooks.patience is not None and not data.held_out:
-        raise InputError(
-            f"patience is measured on held-out scenes, and {data.name} has none: give "
-            "`data.hold_out()`"
-        )
-
-
 def _designs(
-    group: JobGroup, report: Progress, *, checkpoint: Checkpoint, hooks: LoopHooks
+    group: JobGroup, report: Progress, *, checkpoint: Checkpoint, epochs: EpochWatch
 ) -> list[Design]:
     """Designs of jobs that train side by side."""
     jobs = group.jobs
     if jobs[0].code.learned_under:
         # the control group first learns masks under gaussian noise, with a network of their own
         before, report = report.split(2)
-        teachers = JobGroup.of(
-            group.training_set, [job.mask_job() for job in jobs], start=group.start
-        )
-        taught = _optimised(teachers, before, checkpoint=checkpoint, hooks=hooks)[0]
+        teachers = JobGroup.of(group.training_set, [job.mask_job() for job in jobs])
+        taught = _optimised(teachers, before, checkpoint=checkpoint, epochs=epochs)[0]
         group = replace(group, masks=taught.masks)
-    return designs_of(*_optimised(group, report, checkpoint=checkpoint, hooks=hooks))
+    return designs_of(*_optimised(group, report, checkpoint=checkpoint, epochs=epochs))
 
 
 def _optimised(
-    group: JobGroup, report: Progress, *, checkpoint: Checkpoint, hooks: LoopHooks
+    group: JobGroup, report: Progress, *, checkpoint: Checkpoint, epochs: EpochWatch
 ) -> tuple[ExposureTraining, list[Classifier]]:
     """Masks, fixed from here on, and networks after training."""
     exposure = group.training()
-    classifiers = optimise(exposure, report, checkpoint, hooks)
+    classifiers = optimise(exposure, report, checkpoint, epochs)
     exposure.fix()
     weights = [parameter for network in classifiers for parameter in network.parameters()]
     if not all(
@@ -383,14 +292,12 @@ def _optimised(
     return exposure, classifiers
 
 
-def _first_share(
-    training_set: TrainingSet, job: Job, matrix: np.ndarray | None, start: np.ndarray | None
-) -> float:
+def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None) -> float:
     """Share of the budget that the masks count before training."""
-    _check(training_set, [job], matrix, start)
+    _check(training_set, [job], matrix)
     if job.code.adaptive:
         return 0.5  # nearly half of the mirrors are ON
-    exposure = JobGroup.of(training_set, [job], matrix=matrix, start=start).training()
+    exposure = JobGroup.of(training_set, [job], matrix).training()
     exposure.fix()
     light = exposure.masks().total[0] @ exposure.scenes.full.mean(dim=0)
     return float(light.sum()) * exposure.parts / training_set.summed_reflectance

@@ -12,12 +12,11 @@ rounding, a design does not depend on its companions.
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from functools import partial
 from typing import Any
 
 import torch
 from torch import nn
-from torch.optim.lr_scheduler import LRScheduler, OneCycleLR
+from torch.optim.lr_scheduler import OneCycleLR
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
@@ -27,7 +26,7 @@ from deepfsi.exposure.training_set import network_dtype
 from deepfsi.jobs.training import Training
 from deepfsi.physics.training_noise import Draws
 from deepfsi.training.checkpoint import Checkpoint, LoopState
-from deepfsi.training.hooks import LoopHooks
+from deepfsi.training.hooks import EpochWatch, LoopWatch
 from deepfsi.training.losses import CountsCost, find_loss
 
 REPORT_SECONDS = 1.0
@@ -35,7 +34,7 @@ REPORT_SECONDS = 1.0
 
 
 def optimise(
-    exposure: ExposureTraining, report: Progress, checkpoint: Checkpoint, hooks: LoopHooks
+    exposure: ExposureTraining, report: Progress, checkpoint: Checkpoint, epochs: EpochWatch
 ) -> list[Classifier]:
     """Train the classifiers of jobs side by side, and their masks if these learn."""
     job = exposure.job
@@ -55,8 +54,9 @@ def optimise(
     groups = [_parameter_group(classify, settings.lr, settings.decay)]
     if exposure.learns:
         groups.append(_parameter_group(exposure.masks, settings.mask_lr))
-    optimiser = (hooks.optimiser or partial(torch.optim.AdamW, fused=True))(groups)
-    schedule = (hooks.schedule or _one_cycle)(optimiser, total)
+    optimiser = torch.optim.AdamW(groups, fused=True)
+    rates = [group["lr"] for group in groups]
+    schedule = OneCycleLR(optimiser, rates, total_steps=total)  # which peaks at these
     modules = [classify, *([exposure.masks] if exposure.learns else [])]
     generators = exposure.noise.generators + _generators(settings, classifiers, device)
     state = LoopState(
@@ -70,8 +70,8 @@ def optimise(
     )
     elements = batch * len(exposure.jobs) * exposure.parts * max(job.masks, *settings.hidden, 1)
     of_torch = seeded(job.seed) if settings.is_custom else nullcontext()
-    watching = hooks.of_loop(exposure, state, scene_loss, classifiers)
-    with _threads(elements), of_torch, checkpoint.of_loop(state), watching as watch:
+    watch = LoopWatch(epochs, exposure, state=state, loss=scene_loss, networks=classifiers)
+    with _threads(elements), of_torch, checkpoint.of_loop(state):
         report(state.step / total)
         due = time.monotonic() + REPORT_SECONDS
         for number in range(state.step, state.total):
@@ -97,6 +97,8 @@ def optimise(
             if watch.ends():
                 state.total = state.step
                 break
+    epochs.lengths.append(watch.number)
+    epochs.history = watch.history
     classify.hand_back()
     for network in classifiers:
         if isinstance(network, Mlp):
@@ -108,12 +110,6 @@ def optimise(
 def batch_of(settings: Training, count: int) -> int:
     """Scenes of a step."""
     return min(settings.batch or min(max(count // 100, 32), 500), count)
-
-
-def _one_cycle(optimiser: torch.optim.Optimizer, steps: int) -> LRScheduler:
-    """One cycle that peaks at the learning rates of the groups."""
-    rates = [group["lr"] for group in optimiser.param_groups]
-    return OneCycleLR(optimiser, rates, total_steps=steps)
 
 
 def _parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[str, Any]:
