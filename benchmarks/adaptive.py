@@ -26,7 +26,6 @@ import numpy as np
 import torch
 
 import deepfsi
-from deepfsi.adaptive.choice import next_masks
 from deepfsi.evaluation.page_data import of_page
 
 
@@ -38,12 +37,12 @@ def decision_time(design: deepfsi.Design, photons: float, exposures: int = 4) ->
     with torch.no_grad():
         for scene in exposure.prior.mean.expand(exposures, -1):
             state = exposure.posterior(1, optics)
-            masks = next_masks(state, exposure.settings.shares[0], generator)
+            masks = state.next_masks(exposure.settings.shares[0], generator)
             for share in exposure.settings.shares:
                 counts = torch.poisson(state.expected(masks, scene[None], share), generator)
                 began = time.perf_counter()
                 state.update(masks, counts, share)
-                masks = next_masks(state, share, generator)
+                masks = state.next_masks(share, generator)
                 times.append(time.perf_counter() - began)
     return float(np.median(times))
 

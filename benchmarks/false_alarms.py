@@ -17,8 +17,6 @@ import typer
 from scipy.stats import binomtest
 
 import deepfsi
-from deepfsi.adaptive.choice import look_at
-from deepfsi.adaptive.exposure import squared_distance
 from deepfsi.adaptive.posterior import AdaptivePosterior
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import DEVICES
@@ -221,8 +219,8 @@ def misfit(rng: np.random.Generator, faulty: bool) -> bool:
     )
     generator, total = torch.Generator().manual_seed(int(rng.integers(2**32))), 0.0
     for share in design.prior_exposure.settings.shares:
-        masks, counts, _ = look_at(state, scene, share, generator)
-        total += float(squared_distance(state, masks, counts, share))
+        masks, counts, _ = state.look_at(scene, share, generator)
+        total += float(state.misfit(masks, counts, share))
         state.update(masks, counts, share)
     assert design.prior_exposure.usual_misfit is not None
     return design.prior_exposure.usual_misfit.chance(total, LOOKS - 1, PHOTONS) < UNSURE

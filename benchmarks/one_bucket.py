@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 import deepfsi
-from deepfsi.adaptive.choice import look_at
 from deepfsi.adaptive.posterior import AdaptivePosterior
 
 STARTS = 300
@@ -105,7 +104,7 @@ def main(words: Sequence[str] | None = None) -> None:
         for look, share in enumerate(exposure.settings.shares):
             scenes = class_scenes(state).double().numpy()
             chances = state.class_weights.double().numpy()
-            masks, counts, _ = look_at(state, x, share, generator)
+            masks, counts, _ = state.look_at(x, share, generator)
             if look & (look - 1) == 0:
                 shown = masks.double().numpy()
                 every = np.array([

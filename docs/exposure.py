@@ -15,7 +15,6 @@ import numpy as np
 import torch
 
 import deepfsi
-from deepfsi.adaptive.choice import look_at
 from deepfsi.adaptive.posterior import AdaptivePosterior
 from deepfsi.base.files import write_atomically
 
@@ -84,7 +83,7 @@ def expose(scene: int, seed: int) -> Run:
     generator = torch.Generator().manual_seed(seed)
     masks, counts, known, chances = [], [], [state.scene], [state.chances]
     for share in design.prior_exposure.settings.shares:
-        shown, counted, _ = look_at(state, x, share, generator)
+        shown, counted, _ = state.look_at(x, share, generator)
         state.update(shown, counted, share)
         masks.append(shown)
         counts.append(counted)

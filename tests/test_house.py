@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
-    "adaptive": 1493,
+    "adaptive": 1468,
     "base": 1831,
     "camera": 1231,
     "cli": 2355,

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.adaptive.choice import difference_masks, draw_places, group_differences
+from deepfsi.adaptive.choice import difference_masks, draw_places
 from deepfsi.adaptive.exposure import (
     AdaptiveExposure,
     AdaptiveTraining,
@@ -116,9 +116,20 @@ class ClickPosterior(AdaptivePosterior):
         self.left = self.left - look.dwells
         self.end_look()
 
+    def candidates(self) -> Tensor:
+        """Masks (b, P, N) that separate the likeliest classes, brightly or strictly."""
+        differ = self.group_differences()
+        scene = self.scene.clamp(min=1e-2)[:, None].expand_as(differ)  # it may be black
+        bright = difference_masks(differ, scene, self.optics.areas(scene))
+        ratio = differ / scene
+        largest = ratio.amax(dim=-1, keepdim=True)
+        # of the largest difference over light
+        strict = [(ratio > share * largest).to(differ.dtype) for share in (0.4, 0.6, 0.8)]
+        return torch.cat([bright, *strict], dim=1)
+
     def next_look(self, dwells: Tensor, costs: Tensor, generator: torch.Generator) -> ClickLook:
         """The look that is worth most, of all masks, dwells (L,) and their costs (L,) in clicks."""
-        masks = _click_candidates(self)  # (b, P, N)
+        masks = self.candidates()  # (b, P, N)
         places, drawn = draw_places(self.weights, generator, 256)
         mean, parts = self.prior.light(masks)  # (b, P), (b, P, d)
         scenes = self.prior.coefficients[places].transpose(1, 2)  # (b, d, S)
@@ -176,18 +187,6 @@ def _binary_entropy(chance: Tensor) -> Tensor:
     """Nats of an event of such a probability."""
     chance = chance.clamp(0, 1)
     return torch.special.entr(chance) + torch.special.entr(1 - chance)
-
-
-def _click_candidates(state: AdaptivePosterior) -> Tensor:
-    """Masks (b, P, N) that separate the likeliest classes in two groups, brightly or strictly."""
-    differ = group_differences(state)
-    scene = state.scene.clamp(min=1e-2)[:, None].expand_as(differ)  # the mean scene may be black
-    bright = difference_masks(differ, scene, state.optics.areas(scene))
-    ratio = differ / scene
-    largest = ratio.amax(dim=-1, keepdim=True)
-    # of the largest difference over light
-    strict = [(ratio > share * largest).to(differ.dtype) for share in (0.4, 0.6, 0.8)]
-    return torch.cat([bright, *strict], dim=1)
 
 
 class _ClickRun(NamedTuple):

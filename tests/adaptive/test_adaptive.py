@@ -7,8 +7,7 @@ import torch
 from conftest import generator
 from deepfsi.adaptive import exposure as adaptive
 from deepfsi.adaptive import posterior
-from deepfsi.adaptive.choice import next_masks
-from deepfsi.adaptive.exposure import AdaptiveExposure, squared_distance
+from deepfsi.adaptive.exposure import AdaptiveExposure
 from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
 from deepfsi.camera.camera import Camera
 from deepfsi.jobs.exposures import AdaptiveMasks
@@ -28,9 +27,9 @@ def distances(prior, x, optics):
     """Squared distances (LOOKS, b) of exposures of scenes (b, N), and readouts of a look."""
     state, random, found = AdaptivePosterior(prior, len(x), optics), generator(1), []
     for _ in range(LOOKS):
-        masks = next_masks(state, 1 / LOOKS, random)
+        masks = state.next_masks(1 / LOOKS, random)
         counts = Poisson().draw(state.expected(masks, x, 1 / LOOKS), random)
-        found.append(squared_distance(state, masks, counts, 1 / LOOKS))
+        found.append(state.misfit(masks, counts, 1 / LOOKS))
         state.update(masks, counts, 1 / LOOKS)
     return torch.stack(found), counts.shape[1]
 

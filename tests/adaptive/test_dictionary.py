@@ -42,7 +42,7 @@ def exposed(state, looks=LOOKS, seed=3):
     """Masks (looks, b, N) and counts (looks, b) of exposures of the first scenes."""
     random, masks, counts = generator(seed), [], []
     for _ in range(looks):
-        look = choice.look_at(state, torch.from_numpy(X[: len(state)]), SHARE, random)
+        look = state.look_at(torch.from_numpy(X[: len(state)]), SHARE, random)
         state.update(look.masks, look.counts, SHARE)
         masks.append(look.masks)
         counts.append(look.counts[:, 0])
@@ -87,12 +87,12 @@ def test_a_dictionary_that_holds_the_mask_that_would_be_made_gives_it(spread, mo
     made = AdaptivePosterior(prior, 5, posterior.LookOptics(PHOTONS))
     random = generator(6)
     for look in range(1 if spread else LOOKS):
-        every = choice.candidate_masks(made).flatten(0, 1)
+        every = made.candidates().flatten(0, 1)
         dictionary = MaskDictionary.drawn(torch.cat([every]), len(every), random)
         state = state_of(prior, dictionary)
         state.logs.copy_(made.logs)
-        best = choice.next_masks(made, SHARE, random)
-        chosen = choice.next_masks(state, SHARE, random)
+        best = made.next_masks(SHARE, random)
+        chosen = state.next_masks(SHARE, random)
         gains = [scored(made, torch.stack([a, b])) for a, b in zip(best, chosen, strict=True)]
         for row, (own, other) in enumerate(gains):
             assert other[row] > own[row] - 1e-4

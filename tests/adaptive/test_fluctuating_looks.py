@@ -6,7 +6,7 @@ import torch
 from scipy.stats import nbinom
 
 from conftest import generator
-from deepfsi.adaptive import choice, posterior
+from deepfsi.adaptive import posterior
 from deepfsi.base.errors import InputError
 
 PIXELS = 12
@@ -85,7 +85,7 @@ def test_looks_vary_as_their_light_does(prior):
     state = posterior.AdaptivePosterior(prior, exposures, optics(arms=2, dark=100.0))
     x = torch.full((1, PIXELS), 0.4).expand(exposures, -1)
     state.logs = state.logs[:1].expand(exposures, -1)
-    look = choice.look_at(state, x, 0.5, generator(3))
+    look = state.look_at(x, 0.5, generator(3))
     light = look.light[0].double()
     of_mask = (look.masks == look.masks[0]).all(dim=1)
     counts = look.counts[of_mask].double()

@@ -104,10 +104,10 @@ def exposures(designs, digits, double):
             noise, looks = generator(number), []
             for _ in range(LOOKS):
                 start = float(torch.rand(1, 1, generator=generator(int(noise.initial_seed()))))
-                masks = choice.next_masks(state, share, generator(int(noise.initial_seed())))
+                masks = state.next_masks(share, generator(int(noise.initial_seed())))
                 mean = state.expected(masks, torch.from_numpy(x)[None].double(), share)
                 counts = torch.poisson(mean, generator=noise)
-                before = choice.candidate_masks(state)[0].tolist()
+                before = state.candidates()[0].tolist()
                 sure = float(state.class_weights.max())  # by which scenes are drawn: not calibrated
                 state.update(masks, counts, share)
                 looks.append(

@@ -9,7 +9,7 @@ to a power below 1, unless scenes are those of the prior (P. Grünwald and T. va
 Analysis 12, 1069 (2017), of powers where a model is not just right).
 So no look is loaded into the device, and none asks for products with the scenes.
 
-Masks are compared as those that are made anew (`choice`): by what their counts tell of the class,
+Masks are compared as those that are made anew: by what their counts tell of the class,
 on the scale of 2 √counts, for scenes drawn of the posterior. In each decision one part of the
 dictionary is compared, the next part in the next. Nothing is drawn by lot: the same counts give the
 same masks.
@@ -218,8 +218,8 @@ class DictionaryPosterior(AdaptivePosterior):
         self._chosen: tuple[Tensor | None, list[int]] = (None, [])
         """The last masks that were asked for, and their indices."""
 
-    def dictionary_masks(self) -> Tensor:
-        """Masks (b, N) to be shown next."""
+    def next_masks(self, share: float, generator: torch.Generator) -> Tensor:
+        """Masks (b, N) to be shown next; nothing is drawn."""
         indices = self.choose()
         [first, *others] = indices or [0]
         masks = self.dictionary.masks[indices if others else slice(first, first + len(indices))]

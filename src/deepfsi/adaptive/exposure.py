@@ -22,13 +22,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.adaptive.choice import Look, look_at
 from deepfsi.adaptive.dictionary import DictionaryPosterior, MaskDictionary
 from deepfsi.adaptive.posterior import (
     LEAST_WEIGHT,
     LIKELIHOODS_AT_ONCE,
     MOST_EXPOSURES,
     AdaptivePosterior,
+    Look,
     LookOptics,
     ScenePrior,
     confidence_of,
@@ -39,7 +39,7 @@ from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.designfile.design_file import AdaptiveHeader
+from deepfsi.designfile.design_file import MASKS_ARE_MADE, AdaptiveHeader
 from deepfsi.exposure.kind import (
     Answer,
     CountedLight,
@@ -51,12 +51,6 @@ from deepfsi.exposure.kind import (
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import Job
 from deepfsi.physics.detection import Detection
-
-MASKS_ARE_MADE = (
-    "this design makes its masks while the camera looks, and this takes masks that are known "
-    "before: `deepfsi evaluate`, `show`, `page`, `dmd export` and `camera live` take it"
-)
-"""Why adaptive masks are not for what needs masks."""
 
 
 def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
@@ -86,32 +80,6 @@ SHARING_SCENES = 1024
 
 The light of an exposure varies by some 0.6 of its mean, so that the mean is known to 4 % (95 %).
 """
-
-
-def squared_distance(
-    state: AdaptivePosterior, masks: Tensor, counts: Tensor, share: float
-) -> Tensor:
-    """Squared distance (b,) of counts (b, Q) behind the next masks (b, N) from those expected."""
-    mean, parts = state.prior.light(state.optics.readouts(masks))
-    gain = state.gain * share
-    dark = torch.as_tensor(state.optics.dark * share)
-    left = state.unknown(parts)
-    weights = state.weights[..., None]
-    scenes = left @ state.prior.coefficients.T  # (b, Q, n)
-    usual = scenes @ weights
-    apart = scenes - usual
-    light = (mean + state.offset_light(parts) + usual[..., 0]).clamp(min=0)
-    expected = light * gain + dark
-    covariance = (apart * weights[:, None, :, 0]) @ apart.transpose(1, 2)
-    if state.prior.spread:
-        covariance = covariance + left @ parts.transpose(1, 2)
-    if state.optics.fluctuation:
-        bright = state.optics.fluctuation * light[..., None]
-        covariance = covariance + bright @ bright.transpose(1, 2)
-    noise = torch.diag_embed(expected.clamp(min=1e-6))
-    away = (counts - expected)[..., None]
-    solved = torch.linalg.solve(covariance * gain**2 + noise, away)
-    return (away * solved)[..., 0].sum(dim=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +141,8 @@ def measure(
             state = exposure.posterior(len(rows), each)
             some.leave(state)
             for look, share in enumerate(settings.shares):
-                masks, counts, light = look_at(state, some.scenes, share, generator)
-                totals[row, look, rows] = squared_distance(state, masks, counts, share).double()
+                masks, counts, light = state.look_at(some.scenes, share, generator)
+                totals[row, look, rows] = state.misfit(masks, counts, share).double()
                 counted[row, look] += light.double().sum() / len(scenes)
                 state.update(masks, counts, share)
                 odds[row, look, rows] = state.odds
@@ -187,7 +155,7 @@ def _looks(
 ) -> Iterator[Look]:
     """Looks at scenes (b, N) one after another; the state knows a look when it is given."""
     for share in shares:
-        look = look_at(state, x, share, generator)
+        look = state.look_at(x, share, generator)
         state.update(look.masks, look.counts, share)
         yield look
 
@@ -230,10 +198,10 @@ class AdaptiveExposure(ExposureKind):
     makes_masks: ClassVar[bool] = True
     comparable: ClassVar[bool] = False
     refusals: ClassVar[dict[Use, str]] = {
-        "masks": MASKS_ARE_MADE,
-        "frames": MASKS_ARE_MADE,
-        "graph": MASKS_ARE_MADE,
-        "comparison": MASKS_ARE_MADE,
+        "masks": f"this design {MASKS_ARE_MADE}",
+        "frames": f"this design {MASKS_ARE_MADE}",
+        "graph": f"this design {MASKS_ARE_MADE}",
+        "comparison": f"this design {MASKS_ARE_MADE}",
         "ideal observer": (
             "adaptive masks are answered by the posterior of the ideal observer, after all looks: "
             "leave `ideal` out"
@@ -344,7 +312,7 @@ class AdaptiveExposure(ExposureKind):
         used = 0.0
         running = torch.arange(len(x))
         for index, share in enumerate(settings.shares):
-            look = look_at(state, x[running], share, generator)
+            look = state.look_at(x[running], share, generator)
             state.update(look.masks, look.counts, share)
             counts[index] = look.light.double().sum()
             used += share * len(running)

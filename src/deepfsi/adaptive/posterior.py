@@ -10,12 +10,16 @@ e = 0 they are Poisson counts, and this is the posterior of the ideal observer o
 
 Light that fluctuates is one more number ε of each look, normal and the same for all its readouts,
 which is learned with e while the readouts of the look are taken in, and is then forgotten.
+
+The next mask is chosen greedily. A candidate separates the likeliest classes in two groups: its
+mirrors are ON where the mean scenes of the groups differ most for the photon noise that they bring.
+Scenes drawn from the posterior say which candidate's counts tell most of the class.
 """
 
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
@@ -23,6 +27,7 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 from torch.nn import functional
 
+from deepfsi.adaptive.choice import difference_masks, draw_places, information
 from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import summed_reflectance
@@ -31,6 +36,7 @@ from deepfsi.designfile.design_file import Temperatures
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.exposure.kind import temperatures_at
 from deepfsi.jobs.exposures import AdaptiveMasks
+from deepfsi.physics.noise import Fluctuation, Poisson
 
 CENTRE_SPREAD = 1.4
 """How far scenes are taken to lie from centres of clusters, over the distance of their members.
@@ -328,6 +334,14 @@ def confidence_of(chances: Tensor) -> Tensor:
     return 1 - others.double().sum(dim=-1)
 
 
+class Look(NamedTuple):
+    """One look of exposures."""
+
+    masks: Tensor  # (b, N) of 0 and 1
+    counts: Tensor  # (b, Q)
+    light: Tensor  # (b, Q), counts that are expected without dark ones
+
+
 class AdaptivePosterior:
     """Posterior of the scene in b exposures that see masks of their own."""
 
@@ -361,9 +375,95 @@ class AdaptivePosterior:
         some._weights = some._class_sums = None
         return some
 
-    def dictionary_masks(self) -> Tensor | None:
-        """Masks (b, N) of a dictionary to be shown next; None where they are to be made."""
-        return None
+    def next_masks(self, share: float, generator: torch.Generator) -> Tensor:
+        """Masks (b, N) of 0 and 1 to be shown next, for a share of the exposure."""
+        masks = self.candidates()
+        places, drawn = draw_places(self.weights, generator, 128)
+        mean, parts = self.prior.light(self.optics.readouts(masks))  # (b, P, Q), (b, P, Q, d)
+        left = self.unknown(parts)
+        scenes = self.prior.coefficients[places].transpose(1, 2)  # (b, d, S), same for all masks
+        away = (left.flatten(1, 2) @ scenes).unflatten(1, mean.shape[1:])
+        light = (mean + self.offset_light(parts))[..., None] + away
+        gain = self.gain * share
+        dark = torch.as_tensor(self.optics.dark * share)[..., None]
+        counts = light.clamp(min=0) * gain + dark
+        unknown = left @ parts.transpose(2, 3) if self.prior.spread else None
+        if unknown is not None:
+            usual = (counts * drawn[:, None, None]).sum(dim=-1, keepdim=True)
+            steps = usual.clamp(min=1e-6).rsqrt()
+            scale = steps * gain
+            unknown = unknown * scale * scale.transpose(2, 3)
+            if self.optics.fluctuation:  # alike for all readouts of a look
+                bright = self.optics.fluctuation * (usual - dark) * steps
+                unknown = unknown + bright * bright.transpose(2, 3)
+        members = functional.one_hot(self.prior.labels[places], self.prior.classes)
+        best = information(counts, members * drawn[..., None], unknown).argmax(dim=1)
+        return masks[torch.arange(len(masks)), best]
+
+    def candidates(self) -> Tensor:
+        """Masks (b, P, N) that separate the likeliest classes in two groups."""
+        differ = self.group_differences()
+        scene = self.scene.clamp(min=1e-3)[:, None]  # reflectance of the mean scene at least
+        areas = self.optics.areas(scene)
+        return difference_masks(differ, scene.expand_as(differ), areas, self.optics.arms)
+
+    def group_differences(self) -> Tensor:
+        """Differences (b, P, N) of the mean scenes of two groups of the likeliest classes.
+
+        On one arm either group is the brighter one; on two the masks of both are the same.
+        """
+        chances = self.class_weights
+        sums = self.class_sums
+        count = min(4, chances.shape[1])  # classes that a mask is to separate at most
+        likely, top = chances.topk(count, dim=1)
+        own = sums.gather(1, top[..., None].expand(-1, -1, sums.shape[-1]))
+        # all ways to part them in two groups: 1 for one of them, the last in neither
+        numbers = torch.arange(1, 2 ** (count - 1))
+        groups = (numbers[:, None] >> torch.arange(count) & 1).to(sums.dtype)
+        means = [
+            (group @ own) / (likely @ group.T).clamp(min=1e-9)[..., None]
+            for group in (groups, 1 - groups)
+        ]
+        differ = self.unknown(means[0] - means[1]) @ self.prior.components
+        return torch.cat([differ, -differ], dim=1) if self.optics.arms == 1 else differ
+
+    def look_at(self, x: Tensor, share: float, generator: torch.Generator) -> Look:
+        """Next look at scenes (b, N) for a share of the exposure, which is not taken in yet."""
+        masks = self.next_masks(share, generator)
+        expected = self.expected(masks, x, share)
+        dark = self.optics.dark * share
+        light = expected - dark
+        if self.optics.fluctuation:
+            noise = Fluctuation(Poisson(), self.optics.fluctuation)
+            expected = light * noise.brightness(light[:, :1], generator) + dark
+        return Look(masks, Poisson().draw(expected, generator), light)
+
+    def misfit(self, masks: Tensor, counts: Tensor, share: float) -> Tensor:
+        """Squared distance (b,) of counts (b, Q) behind the next masks (b, N) from those expected.
+
+        Its metric is the covariance of the counts, so that its mean is Q where scenes are as the
+        prior has them.
+        """
+        mean, parts = self.prior.light(self.optics.readouts(masks))
+        gain = self.gain * share
+        dark = torch.as_tensor(self.optics.dark * share)
+        left = self.unknown(parts)
+        weights = self.weights[..., None]
+        scenes = left @ self.prior.coefficients.T  # (b, Q, n)
+        usual = scenes @ weights
+        apart = scenes - usual
+        light = (mean + self.offset_light(parts) + usual[..., 0]).clamp(min=0)
+        expected = light * gain + dark
+        covariance = (apart * weights[:, None, :, 0]) @ apart.transpose(1, 2)
+        if self.prior.spread:
+            covariance = covariance + left @ parts.transpose(1, 2)
+        if self.optics.fluctuation:
+            bright = self.optics.fluctuation * light[..., None]
+            covariance = covariance + bright @ bright.transpose(1, 2)
+        noise = torch.diag_embed(expected.clamp(min=1e-6))
+        away = (counts - expected)[..., None]
+        solved = torch.linalg.solve(covariance * gain**2 + noise, away)
+        return (away * solved)[..., 0].sum(dim=1)
 
     def expected(self, masks: Tensor, x: Tensor, share: float) -> Tensor:
         """Expected counts (b, Q) of scenes (b, N) behind masks (b, N) for a share of the whole."""

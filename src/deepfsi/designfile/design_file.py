@@ -177,6 +177,12 @@ STATISTICS = ("mean", "std", "shares")
 """Arrays of one number a feature."""
 
 
+MASKS_ARE_MADE = (
+    "makes its masks while the camera looks, and this takes masks that are known before: `deepfsi "
+    "evaluate`, `show`, `page`, `dmd export` and `camera live` take it"
+)
+"""Why a design of adaptive masks is refused."""
+
 DAMAGED = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
 """What arrays raise that do not fit their header."""
 
@@ -258,11 +264,7 @@ class DesignFile:
         """The header of a design whose masks are known before it is shown, or `InputError`."""
         if isinstance(self.header, MaskHeader):
             return self.header
-        raise InputError(
-            f"{self.path or 'this design'} makes its masks while the camera looks, and this takes "
-            "masks that are known before: `deepfsi evaluate`, `show`, `page`, `dmd export` "
-            "and `camera live` take it"
-        )
+        raise InputError(f"{self.path or 'this design'} {MASKS_ARE_MADE}")
 
     @property
     def camera(self) -> Camera | None:

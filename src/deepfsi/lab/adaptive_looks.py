@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.adaptive.choice import next_masks
 from deepfsi.adaptive.dictionary import DictionaryPosterior
-from deepfsi.adaptive.exposure import squared_distance
 from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.base.arrays import LARGEST_TENSORS
 from deepfsi.base.errors import InputError, as_input_error
@@ -158,7 +156,7 @@ class _AdaptiveLiveExposure:
     def ask(self, look: int) -> FrameList:
         """Frame of the mask that tells most of the class, as far as it is known."""
         share = self._looks.shares[look]
-        masks = next_masks(self._posterior, share, self._generator)
+        masks = self._posterior.next_masks(share, self._generator)
         gate = np.array([round(share * self._exposure_ns)])
         return FrameList(look, self._looks.frames, gate, masks.bool().numpy())
 
@@ -171,7 +169,7 @@ class _AdaptiveLiveExposure:
         masks = torch.from_numpy(asked.masks).float()
         self._look = asked.look
         if self._usual is not None:
-            self._misfit += float(squared_distance(self._posterior, masks, counts, share))
+            self._misfit += float(self._posterior.misfit(masks, counts, share))
         self._posterior.update(masks, counts, share)
         return self._posterior.chances[0].double().numpy()
 
@@ -222,7 +220,7 @@ class _StoredMaskExposure(_AdaptiveLiveExposure):
             masks = stored.masks[self._rows]
             counts = torch.tensor(self._counts)[:, None]
             share = self._looks.shares[0]
-            self._misfit = float(squared_distance(before, masks, counts, share).sum())
+            self._misfit = float(before.misfit(masks, counts, share).sum())
         return super().compare()
 
 
@@ -245,7 +243,7 @@ def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
         rails = stored.masks.double()[None] / len(stored)
     else:
         state = exposure.posterior(1, optics)
-        mask = next_masks(state, share, torch.Generator().manual_seed(0))
+        mask = state.next_masks(share, torch.Generator().manual_seed(0))
         rails = (torch.stack([mask, 1 - mask]) if optics.arms == 2 else mask[None]) * share
     detectors = camera.detector_map(design.image_shape)
     with as_input_error(str(path)):
