@@ -28,7 +28,7 @@ LINES = {
     "jobs": 1657,
     "lab": 4310,
     "patterns": 1504,
-    "physics": 1925,
+    "physics": 1872,
     "report": 1428,
     "sweeps": 2511,
     "training": 1582,

@@ -105,7 +105,7 @@ def test_learned_masks_beat_their_start_in_dim_light(digits):
 def test_two_arms_that_are_both_read_start_where_one_arm_does(digits):
     """Masks that hardly learn are the frames of one arm, within the range of a start."""
     still = {**RECIPE, "photons": 1e3, "masks": 6, "epochs": 1, "mask_lr": 1e-9}
-    one = learn(digits, light="free-dwell", rails="single", **still).rails.plus
+    one = learn(digits, light="free-dwell", rails="single", **still).rails.stacked[0]
     lit = one.amax(dim=0) > 0
     start = (one / one.amax(dim=-1, keepdim=True))[:, lit]
     for readout, alike in (("both", True), ("difference", False)):

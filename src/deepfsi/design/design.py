@@ -117,7 +117,7 @@ class Design:
 
     @property
     def rails(self) -> Rails:
-        """Rails `plus` and `minus` (m, N) of the masks; `stacked` (2 or 1, m, N)."""
+        """Rails of the masks; `stacked` (2 or 1, m, N) has the positive ones first."""
         return self.mask_exposure.rails
 
     @property

@@ -145,7 +145,7 @@ class MaskExposure(ExposureKind):
     """
 
     entry: Entry  # of the design file's header
-    rails: Rails  # `plus` and `minus` (m, N), shares of each pixel's photons
+    rails: Rails  # (m, N), shares of each pixel's photons
     light: LightLawName  # light law that the rails obey
     image_shape: tuple[int, ...]
     detection: Detection

@@ -80,28 +80,11 @@ class Rails:
         return torch.stack(sums, dim=-3) / 2
 
     @property
-    def plus(self) -> Tensor:
-        """M⁺, (..., m, N), or the one rail."""
-        return self.stacked[..., 0, :, :]
-
-    @property
-    def minus(self) -> Tensor | None:
-        """M⁻, (..., m, N); None for one rail."""
-        return None if self._total is None else self.stacked[..., 1, :, :]
-
-    @property
     def combined(self) -> Tensor:
         """Difference and total as one tensor (2, ..., m, N), or the one rail (..., m, N)."""
         if self._total is None:
             return self.difference
         return torch.stack([self.difference, self._total])
-
-    @property
-    def apart(self) -> "Rails":
-        """A single rail of 2 m masks: M⁺ and M⁻ of each mask in turn."""
-        if self._total is None:
-            return self
-        return Rails(self.stacked.transpose(-3, -2).flatten(-3, -2))
 
     def map(self, change: Callable[..., Tensor], *others: "Rails") -> "Rails":
         """Rails with `change` applied to the difference, and to the total, of these and others."""
@@ -184,8 +167,10 @@ class Detection:
         return self.count * (rails if self.readout == "both" else 1)
 
     def read_of(self, rails: Rails) -> Rails:
-        """Masks with one feature each: for `both`, a single rail of 2 m masks."""
-        return rails if self.readout == "difference" else rails.apart
+        """Masks with one feature each: for `both`, one rail with M⁺ and M⁻ of each in turn."""
+        if self.readout == "difference" or rails.count == 1:
+            return rails
+        return Rails(rails.stacked.transpose(-3, -2).flatten(-3, -2))
 
     def features(self, counts: Tensor) -> Tensor:
         """Features (..., k) from counts (..., 2 or 1, m · D); k is m times `width`."""

@@ -27,9 +27,6 @@ from deepfsi.physics.detection import Rails
 ROUNDING_SLACK = 1e-5
 """Relative excess that float32 rounding may cause and `LightLaw.check` forgives."""
 
-BRIGHTEST = 1e30
-"""Entry beyond which sums of float32 may be infinite."""
-
 Weights = Mapping[str, Tensor]
 """Weights of learned masks and their scale, by name."""
 
@@ -130,9 +127,9 @@ class LightLaw(ABC):
             raise InputError(
                 'the matrix has negative entries: use `rails="dual"`, or give frames of 0 or more'
             )
-        if float(rails.max()) > BRIGHTEST:
+        if float(rails.max()) > 1e30:  # sums of float32 may be infinite
             raise InputError(
-                f"the matrix has entries above {BRIGHTEST:g}: give shares of each pixel's photons"
+                "the matrix has entries above 1e+30: give shares of each pixel's photons"
             )
         factor = 1 + self.excess(rails)
         if factor > 1 + ROUNDING_SLACK:
@@ -351,16 +348,11 @@ class _Dose(_Column):
         return self.limited(weights, kind, self.most(sums))
 
 
-LAW_CLASSES: dict[str, type[LightLaw]] = {
-    law.name: law for law in (_Column, _EqualDwell, _FreeDwell, _TwoArm, _Dose)
-}
-"""Class of each light law, by its name."""
-
-
 def light_law(name: str) -> LightLaw:
     """Light law of a name; `InputError` if there is none."""
     check_light_law(name, "dual")
-    return LAW_CLASSES[name]()
+    laws = {law.name: law for law in (_Column, _EqualDwell, _FreeDwell, _TwoArm, _Dose)}
+    return laws[name]()
 
 
 def signed_parts(matrix: Tensor) -> Tensor:
@@ -428,17 +420,7 @@ def share_out(dwell: Tensor, shortest: float) -> Tensor:
 
 def through(continuous: Tensor, shown: Tensor) -> Tensor:
     """The second tensor, exactly, with the gradient of the first (straight through)."""
-    return _Through.apply(continuous, shown)  # type: ignore[no-untyped-call]
-
-
-class _Through(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, continuous: Tensor, shown: Tensor) -> Tensor:
-        return shown
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
-        return gradient, None
+    return shown + (continuous - continuous.detach())
 
 
 class FixedMasks(nn.Module):

@@ -22,7 +22,7 @@ from torch import Tensor
 from deepfsi.base.errors import InputError
 from deepfsi.base.registry import load_plugin
 from deepfsi.camera.camera import Camera
-from deepfsi.camera.names import NoiseFacts, check_noise, find_noise, noise_name
+from deepfsi.camera.names import check_noise, find_noise, noise_name
 from deepfsi.physics.detection import Readouts
 
 Random = torch.Generator | None
@@ -55,11 +55,6 @@ class Noise(ABC):
     unbiased: ClassVar[bool] = True
     # Whether `mean` and `variance` are known and readouts are independent
     has_moments: ClassVar[bool] = True
-
-    @property
-    def facts(self) -> NoiseFacts:
-        """Its entry in the table of noises."""
-        return find_noise(self.name)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -369,7 +364,7 @@ class Fluctuation(Noise):
     has_moments = False  # readouts of one frame are correlated
 
     def __post_init__(self) -> None:
-        if self.inner.facts.gates:
+        if find_noise(self.inner.name).gates:
             raise InputError("clicks have no light that fluctuates here: give another noise")
 
     @property
@@ -442,12 +437,6 @@ class Fluctuation(Noise):
         return torch.exp(sigma * _normal(like, random) - sigma**2 / 2)
 
 
-NOISE_CLASSES: dict[str, type[Noise]] = {
-    noise.name: noise for noise in (_NoNoise, Gaussian, Poisson, _MlGauss, _CameraNoise, Click)
-}
-"""Class of each noise of the package, by its name."""
-
-
 def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
     """Noise of a name, an import path or a function."""
     if isinstance(setting, Noise):
@@ -457,8 +446,11 @@ def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
     elif ":" in check_noise(setting):
         noise = _CustomNoise(load_plugin(setting), setting)
     else:
-        made = NOISE_CLASSES[setting]
-        names = {field_.name for field_ in fields(made)}  # type: ignore[arg-type]
+        known = {
+            each.name: each for each in (_NoNoise, Gaussian, Poisson, _MlGauss, _CameraNoise, Click)
+        }
+        made = known[setting]
+        names = {each.name for each in fields(made)}
         noise = made(**{name: one for name, one in numbers.items() if name in names})
     dark = numbers.get("dark", 0.0)
     if not (isinstance(dark, int | float) and math.isfinite(dark) and dark >= 0):
@@ -516,14 +508,11 @@ def _normal(like: Tensor, random: Random) -> Tensor:
     return torch.randn(like.shape, generator=random, device=like.device, dtype=like.dtype)
 
 
-MOST_CLICKS = 0.95
-"""Share of clicking gates above which the user is warned. With r photons a gate, the information on
-log r is r² e⁻ʳ / (1 − e⁻ʳ): highest at a share of 0.80, and at 0.95 only 0.73 of its maximum."""
-
-
 def full_gates(share: float, photons: float) -> str | None:
     """Warning if nearly all gates click, else None."""
-    if share <= MOST_CLICKS:
+    # With r photons a gate, the information on log r is r² e⁻ʳ / (1 − e⁻ʳ): highest at a share of
+    # 0.80, and at 0.95 only 0.73 of its maximum
+    if share <= 0.95:
         return None
     return (
         f"at {photons:.3g} photons {share:.0%} of the gates click, which tells little of a scene: "

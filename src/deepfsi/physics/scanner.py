@@ -69,20 +69,9 @@ class Scanner(nn.Module):
         dark: float = 0.0,
         detection: Detection | None = None,
     ) -> "Scanner":
-        """Scanner with fixed rails.
+        """Scanner with fixed rails (2 or 1, m, N): shares of each pixel's light.
 
-        Parameters
-        ----------
-        rails : tensor, shape (2 or 1, m, N)
-            Share of each pixel's light that each readout counts.
-        noise : str or callable
-            A name such as ``"poisson"``, an import path, or a function of rates and a generator.
-        sigma : float
-            Read noise in counts rms per readout, for gaussian and camera noise.
-        dark : float
-            Expected dark counts of a detector in the whole exposure, for camera noise.
-        detection : Detection, optional
-            Detectors. Default: one, which reads the difference of two rails.
+        Parameters as for `Scanner`.
         """
         return cls(FixedMasks(rails), noise, sigma, dark, detection)
 
@@ -94,21 +83,21 @@ class Scanner(nn.Module):
         """
         noise = self.noise
         seen = self.detection
+        rails: Rails = self.masks()  # once a step: learned masks compute them from their weights
+        arranged = rails.map(seen.arrange)
+        read = seen.readouts(arranged)
         if noise.draws_rails:
-            rates = self.rates(photons)
-            counts = seen.features(self.read(rates, generator))
+            rates = self._rates(photons, rails)
+            counts = seen.features(self._drawn(rates, rails, generator))
             if not noise.unbiased:  # its draws bring a gradient
                 return counts
-            read = seen.readouts(self._arranged())
             light = Expectation(seen.features(rates), seen.totals(rates), read)
             return noise.gradient(counts, light)
-        arranged = self._arranged()
         masks = seen.read_of(arranged)
         if not noise.of_light:
             masks = Rails(masks.difference)  # spares the product with the total
-        mean, total = project_rails(self._light(photons), masks, seen.count)
-        light = Expectation(mean, total, seen.readouts(arranged))
-        return noise.features(light, generator)
+        mean, total = project_rails(self._light(photons, rails), masks, seen.count)
+        return noise.features(Expectation(mean, total, read), generator)
 
     def counts(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Noisy counts (..., [replicas,] rails, m · D) of photons (..., N).
@@ -118,43 +107,45 @@ class Scanner(nn.Module):
         """
         return self.read(self.rates(photons), generator)
 
+    def rates(self, photons: Tensor) -> Tensor:
+        """Expected counts of each rail; shapes as `counts`."""
+        return self._rates(photons, self.masks())
+
     def read(self, rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Noisy counts of rails from their expected counts; shapes as `counts`."""
-        read = self._readouts(rates.shape[-2])
-        return self.noise.sample(rates, read, self.noise.dark_counts(read.time), generator)
+        return self._drawn(rates, self.masks(), generator)
 
     def dark_counts(self, rails: int) -> Tensor:
         """Expected dark counts (rails, m · D) of one exposure; a dark rail is not read out."""
-        read = self._readouts(rails)
+        read = self._readouts(rails, self.masks())
         return torch.where(read.active, self.noise.dark_counts(read.time), 0.0)
 
     def moments(self, rates: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and variance (..., k) of features whose expected counts are `rates`."""
-        read = self._readouts(rates.shape[-2])
+        read = self._readouts(rates.shape[-2], self.masks())
         alone = Readouts(*(tensor.unsqueeze(0) for tensor in read))  # each rail is a feature
         power = self.noise.variance(Expectation(rates, rates, alone))
         power = torch.where(read.active, power, 0.0).expand_as(rates)
         return self.detection.features(self.noise.mean(rates)), self.detection.totals(power)
 
-    def _readouts(self, rails: int) -> Readouts:
+    def _rates(self, photons: Tensor, rails: Rails) -> Tensor:
+        frames = self.detection.arrange(rails.stacked)
+        return project(self._light(photons, rails), frames, self.detection.count)
+
+    def _drawn(self, rates: Tensor, rails: Rails, generator: torch.Generator | None) -> Tensor:
+        read = self._readouts(rates.shape[-2], rails)
+        return self.noise.sample(rates, read, self.noise.dark_counts(read.time), generator)
+
+    def _readouts(self, count: int, rails: Rails) -> Readouts:
         """Readouts (..., rails, m · D): which rails are read out, and for how long."""
-        every = Detection(count=self.detection.count).readouts(self._arranged())
-        read = Readouts(*(tensor.movedim(0, -2)[..., :rails, :] for tensor in every))
+        arranged = rails.map(self.detection.arrange)
+        every = Detection(count=self.detection.count).readouts(arranged)
+        read = Readouts(*(tensor.movedim(0, -2)[..., :count, :] for tensor in every))
         return read._replace(time=read.time.detach())
 
-    def rates(self, photons: Tensor) -> Tensor:
-        """Expected counts of each rail; shapes as `counts`."""
-        frames = self.detection.arrange(self.masks().stacked)
-        return project(self._light(photons), frames, self.detection.count)
-
-    def _arranged(self) -> Rails:
-        """Rails with the pixels of each detector together."""
-        rails: Rails = self.masks()
-        return rails.map(self.detection.arrange)
-
-    def _light(self, photons: Tensor) -> Tensor:
+    def _light(self, photons: Tensor, rails: Rails) -> Tensor:
         """Photons, checked and arranged by detector."""
-        return self.detection.arrange(_flat(photons, self.masks().difference.shape[-1]))
+        return self.detection.arrange(_flat(photons, rails.difference.shape[-1]))
 
 
 def _flat(photons: Any, pixels: int) -> Tensor:

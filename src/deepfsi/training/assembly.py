@@ -9,7 +9,7 @@ from torch import nn
 from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget, summed_reflectance
-from deepfsi.camera.names import LightLawName
+from deepfsi.camera.names import LightLawName, find_noise
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
@@ -120,7 +120,7 @@ def designs_of(exposure: ExposureTraining, classifiers: Sequence[nn.Module]) -> 
 def _job(scanner: Scanner, rails: Rails, photons: float, light: LightLawName) -> Job:
     """The known settings of a training elsewhere."""
     detection = scanner.detection
-    noise = scanner.noise.facts.stands_for or scanner.noise.name
+    noise = find_noise(scanner.noise.name).stands_for or scanner.noise.name
     optics: dict[str, Any] = {"light": light, "noise": noise, **scanner.noise.settings}
     optics |= {"rails": rails.kind, "readout": detection.readout}
     if detection.labels is not None:
