@@ -10,11 +10,11 @@ from torch import Tensor
 def difference_masks(differ: Tensor, scene: Tensor, areas: Tensor, arms: int = 1) -> Tensor:
     """Masks (..., N) of 0 and 1 with the largest difference over its photon noise.
 
-    Of pixels with differences d (..., N) and light μ (..., N) these are those of a mask F that
-    maximises, on the pixels (D, N) of each detector, (Σ F d)² / Σ F μ, and the same of 1 − F with
-    two arms: d / μ of each is above the mean of what it is of those ON and of those OFF together,
-    which is 0 with one arm. Found in steps, it may be a local maximum.
+    Pixels have differences d (..., N) and light μ (..., N). A mask F maximises (Σ F d)² / Σ F μ
+    over the pixels (D, N) of each detector; with two arms, the sum of this for F and 1 − F.
     """
+    # At the maximum a pixel is ON where d / μ exceeds a threshold: half of Σ F d / Σ F μ, plus half
+    # of the same for 1 − F with two arms. A few steps find it, or a local maximum
     ratio = differ / scene
     threshold = torch.zeros_like(differ)
     if arms == 2:

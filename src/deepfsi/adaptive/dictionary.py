@@ -1,18 +1,16 @@
-"""Adaptive masks of a dictionary that stays on the device: only an index is chosen, by tables.
+"""Adaptive masks of a dictionary that stays on the device: tables choose an index.
 
-The masks are known before, so that the expected counts of all scenes behind all masks are, too.
-Counts n of a look change the log-probability of scene k by n · U[p, k] − V[p, k], with two tables
-of the dictionary. What scenes near those of the prior add, a normal e, is not learned from look to
-look as by `AdaptivePosterior`: the counts of each look are of a negative binomial law of its own.
-As e is the same in all looks, they tell less together than apart: the likelihood of each is taken
-to a power below 1, unless scenes are those of the prior (P. Grünwald and T. van Ommen, Bayesian
-Analysis 12, 1069 (2017), of powers where a model is not just right).
-So no look is loaded into the device, and none asks for products with the scenes.
+No look is loaded into the device, and none multiplies masks with scenes. Counts n of a look behind
+mask p change the log-probability of scene k by n · U[p, k] − V[p, k], with two tables.
 
-Masks are compared as those that are made anew: by what their counts tell of the class,
-on the scale of 2 √counts, for scenes drawn of the posterior. In each decision one part of the
-dictionary is compared, the next part in the next. Nothing is drawn by lot: the same counts give the
-same masks.
+Scenes near those of the prior differ from them by a normal e, which `AdaptivePosterior` learns from
+look to look. Tables cannot: each look has a negative binomial law of its own. As e is the same in
+all looks, they tell less together than apart, and the likelihood of each is taken to a power below
+1 (P. Grünwald and T. van Ommen, Bayesian Analysis 12, 1069 (2017), on models that are not right).
+
+Masks are compared by what their counts tell of the class, as masks that are made are. Each decision
+compares one part of the dictionary, the next decision the next. The same counts give the same
+masks.
 """
 
 import math
@@ -43,17 +41,13 @@ All where there are no more.
 
 
 SUMMED = 16
-"""Scenes whose probabilities are added before one is drawn among them."""
-
-RUNNING = np.triu(np.ones((SUMMED, SUMMED), np.float32))
-"""Sums of the first scenes of a block of them."""
-
+"""Scenes of a block, whose probabilities are added before one of them is drawn."""
 
 TABLED = 64
-"""Masks of which tables are computed at a time."""
+"""Masks whose tables are computed at a time."""
 
 POWER = 0.85
-"""Power of the likelihood of a look at scenes that lie near those of the prior.
+"""Power of the likelihood of a look, where scenes lie near those of the prior.
 
 Chosen on training images of MNIST that were left out of the prior.
 """
@@ -64,7 +58,7 @@ SAME_SHARE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class _MaskTables:
-    """Tables of the counts of a look: n scenes behind each of P masks, in parts of masks."""
+    """Tables of the counts of a look, for n scenes behind each of P masks."""
 
     share: float  # of the exposure, of a look
     by_count: np.ndarray  # (P, n), U: what a count adds to the log-probability of a scene
@@ -128,8 +122,8 @@ class _MaskTables:
 
 
 def _parts(masks: int, scenes: int) -> int:
-    """Parts of a dictionary, of which each decision compares one."""
-    # some 500 masks are compared, or more where the probabilities of many scenes take longer
+    """Parts of a dictionary; each decision compares one."""
+    # about 500 masks are compared, or more where the probabilities of many scenes take longer
     return max(1, round(masks / max(500, scenes / 30)))
 
 
@@ -149,7 +143,7 @@ class MaskDictionary:
 
     @classmethod
     def drawn(cls, masks: Tensor, count: int, generator: torch.Generator) -> "MaskDictionary":
-        """So many of masks (M, N), each once, by lot; all where there are no more."""
+        """At most `count` different masks, drawn from masks (M, N)."""
         every = torch.unique(masks.bool(), dim=0)
         every = every[every.any(dim=1)]
         order = torch.randperm(len(every), generator=generator)[:count]
@@ -212,6 +206,7 @@ class DictionaryPosterior(AdaptivePosterior):
         self._points = np.arange(drawn, dtype=np.float32) / drawn
         self._ones = np.ones(drawn, np.float32)
         self._block = np.ones(SUMMED, np.float32)
+        self._running = np.triu(np.ones((SUMMED, SUMMED), np.float32))  # sums of the first scenes
         self._sums = np.zeros((-(-len(prior) // SUMMED), SUMMED), np.float32)
         self._powers = self._sums.reshape(-1)[: len(prior)]
         self._change = np.empty(len(prior), np.float32)
@@ -288,5 +283,5 @@ class DictionaryPosterior(AdaptivePosterior):
         block = ends.searchsorted(points)
         ends -= blocks
         points -= ends.take(block)
-        inside = self._sums.take(block, axis=0) @ RUNNING
+        inside = self._sums.take(block, axis=0) @ self._running
         return block * SUMMED + (inside < points[:, None]).argmin(axis=1)

@@ -1,15 +1,10 @@
 """Exposures with adaptive masks: their looks, their misfit, and their training, which has no steps.
 
-Light may be shared among exposures: each ends as soon as the probability of a class is above a
-threshold, and takes at most so many times the budget, which then is the mean of all. The threshold
-is found with training scenes, each left out of the prior, as a scene that the prior holds is sure
-sooner than others.
+Exposures may share light: each ends when the probability of a class exceeds a threshold. The budget
+is then the mean of all, and the largest exposure takes `cap` budgets.
 
-Before a look the posterior says which counts are to be expected, and how they vary. Were scenes
-just as the prior has them, the squared distance of counts from that, in the metric of their
-covariance, would be 1 a readout in the mean, whatever was shown before. How large the sum of all
-looks is, is measured with training scenes, each of which is left out of the prior; centres of
-clusters stay, as each stands for many scenes.
+Thresholds and misfits are measured with training scenes. Each is left out of the prior, which would
+recognise it sooner and better than a new scene; centres of clusters stay, as each stands for many.
 """
 
 from bisect import bisect_right
@@ -69,7 +64,7 @@ def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
 
 
 MISFIT_BUDGETS = (0.1, 1.0, 10.0)
-"""Budgets of the measurement, over that of the training."""
+"""Budgets at which the misfit is measured, as multiples of the training's."""
 
 SMALLEST_MISFIT = 1e-6
 """Misfit below which it is taken for this."""
@@ -109,7 +104,7 @@ class UsualMisfit:
         return made
 
     def chance(self, total: float, look: int, photons: float) -> float:
-        """Share of sound exposures with so large a misfit after a look, from 0, at a budget."""
+        """Share of sound exposures whose misfit after a look, from 0, exceeds this total."""
         from scipy.special import ndtr
 
         at = np.log(np.clip(photons, self.budgets[0], self.budgets[-1]))
@@ -185,7 +180,7 @@ def _last_looks(confidence: np.ndarray, threshold: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveExposure(ExposureKind):
-    """Exposure of which each mask is made of the counts so far."""
+    """Exposure whose masks are each made from the counts so far."""
 
     prior: ScenePrior  # of scenes: the training scenes, in components
     settings: AdaptiveMasks  # looks, and the share of the exposure that each takes
@@ -193,7 +188,7 @@ class AdaptiveExposure(ExposureKind):
     shares: Tensor  # (K,), share of the budget that each look counts
     camera: Camera  # that it was made for
     usual_misfit: UsualMisfit | None = None
-    dictionary: MaskDictionary | None = None  # masks of which each look shows one
+    dictionary: MaskDictionary | None = None  # each look shows one of its masks
 
     makes_masks: ClassVar[bool] = True
     comparable: ClassVar[bool] = False
@@ -226,7 +221,7 @@ class AdaptiveExposure(ExposureKind):
         )
 
     def check(self, use: Use, name: str | None = None) -> None:
-        """Raise `InputError` where a design, of such a name, cannot be used for something."""
+        """Raise `InputError` if a design, called `name` in the message, refuses a use."""
         super().check(use, name)
         if use == "page" and self.dictionary is not None:
             raise InputError(
@@ -274,14 +269,14 @@ class AdaptiveExposure(ExposureKind):
         return LookOptics.of(camera or self.camera, self.image_shape, photons)
 
     def posterior(self, exposures: int, optics: LookOptics) -> AdaptivePosterior:
-        """Posterior of so many exposures before all looks, which also chooses their masks."""
+        """Posterior of b exposures before the first look, which also chooses their masks."""
         if self.dictionary is None:
             return AdaptivePosterior(self.prior, exposures, optics)
         share = self.settings.shares[0]
         return DictionaryPosterior(self.dictionary, self.prior, exposures, optics, share=share)
 
     def exposures(self, scenes: Tensor, camera: Camera, network: Network) -> Exposures:
-        """Exposures of scenes (n, N), each of which stops where it is sure enough."""
+        """Exposures of scenes (n, N); each stops when one class is certain enough."""
 
         def expose(photons: float, generator: torch.Generator) -> tuple[Answer, CountedLight]:
             optics = self.optics_at(photons, camera)
@@ -302,10 +297,7 @@ class AdaptiveExposure(ExposureKind):
     def _run(
         self, state: AdaptivePosterior, x: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, Tensor, float]:
-        """Expose scenes (b, N) from the state before all looks: chances (b, C), counts (K,), light.
-
-        The light is that of all together, over the budget.
-        """
+        """Expose scenes (b, N): probabilities (b, C), counts (K,), and light in budgets."""
         settings = self.settings
         chances = torch.empty(len(x), state.prior.classes)
         counts = torch.zeros(settings.looks, dtype=torch.double)
@@ -328,9 +320,9 @@ class AdaptiveExposure(ExposureKind):
         return chances, counts, used
 
     def with_fewer_scenes(self, coefficients: int, seed: int) -> "AdaptiveExposure":
-        """The exposure with fewer scenes in its prior, which have at most these coefficients.
+        """The exposure with fewer scenes in its prior: at most this number of coefficients.
 
-        It never ends early, except where exposures share light.
+        It never ends early, unless exposures share light.
         """
         prior = self.prior.subset(coefficients // len(self.prior.components), seed)
         if self.settings.cap > 1:
@@ -353,21 +345,21 @@ def answer_of(chances: Tensor) -> Answer:
 
 
 class LeftOutScenes(NamedTuple):
-    """Training scenes, each of which is left out of the prior when it is exposed."""
+    """Training scenes; each is left out of the prior while it is exposed."""
 
     scenes: Tensor  # (S, N)
     labels: Tensor  # (S,)
     places: Tensor | None  # (S,)
 
     def leave(self, state: AdaptivePosterior) -> None:
-        """Take each scene for impossible in the exposure of its row."""
+        """Make each scene impossible in the exposure of its row."""
         if self.places is not None:
             state.logs[torch.arange(len(state)), self.places] = -torch.inf
 
     def parts(
         self, size: int, report: Progress = SILENT
     ) -> Iterator[tuple[Tensor, "LeftOutScenes"]]:
-        """Rows and scenes, so many at a time."""
+        """Rows and scenes, at most `size` at a time."""
         every = torch.arange(len(self.scenes)).split(size)
         for done, rows in enumerate(every, start=1):
             places = None if self.places is None else self.places[rows]

@@ -1,15 +1,13 @@
-"""Prior and posterior of the scene in exposures that see masks of their own, look after look.
+"""Prior and posterior of the scene in exposures that see their own masks, look after look.
 
-The prior are training scenes, and how far other scenes lie from them.
+The prior holds training scenes x_k. Other scenes lie near them: x_k + e, where e is normal with one
+covariance for all k. Counts tell the same of e whatever k is, but for a term that is linear in x_k,
+so that the likelihood of all scenes takes one product a readout. The light then varies as e does,
+and counts have a negative binomial law. With e = 0 they are Poisson counts, and this is the
+posterior of the ideal observer of the same masks.
 
-Scenes near a scene k of the prior are x_k + e, with a normal e whose covariance is the same for all
-k. What the counts tell of e is the same for all k, too, but for a term that is linear in the scene:
-the likelihood of all scenes takes one product a readout, as for e = 0. Counts are then those of a
-negative binomial law, Poisson counts of a light that varies about its mean as e makes it; with
-e = 0 they are Poisson counts, and this is the posterior of the ideal observer of the same masks.
-
-Light that fluctuates is one more number ε of each look, normal and the same for all its readouts,
-which is learned with e while the readouts of the look are taken in, and is then forgotten.
+Light that fluctuates adds one normal number ε to each look, the same for all its readouts. It is
+learned with e from the readouts of the look, and then forgotten.
 
 The next mask is chosen greedily. A candidate separates the likeliest classes in two groups: its
 mirrors are ON where the mean scenes of the groups differ most for the photon noise that they bring.
@@ -39,11 +37,10 @@ from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.physics.noise import Fluctuation, Poisson
 
 CENTRE_SPREAD = 1.4
-"""How far scenes are taken to lie from centres of clusters, over the distance of their members.
+"""Distance of new scenes from centres of clusters, as a multiple of that of the clusters' members.
 
 Chosen on 1024 validation images of MNIST at 1e4 photons: with 1 the posterior is too sure.
 """
-
 
 LEAST_LIGHT = 1e-6
 """Least light of a scene through a mask, over that of the whole mean scene."""
@@ -53,7 +50,6 @@ LEAST_WEIGHT = 1e-30
 
 LARGEST_SIZE = 1e9
 """Size of the negative binomial law beyond which it is Poisson's within float32."""
-
 
 LIKELIHOODS_AT_ONCE = 2**22
 """Log-likelihoods that are held at a time."""
@@ -127,7 +123,7 @@ class ScenePrior:
 
     @property
     def exposed_at_once(self) -> int:
-        """Exposures of which the memory holds the likelihoods, and the caches the masks."""
+        """Exposures at a time: memory holds their likelihoods, caches their masks."""
         return max(1, min(MOST_EXPOSURES, LIKELIHOODS_AT_ONCE // len(self)))
 
     def with_temperatures(self, temperatures: Temperatures) -> "ScenePrior":
@@ -326,10 +322,8 @@ def class_chances(weights: Tensor, sizes: Sequence[int]) -> Tensor:
 
 
 def confidence_of(chances: Tensor) -> Tensor:
-    """Probability (...) of the likeliest of the classes (..., C), in double precision.
-
-    Written as 1 less those of the others, which keep their digits where it rounds to 1.
-    """
+    """Probability (...) of the likeliest class, of (..., C), in double precision."""
+    # 1 less the rest: small probabilities keep their digits where the likeliest rounds to 1
     others = chances.scatter(-1, chances.argmax(dim=-1, keepdim=True), 0.0)
     return 1 - others.double().sum(dim=-1)
 
@@ -367,7 +361,7 @@ class AdaptivePosterior:
         return len(self.logs)
 
     def rows_of(self, rows: Tensor) -> Self:
-        """Posterior of some of the exposures, (b,) true."""
+        """Posterior of the exposures where `rows` (b,) is true."""
         some = copy(self)
         some.logs = self.logs[rows]
         some._known = self._known[rows]
@@ -538,7 +532,7 @@ class AdaptivePosterior:
         return flat.view(parts.shape)
 
     def offset_light(self, parts: Tensor) -> Tensor:
-        """Light (b, ...) that the mean of e adds to that of the mean scene, of (b, ..., d)."""
+        """Light (b, ...) that the mean of e adds, from the light of each component (b, ..., d)."""
         return (parts.flatten(1, -2) @ self._shift[..., None])[..., 0].view(parts.shape[:-1])
 
     @property

@@ -147,7 +147,7 @@ class Temperatures:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, np.ndarray], stops: int) -> "Temperatures":
-        """Temperatures from a design file, or `ValueError` if it holds none of so many stops."""
+        """Temperatures from a design file, or `ValueError` if they have other stops."""
         logs, budgets = (arrays[name].astype(float) for name in ("logs", "budgets"))
         if logs.shape != (stops, len(budgets)) or len(budgets) < 2 or not budgets.min() > 0:
             raise ValueError("temperatures are not of this design")
@@ -165,11 +165,11 @@ class Temperatures:
 
     @property
     def dimmest(self) -> float:
-        """Lowest budget of which a design can say something: a tenth of the training's lowest."""
+        """Lowest budget at which a design answers: a tenth of the training's lowest."""
         return float(self.budgets[0]) * CALIBRATION_REACH / TOO_DIM
 
     def scaled(self, factor: float) -> "Temperatures":
-        """Temperatures where the same counts take so many times the budget."""
+        """Temperatures of a device that needs `factor` times the budget for the same counts."""
         return Temperatures(self.logs, self.budgets * factor)
 
 
@@ -221,7 +221,7 @@ class DesignFile:
         return file
 
     def to_bytes(self) -> bytes:
-        """Content of the file: of one that was read, its bytes."""
+        """Content of the file; the bytes of a file that was read."""
         text = self.text
         if text is None:
             text = json.dumps(self.header.model_dump(mode="json", by_alias=True))
@@ -229,7 +229,7 @@ class DesignFile:
         return save(whole, metadata={"deepfsi": text})
 
     def arrays_of(self, owner: str) -> dict[str, np.ndarray]:
-        """Arrays of what a design has, such as its `classifier`, by their names there."""
+        """Arrays of a part of the design, such as its `classifier`, by their names there."""
         start = f"{owner}."
         every = self.arrays.items()
         return {name.removeprefix(start): array for name, array in every if name.startswith(start)}
@@ -346,7 +346,7 @@ SHIPPED_DESIGNS = Path(str(files(__package__) / "shipped"))
 
 
 def find_design(given: str | os.PathLike[str]) -> Path:
-    """Path of a design file: the one that was given, or that of a published design by its name.
+    """Path of a design file, or of a published design by its name.
 
     A name has no ending and no separator, and nothing is at that path.
     """

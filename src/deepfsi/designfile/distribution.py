@@ -46,23 +46,23 @@ class ConsistencyResult:
     """Consistency of exposures with the training of a design."""
 
     exposures: np.ndarray  # (...), p-value of each exposure
-    whole: float  # p-value of all of them together
-    alike: float  # p-value of how little they differ from each other
+    whole: float  # p-value of all exposures together
+    alike: float  # p-value of the differences between exposures: small if they are too alike
     brightness: float  # all counts over those that the mean scene has at these budgets
 
     @property
     def unsure(self) -> np.ndarray:
-        """True for exposures (...) that are less consistent than all but a share `UNSURE`."""
+        """Exposures (...) with a p-value below `UNSURE`."""
         return self.exposures < UNSURE
 
     @property
     def refused(self) -> bool:
-        """True if all together are less consistent than all but a share `REFUSED` of sound ones."""
+        """Whether the p-value of all together is below `REFUSED`."""
         return self.whole < REFUSED
 
     @property
     def refusal(self) -> str:
-        """Words on what to look at where all together are refused."""
+        """Sentence on what to look at if all together are refused."""
         return (
             "these counts do not look like what this design was trained for (p = "
             f"{self.whole:.1g}; {self.brightness:.2f} times the counts of its mean scene at this "
@@ -102,7 +102,7 @@ class FrameLight:
     frame: np.ndarray  # (rails, m), number of the frame in which each readout is counted
 
     def counts(self, expected: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Counts of exposures (n, rails, m) that expect so many; readouts of a frame share it."""
+        """Counts drawn of expected counts (n, rails, m); readouts of a frame share its light."""
         sigma = np.sqrt(np.log1p(self.fluctuation**2))
         frames = len(expected), int(self.frame.max()) + 1
         light = rng.lognormal(-(sigma**2) / 2, sigma, frames)  # over the mean
@@ -253,7 +253,7 @@ class ReadoutDistribution:
         )
 
     def dimmed(self, factor: float) -> "ReadoutDistribution":
-        """Distribution of readouts that all have so much less light."""
+        """Distribution of readouts with this share of the light."""
         return replace(self, mean=self.mean * np.float32(factor))
 
     def test(
@@ -324,7 +324,7 @@ class ReadoutDistribution:
 
 
 def _principal(patterns: np.ndarray) -> np.ndarray:
-    """Principal axes (k, R) of patterns (n, R), each as long as their standard deviation."""
+    """Principal axes (k, R) of patterns (n, R), scaled to their standard deviation."""
     count = min(32, *patterns.shape)
     if patterns.shape[1] <= 128:  # faster than to draw its main directions
         variances, axes = np.linalg.eigh(patterns.T @ patterns / len(patterns))
@@ -345,7 +345,7 @@ def _distance(off: np.ndarray, noise: np.ndarray, directions: np.ndarray) -> np.
 
 
 def _mean_counts(expected: np.ndarray, dark: np.ndarray) -> np.ndarray:
-    """Mean counts (n,) of a readout that have as much noise without background."""
+    """Mean counts (n,) of a readout that would have the same relative noise without background."""
     return expected**2 / (expected + dark.sum(axis=1)) / dark.shape[1]
 
 

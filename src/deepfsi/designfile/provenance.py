@@ -20,10 +20,6 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import find_noise
 from deepfsi.datasets.dataset import Dataset, Origin
 
-IMAGE_LEVELS = 255
-"""Highest level to which images are rounded before they are hashed: that of a picture's file."""
-
-
 SCENE_HASHES = "training_scenes"
 """Name of the tensor of a design file that holds the hashes."""
 
@@ -65,10 +61,10 @@ def trained_on(info: Mapping[str, Any]) -> TrainedOn | None:
 
 def scene_hashes(scenes: np.ndarray, image_shape: tuple[int, ...]) -> tuple[str, ...]:
     """Short hash, in hex, of each of scenes (n, ...), rounded to levels."""
-    # Rounded as `write_pictures` does, so that a scene keeps its hash when it is written as a
-    # picture and read again
-    most = IMAGE_LEVELS if len(image_shape) == 2 else 2**16 - 1
-    kind = np.uint8 if most == IMAGE_LEVELS else np.uint16
+    # Images are rounded as `write_pictures` does, so that a scene keeps its hash when it is written
+    # as a picture and read again
+    kind: type[np.unsignedinteger] = np.uint8 if len(image_shape) == 2 else np.uint16
+    most = np.iinfo(kind).max
     return tuple(
         blake2b(np.rint(scene.ravel() * most).clip(0, most).astype(kind), digest_size=4).hexdigest()
         for scene in scenes
@@ -76,10 +72,7 @@ def scene_hashes(scenes: np.ndarray, image_shape: tuple[int, ...]) -> tuple[str,
 
 
 def training_hashes(data: Dataset) -> np.ndarray:
-    """Short hashes (n,) int32, rising, of all scenes that a design is made with.
-
-    They are those of the training part, and of the held-out part that thresholds are of.
-    """
+    """Short hashes (n,) int32, rising, of the training scenes and of held-out scenes."""
     parts = [data.x_train, *([data.x_test] if data.held_out else [])]
     return np.unique(_numbers(h for part in parts for h in scene_hashes(part, data.image_shape)))
 
@@ -101,10 +94,10 @@ def was_trained_on(training: np.ndarray | None, hashes: Iterable[str | None]) ->
 
 
 def new_scenes(training: np.ndarray | None, data: Dataset) -> tuple[Dataset, str | None]:
-    """Data with those test scenes that are new to a design, and what was left out, in words.
+    """Data whose test scenes are new to a design, and a sentence on what was left out.
 
-    Where the design was trained on all of them they stay, and the words say so. The test part of a
-    `hold_out` stays as it is: it is known to be of the training.
+    If the design was trained on all of them they stay, and the sentence says so. The test part of a
+    `hold_out` stays: it is known to belong to the training.
     """
     if training is None or data.held_out:
         return data, None
@@ -140,9 +133,9 @@ def click_gates(info: Mapping[str, Any]) -> int | None:
 class _RightAnswers:
     """Right answers to some scenes."""
 
-    right: int = 0
-    answers: int = 0  # of all their exposures
-    scenes: int = 0
+    right: int
+    answers: int  # to all their exposures
+    scenes: int
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -150,7 +143,7 @@ class _RightAnswers:
         return wilson(self.right / self.answers, self.scenes)
 
     def line(self, what: str) -> str:
-        """Right answers to some pictures or exposures, which words name, and their interval."""
+        """Sentence on the right answers, such as to ``new pictures``, with their interval."""
         low, high = self.interval
         share = f"{self.right / self.answers:.2f}, 95 % {low:.2f} to {high:.2f}"
         return f"right: {self.right} of {self.answers} {what} ({share})"
@@ -164,25 +157,23 @@ class _RightAnswers:
 
 @dataclass(frozen=True)
 class Score:
-    """Right answers to labelled scenes. Those to new ones alone measure the design."""
+    """Right answers to labelled scenes. Only new scenes measure the design."""
 
     new: _RightAnswers
     trained_on: _RightAnswers
-    unknown: _RightAnswers  # to scenes of which that is not known
+    unknown: _RightAnswers  # whether these were trained on is not known
 
     @classmethod
     def of(cls, scenes: Iterable[tuple[bool | None, int, int]]) -> "Score":
-        """Score of scenes: whether trained on, and numbers of right answers and of all."""
-        kinds: dict[bool | None, _RightAnswers] = dict.fromkeys(
-            (False, True, None), _RightAnswers()
-        )
-        for trained, right, answers in scenes:
-            if answers:
-                before = kinds[trained]
-                kinds[trained] = _RightAnswers(
-                    before.right + right, before.answers + answers, before.scenes + 1
-                )
-        return cls(kinds[False], kinds[True], kinds[None])
+        """Score of scenes, each with whether it was trained on, right answers and all answers."""
+        answered = [scene for scene in scenes if scene[2]]
+
+        def of_kind(kind: bool | None) -> _RightAnswers:
+            own = [numbers for trained, *numbers in answered if trained is kind]
+            right, answers = (sum(column) for column in zip(*own, strict=True)) if own else (0, 0)
+            return _RightAnswers(right, answers, len(own))
+
+        return cls(of_kind(False), of_kind(True), of_kind(None))
 
     @property
     def answers(self) -> int:
@@ -190,7 +181,7 @@ class Score:
         return self.new.answers + self.trained_on.answers + self.unknown.answers
 
     def lines(self, noun: str) -> list[str]:
-        """Score in words, new scenes first, with what an answer is to: a picture, an exposure."""
+        """Sentences on the score, new scenes first; the noun is a picture or an exposure."""
         new = self.new
         trained = self.trained_on
         unknown = self.unknown

@@ -41,12 +41,12 @@ class _FaultSizes:
 FAULTY_SIZES = _FaultSizes(
     blurs=(1.0, 2.0), stray=(0.5, 1.0, 3.0), corners=(0.4, 0.7), shifts=(1 / 16,), tilts=(0.4,)
 )
-"""Sizes that are looked for."""
+"""Sizes that a run is tested for."""
 
 HARMLESS_SIZES = _FaultSizes(
     blurs=(0.5,), stray=(0.2,), corners=(0.2,), shifts=(1 / 40,), tilts=(0.15,)
 )
-"""Sizes that are let pass: a run is refused only if none of these explains its counts."""
+"""Sizes that pass: a run is refused only if none of these explains its counts."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class _ViewFault:
 def view_faults(
     image_shape: tuple[int, ...], sizes: _FaultSizes = FAULTY_SIZES
 ) -> Iterator[_ViewFault]:
-    """Faults that are looked for in scenes of a shape; masks of one axis are images of one row."""
+    """Faults of the view of scenes of a shape; spectra are images of one row."""
     height, width = _rows(image_shape)
     flat = height == 1
     across, down = (
@@ -93,7 +93,7 @@ def view_faults(
 
 
 def orientation_faults(image_shape: tuple[int, ...]) -> Iterator[_ViewFault]:
-    """Orientations, other than that of the training, in which scenes may lie."""
+    """Orientations of the scenes that differ from the training's."""
     height, width = _rows(image_shape)
     yield _ViewFault("mirrored left to right", lambda x: x[..., ::-1])
     if height > 1:
@@ -147,12 +147,12 @@ class SceneModel:
 
     @staticmethod
     def are_enough(sizes: np.ndarray) -> bool:
-        """True if runs can be tested with so many training scenes of each class, (C,)."""
+        """Whether runs can be tested with these numbers (C,) of training scenes of each class."""
         return bool(sizes.sum() >= 100 and sizes.min() >= 20)
 
     @classmethod
     def fit(cls, x: np.ndarray, labels: np.ndarray, classes: int) -> "SceneModel | None":
-        """Model of scenes (n, N) of classes (n,), or None where there are too few."""
+        """Model of scenes (n, N) of classes (n,), or None of too few scenes."""
         sizes = np.bincount(labels, minlength=classes)
         if not cls.are_enough(sizes):
             return None
@@ -189,7 +189,7 @@ class SceneModel:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, np.ndarray], pixels: int, classes: int) -> "SceneModel":
-        """Model from a file, or `ValueError` if it holds none of such scenes."""
+        """Model from a file, or `ValueError` if its arrays do not fit these scenes."""
         shapes = {"means": (classes, pixels), "rest": (pixels,), "shares": (classes,)}
         shapes["axes"] = (len(arrays["axes"]), pixels)
         fits = {name: array.shape for name, array in arrays.items()} == shapes
@@ -221,11 +221,10 @@ class ViewResult:
     """Evidence of a run for each fault of the view."""
 
     scenes: int
-    faults: tuple[str, ...]  # in words: "the picture on the device is ..."
+    faults: tuple[str, ...]  # "the picture on the device is ..."
     odds: np.ndarray  # (V,), logarithm of the likelihood with each fault, over that without
-    before: np.ndarray  # (V,), logarithm of the chance of each, of those that are looked for
-    alike: float = 0.0  # as `odds`, at least 0, if all scenes were one and the same, seen soundly
-    ever: bool = False  # True if the run was refused after fewer scenes already
+    alike: float = 0.0  # like `odds`, 0 or more, if all scenes were a single one, seen soundly
+    ever: bool = False  # whether the run was refused after fewer scenes
 
     @property
     @np.errstate(under="ignore")
@@ -233,26 +232,27 @@ class ViewResult:
         """Logarithm of the mean of the likelihood ratios."""
         from scipy.special import logsumexp
 
-        return float(logsumexp(self.odds + self.before))
+        # Every fault is as likely before as another
+        return float(logsumexp(self.odds + np.log([1 / len(self.odds)] * len(self.odds))))
 
     @property
     def named(self) -> bool:
-        """True if so much evidence is in fewer than `FALSE_ALARM` of sound runs of many scenes."""
+        """Whether a sound run has this evidence with a chance below `FALSE_ALARM`."""
         return self.refused or self.evidence > -log(FALSE_ALARM)
 
     @property
     def refused(self) -> bool:
-        """True if no one scene, shown again and again, explains the counts either."""
+        """Whether a single scene, shown again and again, does not explain the counts either."""
         return self.ever or self.evidence - self.alike > -log(FALSE_ALARM)
 
     @property
     def likeliest(self) -> str:
-        """The fault that explains the counts best, in words."""
-        return self.faults[int((self.odds + self.before).argmax())]
+        """The fault that explains the counts best."""
+        return self.faults[int(self.odds.argmax())]
 
     @property
     def refusal(self) -> str:
-        """Words on the fault, and on what to do."""
+        """Sentence on the fault, and on what to do."""
         alike = "" if self.refused else ", or all are one and the same"
         return (
             f"over {self.scenes} scenes the counts are as if the picture on the device were "
@@ -273,7 +273,7 @@ class ViewResult:
 
     @property
     def remark(self) -> str | None:
-        """Words on the fault, or on faults that stay possible; None where there are none."""
+        """Sentence on the fault, or on faults that stay possible, if any."""
         if self.named:
             return self.refusal
         possible = self.open
@@ -330,9 +330,7 @@ class ViewTest:
         free = [0.3 * self._shares @ view[None, : self._classes] for view in views]
         self._views = np.stack([np.concatenate(pair) for pair in zip(views, free, strict=True)])
         self._faults = tuple(fault.words for fault in faults)
-        # Every view is as likely before as another
-        self._before = np.log([1 / len(faults)] * len(faults))
-        self._sound = 1 + len(harmless)  # views that are let pass, the first that of the training
+        self._sound = 1 + len(harmless)  # views that pass; the first is the training's
         # Scenes of each class so far, as a Dirichlet law of the shares has them
         count = self._sound + len(self._faults)
         self._often = np.tile(self._shares * self._classes, (count, 1))
@@ -383,7 +381,6 @@ class ViewTest:
             scenes=self._scenes,
             faults=self._faults,
             odds=odds,
-            before=self._before,
             alike=alike,
             ever=self._refused,
         )
