@@ -15,14 +15,14 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
-    "adaptive": 1468,
+    "adaptive": 1449,
     "base": 1831,
     "camera": 1231,
     "cli": 2355,
     "counting": 4329,
     "datasets": 2502,
     "design": 1161,
-    "designfile": 1393,
+    "designfile": 1383,
     "evaluation": 1597,
     "exposure": 1115,
     "jobs": 1657,
@@ -31,7 +31,7 @@ LINES = {
     "physics": 1872,
     "report": 1428,
     "sweeps": 2511,
-    "training": 1582,
+    "training": 1571,
 }
 """Lines of each room, which may only fall: lower the number with them."""
 

@@ -1,17 +1,14 @@
 """Adaptive masks before a detector that clicks at most once a look, where a click has a price.
 
-A look that stays dark costs no count, and tells something as well. So that look is chosen, mask and
-dwell together, whose outcome, click or none, is expected to tell most of the class for each click:
-information over the probability of a click, to which the shares of a click are added that a look
-and its light cost, as neither is endless. An exposure ends where no look tells as much for a click
-as the price asks, after all looks, or where the next has no light left. One that ends without a
-click takes a look with all mirrors ON: where the detector stays dark there, too, it tells nothing.
+A look that stays dark costs no count, and tells something, too. Each look is chosen, mask and dwell
+together, for the information on the class that a click or none is expected to give, over what the
+look costs: the probability of a click, and a small price of the look and of its light. An exposure
+ends when no look tells as much for a click as the price asks, after all looks, or when the next
+look has no light left. If it ends without a click, it takes a look with all mirrors ON; a detector
+that stays dark then, too, tells nothing.
 
-Scenes of the prior are known to within one mirror or so: they are blurred, a mask is never dark,
-and its light varies among scenes that are alike, as it does among neighbours of the prior (gamma
-distributed, so that the probability of no click is a closed form). A mask of few mirrors varies
-more, over its mean, than one of many. Sources: sequential design by expected information
-(Lindley 1956), with a cost of the observation (DeGroot, *Optimal Statistical Decisions*, 1970).
+Sources: sequential design by expected information (Lindley 1956), with a cost of the observation
+(DeGroot, *Optimal Statistical Decisions*, 1970).
 """
 
 from collections.abc import Iterable, Iterator
@@ -40,47 +37,20 @@ from deepfsi.exposure.kind import Answer, CountedLight, Exposures, Network, Use
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import Job
 
-BLUR = 0.5
-"""Standard deviation of the blur of the scenes of the prior, pixels."""
-
-
 FLOOR = 0.01
-"""Reflectance that a mirror of a mask is taken to add where a scene is dark."""
-
-SPREAD = 0.3
-"""How far scenes lie from those of the prior, over the distance of nearest neighbours."""
+"""Reflectance of each mirror of a mask where a scene is dark: no mask is taken to be dark."""
 
 VARIATION = 0.05
-"""Standard deviation of the light of all masks, over that of the mean scene, which is added."""
-
-DWELLS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Dwells that a look may have, over the exposure's equal parts."""
-
-
-LOOK_COST = 0.1
-"""Clicks that a look is taken to cost, were it dark for certain.
-
-Chosen on validation images of MNIST on black. With 0 the first looks are dark and tell little;
-where information less price times clicks is largest, the first looks nearly always click.
-"""
-
-LIGHT_CLICKS = 15.0
-"""Clicks that all light of an exposure is taken to cost; those asked for, if they are fewer.
-
-So neither comes to its end long before the other. Where light costs nothing, looks are so dark that
-it is at its end after some five clicks of images of MNIST on black; where it costs three times the
-clicks that are asked for, a sixth of it is used, and those clicks tell less.
-"""
-
+"""Standard deviation of the light of a mask among scenes that are alike, over its mean."""
 
 PRICING_SCENES = 512
-"""Training scenes by which the price is found: their mean clicks are known to some 3 %."""
+"""Training scenes that set the price: their mean clicks are known to about 3 %."""
 
 NOT_AT_A_CAMERA = (
     "adaptive masks of detectors that click are tested in simulation alone: give a design of "
     "photon counts"
 )
-"""Why live runs and pages do not take these designs."""
+"""Why live runs and pages refuse these designs."""
 
 
 class ClickLook(NamedTuple):
@@ -100,7 +70,7 @@ class ClickPosterior(AdaptivePosterior):
         """Share (b,) of the exposure that is left."""
 
     def rows_of(self, rows: Tensor) -> Self:
-        """Posterior of some of the exposures, (b,) true."""
+        """Posterior of the exposures where `rows` (b,) is true."""
         some = super().rows_of(rows)
         some.left = self.left[rows]
         return some
@@ -128,7 +98,7 @@ class ClickPosterior(AdaptivePosterior):
         return torch.cat([bright, *strict], dim=1)
 
     def next_look(self, dwells: Tensor, costs: Tensor, generator: torch.Generator) -> ClickLook:
-        """The look that is worth most, of all masks, dwells (L,) and their costs (L,) in clicks."""
+        """The look worth most, from all masks, dwells (L,) and their costs (L,) in clicks."""
         masks = self.candidates()  # (b, P, N)
         places, drawn = draw_places(self.weights, generator, 256)
         mean, parts = self.prior.light(masks)  # (b, P), (b, P, d)
@@ -156,15 +126,16 @@ def _on(masks: Tensor) -> Tensor:
 
 def _light_variance(mean: Tensor, parts: Tensor) -> Tensor:
     """Variance (...) of light between scenes that are alike, from its mean and parts (..., d)."""
+    # as among neighbours of the prior: a mask of few mirrors varies more, over its mean
     return (VARIATION * mean.clamp(min=1e-4)).square() + parts.square().sum(dim=-1)
 
 
 def log_no_click(light: Tensor, variance: Tensor, gain: Tensor) -> Tensor:
     """Log-probability (...) that a detector stays dark before light that varies.
 
-    The light (...) has a gamma distribution of this mean and variance; `gain` is the photons of a
-    unit of summed reflectance.
+    `gain` is the photons of a unit of summed reflectance.
     """
+    # a gamma distribution of this mean and variance has a closed form
     light = light.clamp(min=1e-4)
     size = light * light / variance
     return -(size * (light * gain / size).log1p())
@@ -184,7 +155,7 @@ def click_information(chances: Tensor, members: Tensor) -> tuple[Tensor, Tensor]
 
 
 def _binary_entropy(chance: Tensor) -> Tensor:
-    """Nats of an event of such a probability."""
+    """Nats of an event with a probability (...)."""
     chance = chance.clamp(0, 1)
     return torch.special.entr(chance) + torch.special.entr(1 - chance)
 
@@ -218,7 +189,7 @@ class ClickLooks(NamedTuple):
     photons: float  # budget Φ
 
     def posterior(self, exposures: int) -> ClickPosterior:
-        """Posterior of so many exposures before all looks."""
+        """Posterior of exposures before the first look."""
         return ClickPosterior(self.prior, exposures, LookOptics(self.photons))
 
     @torch.no_grad()
@@ -226,8 +197,11 @@ class ClickLooks(NamedTuple):
         self, state: ClickPosterior, x: Tensor, generator: torch.Generator
     ) -> Iterator[_ClickStep]:
         """Looks at scenes (b, N), from the state before all looks."""
-        dwells = torch.tensor(DWELLS) / self.settings.looks
-        costs = LOOK_COST + self.settings.light_price * self.photons * dwells
+        dwells = torch.tensor((0.25, 0.5, 1.0, 2.0, 4.0, 8.0)) / self.settings.looks
+        # A look that is dark for certain costs 0.1 clicks, chosen on validation images of MNIST on
+        # black. With 0 the first looks are dark and tell little; where information less price
+        # times clicks is largest, they nearly always click
+        costs = 0.1 + self.settings.light_price * self.photons * dwells
         running = torch.arange(len(x))
         for _ in range(self.settings.looks):
             look = state.next_look(dwells, costs, generator)
@@ -265,7 +239,7 @@ class ClickLooks(NamedTuple):
             chances[step.rows] = step.chances
             clicked[step.rows] |= step.clicked
         dark = ~clicked & (used > 0)
-        # 20 photons, of which the detector clicks all but surely
+        # 20 photons: the detector clicks all but surely
         dwells = dark * (1 - used).clamp(min=0.0, max=20.0 / self.photons)
         light = x.sum(dim=1) * dwells * state.gain
         seen = -torch.expm1(-light)
@@ -329,7 +303,8 @@ def blurred(data: Dataset) -> Dataset:
 
     x = np.asarray(data.x_train)
     scenes = x.reshape(len(x), *data.image_shape)
-    smooth = gaussian_filter(scenes, (0, *(BLUR for _ in data.image_shape)))
+    # scenes of the prior are known to about a mirror: a blur of half a pixel
+    smooth = gaussian_filter(scenes, (0, *(0.5 for _ in data.image_shape)))
     return replace(data, x_train=smooth.reshape(x.shape).astype(np.float32, copy=False))
 
 
@@ -340,9 +315,7 @@ class ClickTraining(AdaptiveTraining):
 
     def __init__(self, data: Dataset, settings: AdaptiveMasks) -> None:
         self.data = data
-        self.settings = settings.model_copy(
-            update={"components": 300, "spread": SPREAD, "price": 0.0}
-        )
+        self.settings = settings.model_copy(update={"components": 300, "spread": 0.3, "price": 0.0})
         self.prior = prior_of(blurred(data), self.settings)
         self.prior.summed_reflectance = summed_reflectance(data.x_train)  # not of the blurred
 
@@ -354,7 +327,10 @@ class ClickTraining(AdaptiveTraining):
         generator = torch.Generator().manual_seed(job.seed)
         left_out = self.left_out(PRICING_SCENES, generator)
         asked = job.training.counts
-        light_price = min(LIGHT_CLICKS, asked or LIGHT_CLICKS) / job.photons
+        # All light costs 15 clicks, or those asked for if they are fewer, so that light and clicks
+        # end together. If light costs nothing, dark looks use it up after five clicks of MNIST on
+        # black; if it costs three times the clicks, a sixth of it is used, and clicks tell less
+        light_price = min(15.0, asked or 15.0) / job.photons
         settings = self.settings.model_copy(update={"light_price": light_price})
         looks = ClickLooks(self.prior, settings, job.photons)  # which end nowhere: no price
         runs = []
@@ -391,11 +367,11 @@ class PricedLooks(NamedTuple):
     clicks: Tensor  # (n, K)
     arriving: Tensor  # (n, K)
     odds: Tensor  # (n, 1 + K, C), log odds of the classes before all looks, and after each
-    dark: Tensor  # (n, 1 + K), True after looks none of which clicked
+    dark: Tensor  # (n, 1 + K), whether no look has clicked so far
 
     @classmethod
     def of(cls, steps: Iterable[_ClickStep], size: tuple[int, int], classes: int) -> Self:
-        """Looks of one run, of n exposures and K looks at most."""
+        """Looks of a run of n exposures with at most K looks."""
         worth = torch.full(size, -torch.inf)
         clicks, arriving = torch.zeros(2, *size)
         odds = torch.zeros(size[0], 1 + size[1], classes)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from deepfsi.design.design import Design
 
 WORDS = ("name", "classes", "info")
-"""Fields of a design that its header holds as they are."""
+"""Fields of a design that its header holds unchanged."""
 
 
 def file_of(design: "Design") -> DesignFile:
@@ -162,12 +162,12 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
 
 
 def _tensors(file: DesignFile, owner: str) -> dict[str, Tensor]:
-    """Tensors of what a design has, such as its `classifier`, by their names there."""
+    """Tensors of a part of the design, such as its `classifier`, by their names there."""
     return {name: torch.from_numpy(array) for name, array in file.arrays_of(owner).items()}
 
 
 def _classifier(file: DesignFile, header: MaskHeader, inputs: int) -> nn.Module:
-    """Classifier of a file, of so many inputs; one of its maker's own without its code."""
+    """Classifier of a file; a user's module comes without its code."""
     sizes = header.classifier
     weights = _tensors(file, "classifier")
     if isinstance(sizes, CustomEntry):

@@ -95,12 +95,12 @@ class Mlp(Classifier):
     def of_settings(
         cls, settings: Training, inputs: int, classes: int, parts: int, generator: torch.Generator
     ) -> Self:
-        """Untrained classifier of a training: of so many inputs from each part of a scene."""
+        """Untrained classifier of a training, with its inputs from each part of a scene."""
         return cls(inputs, classes, settings.hidden, settings.dropout, generator)
 
     @property
     def arrays(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Weights (outputs, inputs) and biases (outputs,) of the layers, in their order."""
+        """Weights (outputs, inputs) and biases (outputs,) of the layers."""
         layers = (
             [parameter.detach().cpu().numpy() for parameter in each.parameters()]
             for each in self.layers
@@ -196,7 +196,7 @@ class Replicas(nn.Module):
 
 
 Factory = Callable[..., nn.Module]
-"""Makes a module of the number of features and, if it takes two numbers, that of classes."""
+"""Makes a module from the numbers of features and classes, or of features alone."""
 
 Given = nn.Module | Factory | str
 """A module, a factory or the import path of one."""
@@ -276,7 +276,7 @@ class OwnClassifier(Classifier):
             logits = self.module(rows)
         except (Exception, SystemExit) as error:
             if torch.compiler.is_exporting() or isinstance(error, torch.OutOfMemoryError):
-                raise  # who exports, or trains side by side, knows what to do
+                raise  # the caller answers it
             told = " ".join(str(error).split()) or type(error).__name__
             raise InputError(
                 f"the classifier {self.title} fails at features of shape {tuple(rows.shape)}: "
@@ -288,7 +288,7 @@ class OwnClassifier(Classifier):
 def make_custom(
     given: Given, arguments: Mapping[str, Any], inputs: int, classes: int, seed: int = 0
 ) -> OwnClassifier:
-    """Classifier for so many inputs and classes, tried on zeros."""
+    """Classifier with these numbers of inputs and classes, tried on zeros."""
     name, every = describe_classifier(given, arguments)
     factory = given.func if isinstance(given, functools.partial) else given
     factory = load_plugin(factory) if isinstance(factory, str) else factory
@@ -322,14 +322,14 @@ def _called(factory: Factory, arguments: Mapping[str, Any], inputs: int, classes
         inspect.signature(factory).bind(inputs, classes, **arguments)
     except TypeError:
         return factory(inputs, **arguments)
-    except ValueError:  # no signature to be had
+    except ValueError:  # it has no signature
         pass
     return factory(inputs, classes, **arguments)
 
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """Draw from torch's global generators as of a seed; their state is put back at the end."""
+    """Seed torch's global generators, and put their state back at the end."""
     # A module of a user's own draws its weights and its dropout there
     with torch.random.fork_rng():
         torch.manual_seed(seed)

@@ -236,9 +236,9 @@ class MaskExposure(ExposureKind):
         return replace(self, rails=Rails.of(rails))
 
     def as_shown(self, rails: Rails, dimmed: float) -> Self:
-        """The kind as patterns realise it, of which one device gives so much less light.
+        """The kind as patterns realise it, on a device that passes the share `dimmed` of the light.
 
-        Features are as much smaller, and so are the statistics that scale them.
+        Features are smaller by this share, and so are the statistics that scale them.
         """
         return replace(
             self,
@@ -339,10 +339,10 @@ class MaskExposure(ExposureKind):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ConditionedExposure(MaskExposure):
-    """Exposure of fixed dwells whose classifier has two inputs more, as it must know the budget.
+    """Exposure of fixed dwells for a range of budgets, which its classifier must know.
 
-    They are the logarithm of the budget, mapped from the range to -1 .. 1, and 1, the share of
-    masks shown, which designs of earlier versions could have below that.
+    Two inputs more are the logarithm of the budget, mapped from the range to -1 .. 1, and 1, the
+    share of masks shown, which designs of earlier versions could have below that.
     """
 
     entry: ConditionedEntry

@@ -1,8 +1,8 @@
 """The masks' half of a training: what its kinds share, fixed masks and ranges of budgets.
 
-A kind of exposure trains in four calls: it is built with its masks, prepared (what is alike in all
-steps is computed once), asked for the inputs of the classifiers in each step, and finished, which
-gives what each job has learned. The step itself, and the classifiers, are in `training.loop`.
+A kind of exposure trains in four calls. It is built with its masks; `prepare` computes what all
+steps share; `inputs` gives what the classifiers read in a step; `finish` gives what each job has
+learned. The step itself, and the classifiers, are in `training.loop`.
 """
 
 import math
@@ -114,7 +114,7 @@ class ExposureTraining(ABC):
 
     @abstractmethod
     def prepare(self) -> None:
-        """Compute what is alike in all steps, before the first."""
+        """Compute what all steps share, before the first."""
 
     @abstractmethod
     def inputs(self, draws: Draws) -> Tensor:

@@ -153,7 +153,7 @@ class TrainingSet:
 
     @cached_property
     def class_weights(self) -> Tensor:
-        """Weight (C,) of each class's scenes with which all classes count alike; 1 in the mean."""
+        """Weights (C,) of scenes by class that make classes count the same; their mean is 1."""
         sizes = torch.bincount(self.labels, minlength=len(self.data.classes)).float()
         present = (sizes > 0).sum()
         return len(self.labels) / (present * sizes.clamp(min=1))

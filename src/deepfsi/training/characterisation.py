@@ -41,7 +41,7 @@ from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import FEW_SCENES, Job
 
 FOLDS = 10
-"""Parts of the training scenes; each is left out of one training."""
+"""Parts of the training scenes; one training leaves each out."""
 
 LEFT_OUT = 150
 """Scenes that suffice for calibration: no fold is added beyond them."""
@@ -57,21 +57,9 @@ def characterise(
     left_out: Sequence[tuple[Dataset, Sequence[Design]]] = (),
 ) -> None:
     """Give trained designs what simulated exposures tell: distribution, view, temperatures."""
-    first = designs[0]
-    scenes = training_set.full
+    if designs[0].exposure.comparable and designs[0].gates is None:
+        _model_counts(training_set, designs)
     for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
-        # it depends only on the masks, which designs may share
-        if design is first or not torch.equal(first.rails.stacked, design.rails.stacked):
-            design.distribution = _distribution(design, scenes, training_set.data.groups)
-        else:
-            design.distribution = first.distribution
-        if _compared(design) and first.scene_model is not None:
-            design.scene_model = first.scene_model
-        elif _compared(design):
-            rows = sample_scenes(len(scenes), scenes.shape[1])
-            x = scenes[rows].double().cpu().numpy()
-            labels = training_set.data.groups[rows]
-            design.scene_model = SceneModel.fit(x, labels, len(design.classes) or 1)
         if design.classes:
             folds = [(fold, several[place]) for fold, several in left_out]
             design.temperatures, test = find_temperatures(design, job, training_set.data, folds)
@@ -113,15 +101,23 @@ def _calibration_scenes(
     return CalibrationScenes([part], 1, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
 
 
-def _compared(design: Design) -> bool:
-    """Whether the counts of a design are tested; clicks are not."""
-    return design.exposure.comparable and design.gates is None
+def _model_counts(training_set: TrainingSet, designs: Sequence[Design]) -> None:
+    """Give designs the models that counts of a run are tested against."""
+    first = designs[0]
+    x = training_set.full
+    labels = training_set.data.groups
+    rows = sample_scenes(len(x), x.shape[1])
+    scenes = x[rows].double().cpu().numpy()
+    scene_model = SceneModel.fit(scenes, labels[rows], len(first.classes) or 1)
+    for design in designs:
+        # readouts depend only on the masks, which designs may share
+        shared = design is not first and torch.equal(first.rails.stacked, design.rails.stacked)
+        design.distribution = first.distribution if shared else _distribution(design, x, labels)
+        design.scene_model = scene_model
 
 
 def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> ReadoutDistribution | None:
-    """Distribution of the readouts of scenes (n, N) of classes (n,); None for clicks."""
-    if not _compared(design):
-        return None
+    """Distribution of the readouts of scenes (n, N) of classes (n,), or None of too few scenes."""
     rows = sample_scenes(len(scenes), prod(design.counts_shape))
     light = None
     if fluctuation := design.camera.fluctuation:

@@ -35,9 +35,6 @@ from deepfsi.training.losses import CountsCost
 CHECKPOINT_SECONDS = 120.0
 """Seconds between two writes."""
 
-SCHEMA: Literal[1] = 1
-"""Number of the file's schema."""
-
 HEADER = "deepfsi-checkpoint"
 """Key of the header among the metadata of the file."""
 
@@ -120,7 +117,7 @@ class _Header(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
-    schema_number: Literal[1] = SCHEMA
+    schema_number: Literal[1] = 1
     key: str  # hash of everything that the bits depend on
     title: str
     steps: list[int] = Field(min_length=1)  # steps done in each loop
@@ -164,7 +161,7 @@ class Checkpoint:
     def _read(self) -> None:
         """Read the file; `InputError` if it is damaged or of another training."""
         assert self.path is not None
-        advice = "give the path of a checkpoint, or of a file to be"
+        advice = "give the path of a checkpoint, or of a new file"
         try:
             text, arrays = read_tensors(self.path, HEADER, advice)
             header = _Header.model_validate_json(text)

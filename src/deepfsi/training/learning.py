@@ -1,10 +1,9 @@
 """Learn masks and classifier together, for one design or several of one shape.
 
-A user may ask for counts instead of a budget. A design with the shares p_i counts Φ Σ p_i photons,
-averaged over training scenes. The shares of named designs and of a user's matrix are known before
-training. The shares of learned masks follow from training, and hardly change with Φ: so the design
-is trained at the budget that its start needs, then at the budget that the result needs, until the
-two agree.
+A user may ask for counts instead of a budget Φ. Masks that count the share p of it, averaged over
+training scenes, need Φ = counts / p. Learned masks change p, though hardly with Φ: the design is
+trained at the budget that its start needs, then at the budget that the result needs, until the two
+agree.
 """
 
 import os
@@ -52,9 +51,6 @@ from deepfsi.training.loop import batch_of, optimise
 
 NEAR = 0.02
 """Relative difference between mean counts and wanted counts that ends the search."""
-
-MOST_TRAININGS = 6
-"""Largest number of trainings in this search; the last design is then taken as it is."""
 
 
 class Diverged(InputError):
@@ -234,7 +230,7 @@ def _train_for_counts(
     counts: float, share: float, train: Callable[[float, Progress], Design], report: Progress
 ) -> Design:
     """Design that counts this many photons, averaged over training scenes, to within `NEAR`."""
-    for number in range(MOST_TRAININGS):
+    for number in range(6):  # the last design is taken as it is
         photons = counts / share
         design = train(photons, report.between(1 - 2.0**-number, 1 - 2.0 ** -(number + 1)))
         share = float(design.exposure.shares.sum())
