@@ -15,14 +15,14 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
-    "adaptive": 1449,
+    "adaptive": 1447,
     "base": 1831,
     "camera": 1231,
     "cli": 2355,
     "counting": 4329,
     "datasets": 2502,
-    "design": 1161,
-    "designfile": 1383,
+    "design": 1144,
+    "designfile": 1382,
     "evaluation": 1597,
     "exposure": 1115,
     "jobs": 1657,

@@ -39,7 +39,6 @@ COMPARED_SCENES = (16, 32)
 All where there are no more.
 """
 
-
 SUMMED = 16
 """Scenes of a block, whose probabilities are added before one of them is drawn."""
 

@@ -69,7 +69,6 @@ MISFIT_BUDGETS = (0.1, 1.0, 10.0)
 SMALLEST_MISFIT = 1e-6
 """Misfit below which it is taken for this."""
 
-
 SHARING_SCENES = 1024
 """Training scenes by which the threshold of a mean light is found, at most.
 

@@ -20,10 +20,7 @@ from deepfsi.design.file import fields_of, file_of
 from deepfsi.design.networks import Given, OwnClassifier, make_custom
 from deepfsi.designfile.design_file import DesignFile, Temperatures, find_design
 from deepfsi.designfile.distribution import ConsistencyResult, ReadoutDistribution
-from deepfsi.designfile.provenance import (
-    click_gates,
-    trained_camera,
-)
+from deepfsi.designfile.provenance import click_gates, trained_camera
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.exposure.kind import (
     EXPOSED_AT_ONCE,
@@ -100,14 +97,14 @@ class Design:
 
     @property
     def mask_exposure(self) -> MaskExposure:
-        """The exposure of masks that are known before, or `InputError` where they are made."""
+        """The exposure, or `InputError` for adaptive masks."""
         self.exposure.check("masks")
         assert isinstance(self.exposure, MaskExposure)
         return self.exposure
 
     @property
     def prior_exposure(self) -> AdaptiveExposure:
-        """The exposure of adaptive masks, or `InputError` where masks are known before."""
+        """The exposure of adaptive masks, or `InputError` for masks that are known before."""
         if not isinstance(self.exposure, AdaptiveExposure):
             raise InputError(
                 "this design shows masks that are known before: learn adaptive ones with "
@@ -205,7 +202,9 @@ class Design:
 
     @library_defaults(grad=False)
     def expose(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
-        """Counts of one simulated exposure of each scene, shaped for `classify`.
+        """Counts (..., [P,] [2,] m [, D]) of one simulated exposure of each scene, for `classify`.
+
+        Raises `InputError` for adaptive masks, which `deepfsi.predict` and `looks_at` expose.
 
         Parameters
         ----------
@@ -214,17 +213,7 @@ class Design:
         photons : float
             Budget Φ.
         seed : int
-            Seed of the noise of the design's camera.
-
-        Returns
-        -------
-        array, shape (..., [P,] [2,] m [, D])
-
-        Raises
-        ------
-        InputError
-            If scenes or photons are not as above; if masks follow from the counts, which
-            `deepfsi.predict` and `looks_at` expose.
+            Seed of the noise, which is that of the design's camera.
         """
         exposure = self.mask_exposure
         scenes, lead = self._scenes(x)
@@ -324,7 +313,9 @@ class Design:
     def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> ConsistencyResult:
         """Test whether the counts of exposures, each of another scene, look like the training's.
 
-        Sum exposures of one scene first: their counts, photons and background.
+        Sum exposures of one scene first: their counts, photons and background. Raises `InputError`
+        if the design has no `distribution`, as it had less than 100 training scenes or 50 of a
+        class.
 
         Parameters
         ----------
@@ -332,12 +323,6 @@ class Design:
             As for `classify`.
         background : float or array, broadcastable to counts
             Counts that were subtracted from each readout. Default: 0.
-
-        Raises
-        ------
-        InputError
-            As for `classify`, or if it has no `distribution`: one of less than 100
-            training scenes or 50 of a class.
         """
         self.exposure.check("comparison")
         if self.distribution is None:
@@ -418,22 +403,20 @@ class Design:
     ) -> "Design":
         """Read a design file. Code that its maker wrote runs only if you say so.
 
-        Without `trust` or `classifier`, a design with such a classifier has masks only.
+        Without `trust` or `classifier`, a design with a classifier of its maker's has masks only.
 
         Parameters
         ----------
-        path : str or path
-        device : str or torch.device
         trust : bool
             Import and run the factory that the file names, if its classifier has one.
         classifier : nn.Module, callable or str, optional
-            The module, factory or import path that the classifier is made of instead.
+            A module, factory or import path that makes the classifier instead.
 
         Raises
         ------
         InputError
-            If the file is missing, damaged, truncated, not a design, or of a newer schema; if its
-            classifier cannot be imported or is not the one given.
+            If the file is no whole design of this schema, or its classifier cannot be imported or
+            is not the one given.
         """
         design = cls(**fields_of(DesignFile.read(path)))
         if isinstance(design.classifier, OwnClassifier) and (trust or classifier is not None):

@@ -123,7 +123,6 @@ class AdaptiveHeader(StrictModel, populate_by_name=True):
 DesignHeader = MaskHeader | AdaptiveHeader
 """Header of a design file."""
 
-
 CALIBRATION_REACH = 100.0
 """Highest budget of a calibration over the highest of the training; lowest over lowest inverse."""
 
@@ -175,7 +174,6 @@ class Temperatures:
 
 STATISTICS = ("mean", "std", "shares")
 """Arrays of one number a feature."""
-
 
 MASKS_ARE_MADE = (
     "makes its masks while the camera looks, and this takes masks that are known before: `deepfsi "

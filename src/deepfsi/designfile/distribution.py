@@ -33,7 +33,6 @@ TAIL_COUNTS = tuple(10.0 ** np.arange(-2, 6))
 TAIL_CHANCES = (1.0, 0.7, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 1e-3, 1e-4)
 """p-values whose statistics are stored; smaller ones are not told apart."""
 
-
 EXPOSURES_AT_ONCE = 256
 """Exposures with noise of their own that are in memory at a time."""
 

@@ -223,6 +223,7 @@ class ViewResult:
     scenes: int
     faults: tuple[str, ...]  # "the picture on the device is ..."
     odds: np.ndarray  # (V,), logarithm of the likelihood with each fault, over that without
+    before: np.ndarray  # (V,), logarithm of the probability of each fault before the run
     alike: float = 0.0  # like `odds`, 0 or more, if all scenes were a single one, seen soundly
     ever: bool = False  # whether the run was refused after fewer scenes
 
@@ -232,8 +233,7 @@ class ViewResult:
         """Logarithm of the mean of the likelihood ratios."""
         from scipy.special import logsumexp
 
-        # Every fault is as likely before as another
-        return float(logsumexp(self.odds + np.log([1 / len(self.odds)] * len(self.odds))))
+        return float(logsumexp(self.odds + self.before))
 
     @property
     def named(self) -> bool:
@@ -248,7 +248,7 @@ class ViewResult:
     @property
     def likeliest(self) -> str:
         """The fault that explains the counts best."""
-        return self.faults[int(self.odds.argmax())]
+        return self.faults[int((self.odds + self.before).argmax())]
 
     @property
     def refusal(self) -> str:
@@ -381,6 +381,8 @@ class ViewTest:
             scenes=self._scenes,
             faults=self._faults,
             odds=odds,
+            # Every fault is as likely as another
+            before=np.log([1 / len(odds)] * len(odds)),
             alike=alike,
             ever=self._refused,
         )
