@@ -309,11 +309,7 @@ def moments(parts: Iterable[Tensor]) -> tuple[Tensor, Tensor]:
 
 
 class _FixedTraining(ExposureTraining):
-    """Masks that do not learn, whose products with all scenes are known.
-
-    Where no counts are drawn the products are standardised once, for the first of the replicas that
-    share them; what the others have in place of that is a factor.
-    """
+    """Masks that do not learn, whose products with all scenes are known."""
 
     def __init__(self, group: JobGroup) -> None:
         super().__init__(group)
@@ -324,22 +320,24 @@ class _FixedTraining(ExposureTraining):
         noise = self.noise
         detection = self.detection
         arranged = self.masks().map(detection.arrange)
-        frames = detection.read_of(arranged)
+        masks = detection.read_of(arranged)
         if not noise.kind.of_light:
-            frames = Rails(frames.difference)  # their total is not needed
-        pairs = [
-            project_rails(detection.arrange(x), frames, detection.count)
+            masks = Rails(masks.difference)  # spares the product with the total
+        products = [
+            project_rails(detection.arrange(x), masks, detection.count)
             for x in self.scenes.full.split(CHUNK)
         ]
-        self.means = torch.cat([mean for mean, _ in pairs])
-        single = frames.count == 1
-        totals = self.means if single else torch.cat([total for _, total in pairs])
-        del pairs
+        self.means = torch.cat([mean for mean, _ in products])
+        single = masks.count == 1
+        totals = self.means if single else torch.cat([total for _, total in products])
+        del products  # as large as both
         self.mean, self.std, _ = self.statistics(means=self.means)
         self.read = detection.readouts(arranged)
         self.totals = totals if noise.kind.of_light else None
         if noise.kind.draws_rails:
             return
+        # Products are standardised here, not in each step. Replicas that share products have
+        # deviations of their own: the products have that of the first, a factor gives the others'
         replicas = self.means.shape[1]
         self.alone = replicas == len(self.std)
         self.ratio = self.std[:replicas] / self.std
@@ -356,19 +354,19 @@ class _FixedTraining(ExposureTraining):
         return draws.side_by_side(self._of_seed)
 
     def _of_seed(self, stream: SeedStream) -> Tensor:
-        expected = stream.products(self.means)
+        mean = stream.products(self.means)
         if self.noise.kind.draws_rails:
             assert self.totals is not None
             totals = stream.products(self.totals)
-            counts = stream.noise.counted(expected, totals, stream.readouts(self.read))
+            counts = stream.noise.counted(mean, totals, stream.readouts(self.read))
             return (counts - stream.of_jobs(self.mean)) / stream.of_jobs(self.std)
-        normal = stream.normal(expected.shape[-1])
+        normal = stream.normal(mean.shape[-1])
         gain = stream.of_jobs(self.gain)
         if self.totals is not None:
             normal = normal * stream.products(self.totals)
             if self.alone:
-                return expected.add_(normal)
-        scaled = expected if self.alone else expected * stream.of_jobs(self.ratio)
+                return mean.add_(normal)
+        scaled = mean if self.alone else mean * stream.of_jobs(self.ratio)
         return torch.addcmul(scaled, normal, gain)
 
 
@@ -396,13 +394,11 @@ class _LearnedTraining(ExposureTraining):
         return standardise(features, self.scale)
 
     def _dim(self, counts: float) -> None:
-        """Dim masks before their training, where they would count too much."""
-        # x (n + 1, P): centred scenes, and their mean
+        """Dim masks before their training, if they would count too much."""
         masks = self.masks
         detection = self.detection
-        first = torch.arange(min(CHUNK, len(self.training_set.labels)), device=self.x.device)
-        mean = self.x.index_select(0, first.new_tensor([len(self.training_set.labels)]))
-        scenes = (self.x.index_select(0, first) + mean).float()
+        # scenes are centred, and the last row of x is their mean
+        scenes = (self.x[: min(CHUNK, len(self.training_set.labels))] + self.x[-1:]).float()
 
         def counted() -> Tensor:
             light = project_rails(scenes, detection.read_of(masks()), detection.count)
@@ -419,7 +415,7 @@ class _LearnedTraining(ExposureTraining):
             low = torch.full_like(bright, -20.0)
             high = torch.zeros_like(bright)
             whole = {name: each.clone() for name, each in masks.state_dict().items()}
-            for _ in range(30):
+            for _ in range(30):  # bisection of the logarithm of the factor
                 masks.load_state_dict(whole)
                 middle = (low + high) / 2
                 masks.dim(middle.exp())
