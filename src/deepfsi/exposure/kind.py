@@ -156,9 +156,6 @@ class MaskExposure(ExposureKind):
     clicks: Clicks | None = None
     weights: Mapping[str, Tensor] = field(default_factory=dict)  # further tensors of the file
 
-    def __post_init__(self) -> None:
-        """Raise `ValueError` unless the masks can be exposed so."""
-
     @property
     def count(self) -> int:
         """m, number of masks."""

@@ -46,16 +46,15 @@ def torch_device(given: Any) -> torch.device:
     if given == "auto":
         return torch.device("cuda" if gpus else "cpu")
     try:
-        device = torch.device(given) if isinstance(given, str | torch.device) else None
-    except RuntimeError:
-        device = None
-    number = 0 if device is None else device.index or 0
-    if device is None or device.type not in ("cpu", "cuda", "mps") or number < 0:
-        raise InputError(f"unknown device {str(given)!r}: choose auto, cpu, cuda, cuda:1 or mps")
-    here = number == 0 and (device.type == "cpu" or torch.backends.mps.is_available())
-    if device.type == "cuda":
-        here = number < gpus
-    if not here:
-        there = f", and torch sees {gpus} of CUDA" if gpus and device.type == "cuda" else ""
-        raise InputError(f'device {device!s} is not here{there}: use `device="cpu"` or auto')
-    return device if device.type == "cuda" else torch.device(device.type)
+        device = torch.device(given)
+    except (RuntimeError, TypeError):
+        raise InputError(
+            f"unknown device {str(given)!r}: choose auto, cpu, cuda, cuda:1 or mps"
+        ) from None
+    if device.type == "cuda" and (device.index or 0) < gpus:
+        return device
+    if device.type != "cpu" and not (device.type == "mps" and torch.backends.mps.is_available()):
+        raise InputError(
+            f'torch has no device {device!s} here, but {gpus} of CUDA: use `device="cpu"` or auto'
+        )
+    return torch.device(device.type)

@@ -66,6 +66,7 @@ class TrainingNoise:
 
     def counted(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
         """Features (B, R, k) from counts of two rails."""
+        # readouts are the same for all B scenes, or each scene has its own
         whole = [tensor if tensor.ndim == 4 else tensor.unsqueeze(1) for tensor in read]
         counts = []
         with torch.set_grad_enabled(not self.kind.unbiased and torch.is_grad_enabled()):
@@ -92,7 +93,6 @@ class TrainingNoise:
         features: list[Tensor] = []
         light: list[tuple[Tensor, Tensor]] = []
         if self.kind.draws_rails:
-            # The mean of a biased noise is not the rate: centre its features in their batch
             rails = masks()
             read = detection.readouts(rails)
             frames = detection.read_of(rails)
@@ -101,9 +101,12 @@ class TrainingNoise:
                 mean, total = project_rails(x, frames.map(seed.of_jobs), parts)
                 light.append((mean[:-1] + mean[-1], total[:-1] + total[-1]))
                 counts = seed.noise.counted(*light[-1], seed.readouts(read))
+                # the mean of a biased noise is not the rate: its batch centres it
                 middle = mean[-1] if self.kind.unbiased else counts.mean(dim=0)
                 features.append(counts - middle)
         elif self.kind.of_light:
+            # Two disjoint rails are one signed matrix, whose total is its absolute value: half of
+            # the memory, and a backward pass by hand
             disjoint = masks.disjoint and detection.readout != "both"
             signed = masks.matrix() if disjoint else detection.read_of(masks()).combined
             for seed in draws.streams:
@@ -187,8 +190,9 @@ class SeedStream:
     def budgets(self, span: float, masks: int) -> Tensor:
         """Draw budgets (B, 1, 1), as multiples of the lowest."""
         uniform = torch.rand(self.batch, 1, 1, generator=self.generator, device=self._labels.device)
+        # Earlier versions drew how many masks are shown: a draw that is always m keeps the stream
         last = torch.eye(masks, device=self._labels.device)[-1]
-        torch.multinomial(last, self.batch, True, generator=self.generator)  # keeps the stream
+        torch.multinomial(last, self.batch, True, generator=self.generator)
         return span**uniform
 
     def repeated(self, shared: Tensor) -> Tensor:
