@@ -351,7 +351,8 @@ class _Dose(_Column):
 def light_law(name: str) -> LightLaw:
     """Light law of a name; `InputError` if there is none."""
     check_light_law(name, "dual")
-    laws = {law.name: law for law in (_Column, _EqualDwell, _FreeDwell, _TwoArm, _Dose)}
+    classes = _Column, _EqualDwell, _FreeDwell, _TwoArm, _Dose
+    laws: dict[str, type[LightLaw]] = {law.name: law for law in classes}
     return laws[name]()
 
 
