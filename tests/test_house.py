@@ -24,7 +24,7 @@ LINES = {
     "design": 1144,
     "designfile": 1382,
     "evaluation": 1597,
-    "exposure": 1115,
+    "exposure": 1108,
     "jobs": 1657,
     "lab": 4310,
     "patterns": 1504,
