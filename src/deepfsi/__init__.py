@@ -69,33 +69,7 @@ _HOMES = {
     "predict": "lab.prediction",
 }
 
-__all__ = [
-    "Camera",
-    "Dataset",
-    "Design",
-    "Fixed",
-    "IdealObserver",
-    "InputError",
-    "Job",
-    "Mlp",
-    "OwnClassifier",
-    "Range",
-    "Result",
-    "Scanner",
-    "SharedLight",
-    "Training",
-    "classify_run",
-    "classify_table",
-    "design_of",
-    "evaluate",
-    "from_arrays",
-    "ideal_observer",
-    "learn",
-    "load_dataset",
-    "load_design",
-    "photons_per_pixel",
-    "predict",
-]
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:

@@ -28,9 +28,9 @@ def seconds(time: Any) -> float:
 
 def time_text(time_s: float) -> str:
     """A time in the unit that suits it: 12000 s, 1.5 s, 12.07 ms, 44 µs."""
-    units = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "ps": 1e-12}
-    unit = next((each for each, size in units.items() if time_s >= 0.99995 * size), "s")
-    number = f"{time_s / units[unit]:.4g}"
+    units = ("s", "ms", "µs", "ns", "ps")
+    unit = next((each for each in units if time_s >= 0.99995 * TIME_UNITS[each]), "s")
+    number = f"{time_s / TIME_UNITS[unit]:.4g}"
     return f"{float(number):.0f} {unit}" if "e+" in number else f"{number} {unit}"
 
 

@@ -13,9 +13,6 @@ from deepfsi.base.models import Amount, Share, StrictModel, WholeNumber
 MOST_INPUTS = 64
 """Inputs of a counter at most."""
 
-DetectorSetting = str | Sequence[int] | np.ndarray
-"""ROWSxCOLUMNS, bands of a spectrum as one number, or the detector of each pixel."""
-
 
 class DetectorMap(StrictModel):
     """Detectors of a device, or of each of its two arms."""
@@ -39,8 +36,8 @@ class DetectorMap(StrictModel):
         return self
 
     @classmethod
-    def of(cls, setting: DetectorSetting, image_shape: tuple[int, ...]) -> Self:
-        """Map of a camera's detectors on scenes."""
+    def of(cls, setting: str | Sequence[int] | np.ndarray, image_shape: tuple[int, ...]) -> Self:
+        """Map on scenes of ROWSxCOLUMNS, a number of bands, or the detector of each pixel."""
         if isinstance(setting, str):
             cells = _divided(setting, image_shape)
         else:

@@ -181,7 +181,7 @@ class RecordRun(_DeviceRun):
         projector = self.open_projector("projector")
         patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
-        wiring = {"flux": camera.flux}
+        wiring: dict[str, Any] = {"flux": camera.flux}
         images = None
         if projector is None:
             wiring = self.of_virtual(camera)
