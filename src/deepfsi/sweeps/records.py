@@ -17,6 +17,7 @@ are kept would be trained alone, and a sum of numbers in another order rounds ot
 import io
 import json
 import os
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -63,6 +64,13 @@ class Records:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._locks: dict[str, FileLock] = {}
+        if sys.platform != "win32":  # each lock is an open file, of which few are usual
+            import resource
+
+            _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+            wanted = 10240 if most == resource.RLIM_INFINITY else most
+            with suppress(OSError, ValueError):
+                resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
         for lock in _files(folder / "locks"):  # of processes that are gone
             if self._take(lock.stem):
                 self._give_up(lock.stem)
