@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 from deepfsi.cli import app
 from deepfsi.counting.recording import Recording
+from deepfsi.patterns.folder import Patterns
 
 SCENES = 200
 PHOTONS = 1500.0
@@ -65,41 +66,19 @@ def test_clicks_are_classified_as_well_as_they_are_evaluated(done, lab):
     assert "They are read for the stated budget" in scenes["remarks"][0]
 
 
-def test_a_free_detector_gives_clicks_and_its_budget(done, refuse, lab):
-    """The clicks of the gated one: the photons are of the same seed. They can be counted, too."""
+def test_what_is_of_photons_is_refused_for_a_design_of_clicks(done, refuse, lab, tmp_path):
     words = ["camera", "count", lab / "free"]
-    free = json.loads(done(*words, "--json"))
-    gated = json.loads(done("camera", "count", lab / "run", "--json"))
-    assert free["counts"] == gated["counts"]
-    assert gated["gates"] == np.max(gated["counts"]) == GATES
-    clicks = f"{np.sum(gated['counts'])} clicks of up to {GATES} a frame counted"
-    assert clicks in done("camera", "count", lab / "run")
-    assert gated["photons"] == [PHOTONS] * SCENES
-    assert free["photons"] == pytest.approx([PHOTONS] * SCENES, rel=0.05)
-    assert free["photons"] != gated["photons"]
     assert "clicks have no dead time" in refuse(*words, "--dead-time", "20ns")
     assert "a background is of photon counts" in refuse(*words, "--background", "0")
-    done(*words, "--exposure", "12.5ms")
-    classify = ["camera", "classify", lab / "p", lab / "free"]
-    said = json.loads(done(*classify, "--json"))
-    assert said["scenes"][0]["exposures"] == 2 * EXPOSURES
     Recording.read(lab / "free").count()
-    assert f"counted in photons, and this design reads clicks of {GATES}" in refuse(*classify)
-
-
-def test_a_table_of_clicks_is_classified(done, refuse, lab, tmp_path):
-    """As the run whose clicks they are."""
-    said = json.loads(done("camera", "count", lab / "run", "--json"))
-    clicks = np.array(said["counts"])[:, :, 0].reshape(SCENES * EXPOSURES, -1)
-    np.savetxt(tmp_path / "clicks.csv", clicks, delimiter=",", fmt="%d")
-    words = ["camera", "classify", lab / "p", tmp_path / "clicks.csv", "--repeats", EXPOSURES]
-    assert "tell the budget: give --photons" in refuse(*words)
-    words += ["--photons", PHOTONS]
-    run = json.loads(done("camera", "classify", lab / "p", lab / "run", "--json"))
-    table = json.loads(done(*words, "--json"))
-    assert [each["class"] for each in table["scenes"]] == [each["class"] for each in run["scenes"]]
+    classify = ["camera", "classify", lab / "p"]
+    assert f"in photons, and this design reads clicks of {GATES}" in refuse(*classify, lab / "free")
+    frames = len(Patterns.read(lab / "p").manifest.frames)
+    np.savetxt(tmp_path / "clicks.csv", np.ones((EXPOSURES, frames)), delimiter=",", fmt="%d")
+    classify += [tmp_path / "clicks.csv", "--repeats", EXPOSURES, "--photons", PHOTONS]
+    done(*classify, "--force")
     for option in (["--background", 3], ["--gain", 2]):
-        assert "is of photon counts, and this design reads clicks" in refuse(*words, *option)
+        assert "is of photon counts, and this design reads clicks" in refuse(*classify, *option)
 
 
 @pytest.mark.parametrize(("photons", "full"), [(3000, True), (200, False)])

@@ -1,44 +1,10 @@
-"""A design of several detectors at the virtual camera, from its file to classes."""
+"""A calibration of several detectors, from spots to the patterns of a design."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 
-from conftest import quick
-from deepfsi import evaluate
-from deepfsi.datasets.display import write_pictures
 from deepfsi.patterns.folder import Patterns
-
-SCENES = 120
-TRAINING = {"masks": 4, "photons": 1e4, "epochs": 8, "hidden": (32,), "detectors": "2x2"}
-
-
-def test_an_acquisition_is_classified_as_the_design_was_tested(done, refuse, digits, tmp_path):
-    """Inputs that are swapped are not what the design of unlike detectors was trained for."""
-    images, frames, run = (tmp_path / name for name in ("images", "frames", "run"))
-    shown = zip(digits.x_test[:SCENES], digits.y_test, strict=False)
-    write_pictures({f"{y}/{k:03}.png": x.reshape(8, 8) for k, (x, y) in enumerate(shown)}, images)
-    design = quick(digits, light="free-dwell", rails="single", **TRAINING)
-    file = design.save(tmp_path / "one.safetensors")
-    done("dmd", "export", file, "--device", "64x48", "-o", frames)
-    given = ["--scene", images, "--flux", 1e7, "--exposure", "1ms", "--repeats", 1]
-    done("camera", "simulate", frames, *given, "--virtual", "ideal", "-o", run)
-    said = json.loads(done("camera", "count", run, "--json"))
-    assert said["inputs"] == [1, 2, 3, 4]
-    assert np.shape(said["counts"]) == (SCENES, 1, 1, 4, 4)
-    assert said["faults"] == []
-    words = ["camera", "classify", file, run]
-    told = json.loads(done(*words, "--json"))
-    assert told["consistency"]["whole"] > told["consistency"]["false_alarms"]
-    right = np.mean([each["class"] == each["label"] for each in told["scenes"]])
-    design = design.as_shown(*Patterns.read(frames).realised)
-    same = replace(digits, x_test=digits.x_test[:SCENES], y_test=digits.y_test[:SCENES])
-    [tested] = evaluate(design, same, TRAINING["photons"])
-    assert tested.low <= right <= tested.high
-    assert tested.accuracy > 0.5
-    done("camera", "count", run, *(f"--input={each}" for each in (2, 3, 4, 1)))
-    assert "not look like what this design was trained for" in refuse(*words)
 
 
 def test_a_calibration_tells_a_design_which_detector_sees_what(done, refuse, tmp_path):

@@ -11,12 +11,6 @@ if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
     from pydantic_core import ErrorDetails
 
-LONGEST_GIVEN = 120
-"""Characters of what was given that a message repeats, at most."""
-
-LONGEST_MESSAGE = 4000
-"""Characters of a message at most; one that repeats more is cut in its middle."""
-
 
 class InputError(ValueError):
     """Input that cannot be used.
@@ -35,22 +29,15 @@ class InputError(ValueError):
     unknown data set 'mnits': did you mean 'mnist'?
     """
 
-    @property
-    def message(self) -> str:
-        """The message."""
-        return str(self.args[0])
-
     def __str__(self) -> str:
         """The message, without what a terminal would take for a command."""
-        return one_line(self.message)
+        return one_line(str(self.args[0]))
 
 
 def one_line(text: str) -> str:
     """Text of a message without what a terminal would take for a command, and not too long."""
     words = "".join(letter if letter.isprintable() else " " for letter in text)
-    if len(words) <= LONGEST_MESSAGE:
-        return words
-    return f"{words[: LONGEST_MESSAGE // 2]} ... {words[-LONGEST_MESSAGE // 2 :]}"
+    return words if len(words) <= 4000 else f"{words[:2000]} ... {words[-2000:]}"
 
 
 def closest_choice(name: str, allowed: Iterable[str]) -> str:
@@ -127,21 +114,17 @@ def _given(fault: "ErrorDetails") -> str:
     if isinstance(fault["input"], dict):
         return f"{_field(fault)}: "
     text = " ".join(repr(fault["input"]).split())
-    text = text if len(text) <= LONGEST_GIVEN else f"{text[:LONGEST_GIVEN]} ..."
+    text = text if len(text) <= 120 else f"{text[:120]} ..."
     return f"{_field(fault)} = {text}: "
 
 
 _ADVICE = {
     "missing": "it is missing: give one",
-    "int_type": "give a whole number",
-    "int_parsing": "give a whole number",
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "give a whole number"),
     "int_parsing_size": "give a whole number of fewer digits",
-    "int_from_float": "give a whole number",
-    "float_type": "give a number",
-    "float_parsing": "give a number",
+    **dict.fromkeys(("float_type", "float_parsing"), "give a number"),
     "finite_number": "give a finite number",
-    "bool_type": "give true or false",
-    "bool_parsing": "give true or false",
+    **dict.fromkeys(("bool_type", "bool_parsing"), "give true or false"),
     "string_type": "give a text",
     "greater_than": "give more than {gt}",
     "greater_than_equal": "give {ge} or more",
@@ -149,11 +132,9 @@ _ADVICE = {
     "less_than_equal": "give {le} or less",
     "too_short": "give {min_length} or more of them",
     "too_long": "give {max_length} of them at most",
-    "list_type": "give a list",
-    "tuple_type": "give a list",
-    "dict_type": "give a table of settings",
+    **dict.fromkeys(("list_type", "tuple_type"), "give a list"),
+    **dict.fromkeys(("dict_type", "model_attributes_type"), "give a table of settings"),
     "model_type": "give a table of settings, or {class_name}",
-    "model_attributes_type": "give a table of settings",
     "none_required": "leave it out",
 }
 """What to do about an error of pydantic, by its type."""
@@ -164,7 +145,7 @@ def _words(fault: "ErrorDetails", model: str) -> str:
     facts = fault.get("ctx", {})
     error = facts.get("error")
     if isinstance(error, InputError):
-        return error.message
+        return str(error)
     if fault["type"] == "extra_forbidden":
         names = _field_names(model) if len(fault["loc"]) == 1 else []
         advice = closest_choice(str(fault["loc"][-1]), names) if names else "leave it out"

@@ -115,7 +115,7 @@ def run_command_line() -> NoReturn:
     except (KeyboardInterrupt, click.Abort):
         code = STOPPED_EXIT_CODE
     except InputError as error:
-        _fail(error.message)
+        _fail(str(error))
     except click.ClickException as error:
         words = error.format_message()
         context = getattr(error, "ctx", None)

@@ -219,12 +219,7 @@ class ExportPatterns(Command):
         write_reference(patterns, self.out)
         if str(source) in SCAN_NAMES:
             write_spots(self.out / "spots")
-        is_raised = dwell * 1e6 < device.shortest_us * (1 - 1e-9)
-        raised = (
-            f"the mean picture time was raised to {device.shortest_us} µs: {device.name} shows no "
-            "shorter picture (`shortest`)"
-        )
-        return _patterns_in(self.out, patterns, [raised] * is_raised)
+        return _patterns_in(self.out, patterns)
 
 
 class CheckPatterns(Command):
@@ -244,11 +239,9 @@ class CheckPatterns(Command):
         return _patterns_in(self.folder, patterns)
 
 
-def _patterns_in(folder: Path, patterns: "Patterns", remarks: list[str] | None = None) -> Outcome:
-    """Patterns of a folder, after remarks on their export."""
+def _patterns_in(folder: Path, patterns: "Patterns") -> Outcome:
     return Outcome(
-        {"patterns": str(folder), **patterns.as_dict()},
-        [*(remarks or []), *patterns.lines(), f"patterns: {folder}"],
+        {"patterns": str(folder), **patterns.as_dict()}, [*patterns.lines(), f"patterns: {folder}"]
     )
 
 

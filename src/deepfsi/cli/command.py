@@ -105,7 +105,7 @@ class ClickCommand(click.Command):
         try:
             self._run(ctx)
         except InputError as error:
-            raise InputError(self._with_options(error.message)) from error
+            raise InputError(self._with_options(str(error))) from error
 
     def _with_options(self, text: str) -> str:
         """A text with its settings as options, which are listed only where it may have some."""

@@ -256,7 +256,7 @@ class Job(UserModel):
             else:
                 _check_matrix(np.asarray(matrix), (self.masks, data.pixels))
         except InputError as error:
-            return [error.message]
+            return [str(error)]
         return []
 
     def _classifier_faults(self) -> Iterator[str]:

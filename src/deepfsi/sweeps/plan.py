@@ -199,7 +199,7 @@ class _Plan:
             training = self._training_data
             count = self.count()
         except InputError as error:  # too few scenes, or such that an exposure cannot see
-            return [error.message]
+            return [str(error)]
         if count > MOST_TRIALS:
             return [
                 f"{count} trials are not allowed: a recipe has at most {MOST_TRIALS}; take less"
@@ -226,7 +226,7 @@ class _Plan:
             try:
                 source_hash(name)
             except InputError as error:
-                faults[error.message] = None
+                faults[str(error)] = None
         return list(faults)
 
     @property
@@ -271,7 +271,7 @@ def _light_faults(job: Job, matrix: np.ndarray) -> list[str]:
     try:
         light_law(job.optics.light).rails_of(matrix, job.optics.rails)
     except InputError as error:
-        return [error.message]
+        return [str(error)]
     return []
 
 

@@ -118,7 +118,7 @@ def _cameras(axes: _Axes) -> list[CameraVariant]:
         try:
             camera = Camera.load(fields)
         except InputError as error:
-            faults.append(error.message)
+            faults.append(str(error))
         else:
             cameras.append(CameraVariant(camera, detectors, _variant(unnamed, axes)))
     if not cameras:
