@@ -15,7 +15,6 @@ from deepfsi.exposure.training import JobGroup
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
-from deepfsi.patterns.frames import recount, unpack
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from deepfsi.physics.noise import attach_gradient
 from deepfsi.training.learning import train
@@ -152,19 +151,6 @@ def test_the_comparison_of_gradients_runs(tmp_path, printed):
     assert len(table.read_text().splitlines()) == 1 + rows
 
 
-def test_frames_are_compared_on_the_same_work(printed):
-    frames = benchmark("dmd")
-    on = frames.count_mirrors(frames.signed("grey", 2))
-    for ours, plain in zip(frames.our_ordered(on), frames.plain_ordered(on), strict=True):
-        assert (ours == plain).all()
-    for way in (frames.our_random, frames.plain_random):
-        for counts, frame in zip(on, way(on), strict=True):
-            assert (recount(unpack(frame, frames.DEVICE), frames.GRID) == counts).all()
-    lines = "\n".join(printed("dmd", "--quick"))
-    for row in ("| hadamard | ordered |", "| grey | random |", "| grey |", "| 11 | 1.1 |"):
-        assert row in lines
-
-
 READER = "--records 2e5 --frame 1e-4 --blocks 65536 --rounds 1"
 ADAPTIVE = "--validation 1100 --scenes 200 --looks 3"
 
@@ -178,7 +164,6 @@ ADAPTIVE = "--validation 1100 --scenes 200 --looks 3"
         ("adaptive", f"{ADAPTIVE} --latency", ["one decision: "]),
         ("clicks", "--counts 2 --looks 6 --images 300", ["price ", "| 200 | ", "| 300 | "]),
         ("inference", "--data digits --masks 5 --exposures 20 --rounds 1", ["| 5 | 40 128 |"]),
-        ("detectors", "--side 8 --repeats 1", ["2x2 ", "4x4 "]),
         ("calibration_light", "--cells 8 --photons 1e5 --seeds 2", ["| raster |", "| hadamard |"]),
         (
             "conditions",
