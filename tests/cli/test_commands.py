@@ -35,15 +35,11 @@ def test_without_a_command_its_help_is_printed(done, words):
     assert f"Usage: deepfsi {' '.join(words)}".strip() in " ".join(done(*words).split())
 
 
-@pytest.mark.parametrize("kind", ["npy", "tif"])
-def test_own_masks_are_a_matrix_or_images(done, tmp_path, kind):
+def test_own_masks_are_images(done, tmp_path):
     masks = np.random.default_rng(0).integers(0, 256, (4, 8, 8), dtype=np.uint8)
-    source, file = tmp_path / f"m.{kind}", tmp_path / "own.safetensors"
-    if kind == "npy":
-        np.save(source, masks.reshape(4, 64) / 255 / 4)
-    else:
-        pages = [Image.fromarray(mask) for mask in masks]
-        pages[0].save(source, save_all=True, append_images=pages[1:])
+    source, file = tmp_path / "m.tif", tmp_path / "own.safetensors"
+    pages = [Image.fromarray(mask) for mask in masks]
+    pages[0].save(source, save_all=True, append_images=pages[1:])
     words = ["--matrix", source, "--epochs", 1, "--light", "free-dwell", "-o", file]
     done("design", "--photons", "1e3", *words)
     assert np.allclose(Design.load(file).matrix, masks.reshape(4, 64) / 255 / 4)

@@ -35,9 +35,6 @@ REFUSED = {
         --bins 3 --cap 2 | bins and cap are of different
         --cap 2 | --cap is of exposures that may end early
         --design adaptive --masks 2 --cap 3 | the first of 2 looks takes 1.5 of the budget
-        --light two-arm --rails single | use dual rails
-        --dmd dlp7000 --light column | device
-        --light column --detectors 2x2 | column is other optics
         --noise none --dark 5 | none noise has no dark counts
         --noise nowhere:noise | nowhere
         --counts 0 | counts = 0.0
