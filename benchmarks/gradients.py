@@ -241,7 +241,8 @@ def learn(
         {"params": list(network.parameters()), "lr": settings.lr},
         {"params": list(masks.parameters()), "lr": settings.mask_lr if keep is None else 0.0},
     ]
-    detection = Detection.of(job.optics, training_set.data.image_shape)
+    cells = job.optics.detector_map(training_set.data.image_shape)
+    detection = Detection.by(cells, job.optics.readout)
     x, count = (
         training_set.centred(pixels, torch.float32, detection),
         len(training_set.labels),

@@ -249,7 +249,7 @@ class AdaptiveExposure(ExposureKind):
     @property
     def detection(self) -> Detection:  # type: ignore[override]
         """Detectors on parts of the device."""
-        return Detection.of(self.camera, self.image_shape)
+        return Detection.by(self.camera.detector_map(self.image_shape), self.camera.readout)
 
     @property
     def title(self) -> str:

@@ -108,8 +108,9 @@ class ExposureTraining(ABC):
         self.learns = self.job.code.learned
         self.scenes = self.training_set.view(self.job.exposure)
         self.levels = self.camera.mask_levels(self.scenes.data.image_shape)
-        self.detection = Detection.of(self.camera, self.training_set.data.image_shape)
-        self.input_count = self.job.features(self.training_set.data.image_shape)
+        image_shape = self.training_set.data.image_shape
+        self.detection = Detection.by(self.camera.detector_map(image_shape), self.camera.readout)
+        self.input_count = self.job.features(image_shape)
         self.parts = self.training_set.data.pixels // self.scenes.data.pixels
 
     @abstractmethod

@@ -120,11 +120,6 @@ class TrainingSet:
         """Hashes of its scenes, which designs keep."""
         return training_hashes(self.data)
 
-    @property
-    def memory(self) -> int:
-        """Bytes of its scenes."""
-        return self.full.nbytes
-
     @cached_property
     def varying(self) -> Tensor:
         """Which pixels (N,) differ anywhere in the training set; the first if none does."""

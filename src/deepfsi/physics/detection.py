@@ -20,7 +20,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from deepfsi.base.errors import InputError
-from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.names import RailsKind, Readout
 
@@ -105,11 +104,6 @@ class Detection:
     readout: Readout = "difference"
     count: int = 1  # D, number of detectors
     labels: Tensor | None = None  # (N,), detector of each pixel, 0 .. D-1
-
-    @classmethod
-    def of(cls, camera: Camera, image_shape: tuple[int, ...]) -> "Detection":
-        """Detection of scenes of a shape by a camera."""
-        return cls.by(camera.detector_map(image_shape), camera.readout)
 
     @classmethod
     def by(cls, detectors: DetectorMap, readout: Readout = "difference") -> "Detection":

@@ -150,7 +150,7 @@ class BatchTrainer:
         and one by one where a trial diverges; that one's record is None.
         """
         first = batch[0].job
-        taken = self.training_set.memory
+        taken = self.training_set.full.nbytes
         parts = self.batches_within(batch, memory_for(self.processor) + taken)
         if len(parts) > 1:
             spans = zip(parts, report.split(len(parts)), strict=True)

@@ -368,9 +368,8 @@ def _counting_exposure(
 def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 1) -> None:
     """Raise `InputError` if training jobs together takes more memory than is free."""
     scenes, pixels = training_set.full.shape
-    held = training_set.memory
     check_memory(
-        footprint(training_set, jobs) * processes - held,
+        footprint(training_set, jobs) * processes - training_set.full.nbytes,
         memory_for(training_set.device),
         f"{scenes} scenes of {pixels} pixels, {jobs[0].masks} masks and {processes} processes",
         "give fewer or smaller scenes (`size`), fewer `masks` or fewer `workers`",
@@ -401,4 +400,4 @@ def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
     # features and hidden units
     step = 12 * batch * (masks + replicas * sum(job.training.hidden))
-    return 3 * training_set.memory + 4.0 * (learned + products_of_all + step)
+    return 3 * training_set.full.nbytes + 4.0 * (learned + products_of_all + step)
