@@ -19,6 +19,7 @@ import numpy as np
 
 from deepfsi import learn, load_dataset
 from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.device import find_device
 from deepfsi.counting.acquisition import Scene
 from deepfsi.datasets.dataset import Dataset
@@ -32,7 +33,12 @@ from deepfsi.lab.devices import (
 from deepfsi.lab.live import LiveRun
 from deepfsi.lab.results import LiveScene
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
-from deepfsi.lab.virtual_optics import MirrorLight, VirtualCamera, arrival_rates
+from deepfsi.lab.virtual_optics import (
+    EventRecorder,
+    MirrorLight,
+    VirtualCamera,
+    arrival_rates,
+)
 from deepfsi.patterns.folder import Patterns
 
 FLUX, EXPOSURE_S, PHOTONS = 1e7, 10e-3, 1e5
@@ -74,26 +80,19 @@ CASES = {
 }
 
 
-class Dimmed(VirtualProjector):
-    """Virtual setup whose light goes out at some times."""
+class Dimmed(EventRecorder):
+    """Light that goes out at some times."""
 
-    def __init__(self, *given: object, outs_s: np.ndarray) -> None:
-        super().__init__(*given)  # type: ignore[arg-type]
-        edges = np.sort(outs_s)[:, None] + [0, BLACKOUT_S]
-        self._edges = np.rint(np.maximum.accumulate(edges.ravel()) / DETECTOR_TICK_S).astype(
-            np.int64
-        )
+    edges = np.zeros(0, np.int64)
 
-    def _see(self, frames: np.ndarray, ends: np.ndarray) -> None:
-        here = self._edges[(self._edges > self._end) & (self._edges < ends[-1])]
-        every = np.unique(np.concatenate([ends, here]))
-        lit = self._rates
-        for end in every.tolist():
-            frame = frames[[int(np.searchsorted(ends, end))]]
-            out = np.searchsorted(self._edges, end - 1, side="right") % 2
-            self._rates = 0 * lit if out else lit
-            super()._see(frame, np.array([end]))
-        self._rates = lit
+    def see(self, durations: np.ndarray, rates: np.ndarray, report: Progress = SILENT) -> None:
+        """Draw the events of pictures, none while the light is out."""
+        ends = self.end + np.cumsum(durations)
+        here = self.edges[(self.edges > self.end) & (self.edges < ends[-1])]
+        for end in np.unique(np.concatenate([ends, here])).tolist():
+            seen = rates[[int(np.searchsorted(ends, end))]]
+            out = np.searchsorted(self.edges, end - 1, side="right") % 2
+            super().see(np.array([end - self.end]), seen * (1 - out))
 
 
 def lamp_of(case: Case, scenes: int) -> np.ndarray:
@@ -129,7 +128,10 @@ def run(
     rng = np.random.default_rng(seed)
     took = len(x) * 50e-3  # a little more than such a run takes
     outs = rng.uniform(0, took, case.blackouts)
-    setup = Dimmed(rates, camera, LATENCIES, seed, made, outs_s=outs)
+    setup = VirtualProjector(rates, camera, LATENCIES, seed, made)
+    setup.recorder = Dimmed(camera, np.random.default_rng(seed), (0,))
+    edges = np.maximum.accumulate((np.sort(outs)[:, None] + [0, BLACKOUT_S]).ravel())
+    setup.recorder.edges = np.rint(edges / DETECTOR_TICK_S).astype(np.int64)
     counter = VirtualCounter(setup, (0,))
     bench = Setup(setup, counter, setup.display, lambda: setup.now_s)
     stated = None if case.stated is None else case.stated * FLUX * EXPOSURE_S

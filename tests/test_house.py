@@ -26,7 +26,7 @@ LINES = {
     "evaluation": 1597,
     "exposure": 1104,
     "jobs": 1654,
-    "lab": 4308,
+    "lab": 3928,
     "patterns": 1504,
     "physics": 1870,
     "report": 1428,

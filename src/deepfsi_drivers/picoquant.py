@@ -134,7 +134,7 @@ class SnapiCounter:
             self._api.raw.stopMeasure()
 
     def _read(self, frames: FrameCounter, path: Path) -> None:
-        """Count all records until the end; what is found, or goes wrong, is for the other side."""
+        """Count all records until the end; the other side gets counts and errors."""
         try:
             while not self._ending.is_set():
                 finished = self._api.raw.isFinished()

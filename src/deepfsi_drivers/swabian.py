@@ -40,12 +40,6 @@ TICK_S = 1e-12
 MOST_TAGS = 2**22
 """Tags that may wait for the thread."""
 
-BLOCK = 2**17, 1
-"""Tags of a block that the device hands over at most, and its latency at most, milliseconds."""
-
-SYNC_MS = 5000
-"""Longest wait for the tags that the device still holds, milliseconds."""
-
 TAGGER_POLL_S = 0.0002
 """Time between two questions for tags, seconds."""
 
@@ -94,7 +88,8 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
             with _refusals("take its settings"):
                 for channel, level in self._levels.items():
                     self._tagger.setTriggerLevel(channel, level)
-                self._tagger.setStreamBlockSize(*BLOCK)
+                # At most so many tags in a block, and 1 ms of latency
+                self._tagger.setStreamBlockSize(2**17, 1)
         except BaseException:
             self._free()
             raise
@@ -155,7 +150,7 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
             raise fault
 
     def _read(self, tags: "_Tags", ending: threading.Event) -> None:
-        """Write all tags until the end; what goes wrong is for the other side."""
+        """Write all tags until the end; the other side gets errors."""
         try:
             with _refusals("hand over its tags"):
                 while not ending.wait(TAGGER_POLL_S):
@@ -167,10 +162,8 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
 
     def _sync(self) -> None:
         """Wait until all tags of what has come are handed over."""
-        if not self._tagger.sync(SYNC_MS):
-            raise InputError(
-                f"the Time Tagger does not answer within {SYNC_MS / 1000:g} s: check its cable"
-            )
+        if not self._tagger.sync(5000):  # milliseconds
+            raise InputError("the Time Tagger does not answer within 5 s: check its cable")
 
     def _free(self) -> None:
         tagger = self._tagger

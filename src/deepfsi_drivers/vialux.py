@@ -46,9 +46,6 @@ FRAMES_OF_9BIT = 512
 LONGEST_LIST = 4096
 """Entries of a frame list at most: those of ALP4lib's structure."""
 
-FRAMES_A_PUT = 64
-"""Frames sent at a time, 6 MB on a DLP7000."""
-
 ROW_BYTES = {1024: 128, 1920: 256}
 """Bytes of a row of packed mirrors by its length, as alp.h has them; other rows go unpacked."""
 
@@ -76,9 +73,6 @@ class Alp:
     FLUT_MAX_ENTRIES9 = 2324
     FLUT_WRITE_9BIT = 2325
     FLUT_WRITE_18BIT = 2326
-    PROJ_MODE = 2300
-    MASTER = 2301
-    SLAVE = 2302
     DATA_FORMAT = 2110
     DATA_MSB_ALIGN = 0
     DATA_BINARY_TOPDOWN = 2
@@ -161,8 +155,8 @@ class _Board(ABC):
 
     def _put(self, sequence: Any, frames: Iterator[np.ndarray], count: int, sent: Progress) -> None:
         """Fill a sequence with the next frames."""
-        for first in range(0, count, FRAMES_A_PUT):
-            block = np.stack(list(itertools.islice(frames, min(FRAMES_A_PUT, count - first))))
+        for first in range(0, count, 64):  # 6 MB on a DLP7000
+            block = np.stack(list(itertools.islice(frames, min(64, count - first))))
             self._alp.SeqPut(self._rows(block).ravel(), sequence, first, len(block))
             sent((first + len(block)) / count)
 
@@ -213,7 +207,7 @@ class _Board(ABC):
             )
 
     def _wait(self, poll_s: float) -> None:
-        """Return when nothing is shown or waits to be."""
+        """Return when nothing is shown or waits."""
         with _refusals("show patterns"):
             while self._running():
                 self._sleep(poll_s)
@@ -287,22 +281,12 @@ class VialuxLooks(_Board):
     are longer than the controller's table are shown with a longer picture time.
     """
 
-    @validate_call
-    def __init__(
-        self,
-        version: str = USUAL_VERSION,
-        library: Path | None = None,
-        serial: int | None = None,
-        trigger_s: float | None = None,
-    ) -> None:
-        super().__init__(version, library, serial)
-        self.trigger_s = trigger_s
-        self._shortest_us = self._picture_us = self._frames = self._entries = 0
+    _shortest_us = _picture_us = _frames = _entries = 0
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Number of pictures as which each frame is shown, and each one's time, seconds."""
         picture_us, repeats = self._plan(dwells_s)
-        return repeats, np.full(len(repeats), self.trigger_s or picture_us * 1e-6)
+        return repeats, np.full(len(repeats), picture_us * 1e-6)
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
         """Bring another frame into the place of a loaded one, when the last list has ended."""
@@ -333,26 +317,19 @@ class VialuxLooks(_Board):
             if picture_us != self._picture_us:
                 self._alp.SetTiming(sequence, pictureTime=picture_us)
                 self._picture_us = picture_us
-            period_s = self.trigger_s or picture_us * 1e-6
-            self._end = time.monotonic() + len(places) * period_s + GRACE_S
+            self._end = time.monotonic() + len(places) * picture_us * 1e-6 + GRACE_S
             self._alp.Run(sequence, loop=False)
 
     def _plan(self, dwells_s: np.ndarray) -> tuple[int, np.ndarray]:
-        """Picture time, µs, and how often each frame is repeated to be held for so long."""
+        """Picture time, µs, and the repeats of each frame that hold it long enough."""
         if not self._sequences:
             raise InputError("no patterns on the Vialux device: load a pattern folder first")
         if not (np.isfinite(dwells_s).all() and (dwells_s > 0).all()):
             raise InputError("frames are held for times that are none: give seconds above 0")
         wanted_us = dwells_s * 1e6
-        if self.trigger_s is not None:
-            repeats = _repeats(wanted_us, self.trigger_s * 1e6)
-            picture_us = self._shortest_us
-        else:
-            picture_us = max(self._shortest_us, int(wanted_us.sum() // self._entries))
-            while (
-                (repeats := _repeats(wanted_us, picture_us)).sum() > self._entries >= len(repeats)
-            ):
-                picture_us = max(picture_us + 1, picture_us * 101 // 100)
+        picture_us = max(self._shortest_us, int(wanted_us.sum() // self._entries))
+        while (repeats := _repeats(wanted_us, picture_us)).sum() > self._entries >= len(repeats):
+            picture_us = max(picture_us + 1, picture_us * 101 // 100)
         if repeats.sum() > self._entries:
             raise InputError(
                 f"a list of {repeats.sum()} pictures does not fit the Vialux controller, which "
@@ -363,12 +340,6 @@ class VialuxLooks(_Board):
     def _send(self, manifest: Manifest, frames: Iterator[np.ndarray], report: Progress) -> None:
         self._shortest_us = self._picture_us = manifest.device.shortest_us
         self._frames = len(manifest.frames)
-        if self.trigger_s is not None and self.trigger_s * 1e6 <= self._shortest_us:
-            raise InputError(
-                f"a trigger every {self.trigger_s:g} s is too fast: give a period above "
-                f"{self._shortest_us * 1e-6:g} s"
-            )
-        self._alp.ProjControl(Alp.PROJ_MODE, Alp.MASTER if self.trigger_s is None else Alp.SLAVE)
         sequence = self._new_sequence(self._frames, self._shortest_us)
         wide = self._frames > FRAMES_OF_9BIT
         self._alp.SeqControl(Alp.FLUT_MODE, Alp.FLUT_18BIT if wide else Alp.FLUT_9BIT, sequence)

@@ -132,7 +132,7 @@ class FixedPattern(FixedMasks):
 class LearnedPattern(LearnedMasks):
     """A pattern that learns, in [0, 1], from logits (R, H, P).
 
-    Grey levels have the gradient of the continuous pattern, as those of `LearnedMasks`.
+    Grey levels have the gradient of the continuous pattern.
     """
 
     def __init__(self, start: Tensor, transit: ScenePath, levels: int = 0) -> None:
@@ -165,9 +165,9 @@ def in_levels(pattern: Tensor, levels: int) -> Tensor:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PassingExposure(MaskExposure):
-    """Exposure of a scene that passes a pattern, in each exposure at another place.
+    """Exposure of a scene that passes a pattern, each time at another place.
 
-    The masks' rails are those of the transit without jitter.
+    The rails belong to the transit without jitter.
     """
 
     entry: PassingEntry
@@ -183,7 +183,7 @@ class PassingExposure(MaskExposure):
     }
 
     def __post_init__(self) -> None:
-        """Raise `ValueError` unless the masks are those of the pattern."""
+        """Raise `ValueError` unless the masks belong to the pattern."""
         bounds = float(self.pattern.min()), float(self.pattern.max())
         if len(self.pattern) != self.entry.shape[0] or bounds[0] < 0 or bounds[1] > 1:
             raise ValueError("the pattern is not of these scenes, or not between dark and open")
@@ -213,7 +213,7 @@ class PassingExposure(MaskExposure):
     def scanner(
         self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
-        """A front end that reads every bin for the same time; parameters as for `Scanner`."""
+        """A scanner that reads every bin for the same time."""
         rails = self.transit.open(self.device)
         return Scanner.from_rails(rails, noise, sigma=sigma, dark=dark, detection=self.detection)
 
@@ -280,7 +280,7 @@ class PassingTraining(ExposureTraining):
             self.masks = FixedPattern(in_levels(pattern, 2), self.transit).to(self.scenes.device)
 
     def prepare(self) -> None:
-        """Take the products of all scenes with a pattern that does not learn."""
+        """Take the products of scenes with a pattern that does not learn."""
         scenes = self.scenes.full
         self.read = self.transit.readouts(scenes.device)
         if not self.learns:

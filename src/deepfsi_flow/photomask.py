@@ -16,12 +16,6 @@ from deepfsi.base.files import check_ending, write_atomically
 from deepfsi.designfile.design_file import DesignFile, damaged_design
 from deepfsi_flow.settings import PassingEntry
 
-PHOTOMASK_ENDS = (".svg", ".png")
-"""Ends of the names of files of a photomask."""
-
-LARGEST_UM = 1e5
-"""Largest pixel of a photomask, micrometres: a hand's width."""
-
 
 class _OpenRectangle(NamedTuple):
     """Open pixels, from the first row and column to before the last."""
@@ -103,10 +97,10 @@ def write_photomask(
     file: str | os.PathLike[str], out: str | os.PathLike[str], pixel_um: float
 ) -> np.ndarray:
     """Write the pattern of a design for a photomask, and return it."""
-    check_ending(out, PHOTOMASK_ENDS)
-    if not 0 < pixel_um <= LARGEST_UM:
+    check_ending(out, (".svg", ".png"))
+    if not 0 < pixel_um <= 1e5:  # a hand's width
         raise InputError(
-            f"a pixel of {pixel_um:g} µm is not allowed: give above 0 and up to {LARGEST_UM:g}"
+            f"a pixel of {pixel_um:g} µm is not allowed: give above 0 and up to 100000"
         )
     pattern = _read_static_pattern(file)
     rows, columns = pattern.shape

@@ -32,17 +32,8 @@ if TYPE_CHECKING:  # they import torch, which those who look for no transits do 
     from deepfsi.design.design import Design
     from deepfsi_flow.exposure import PassingExposure
 
-FALSE_TRANSITS = 0.01
-"""Expected transits of background alone in a record unless another number is asked for."""
-
-TRANSIT_TICK_S = 1e-9
-"""Tick of a simulated file, seconds."""
-
 FINE = 8
 """Steps of a bin in which the place of a transit is sought."""
-
-LEAST_WINDOWS = 10
-"""Windows without transits that the background is estimated from at least."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +54,7 @@ def false_alarms(level: int, background: float, window: float, duration: float) 
 
 
 def find_threshold(background: float, window: float, duration: float, allowed: float) -> _Threshold:
-    """Least level whose false alarms in a record are so many at most, and not below the mean."""
+    """Least level, above the mean, whose false alarms in a record are allowed."""
     level = max(int(background * window) + 1, 2)  # below the mean rises are rare, too
     while false_alarms(level, background, window, duration) > allowed:
         level += max(1, int(math.sqrt(level) / 8))
@@ -104,10 +95,10 @@ def find_background(times: np.ndarray, window: float, duration: float, allowed: 
         starts = find_transits(times, window, level)
         spans = _joined(starts - window, starts + 2 * window, duration)
         left = duration - float(np.diff(spans, axis=1).sum())
-        if left < LEAST_WINDOWS * window:
+        if left < 10 * window:
             raise InputError(
-                f"less than {LEAST_WINDOWS} transits of this record's time is without any, too "
-                "little to know the background from: give `background`"
+                "less than 10 transits of this record's time is without any, too little to know "
+                "the background from: give `background`"
             )
         before = count
         count = len(times) - int(np.diff(np.searchsorted(times, spans), axis=1).sum())
@@ -129,10 +120,9 @@ def _joined(starts: np.ndarray, stops: np.ndarray, duration: float) -> np.ndarra
 def align_transits(
     times: np.ndarray, starts: np.ndarray, bin_s: float, trace: np.ndarray, background: float
 ) -> np.ndarray:
-    """Starts (n,) at which photons are likeliest those of a mean trace, up to half a transit off.
+    """Starts (n,), up to half a transit off, that a mean trace (T,) of counts makes likeliest.
 
-    The trace (T,) is the mean counts of each bin. Σ log(1 + rate / background) over the photons is
-    the logarithm of the likelihood, but for a constant.
+    Σ log(1 + rate / background) over the photons is the log-likelihood, but for a constant.
     """
     cells = FINE * len(trace)
     rate = np.repeat(trace, FINE) / bin_s
@@ -219,14 +209,14 @@ def classify_transits(
     *,
     photons: float | None = None,
     background: float | None = None,
-    false_alarms: float = FALSE_TRANSITS,
+    false_alarms: float = 0.01,
     counter_input: int = 0,
     report: Progress = SILENT,
 ) -> ClassifiedTransits:
     """Find the transits of a photon file, count their bins, and classify them.
 
-    A transit is a rise of the rate above a threshold with a stated number of false alarms. Its
-    place is where its photons are likeliest those of the mean trace of the training.
+    A transit is a rise of the rate above a threshold with a stated number of false alarms, and lies
+    where the mean trace of the training makes its photons likeliest.
     """
     from deepfsi.exposure.training_set import check_classes
     from deepfsi.physics.surroundings import library_defaults
@@ -301,15 +291,15 @@ def simulate_transits(
     gaps: tuple[float, float] = (2.0, 5.0),
     seed: int = 0,
 ) -> np.ndarray:
-    """Write a photon file of scenes that pass one after the other; their starts, seconds (n,).
+    """Write a photon file of scenes that pass in turn; give the starts (n,) of their first bins.
 
-    A start is that of the first bin of a transit in its mean place. Scenes are seen from where they
-    enter the pattern to where they leave it.
+    Starts are seconds, for scenes in their mean places. Scenes are seen from where they enter the
+    pattern to where they leave it.
 
     Parameters
     ----------
     design : Design
-        Of scenes that pass a pattern.
+        Design for scenes that pass a pattern.
     scenes : array, shape (n, N)
         Reflectance.
     file : str or path
@@ -362,9 +352,9 @@ def write_transits(
     path: str | os.PathLike[str], traces: np.ndarray, starts_s: np.ndarray, *,
     step_s: float, background: float, seconds: float, rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Write photons of some transits and of the background, counts/s, in a record of some seconds.
+    """Write photons of transits, counts (n, S) expected in steps from starts (n,), and background.
 
-    Shapes: traces (n, S), expected counts in each step; starts (n,) of the first step.
+    The background is counts/s in all seconds.
     """
     counts = rng.poisson(traces)
     at = starts_s[:, None] + step_s * np.arange(traces.shape[1])
@@ -372,6 +362,7 @@ def write_transits(
     passing = passing + step_s * rng.random(len(passing))
     dark = seconds * rng.random(rng.poisson(background * seconds))
     times = np.sort(np.concatenate([passing, dark]))
-    ticks = np.rint(times[(times >= 0) & (times < seconds)] / TRANSIT_TICK_S).astype(np.int64)
-    with PtuWriter(path, TRANSIT_TICK_S) as writer:
+    tick_s = 1e-9
+    ticks = np.rint(times[(times >= 0) & (times < seconds)] / tick_s).astype(np.int64)
+    with PtuWriter(path, tick_s) as writer:
         writer.write(ticks, np.zeros(len(ticks), np.int64))

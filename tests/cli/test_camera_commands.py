@@ -12,7 +12,7 @@ from deepfsi import Design, InputError, evaluate
 from deepfsi.cli import app
 from deepfsi.counting.recording import Recording
 from deepfsi.datasets.display import read_display, write_pictures
-from deepfsi.lab.calibration import calibrate_run, reconstruct
+from deepfsi.lab.calibration import calibrate_run
 from deepfsi.patterns.folder import Patterns
 
 LIGHT = ["--flux", 1e7, "--exposure", "5ms", "--virtual", "ideal"]
@@ -135,20 +135,15 @@ def lose_passes(run, found, spots):
     """Passes of spots that were not counted add noise only; the white one is needed."""
     recorded = Recording.read(run)
     names = [scene.name for scene in recorded.acquisition.scenes]
-    shown, counts, pictures = (
-        read_display(spots),
-        recorded.read_counts(),
-        reconstruct(run),
-    )
+    shown, counts = read_display(spots), recorded.read_counts()
     lost = [place for place, name in enumerate(names) if name.startswith("spot")][:7]
-    counts.valid[lost], counts.dark_rate[lost], pictures[lost] = False, 0, np.nan
-    displayed = dict(zip(shown.names, shown.x, strict=True))
-    again = calibrate_run(displayed, names, pictures, counts, recorded.patterns)
+    counts.valid[lost], counts.dark_rate[lost] = False, 0
+    again = calibrate_run(shown, recorded, counts)
     assert again.dark == pytest.approx(found["dark"], rel=0.05)
     assert again.spots == 18
     counts.valid[names.index("white.png")] = False
     with pytest.raises(InputError, match=r"no exposure of white\.png"):
-        calibrate_run(displayed, names, pictures, counts, recorded.patterns)
+        calibrate_run(shown, recorded, counts)
 
 
 def deep(folder, pictures, bright):

@@ -1,9 +1,7 @@
 """What tests of several drivers share: patterns to show, and rules of every counter."""
 
 import numpy as np
-import pytest
 
-from deepfsi.base.errors import InputError
 from deepfsi.counting.reader import count_windows, read_markers
 from deepfsi.lab.devices import StreamingCounter
 from deepfsi.patterns.folder import Patterns
@@ -37,9 +35,3 @@ def check_counts(found, path, gates, inputs, tick_s):
     closes = opens + np.rint(gates.lengths_s / tick_s).astype(int)
     assert np.array_equal(found, count_windows(path, opens, closes, inputs))
     assert found.sum() > 100
-
-
-def check_records_into_a_new_file_alone(made, folder):
-    (folder / "photons.ptu").touch()
-    with made as counter, pytest.raises(InputError, match="is there already"):
-        counter.start(folder / "photons.ptu")

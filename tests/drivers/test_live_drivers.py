@@ -34,14 +34,14 @@ def test_the_loop_runs_on_a_vialux_device_and_a_file_that_grows(
 
     class Counter(file_tail.FollowedCounter):
         def start(self, path):
-            optics.written = PtuWriter(path, DETECTOR_TICK_S, growing=True).__enter__()
+            optics.recorder.writer = PtuWriter(path, DETECTOR_TICK_S, growing=True).__enter__()
             super().start(path)
 
     library.size, library.on_list, library.entries = (64, 48), on_list, entries
     devices = Setup(vialux.VialuxLooks(), Counter(), usual.display)
     counted = Counted(monkeypatch)
     decided = list(run.steps(folder, devices))
-    optics.written.__exit__(None, None, None)
+    optics.recorder.writer.__exit__(None, None, None)
     assert len(decided) == SCENES * LOOKS
     assert library.calls.count("SeqAlloc") == 1
     assert not library.allocated
@@ -65,7 +65,7 @@ def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_pa
     device = swabian_fake.install(monkeypatch, trigger=-4)
     folder, run = tmp_path / "run", planned(patterns, scenes, 20e-3, FLUX)
     devices = virtual_setup(run.patterns, x, run.settings)
-    devices.projector.written = device
+    devices.projector.recorder.writer = device
     counter = swabian.TaggerCounter(run.settings.inputs, run.settings.marker_bit, trigger=-4)
     devices = replace(devices, counter=counter)
     counted = Counted(monkeypatch)

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import ptufile
 import pytest
-from driver_samples import check_counts, check_records_into_a_new_file_alone, collect
+from driver_samples import check_counts, collect
 
 from deepfsi.base.errors import InputError
 from deepfsi.counting.reader import read_markers
@@ -131,7 +131,9 @@ def test_a_device_that_is_gone_ends_the_run(device, tmp_path):
 
 
 def test_no_recording_is_written_over(device, tmp_path):
-    check_records_into_a_new_file_alone(swabian.TaggerCounter(trigger=8), tmp_path)
+    (tmp_path / "photons.ptu").touch()
+    with swabian.TaggerCounter(trigger=8) as counter, pytest.raises(InputError, match="already"):
+        counter.start(tmp_path / "photons.ptu")
 
 
 def test_the_library_is_found_by_either_name_or_its_lack_is_said(device, monkeypatch):

@@ -79,8 +79,8 @@ def test_numbers_that_the_device_is_told_are_those_of_its_header():
     """The fake takes its numbers from the driver, so it cannot know a wrong one."""
     asked = {"AVAIL_MEMORY": 2003, "QUEUE_AVAIL": 2317, "PROJ_STATE": 2400, "PROJ_ACTIVE": 1200}
     asked |= {"MIN_PICTURE_TIME": 2211, "MAX_PICTURE_TIME": 2213, "FLUT_MAX_ENTRIES9": 2324}
-    told = {"BIN_MODE": 2104, "BIN_UNINTERRUPTED": 2106, "PROJ_MODE": 2300, "MASTER": 2301}
-    told |= {"SLAVE": 2302, "DATA_FORMAT": 2110, "DATA_MSB_ALIGN": 0, "DATA_BINARY_TOPDOWN": 2}
+    told = {"BIN_MODE": 2104, "BIN_UNINTERRUPTED": 2106}
+    told |= {"DATA_FORMAT": 2110, "DATA_MSB_ALIGN": 0, "DATA_BINARY_TOPDOWN": 2}
     told |= {"QUEUE_MODE": 2314, "SEQUENCE_QUEUE": 1, "RESET_QUEUE": 2319, "DEFAULT": 0}
     told |= {"FLUT_MODE": 2118, "FLUT_9BIT": 1, "FLUT_18BIT": 2, "FLUT_ENTRIES9": 2120}
     told |= {"FLUT_WRITE_9BIT": 2325, "FLUT_WRITE_18BIT": 2326}
@@ -206,7 +206,6 @@ def test_a_list_repeats_frames_that_were_loaded_once(library, patterns):
             assert (repeats * 44e-6 >= np.array(dwells) * (1 - 1e-9)).all()
             assert ((repeats - 1) * 44e-6 < np.array(dwells)).all()
         assert library.calls.count("SeqPut") == sent
-        assert library.mode == vialux.Alp.MASTER
     assert [len(shown) for shown, _ in library.lists] == [4, 13, 23]
     assert not library.allocated
 
@@ -233,18 +232,3 @@ def test_more_frames_than_nine_bits_name_take_entries_of_eighteen(library, patte
         assert library.lists == [([603, 511, 511], 44)]
         with pytest.raises(InputError, match=r"a list of 2049 pictures .* takes 2048"):
             projector.show(np.zeros(2049, int), np.full(2049, 44e-6))
-
-
-def test_a_trigger_gives_the_pictures_their_time(library, patterns):
-    folder = patterns(masks=2)
-    with vialux.VialuxLooks(trigger_s=50e-6) as projector:
-        projector.load(Patterns.read(folder))
-        assert library.mode == vialux.Alp.SLAVE
-        repeats, each_s = projector.pictures(np.array([50e-6, 51e-6, 1e-3]))
-        assert (repeats.tolist(), each_s.tolist()) == ([1, 2, 20], [50e-6] * 3)
-        with pytest.raises(InputError, match="a list of 20000 pictures"):
-            projector.show(np.array([1]), np.array([1.0]))
-    with vialux.VialuxLooks(trigger_s=44e-6) as projector:
-        with pytest.raises(InputError, match="too fast"):
-            projector.load(Patterns.read(folder))
-        assert not library.sequences

@@ -25,7 +25,7 @@ class Library:
         self.calls, self.shown, self.sequences, self.lists = [], [], {}, []
         self.queue, self.busy, self.queue_mode = [], 0, None
         self.memory, self.places, self.stuck = 1000, 2, False
-        self.entries, self.table, self.mode = 4096, {}, vialux.Alp.MASTER
+        self.entries, self.table = 4096, {}
         self.allocated = False
         self.fail_at: dict[str, BaseException | int] = {}
         self.size = DEVICE.columns, DEVICE.rows
@@ -90,8 +90,6 @@ class ALP4:
         self._ALPLib.step("ProjControl")
         if kind == vialux.Alp.QUEUE_MODE:
             self._ALPLib.queue_mode = value
-        elif kind == vialux.Alp.PROJ_MODE:
-            self._ALPLib.mode = value
         else:
             assert (kind, value) == (vialux.Alp.RESET_QUEUE, vialux.Alp.DEFAULT)
             self._ALPLib.queue.clear()

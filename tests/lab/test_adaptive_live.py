@@ -96,7 +96,7 @@ def test_another_design_beside_the_first_mask_is_refused(patterns, tmp_path):
     folder = shutil.copytree(patterns, tmp_path / "patterns")
     with (folder / "design.safetensors").open("ab") as file:
         file.write(b" ")
-    with pytest.raises(InputError, match="is not the design whose masks"):
+    with pytest.raises(InputError, match="is not the design whose patterns"):
         LiveRun(Patterns.read(folder), (), EXPOSURE_S)
 
 

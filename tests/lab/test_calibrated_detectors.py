@@ -10,7 +10,6 @@ from deepfsi.counting.recording import Recording
 from deepfsi.lab.calibration import (
     SCAN_NAMES,
     find_detectors,
-    save_detectors,
     scan_rails,
     spot_scenes,
 )
@@ -41,8 +40,6 @@ def scanned(folder, scan="hadamard") -> tuple[Counts, Patterns]:
 def test_each_cell_is_its_detectors(tmp_path, scan):
     found = find_detectors(*scanned(tmp_path, scan))
     assert np.array_equal(found, np.kron(PARTS, np.ones((2, 2), int)))
-    path = save_detectors(found, tmp_path / "calibration")
-    assert np.array_equal(np.load(path), found)
 
 
 def test_a_detector_without_cells_is_named(tmp_path):

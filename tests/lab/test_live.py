@@ -10,9 +10,7 @@ import pytest
 from deepfsi import classify_run
 from deepfsi.base.errors import InputError
 from deepfsi.lab import results as frame_log
-from deepfsi.lab.adaptive_looks import AdaptiveLooks
 from deepfsi.lab.devices import virtual_setup
-from deepfsi.patterns.folder import Patterns
 from shared.live_samples import (
     DEVICE,
     EXPOSURE_S,
@@ -44,12 +42,10 @@ def copied(run, tmp_path):
 
 def test_the_clock_adds_up(digits, patterns, tmp_path):
     """A scene takes its pictures and, for each list, command, block, transfer and decision."""
-    slow = {"display": 0.5, "block": 0.1, "transfer": 0.003}
+    slow = {"display": 0.5, "block": 0.1, "transfer": 0.003, "command": 0.01, "decision": 0.002}
     x, scenes = scenes_of(digits, 3)
     live_run = planned(patterns, scenes)
-    devices = virtual_setup(
-        live_run.patterns, x, live_run.settings, latency_s=0.01, decision_s=0.002
-    )
+    devices = virtual_setup(live_run.patterns, x, live_run.settings)
     devices.projector.latencies |= slow
     decided = list(live_run.steps(tmp_path / "run", devices))
     times = {}
@@ -67,7 +63,7 @@ def test_exposures_that_share_light_end_when_sure_and_take_the_cap_at_most(digit
     """Of 3 looks each takes 2/3 of the exposure, which is the mean, less what the clock rounds."""
     patterns = make_patterns(tmp_path, digits, exposure={"cap": 2})
     decided = live(tmp_path / "run", patterns, digits, count=20)
-    threshold = AdaptiveLooks.read(Patterns.read(patterns)).rule.threshold
+    threshold = planned(patterns, scenes_of(digits, 1)[1]).looks.rule.threshold
     for each in decided:
         decision = each.decision
         assert decision.light_s == pytest.approx(2 / LOOKS * (decision.look + 1) * EXPOSURE_S, 1e-3)

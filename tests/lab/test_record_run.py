@@ -39,7 +39,7 @@ def tagged(patterns, digits, count, monkeypatch):
     """The same bench, whose photons and triggers are tags of a fake of a Time Tagger."""
     acquisition, bench = planned(patterns, digits, count)
     device = swabian_fake.install(monkeypatch)
-    bench.projector.written = device
+    bench.projector.recorder.writer = device
     counter = swabian_module.TaggerCounter(acquisition.inputs, acquisition.marker_bit, trigger=8)
     return device, acquisition, replace(bench, counter=counter)
 
@@ -67,7 +67,7 @@ def test_a_run_that_is_stopped_keeps_its_finished_scenes(
             monkeypatch.setattr(bench.projector, "run", stopped)
         elif scene == 2:
             begin = [swabian_fake.OVERFLOW_BEGIN]
-            device.add(times=[optics._end], channels=[0], types=begin, missed=[0])
+            device.add(times=[optics.recorder.end], channels=[0], types=begin, missed=[0])
         optics.display(scene)
 
     bench = replace(bench, display=display)

@@ -30,7 +30,7 @@ def masks(number: int = 16) -> np.ndarray:
 def export(folder, layout=PLAIN, number=16):
     design = DesignRails(masks(number), "equal-dwell", (8, 8), 20.0)
     shown = Patterns.from_rails(design, DEVICE, 1e-3, layout=layout).write(folder)
-    write_reference(shown, folder)
+    write_reference(shown.manifest, folder)
     return shown
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
+from deepfsi.base.progress import SILENT
 from deepfsi.lab.devices import VirtualProjector, virtual_setup
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
-from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera
+from deepfsi.lab.virtual_optics import CAMERAS, EventRecorder, VirtualCamera
 from shared.live_samples import EXPOSURE_S, make_patterns, planned, scenes_of
 
 FLUX, SCENES = 1e7, 16
@@ -30,26 +31,25 @@ class Lab:
     flicker: tuple[float, float] = (0.0, 0.0)  # amplitude, and Hz
 
 
-class Wavering(VirtualProjector):
-    """Setup whose light goes out at times, or rises and falls."""
+class Wavering(EventRecorder):
+    """Light that goes out at times, or rises and falls."""
 
     lab = Lab()
 
-    def _see(self, frames, ends):
+    def see(self, durations, rates, report=SILENT):
+        ends = self.end + np.cumsum(durations)
         outs = np.rint(np.array(self.lab.outs_s).ravel() / DETECTOR_TICK_S).astype(np.int64)
         size, hertz = self.lab.flicker
         every = outs
         if size:
             each = round(0.1 / hertz / DETECTOR_TICK_S)
-            every = np.arange(self._end // each + 1, ends[-1] // each + 1) * each
-        here = every[(every > self._end) & (every < ends[-1])]
-        lit = self._rates
+            every = np.arange(self.end // each + 1, ends[-1] // each + 1) * each
+        here = every[(every > self.end) & (every < ends[-1])]
         for end in np.unique(np.concatenate([ends, here])).tolist():
-            wave = 1 + size * np.sin(2 * np.pi * hertz * (self._end + end) / 2 * DETECTOR_TICK_S)
+            wave = 1 + size * np.sin(2 * np.pi * hertz * (self.end + end) / 2 * DETECTOR_TICK_S)
             out = np.searchsorted(outs, end - 1, side="right") % 2
-            self._rates = lit * wave * (1 - out)
-            super()._see(frames[[int(np.searchsorted(ends, end))]], np.array([end]))
-        self._rates = lit
+            seen = rates[[int(np.searchsorted(ends, end))]] * wave * (1 - out)
+            super().see(np.array([end - self.end]), seen)
 
 
 def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **settings):
@@ -58,7 +58,7 @@ def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None, **s
     run = planned(patterns, named, flux=FLUX, camera=lab.camera, **{"seed": 3, **settings})
     devices = virtual_setup(run.patterns, x, run.settings)
     setup = devices.projector
-    setup.__class__, setup.lab = Wavering, lab
+    setup.recorder.__class__, setup.recorder.lab = Wavering, lab
     lamp, made = np.array(lab.lamp)[:scenes], setup._made
     setup._rates *= lamp[:, None, None]
     setup._made = lambda scene, packed: lamp[scene] * made(scene, packed)
@@ -137,13 +137,13 @@ def test_a_trigger_that_jitters_is_named(digits, patterns, tmp_path):
     rng = np.random.default_rng(0)
 
     def jitter(setup):
-        add = setup._add
+        add = setup.recorder.add
 
         def late(times, code):
             off = rng.normal(0, 4e-6 / DETECTOR_TICK_S, len(times)).astype(np.int64)
             add(np.sort(times + off * (code < 0)), code)
 
-        setup._add = late
+        setup.recorder.add = late
 
     with pytest.raises(InputError, match="a trigger that jitters"):
         answers(tmp_path / "run", patterns, digits, change=jitter)

@@ -81,8 +81,8 @@ def test_a_picture_is_the_scene(tmp_path, light):
     starts = train(patterns.manifest, 2)
     run = Run(tmp_path / "run", patterns, starts, np.rint(photons).astype(int))
     run.record(starts, starts.ravel(), run.photons)
-    Recording.read(tmp_path / "run").count()
-    found = reconstruct(tmp_path / "run")
+    recording = Recording.read(tmp_path / "run")
+    found = reconstruct(recording, recording.count())
     assert found.shape == (2, *SHAPE)
     # A hundredth of the photons, as from a detector of that efficiency.
     assert np.allclose(found.reshape(2, 6) * 1e2, scenes, atol=5e-3)

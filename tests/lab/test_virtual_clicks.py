@@ -7,7 +7,7 @@ from virtual_samples import SUMMED_REFLECTANCE, every_optics, expected, patterns
 from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.counting.recording import CountSettings, Recording
-from deepfsi.lab.calibration import gains_of, reconstruct
+from deepfsi.lab.calibration import find_gains
 from deepfsi.lab.registration import check_view
 from deepfsi.lab.virtual_optics import VirtualCamera
 
@@ -87,6 +87,6 @@ def test_what_is_of_photons_refuses_clicks(tmp_path):
         Recording.read(gated).count(CountSettings(clicks=2))
     assert not (gated / "counts.npz").exists()
     Recording.read(gated).count(CountSettings(clicks=GATES))
-    for use in (reconstruct, check_view, gains_of):
+    for use in (check_view, find_gains):
         with pytest.raises(InputError, match="was counted in clicks, which are not in proportion"):
             use(gated)

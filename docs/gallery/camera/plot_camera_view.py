@@ -49,8 +49,9 @@ with tempfile.TemporaryDirectory() as folder:
         seed=0,
     )
     record_scenes(run, patterns, scenes.reshape(-1, 8, 8), settings)
-    counts = Recording.read(run).count()
-    pictures = reconstruct(run)
+    recording = Recording.read(run)
+    counts = recording.count()
+    pictures = reconstruct(recording, counts)
 
 # %%
 # The classifier reads the counts, less the background, and the budget from the all-ON frames. Below

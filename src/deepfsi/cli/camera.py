@@ -216,7 +216,7 @@ class ExportPatterns(Command):
         )
         with terminal.progress("patterns") as report:
             patterns = planned.write(self.out, report)
-        write_reference(patterns, self.out)
+        write_reference(patterns.manifest, self.out)
         if str(source) in SCAN_NAMES:
             write_spots(self.out / "spots")
         return _patterns_in(self.out, patterns)

@@ -69,7 +69,7 @@ class SimulateRun(_Run):
     def run(self, terminal: Terminal) -> Outcome:
         """Run as it was recorded."""
         from deepfsi.counting.acquisition import Acquisition
-        from deepfsi.lab.design_data import camera_of, displayed, scenes_of
+        from deepfsi.lab.design_data import camera_of, shown_scenes
         from deepfsi.lab.virtual_optics import record_scenes
         from deepfsi.patterns.folder import Patterns
 
@@ -77,10 +77,10 @@ class SimulateRun(_Run):
         camera = camera_of(self.patterns, self.settings)
         gates = {} if self.virtual else {"gates": camera_of(self.patterns).clicks}
         virtual = self.of_virtual(camera, **gates)
-        images = displayed(self.scene, patterns)
+        images, scenes = shown_scenes(self.scene, patterns)
         acquisition = Acquisition.plan(
             patterns.manifest,
-            scenes_of(images, self.scene, patterns),
+            scenes,
             exposure_s=camera.exposure,
             **virtual,
             **self.explicit(("settle_s", "repeats", "inputs")),
@@ -143,13 +143,12 @@ class _DeviceRun(_Run):
 
         if images is not None and projector is None:
             with terminal.progress("light of the scenes") as report:
-                return virtual_setup(patterns, images.x, acquisition, report, decision_s=decision_s)
+                return virtual_setup(patterns, images.x, acquisition, report, decision_s)
         wiring = {"inputs": acquisition.inputs, "marker_bit": acquisition.marker_bit}
         counter = installed().open_device("counter", self.counter, **wiring)
 
         def display(scene: int) -> None:
-            name = acquisition.scenes[scene].name
-            terminal.ask(f"show {name}" if scene >= 0 else "make the scenes dark")
+            terminal.ask(f"show {acquisition.scenes[scene].name}")
 
         return Setup(projector, counter, display)
 
@@ -174,7 +173,7 @@ class RecordRun(_DeviceRun):
         """Counts of the run."""
         from deepfsi.counting.acquisition import Acquisition
         from deepfsi.counting.recording import CountSettings, Recording
-        from deepfsi.lab.design_data import camera_of, displayed, listed_scenes, scenes_of
+        from deepfsi.lab.design_data import camera_of, listed_scenes, shown_scenes
         from deepfsi.lab.live import record_run
         from deepfsi.patterns.folder import Patterns
 
@@ -185,8 +184,7 @@ class RecordRun(_DeviceRun):
         images = None
         if projector is None:
             wiring = self.of_virtual(camera)
-            images = displayed(self.scene, patterns)
-            scenes = scenes_of(images, self.scene, patterns)
+            images, scenes = shown_scenes(self.scene, patterns)
         else:
             scenes = listed_scenes(self.scene, patterns)
         acquisition = Acquisition.plan(
@@ -199,9 +197,9 @@ class RecordRun(_DeviceRun):
         setup = self.setup(projector, patterns, images, acquisition, terminal)
         loading = SILENT if terminal.as_json else None
         recorded = record_run(self.out, patterns, acquisition, setup, report=loading)
-        with closing(recorded) as scenes_so_far:
-            for scene in scenes_so_far:
-                terminal.say(str(scene))
+        with closing(recorded) as lines:
+            for line in lines:
+                terminal.say(line)
         settings = CountSettings(
             dead_time=camera.counter_dead_time,
             clicks=camera_of(self.patterns).clicks,
@@ -230,7 +228,7 @@ class RunLive(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the scenes, each said as it is decided."""
-        from deepfsi.lab.design_data import camera_of, displayed, scenes_of
+        from deepfsi.lab.design_data import camera_of, shown_scenes
         from deepfsi.lab.live import LiveRun
         from deepfsi.lab.results import LiveAnswers
         from deepfsi.patterns.folder import Patterns
@@ -241,7 +239,7 @@ class RunLive(_DeviceRun):
         if exposure_s is None:
             raise InputError("an exposure needs a time: give `exposure`, such as 10ms, or a camera")
         patterns = Patterns.read(self.patterns)
-        images = displayed(self.scene, patterns)
+        images, scenes = shown_scenes(self.scene, patterns)
         others = self.explicit(("inputs", "marker_bit")) | {"flux": camera.flux}
         if dead_time := camera.counter_dead_time:
             others["dead_time"] = dead_time
@@ -249,7 +247,7 @@ class RunLive(_DeviceRun):
             others |= self.of_virtual(camera)
         run = LiveRun(
             patterns,
-            scenes_of(images, self.scene, patterns),
+            scenes,
             exposure_s,
             camera.shortest_dwell or None,
             photons=self.photons,
@@ -258,16 +256,16 @@ class RunLive(_DeviceRun):
         )
         decision_s = run.looks.decision_s
         setup = self.setup(projector, patterns, images, run.settings, terminal, decision_s)
-        scenes = []
+        answered = []
         view = None
         with closing(run.steps(self.out, setup)) as steps:
             for step in steps:
                 if step.answer is not None:
-                    scenes.append(step.answer)
+                    answered.append(step.answer)
                     view = (step.decision and step.decision.view) or view
                     for line in step.answer.lines(exposure_s):
                         terminal.say(line)
-        answers = LiveAnswers(exposure_s, tuple(scenes), view)
+        answers = LiveAnswers(exposure_s, tuple(answered), view)
         answers.check_classes(self.out)
         content = answers.as_dict()
         del content["live"]  # as every run of this command is

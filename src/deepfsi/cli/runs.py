@@ -79,7 +79,7 @@ class CountRun(Command):
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the run."""
         from deepfsi.counting.recording import CountSettings, Recording
-        from deepfsi.lab.calibration import gains_of
+        from deepfsi.lab.calibration import find_gains
         from deepfsi.lab.design_data import camera_of
 
         options = self.model_dump(exclude={"folder", "settings", "flat"}, exclude_unset=True)
@@ -87,7 +87,7 @@ class CountRun(Command):
             settings = CountSettings(
                 **options,
                 dead_time=camera_of(self.folder, self.settings).counter_dead_time,
-                gains=() if self.flat is None else gains_of(self.flat),
+                gains=() if self.flat is None else find_gains(self.flat),
                 clicks=camera_of(self.folder).clicks,
             )
             recording = Recording.read(self.folder)

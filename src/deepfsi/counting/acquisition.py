@@ -248,7 +248,7 @@ class Calibration(StrictModel):
         if self.spots < min(LEAST_SPOTS, self.shown):
             said.append(
                 f"only {self.spots} of {self.shown} spots are seen, and {LEAST_SPOTS} or more are "
-                "wanted: expose longer, show larger spots (--side) or aim the camera"
+                "wanted: expose longer, show larger spots or aim the camera"
             )
         if self.residual > LARGEST_RESIDUAL_CELLS:
             said.append(

@@ -15,7 +15,7 @@ the counts as well, the fault is named and the run is not refused.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import log
 
 import numpy as np
@@ -208,12 +208,6 @@ class SceneReadouts:
     counts: np.ndarray  # (k,), photons, less what is no scene's
     noise: np.ndarray  # (k,), variance beyond that of the scene's own photons
     inputs: np.ndarray  # (k,), detector that counted each
-
-    @classmethod
-    def join(cls, looks: "list[SceneReadouts]") -> "SceneReadouts":
-        """Counts of several looks at one scene."""
-        names = [field.name for field in fields(cls)]
-        return cls(*(np.concatenate([getattr(look, name) for look in looks]) for name in names))
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """Looks of a live run with adaptive masks: each mask from the posterior of the counts so far.
 
-A mask that is made is loaded before its look. Masks of a dictionary are frames of the folder, which
-the device holds from the start: a look names one, and nothing is loaded.
+A new mask is loaded before its look. The device holds masks of a dictionary from the start.
 """
 
 import os
@@ -16,80 +15,39 @@ from deepfsi.adaptive.dictionary import DictionaryPosterior
 from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.base.arrays import LARGEST_TENSORS
 from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.files import hash_file, read_regular
+from deepfsi.base.files import read_regular
 from deepfsi.counting.acquisition import StopRule
 from deepfsi.counting.flux import Arrivals
 from deepfsi.design.design import Design
 from deepfsi.lab.results import FrameList
-from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.manifest import Brightness, LookPlan, Manifest
 from deepfsi.patterns.rails import DesignRails
 from deepfsi.physics.surroundings import library_defaults
 
-ADAPTIVE_DECISION_S = 4e-3
-"""Usual time of a decision, seconds, by `benchmarks/adaptive.py --latency` with 8192 scenes."""
-
-DECISION_A_SCENE_S = 1.35e-7
-"""Time that each scene of the prior adds to it, seconds, by the same with 60 000 scenes."""
-
-DICTIONARY_DECISION_S = 0.5e-3
-"""Usual time from the counts to a mask of a dictionary, seconds: most of it counts and light.
-
-The choice takes 0.06 to 0.2 ms of it, by `benchmarks/adaptive.py --latency --dictionary 2000`, and
-counts 0.3 ms (`benchmarks/live.py decision` of commit 5d24e83b).
-"""
-
-DICTIONARY_DECISION_A_SCENE_S = 5e-9
-"""Time that each scene of the prior adds to it, seconds; a run asks for chances at each look."""
-
-SAME_LIGHT = 0.02
-"""Relative difference of budgets within which the tables of a dictionary serve for both.
-
-All-ON frames tell a budget no better: they differ with the brightness of scenes.
-"""
-
 
 class AdaptiveLooks:
-    """Looks of a design of adaptive masks, as a live run needs them.
-
-    Attributes are shares of the exposure, one for each look, and seconds that a decision takes.
-    """
+    """Looks of a live run with a design of adaptive masks."""
 
     def __init__(self, design: Design, manifest: Manifest) -> None:
         exposure = design.prior_exposure
         until = exposure.settings.until
         self.exposure = exposure
         self.frames = manifest.shown
-        self.shares = tuple(exposure.settings.shares)
+        self.shares = tuple(exposure.settings.shares)  # of the exposure, for each look
         self.classes = design.classes
         self.photons: float | None = design.info["job"].get("photons")
         self.rule = None if until == 1 else StopRule(threshold=until)
         scenes = len(exposure.prior)
-        self.decision_s = ADAPTIVE_DECISION_S + DECISION_A_SCENE_S * scenes
         self.stored = exposure.dictionary if manifest.looks and manifest.looks.dictionary else None
-        if self.stored is not None:
-            self.decision_s = DICTIONARY_DECISION_S + DICTIONARY_DECISION_A_SCENE_S * scenes
+        if self.stored is None:
+            # By `benchmarks/adaptive.py --latency` with 8192 and 60 000 scenes
+            self.decision_s = 4e-3 + 1.35e-7 * scenes
+        else:
+            # By the same with `--dictionary 2000`: counts and light take most of it
+            self.decision_s = 0.5e-3 + 5e-9 * scenes
         self._tabled: LookOptics | None = None
         self.training_scenes = design.training_scenes
         self.scene_model = exposure.prior.model
-
-    @classmethod
-    def read(cls, patterns: Patterns) -> "AdaptiveLooks":
-        """Looks of the patterns of a first mask, or of a dictionary, and their design."""
-        folder = patterns.folder
-        assert folder is not None
-        if patterns.manifest.looks is None:
-            raise InputError(
-                f"{folder} has the patterns of a design whose masks are known before: learn one of "
-                '`design="adaptive"` masks, or record it with `deepfsi camera simulate` or '
-                "`import`"
-            )
-        if hash_file(folder / Patterns.DESIGN) != patterns.manifest.design_sha256:
-            raise InputError(
-                f"{folder / Patterns.DESIGN} is not the design whose masks are beside it: "
-                "export the patterns again"
-            )
-        return cls(Design.load(folder / Patterns.DESIGN), patterns.manifest)
 
     def expose(
         self, scene: int, photons: float, exposure_ns: int, dark: np.ndarray
@@ -110,11 +68,9 @@ class AdaptiveLooks:
         return int(np.searchsorted(self.frames, asked.frames[0]))
 
     def tabled(self, scene: int, optics: LookOptics) -> LookOptics:
-        """Optics of the tables of a dictionary: those of an earlier scene of the run, if alike.
-
-        To compute tables takes a hundred times as long as all looks at a scene, and the light that
-        is measured changes a little with each scene.
-        """
+        """Optics of a dictionary's tables, an earlier scene's if nearly alike."""
+        # Tables take a hundred times as long as all looks at a scene, and the light that is
+        # measured changes a little with each scene
         last = self._tabled
         if scene == 0 or last is None or not _nearly_alike(last, optics):
             self._tabled = last = optics
@@ -123,9 +79,10 @@ class AdaptiveLooks:
 
 def _nearly_alike(one: LookOptics, other: LookOptics) -> bool:
     """True if budgets, and the dark counts beside them, differ by less than is known of them."""
-    most = SAME_LIGHT * one.photons
+    # All-ON frames tell a budget no better than 2 %: they differ with the brightness of scenes
+    most = 0.02 * one.photons
     close = abs(other.photons - one.photons) <= most
-    return close and abs(other.dark_sum - one.dark_sum) <= SAME_LIGHT * (most + one.dark_sum)
+    return close and abs(other.dark_sum - one.dark_sum) <= 0.02 * (most + one.dark_sum)
 
 
 class _AdaptiveLiveExposure:
@@ -174,10 +131,7 @@ class _AdaptiveLiveExposure:
         return self._posterior.chances[0].double().numpy()
 
     def compare(self) -> tuple[float, str] | None:
-        """Chance of a misfit as that of all looks, by training scenes, and the misfit in words.
-
-        None where that of training scenes is not known.
-        """
+        """Chance that a training scene's misfit is as large, and a text; None if it is unknown."""
         if self._usual is None:
             return None
         chance = self._usual.chance(self._misfit, self._look, self._photons)
@@ -212,7 +166,7 @@ class _StoredMaskExposure(_AdaptiveLiveExposure):
 
     @library_defaults(grad=False)
     def compare(self) -> tuple[float, str] | None:
-        """Misfit of all looks, found after the last one: that takes longer than a decision."""
+        """Add up the misfits after the last look: that takes longer than a decision."""
         stored = self._looks.stored
         if self._usual is not None and stored is not None:
             before = AdaptivePosterior(self._looks.exposure.prior, len(self._rows), self._optics)
@@ -226,10 +180,9 @@ class _StoredMaskExposure(_AdaptiveLiveExposure):
 
 @library_defaults(grad=False)
 def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
-    """Masks of a design file that its patterns begin with, as rails.
+    """Rails of the first look's mask at the training's budget, or of a whole dictionary.
 
-    That of the first look at the budget of the training, or all of a dictionary. The time of an
-    exposure is then divided among them in equal parts.
+    Masks of a dictionary divide the time of an exposure into equal parts.
     """
     design = Design.load(path)
     exposure = design.prior_exposure

@@ -1,23 +1,15 @@
 """Calibrations fitted to pictures of spots, of uniform white and of uniform black.
 
-Show the scenes of `spot_scenes`, one of uniform white and one of uniform black, take a picture of
-each (`reconstruct`) and give them to `fit_calibration`.
-
-The centre of one spot in a picture is biased where a spot is smaller than a cell, and lost where it
-is faint. So the centres give a first homography alone. Then each picture is compared with what the
-view would show of its spot, light averaged over the cells, and all of them share one homography and
-one blur; the brightness of each is its own. Cells weigh by their noise, which grows with the light
-where a picture is of raster patterns.
+The centre of a spot that is smaller than a cell is biased. So centres only give a first homography,
+and the spots that agree on it. Then each picture is compared with what the view would show of its
+spot, light averaged over the cells: all share one homography and one blur, and each has its own
+brightness. Cells weigh by their noise, which grows with the light of raster patterns.
 """
 
 import io
 import math
-import os
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -29,7 +21,7 @@ from deepfsi.counting.acquisition import Calibration
 from deepfsi.counting.checks import SPOILING
 from deepfsi.counting.counts import Counts
 from deepfsi.counting.recording import Recording
-from deepfsi.datasets.display import read_display, write_pictures
+from deepfsi.datasets.display import Display, read_display, write_pictures
 from deepfsi.lab.design_data import geometry_matrix
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.rails import DesignRails
@@ -38,20 +30,11 @@ WHITE = "white.png"
 BLACK = "black.png"
 """Names of the pictures of uniform white and black."""
 
-POINTS = 4
-"""Points of a displayed pixel in each direction that stand for its light."""
-
-OUTLIER_CELLS = 0.5
-"""Distance beyond which a spot is left out of the fit, cells."""
-
-STEP_CELLS = 0.02
-"""Step of the derivatives by a spot's place, cells."""
-
 
 def spot_scenes(
     image_shape: tuple[int, int], count: tuple[int, int] = (5, 5), side: int = 2
 ) -> np.ndarray:
-    """Scenes (spots, h, w) of one bright square each, on a regular grid over the display."""
+    """Scenes (spots, h, w) with a bright square each, on a regular grid over the display."""
     room = np.array(image_shape) - np.array(count) * side
     if min(count) < 2 or side < 1 or room.min() < 0:
         raise InputError(
@@ -82,8 +65,6 @@ def fit_calibration(
     *,
     white: np.ndarray | None = None,
     black: np.ndarray | None = None,
-    dark: float = 0.0,
-    ambient: float = 0.0,
 ) -> Calibration:
     """Fit a calibration to pictures of spots, and of uniform scenes if they are there."""
     scenes = np.asarray(scenes, dtype=float)
@@ -92,94 +73,78 @@ def fit_calibration(
     floor = 0.0 if black is None else np.asarray(black, dtype=float)
     pictures = pictures - floor
     first, agreed = find_homography(_centroids(scenes), _find_spots(pictures), cells)
-    view = _fit_view(scenes, pictures, grid, matrix=first, agreed=agreed)
-    flat = (
-        None
-        if white is None
-        else _find_flat(white - floor, scenes.shape[1:], view.matrix, view.blur)
-    )
+    spots = DisplayedScenes(scenes[agreed], grid)
+    start = np.append(first.ravel()[:8], 0.3)
+    view, jacobian, noise = _fit_view(spots, pictures[agreed], start)
+    matrix = np.append(view[:8], 1).reshape(3, 3)
+    down, across = (view[8] * spots.side / spots.cells).tolist()
+    flat = np.ones((1, 1))
+    if white is not None:
+        flat = _find_flat(white - floor, scenes.shape[1:], matrix, (down, across))
+    shifts = _shifts(spots, pictures[agreed], view)
     return Calibration(
-        homography=view.matrix.tolist(),
-        residual=view.residual,
-        error=view.error,
-        spots=int(view.used.sum()),
+        homography=matrix.tolist(),
+        residual=float(np.sqrt((shifts**2).sum(axis=1).mean())),
+        error=_corner_error(spots, view, jacobian, noise),
+        spots=len(shifts),
         shown=len(scenes),
-        blur=view.blur,
-        flat=((1.0,),) if flat is None else tuple(map(tuple, flat.tolist())),
-        dark=dark,
-        ambient=ambient,
+        blur=(down, across),
+        flat=tuple(map(tuple, flat.tolist())),
     )
 
 
-def calibrate_run(
-    shown: Mapping[str, np.ndarray],
-    names: Sequence[str],
-    pictures: np.ndarray,
-    counts: Counts,
-    patterns: Patterns,
-) -> Calibration:
-    """Calibrate from one acquisition of spots, a white and a black picture."""
-    others = sorted(set(names) - set(shown))
+def calibrate_run(shown: Display, run: Recording, counts: Counts) -> Calibration:
+    """Calibrate from a run of spots, a white and a black picture, of those that were shown."""
+    names = [scene.name for scene in run.acquisition.scenes]
+    others = sorted(set(names) - set(shown.names))
     if others:
         raise InputError(
             f"the run has a scene {others[0]} that is none of the displayed pictures: give the "
             "folder spots of the scan"
         )
     counted = np.any(counts.valid, axis=1)
-    measured = dict(zip(names, pictures, strict=True))
     for name in (WHITE, BLACK):
-        if name in measured and not counted[list(names).index(name)]:
+        if name in names and not counted[names.index(name)]:
             raise InputError(
                 f"no exposure of {name} was counted: record the run again, or leave "
                 "that picture out of it"
             )
-    spots = [name for name in names if name not in (WHITE, BLACK)]
-    dark = float(counts.dark_rate[counted].mean())
     ambient = 0.0
-    if BLACK in measured:
-        place = list(names).index(BLACK)
+    if BLACK in names:
+        place = names.index(BLACK)
         exposures = counts.signal()[place][counts.valid[place]]
-        mean = exposures.sum() / max(len(exposures), 1)
-        lit = expected_background(patterns, counts.exposure_s, dark=0.0, ambient=1.0).sum()
-        ambient = max(0.0, float(mean / lit))
+        lit = expected_background(run.patterns, counts.exposure_s, dark=0.0, ambient=1.0)
+        ambient = max(0.0, float(exposures.sum() / len(exposures) / lit.sum()))
+    scenes = dict(zip(shown.names, shown.x, strict=True))
+    measured = dict(zip(names, reconstruct(run, counts), strict=True))
+    spots = [name for name in names if name not in (WHITE, BLACK)]
     fitted = fit_calibration(
-        np.array([shown[name] for name in spots]),
+        np.array([scenes[name] for name in spots]),
         np.array([measured[name] for name in spots]),
-        patterns.manifest.grid,
+        run.manifest.grid,
         white=measured.get(WHITE),
         black=measured.get(BLACK),
-        dark=dark,
-        ambient=ambient,
     )
+    dark = float(counts.dark_rate[counted].mean())
     dead_time = counts.dead_time if counts.dead_time.seconds else None
-    return fitted.model_copy(update={"dead_time": dead_time})
+    return fitted.model_copy(update={"dark": dark, "ambient": ambient, "dead_time": dead_time})
 
 
 def _find_spots(pictures: np.ndarray) -> np.ndarray:
     """Places (n, 2) of the spots in pictures (n, down, across), NaN where none is seen."""
-    # (across, down) in the unit square. A spot is seen where it stands out of the noise
+    # (across, down) in the unit square
     from scipy import ndimage
 
     down, across = np.indices(pictures.shape[1:])
     out = np.full((len(pictures), 2), np.nan)
     for place, picture in enumerate(pictures):
-        excess = picture - np.median(picture)
-        smooth = ndimage.gaussian_filter(excess, 1.0, mode="constant")
+        smooth = ndimage.gaussian_filter(picture - np.median(picture), 1.0, mode="constant")
         noise = 1.4826 * np.median(np.abs(smooth - np.median(smooth)))
         top = np.unravel_index(smooth.argmax(), smooth.shape)
         # A spot is seen where its peak is this many standard deviations of the noise
-        if not smooth[top] > 6.0 * noise:
-            continue
-        spot = np.array(top, dtype=float)
-        for _ in range(50):  # a Gaussian window follows the spot, which undoes its own pull
-            offset = np.array([down - spot[0], across - spot[1]])
-            # Standard deviation of the window in which a spot is centred, cells
-            weight = excess * np.exp(-(offset**2).sum(axis=0) / (2 * 1.5**2))
-            step = 2 * (weight * offset).sum(axis=(1, 2)) / max(weight.sum(), 1e-300)
-            spot += np.clip(step, -1, 1)
-            if np.abs(step).max() < 1e-6:
-                break
-        if (spot > -0.5).all() and (spot < np.array(smooth.shape) - 0.5).all():
+        if smooth[top] > 6.0 * noise:
+            near = np.hypot(down - top[0], across - top[1]) < 2.5
+            spot = np.array(ndimage.center_of_mass((picture - np.median(picture)).clip(0) * near))
             out[place] = (spot[::-1] + 0.5) / smooth.shape[::-1]
     return out
 
@@ -204,20 +169,22 @@ def find_homography(
 
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "No inliers found")
-        _, inliers = measure.ransac(
+        model, inliers = measure.ransac(
             (source, target),
             transform.ProjectiveTransform,
             min_samples=4,
-            # Distance beyond which a spot is left out of the first homography, cells
-            residual_threshold=1.0,
+            residual_threshold=1.0,  # cells
             max_trials=500,
             stop_probability=0.9999,
             rng=0,
         )
-    if inliers is None or inliers.sum() < 4 or _on_a_line(source[inliers]):
+    if inliers is None or inliers.sum() < 4:
         raise InputError(trouble)
-    model = transform.estimate_transform("projective", source[inliers], target[inliers])
-    if not model or not np.isfinite(model.params).all():
+    inliers = model.residuals(source, target) < 1.0  # of the fit to all that agreed
+    agreeing = source[inliers]
+    model = transform.estimate_transform("projective", agreeing, target[inliers])
+    on_a_line = np.linalg.matrix_rank(agreeing - agreeing.mean(axis=0), tol=1e-9) < 2
+    if on_a_line or not model or not np.isfinite(model.params).all():
         raise InputError(trouble)
     matrix = np.diag([*(1 / scale), 1.0]) @ model.params
     agreed = np.zeros(len(found), dtype=bool)
@@ -228,30 +195,25 @@ def find_homography(
 def _find_flat(
     white: np.ndarray,
     image_shape: tuple[int, ...],
-    homography: Any,
-    blur: tuple[float, float] = (0.0, 0.0),
+    homography: np.ndarray,
+    blur: tuple[float, float],
 ) -> np.ndarray:
-    """Flat field of a picture of a uniform white scene."""
-    # A polynomial of the place, of degree 4 at most, so that the noise of the picture's cells does
-    # not become part of the view; it follows what a lens does, but no dust. Cells that the display
-    # fills less than half have the value of the nearest cell that it fills. The picture's shape is
-    # (down, across), as the flat field's, which is relative to its largest value. Other parameters
-    # as for `geometry_matrix`
+    """Flat field (down, across) of a picture of uniform white, over its largest value."""
+    # A polynomial of the place, so that the noise of the picture's cells does not become part of
+    # the view; it follows what a lens does, but no dust. Cells that the display fills less than
+    # half have the value of the nearest cell that it fills
     from scipy import ndimage
 
     view = geometry_matrix(image_shape, white.shape, homography, blur)
     filled = view.sum(axis=1).reshape(white.shape)
-    # Share of a cell that the display fills where the flat field is fitted, not continued
     lit = filled > 0.5
     if not (lit.any() and white[lit].mean() > 0):
         raise InputError(
             "the picture of the white scene is dark, or the camera does not look at the display: "
             "take it again with a longer exposure"
         )
-    # Degree of the flat field's polynomial, at most
-    terms = [(i, n - i) for n in range(5) for i in range(n + 1)]
-    # Cells that each term of the polynomial needs
-    terms = terms[: max(1, int(lit.sum()) // 4)]
+    # Of degree 4, or less where a term would have fewer than four cells
+    terms = [(i, n - i) for n in range(5) for i in range(n + 1)][: max(1, int(lit.sum()) // 4)]
     down, across = (2 * (np.arange(n) + 0.5) / n - 1 for n in white.shape)
     basis = np.stack([np.outer(down**i, across**j) for i, j in terms])
     scaled = (basis * filled)[:, lit].T
@@ -262,32 +224,15 @@ def _find_flat(
     return np.asarray(flat / flat.max())
 
 
-def _on_a_line(places: np.ndarray) -> bool:
-    """True if places (n, 2) in the unit square lie on one line."""
-    return bool(np.linalg.matrix_rank(places - places.mean(axis=0), tol=1e-9) < 2)
-
-
 def _centroids(scenes: np.ndarray) -> np.ndarray:
     """Centroid (across, down) of each scene, in the unit square."""
+    from scipy import ndimage
+
     bright = scenes - scenes.min(axis=(1, 2), keepdims=True)
-    total = bright.sum(axis=(1, 2))
-    if not (total > 0).all():
+    if not bright.any(axis=(1, 2)).all():
         raise InputError("a displayed scene is uniform: show one bright spot in each")
-    places = [(np.arange(size) + 0.5) / size for size in scenes.shape[:0:-1]]
-    across = bright.sum(axis=1) @ places[0]
-    down = bright.sum(axis=2) @ places[1]
-    return np.stack([across, down], axis=1) / total[:, None]
-
-
-@dataclass(frozen=True)
-class _FittedView:
-    """Homography and blur fitted to pictures of spots."""
-
-    matrix: np.ndarray  # (3, 3): Display → device in unit squares
-    blur: tuple[float, float]  # standard deviation down and across, in the device's unit square
-    used: np.ndarray  # (spots,): Spots that it rests on
-    residual: float  # root mean square distance of those from it, cells
-    error: float  # standard error of the place of the display's worst corner, cells
+    places = np.array([ndimage.center_of_mass(scene) for scene in bright])
+    return np.asarray((places[:, ::-1] + 0.5) / scenes.shape[:0:-1])
 
 
 class DisplayedScenes:
@@ -298,7 +243,8 @@ class DisplayedScenes:
         self.cells = np.array([grid.down, grid.across])
         self.side = np.sqrt(grid.mirrors) / np.array([grid.height, grid.width])
         shape = np.array(scenes.shape[1:])
-        inside = (np.indices((POINTS, POINTS)).reshape(2, -1).T + 0.5) / POINTS
+        fine = 4  # points of a displayed pixel in each direction that stand for its light
+        inside = (np.indices((fine, fine)).reshape(2, -1).T + 0.5) / fine
         self.points: list[np.ndarray] = []
         self.light: list[np.ndarray] = []
         for scene in scenes:
@@ -306,7 +252,7 @@ class DisplayedScenes:
             places = (pixels[:, None] + inside).reshape(-1, 2) / shape
             self.points.append(places[:, ::-1])
             self.light.append(scene[tuple(pixels.T)].repeat(len(inside)))
-        self.spacing = self.cells / (shape * POINTS * np.sqrt(12))
+        self.spacing = self.cells / (shape * fine * np.sqrt(12))
 
     def images(self, view: np.ndarray, shift: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
         """Pictures (spots, down, across), all of brightness 1; shifted by cells down and across."""
@@ -331,31 +277,6 @@ class DisplayedScenes:
 
 
 def _fit_view(
-    scenes: np.ndarray, pictures: np.ndarray, grid: DmdGrid, matrix: np.ndarray, agreed: np.ndarray
-) -> _FittedView:
-    """Fit homography and blur to pictures of spots, from a first homography."""
-    # scenes (spots, h, w); pictures (spots, down, across); matrix (3, 3); agreed (spots,)
-    spots = DisplayedScenes(scenes, grid)
-    used = agreed
-    view = np.append(matrix.ravel()[:8], 0.3)
-    for _ in range(3):
-        view, jacobian, noise = _solve(DisplayedScenes(scenes[used], grid), pictures[used], view)
-        shifts, bright = _shifts(spots, pictures, view)
-        near = bright & (np.hypot(*shifts.T) < OUTLIER_CELLS)
-        if near.sum() < 4 or (near == used).all():
-            break
-        used = near
-    across = view[8] * spots.side / spots.cells
-    return _FittedView(
-        matrix=np.append(view[:8], 1).reshape(3, 3),
-        blur=(float(across[0]), float(across[1])),
-        used=used,
-        residual=float(np.sqrt((shifts[used] ** 2).sum(axis=1).mean())),
-        error=_corner_error(spots, view, jacobian, noise),
-    )
-
-
-def _solve(
     spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Least-squares view, the Jacobian of its weighted misfit, and the misfit's variance."""
@@ -404,32 +325,24 @@ def _weights(pictures: np.ndarray, model: np.ndarray) -> np.ndarray:
     return np.asarray(1 / np.sqrt(variance / most + 1e-3)).reshape(pictures.shape)
 
 
-def _shifts(
-    spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Distance of spots from where the view shows them, cells (spots, 2), and which are bright."""
-    # A distance that a picture does not tell, since the spot lies within one cell or is faint, is
-    # taken to be small beside `OUTLIER_CELLS`
+def _shifts(spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray) -> np.ndarray:
+    """Distances (spots, 2) of spots from where the view shows them, cells."""
+    step = 0.02  # cells, of the derivatives by a spot's place
     centre = spots.images(view)
     slopes = [
-        (spots.images(view, step) - spots.images(view, (-step[0], -step[1]))) / (2 * STEP_CELLS)
-        for step in ((STEP_CELLS, 0.0), (0.0, STEP_CELLS))
+        (spots.images(view, shift) - spots.images(view, (-shift[0], -shift[1]))) / (2 * step)
+        for shift in ((step, 0.0), (0.0, step))
     ]
     shifts = np.zeros((len(pictures), 2))
-    bright = np.zeros(len(pictures), dtype=bool)
     for k, picture in enumerate(pictures):
-        power = (centre[k] ** 2).sum()
-        if not (np.isfinite(picture).all() and power > 1e-12):
-            continue
-        brightness = (centre[k] * picture).sum() / power
+        brightness = (centre[k] * picture).sum() / max((centre[k] ** 2).sum(), 1e-12)
         rest = picture - brightness * centre[k]
-        variance = (rest**2).mean() + 1e-300
-        # A spot is part of the fit where its brightness is this many of its standard errors
-        bright[k] = brightness > 5.0 * np.sqrt(variance / power)
         slope = brightness * np.stack([each[k].ravel() for each in slopes], axis=1)
-        prior = variance / OUTLIER_CELLS**2 * np.eye(2)
+        # A distance that a picture does not tell, as the spot lies within one cell or is faint, is
+        # taken to be small beside half a cell
+        prior = ((rest**2).mean() + 1e-300) / 0.5**2 * np.eye(2)
         shifts[k] = np.linalg.solve(slope.T @ slope + prior, slope.T @ rest.ravel())
-    return shifts, bright
+    return shifts
 
 
 def _corner_error(
@@ -474,26 +387,20 @@ def expected_background(
 SCAN_NAMES = ("raster", "hadamard")
 """Scans by name: one cell after another, or Hadamard masks of two frames each."""
 
-MOST_CELLS = 64 * 64
-"""Cells of a scan at most: a calibration with larger cells serves masks with smaller ones."""
-
-WORST_GAIN = 0.01
-"""Standard error of a detector's efficiency at most, a share."""
-
 
 def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignRails:
-    """Rails of a scan with equal dwells; its mean scene is one of uniform white.
+    """Rails of a scan with equal dwells, whose mean scene is uniform white.
 
-    Hadamard masks of sides that are no power of two are those of the next larger one, cut to size.
+    Hadamard masks are cut to size where a side is no power of two.
     """
     from scipy.linalg import hadamard
 
     check_choice("scan", name, SCAN_NAMES)
     down, across = cells
     pixels = down * across
-    if not 2 <= pixels <= MOST_CELLS:
+    if not 2 <= pixels <= 4096:
         raise InputError(
-            f"a scan of {down} x {across} cells is not allowed: give 2 to {MOST_CELLS} cells, such "
+            f"a scan of {down} x {across} cells is not allowed: give 2 to 4096 cells, such "
             "as 32x32; a calibration with larger cells serves masks with smaller ones"
         )
     if name == "raster":
@@ -544,13 +451,15 @@ def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
     return best.astype(np.int64).reshape(shape)
 
 
-def find_gains(counts: Counts, patterns: Patterns) -> tuple[float, ...]:
-    """Efficiency of each detector over their mean, from a run of a uniform white scene.
+def find_gains(white: Path) -> tuple[float, ...]:
+    """Efficiency of each detector over their mean, from a counted run of a uniform white scene.
 
     It is what each counts in all masks together, over what its cells of the masks send it.
     """
-    manifest = patterns.manifest
-    rails = patterns.rails
+    run = Recording.read(white)
+    counts = run.read_counts().check_photons(white)
+    manifest = run.manifest
+    rails = run.patterns.rails
     several = manifest.detectors
     count = manifest.detector_count
     spoilt = [each.kind for each in counts.faults if each.kind in SPOILING and each.kind != "gain"]
@@ -574,32 +483,20 @@ def find_gains(counts: Counts, patterns: Patterns) -> tuple[float, ...]:
     found = by_input(counts.signal().sum(axis=(0, 1), where=usable))
     noise = by_input(counts.variance.sum(axis=(0, 1), where=usable))
     lit = by_input(np.stack([rails[..., labels == d].sum(axis=-1) for d in range(count)], axis=-1))
-    if not (np.sqrt(noise) < WORST_GAIN * found).all():
+    if not (np.sqrt(noise) < 0.01 * found).all():
         raise InputError(
-            f"the flat field does not tell each detector's share to {WORST_GAIN:.1%}: record it "
-            "longer, or with more light"
+            "the flat field does not tell each detector's share to 1.0%: record it longer, or with "
+            "more light"
         )
     gains = (found / lit).ravel()
     return tuple((gains / gains.mean()).tolist())
 
 
-def save_detectors(labels: np.ndarray, folder: Path) -> Path:
-    """Write `detectors.npy` into a folder, which is made if need be."""
-    file = io.BytesIO()
-    np.save(file, labels)
-    return write_atomically(folder / "detectors.npy", file.getvalue())
+def reconstruct(run: Recording, counts: Counts) -> np.ndarray:
+    """Least-squares pictures (S, *shape) of the scenes of a run, from mean counts less background.
 
-
-def reconstruct(folder: str | os.PathLike[str]) -> np.ndarray:
-    """Least-squares picture of each scene from its counts, less background."""
-    # The mean of all valid exposures, and of all pictures that explain it the one of smallest norm.
-    # Directions that the masks hardly see are left out (singular values below 1e-3 of the largest)
-    run = Recording.read(folder)
-    return _reconstructed(run, run.read_counts().check_photons(folder))
-
-
-def _reconstructed(run: Recording, counts: Counts) -> np.ndarray:
-    """Pictures (S, *shape) of the scenes of a run that was counted."""
+    Among equal pictures the smallest norm wins. Scenes without a valid exposure are NaN.
+    """
     patterns = run.patterns
     stated = run.acquisition.flux
     flux = np.nanmean(counts.flux) if stated is None else stated
@@ -637,22 +534,13 @@ def _pictures(masks: np.ndarray, counts: np.ndarray, detectors: DetectorMap | No
 def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
     """Fit the camera's view to a counted run of the spots, and write it to a folder."""
     run = Recording.read(folder)
-    display = read_display(spots)
     counts = run.read_counts().check_photons(folder)
-    fitted = calibrate_run(
-        dict(zip(display.names, display.x, strict=True)),
-        [scene.name for scene in run.acquisition.scenes],
-        pictures=_reconstructed(run, counts),
-        counts=counts,
-        patterns=run.patterns,
-    )
+    fitted = calibrate_run(read_display(spots), run, counts)
     several = run.patterns.manifest.detectors
     labels = find_detectors(counts, run.patterns) if several and several.cells is None else None
     file = fitted.save(out)
-    return fitted, file, None if labels is None else save_detectors(labels, out)
-
-
-def gains_of(flat: Path) -> tuple[float, ...]:
-    """Relative efficiency of each detector, from a counted run of a uniform white scene."""
-    run = Recording.read(flat)
-    return find_gains(run.read_counts().check_photons(flat), run.patterns)
+    if labels is None:
+        return fitted, file, None
+    cells = io.BytesIO()
+    np.save(cells, labels)
+    return fitted, file, write_atomically(out / "detectors.npy", cells.getvalue())

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import hash_file
 from deepfsi.base.registry import require_extras
 from deepfsi.base.tables import read_table
 from deepfsi.camera.camera import Camera
@@ -28,7 +27,7 @@ from deepfsi.counting.tables import TableSettings, count_table
 from deepfsi.designfile.distribution import ConsistencyResult
 from deepfsi.designfile.provenance import was_trained_on
 from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
-from deepfsi.lab.design_data import design_rails
+from deepfsi.lab.design_data import design_rails, open_design, shown_design
 from deepfsi.lab.results import (
     LOG,
     ClassifiedRun,
@@ -38,29 +37,9 @@ from deepfsi.lab.results import (
     read_log,
 )
 from deepfsi.patterns.folder import Patterns
-from deepfsi.patterns.manifest import Manifest
 
 if TYPE_CHECKING:  # they import torch, which the command line loads late
     from deepfsi.design.design import Design
-
-UNTESTED = (
-    "these counts were not compared with those of the training, which takes 50 training scenes of "
-    "each class: a scene of something else gets a class, too"
-)
-"""Remark on counts of a design without a distribution."""
-
-NO_VIEW = (
-    "not tested for how the camera sees the scenes (mirrored, blurred, with stray light), which "
-    "takes a design of this version with 100 training scenes, 20 of each class: record the "
-    "reference target and use `deepfsi camera check`"
-)
-"""Remark on a run of a design without a model of its scenes."""
-
-CLICKS = (
-    "these clicks were not compared with those of the training: the test is of photon counts. "
-    "They are read for the stated budget: this is {:.3g} photons, that of the training was {:.3g}"
-)
-"""Remark on clicks, with their budget and that of the training."""
 
 
 def classify_run(
@@ -73,25 +52,24 @@ def classify_run(
 ) -> ClassifiedRun | LiveAnswers:
     """Classify each exposure of an acquisition that was counted.
 
-    A live run has the classes that were decided while it was recorded.
-
     Parameters
     ----------
     design : str or path
         Design file whose patterns were shown, or the folder of its patterns.
     folder : str or path
-        Of the acquisition, with its counts.
+        Folder of the acquisition, with its counts.
     photons : float, optional
         Budget Φ of an exposure, counts. Default: from each scene's all-ON frames.
     force : bool
         Classify even if the counts do not look like those of the training.
     trust : bool
-        As of `Design.load`: run the factory of a classifier of one's own, if there is one.
+        Run the factory of a custom classifier in the design file.
 
     Returns
     -------
     ClassifiedRun or LiveAnswers
-        The second of a live run. Both have `scenes`, each with its `predicted` class.
+        Classes, for a live run those that were decided while it was recorded. Both have `scenes`,
+        each with its `predicted` class.
 
     Raises
     ------
@@ -109,7 +87,7 @@ def classify_run(
     path = Path(folder)
     recorded = Recording.read(path)
     if recorded.acquisition.live and photons is None:
-        return _live_answers(_check_design(design, recorded.manifest), recorded, trust)
+        return _live_answers(shown_design(Path(design), recorded.manifest), recorded, trust)
     if photons is not None:
         check_budget(photons)
     counts = recorded.read_counts()
@@ -215,29 +193,13 @@ def classify_table(
 
 
 def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
-    """Design of a file or a folder of patterns, as its patterns realise it."""
+    """Design of classes, of a file or as its patterns realise it."""
+    made = open_design(Path(design), patterns, trust=trust, static=True)
     with require_extras():
-        from deepfsi.design.design import Design
         from deepfsi.exposure.training_set import check_classes
 
-    file = Path(design) if patterns is None else _check_design(design, patterns.manifest)
-    made = Design.load(file, trust=trust)
-    made.exposure.check("masks", str(file))
     check_classes(made.values, "a classified run")
-    return made if patterns is None else made.as_shown(*patterns.realised)
-
-
-def _check_design(design: str | os.PathLike[str], manifest: Manifest) -> Path:
-    """Design file, or that in a folder of patterns; `InputError` if other patterns were shown."""
-    path = Path(design)
-    file = path / Patterns.DESIGN if path.is_dir() else path
-    exported = manifest.design_sha256
-    if (exported or manifest.looks) and hash_file(file) != exported:
-        raise InputError(
-            f"{file} is not the design whose patterns were shown: give the file that "
-            "`deepfsi dmd export` was given"
-        )
-    return file
+    return made
 
 
 def _classify_counts(
@@ -360,30 +322,41 @@ def _answers(
             trained_on=trained[index],
         )
         sound = chances[index][usable[index]]
-        if len(sound):
-            mean = sound.mean(axis=0)
-            answer = replace(
-                answer,
-                predicted=design.classes[mean.argmax()],
-                probability=float(mean.max()),
-                exposures=len(sound),
-                guesses=tuple(design.classes[best] for best in sound.argmax(axis=-1)),
-                photons=float(budgets[index]),
-            )
-            if consistency is not None:
-                answer = replace(
-                    answer,
-                    consistency=float(consistency.exposures[tested[index]]),
-                    unsure=bool(consistency.unsure[tested[index]]),
-                )
-        yield answer
+        if not len(sound):
+            yield answer
+            continue
+        mean = sound.mean(axis=0)
+        tests: dict[str, Any] = {}
+        if consistency is not None:
+            tests["consistency"] = float(consistency.exposures[tested[index]])
+            tests["unsure"] = bool(consistency.unsure[tested[index]])
+        yield replace(
+            answer,
+            predicted=design.classes[mean.argmax()],
+            probability=float(mean.max()),
+            exposures=len(sound),
+            guesses=tuple(design.classes[best] for best in sound.argmax(axis=-1)),
+            photons=float(budgets[index]),
+            **tests,
+        )
 
 
 def _remarks(consistency: ConsistencyResult | None, view: ViewResult | None) -> tuple[str, ...]:
     """Lines for a reader on the tests of the counts of photons."""
-    lines = (UNTESTED,) if consistency is None else tuple(consistency.remarks)
-    remark = NO_VIEW if view is None else view.remark
-    return (*lines, remark) if remark else lines
+    lines = [
+        "these counts were not compared with those of the training, which takes 50 training scenes "
+        "of each class: a scene of something else gets a class, too"
+    ]
+    if consistency is not None:
+        lines = list(consistency.remarks)
+    remark: str | None = (
+        "not tested for how the camera sees the scenes (mirrored, blurred, with stray light), "
+        "which takes a design of this version with 100 training scenes, 20 of each class: record "
+        "the reference target and use `deepfsi camera check`"
+    )
+    if view is not None:
+        remark = view.remark
+    return (*lines, remark) if remark else tuple(lines)
 
 
 def _click_remarks(design: "Design", share: float, photons: float) -> tuple[str, ...]:
@@ -391,7 +364,12 @@ def _click_remarks(design: "Design", share: float, photons: float) -> tuple[str,
     from deepfsi.physics.noise import full_gates
 
     full = full_gates(share, photons)
-    return CLICKS.format(photons, design.info["job"]["photons"]), *filter(None, [full])
+    read = (
+        "these clicks were not compared with those of the training: the test is of photon counts. "
+        f"They are read for the stated budget: this is {photons:.3g} photons, that of the training "
+        f"was {design.info['job']['photons']:.3g}"
+    )
+    return (read,) if full is None else (read, full)
 
 
 def dim_scenes(design: "Design", budgets: np.ndarray) -> list[Fault]:

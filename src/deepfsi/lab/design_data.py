@@ -11,28 +11,29 @@ such views of scenes fits the camera.
 
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from math import prod
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from deepfsi.base.arrays import LARGEST_TENSORS
 from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.files import read_regular
+from deepfsi.base.files import hash_file, read_regular
 from deepfsi.base.registry import require_extras
 from deepfsi.camera.camera import Camera
 from deepfsi.counting.acquisition import Calibration, Scene
 from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.display import array_display, read_display, read_scene_list
 from deepfsi.datasets.load import absolute_source, load_dataset, options_of, prepare_display
-from deepfsi.designfile.design_file import AdaptiveHeader, DesignFile, DesignHeader
+from deepfsi.designfile.design_file import AdaptiveHeader, DesignFile
 from deepfsi.designfile.provenance import TrainedOn, new_scenes, scene_hashes, trained_on
 from deepfsi.patterns.folder import Patterns
+from deepfsi.patterns.manifest import Manifest
 from deepfsi.patterns.rails import DesignRails
 
 if TYPE_CHECKING:
@@ -41,30 +42,34 @@ if TYPE_CHECKING:
     from deepfsi.datasets.display import Display
     from deepfsi.design.design import Design
 
-POINTS_PER_CELL = 24, 32
-"""Points of a cell's average, down and across: a DLP7000's mirrors of 32 x 32 cells."""
 
-VIEWED_AT_ONCE = 4096
-"""Scenes that are viewed at once."""
+def open_design(
+    path: Path, patterns: Patterns | None = None, *, trust: bool = False, static: bool = False
+) -> "Design":
+    """Open a design file, or what its patterns realise; `static` refuses adaptive masks."""
+    with require_extras():
+        from deepfsi.design.design import load_design
 
-
-class _DesignData(NamedTuple):
-    """Data that a design is tested on, and notes on where it is not what it was trained on."""
-
-    data: Dataset
-    notes: tuple[str, ...]
-
-
-def open_design(path: Path, *, trust: bool = False, static: bool = False) -> "Design":
-    """Open a design file, or what a folder of patterns realises of the design in it."""
-    from deepfsi.design.design import load_design
-
-    folder = path.is_dir()
-    file = path / Patterns.DESIGN if folder else path
+    if patterns is None and path.is_dir():
+        patterns = Patterns.read(path).check()
+    file = path if patterns is None else shown_design(path, patterns.manifest)
     design = load_design(file, trust=trust)
-    if folder or static:
-        design.exposure.check("masks", str(file))
-    return design.as_shown(*Patterns.read(path).check().realised) if folder else design
+    if patterns is None and not static:
+        return design
+    design.exposure.check("masks", str(file))
+    return design if patterns is None else design.as_shown(*patterns.realised)
+
+
+def shown_design(path: Path, manifest: Manifest) -> Path:
+    """Design file, or that in a folder of patterns; `InputError` if other patterns were shown."""
+    file = path / Patterns.DESIGN if path.is_dir() else path
+    exported = manifest.design_sha256
+    if (exported or manifest.looks) and hash_file(file) != exported:
+        raise InputError(
+            f"{file} is not the design whose patterns were shown: give the file that "
+            "`deepfsi dmd export` was given"
+        )
+    return file
 
 
 def data_of(
@@ -72,8 +77,8 @@ def data_of(
     data: str | None = None,
     size: tuple[int, int] | None = None,
     view: Path | None = None,
-) -> _DesignData:
-    """Load the data to test a design on: what is given, else what it was trained on."""
+) -> tuple[Dataset, tuple[str, ...]]:
+    """Data to test a design on, its training's unless given, and notes on what differs from it."""
     training = trained_on(design.info)
     known = training.origin if training else None
     if data is None and known is None:
@@ -95,7 +100,7 @@ def data_of(
     _, left = new_scenes(design.training_scenes, loaded)
     if design.training_scenes is None and notes:
         left = "test scenes may be among those it was trained on, which its file does not hold"
-    return _DesignData(loaded, tuple(notes if left is None else [*notes, left]))
+    return loaded, tuple(notes if left is None else [*notes, left])
 
 
 def data_of_file(file: Path, size: tuple[int, int] | None = None) -> Dataset:
@@ -185,41 +190,26 @@ def design_scenes(
     return shown._replace(x=x, preprocessing=f"{shown.preprocessing}, then as the camera sees it")
 
 
-def _design_of(patterns: Patterns) -> DesignHeader | None:
-    """Header of the design in a folder of patterns; None where it has none."""
-    if patterns.manifest.design_sha256 is None or patterns.folder is None:
-        return None
-    return DesignFile.read(patterns.folder / Patterns.DESIGN, ()).header
+def shown_scenes(source: Path, patterns: Patterns) -> tuple["Display", tuple[Scene, ...]]:
+    """Pictures that are shown, and their scenes: names, classes of the folders and hashes.
 
-
-def displayed(source: Path, patterns: Patterns) -> "Display":
-    """Pictures of scenes, with the white of the patterns' design where their type has none."""
+    The design of the patterns gives their white where their type has none, and the hashes, which
+    are of the pictures as it sees them.
+    """
+    design = None
+    if patterns.manifest.design_sha256 is not None and patterns.folder is not None:
+        design = DesignFile.read(patterns.folder / Patterns.DESIGN, ()).header
     images = read_display(source)
-    if not images.levels.chosen or (design := _design_of(patterns)) is None:
-        return images
-    known = trained_on(design.info)
-    white = known.origin.white if known and known.origin else None
-    return images if white is None else read_display(source, white)
-
-
-def _picture_hashes(source: Path, patterns: Patterns) -> tuple[str, ...] | None:
-    """Hashes of pictures as the patterns' design sees them; None where it cannot see them."""
-    design = _design_of(patterns)
-    if design is None:
-        return None
-    try:
-        shown = design_scenes(design.info, design.image_shape, source)
-    except InputError:  # it was made of arrays, or of pictures of another size
-        return None
-    return scene_hashes(shown.x, design.image_shape)
-
-
-def scenes_of(images: "Display", source: Path, patterns: Patterns) -> tuple[Scene, ...]:
-    """Scenes of pictures, with their names, the classes of their folders and their hashes."""
-    count = len(images.names)
-    labels = images.labels or [None] * count
-    hashes = _picture_hashes(source, patterns) or [None] * count
-    return tuple(
+    known = trained_on(design.info) if design else None
+    if images.levels.chosen and known and known.origin and known.origin.white is not None:
+        images = read_display(source, known.origin.white)
+    labels = images.labels or [None] * len(images.names)
+    hashes: Sequence[str | None] = [None] * len(images.names)
+    if design is not None:
+        with suppress(InputError):  # it was made of arrays, or of pictures of another size
+            x = design_scenes(design.info, design.image_shape, source).x
+            hashes = scene_hashes(x, design.image_shape)
+    return images, tuple(
         Scene(name=name, label=label, hash=digest)
         for name, label, digest in zip(images.names, labels, hashes, strict=True)
     )
@@ -232,28 +222,13 @@ def listed_scenes(source: Path, patterns: Patterns) -> tuple[Scene, ...]:
         raise InputError(f"there is nothing at {source}: give a list of scenes, or their pictures")
     if source.is_file() and suffix in ("", ".txt", ".csv"):
         return read_scenes(source)
-    return scenes_of(read_display(source), source, patterns)
+    return shown_scenes(source, patterns)[1]
 
 
 def read_scenes(path: str | os.PathLike[str]) -> tuple[Scene, ...]:
     """Scenes of a text or CSV file, in its order."""
     with as_input_error(str(path)):
         return tuple(Scene(name=name, label=label) for name, label in read_scene_list(Path(path)))
-
-
-def _view_matrix(
-    image_shape: tuple[int, ...], calibration: Calibration, cells_shape: tuple[int, ...]
-) -> "sparse.csr_array":
-    """Matrix (down * across, h * w) from a scene to what each cell sees: rows sum to 1 or less."""
-    from scipy import sparse
-
-    if len(image_shape) != 2:
-        raise InputError(f"scenes of shape {image_shape} are no images: a camera's view needs two")
-    view = geometry_matrix(image_shape, cells_shape, calibration.homography, calibration.blur)
-    if not view.nnz:
-        raise InputError("no cell looks at the display: calibrate the camera again")
-    flat = _at_cells(np.array(calibration.flat), cells_shape)
-    return sparse.csr_array(sparse.diags_array(flat.ravel()) @ view)
 
 
 def camera_view(
@@ -263,14 +238,25 @@ def camera_view(
     cells_shape: tuple[int, ...] | None = None,
 ) -> np.ndarray:
     """Scenes as the cells of a mask see them."""
+    from scipy import ndimage, sparse
+
     x = np.asarray(x, dtype=np.float32)
-    view = _view_matrix(image_shape, calibration, cells_shape or image_shape).astype(np.float32)
+    cells_shape = cells_shape or image_shape
+    if len(image_shape) != 2:
+        raise InputError(f"scenes of shape {image_shape} are no images: a camera's view needs two")
+    view = geometry_matrix(image_shape, cells_shape, calibration.homography, calibration.blur)
+    if not view.nnz:
+        raise InputError("no cell looks at the display: calibrate the camera again")
+    flat = np.array(calibration.flat)
+    finer = np.divide(cells_shape, flat.shape)
+    flat = ndimage.zoom(flat, finer, order=1, mode="nearest", grid_mode=True)
+    view = sparse.csr_array(sparse.diags_array(flat.ravel()) @ view).astype(np.float32)
     if x.ndim != 2 or x.shape[1] != view.shape[1]:
         raise InputError(f"scenes of shape {x.shape} with images of {image_shape}: give (n, h * w)")
     out = np.empty((len(x), view.shape[0]), dtype=np.float32)
-    for first in range(0, len(x), VIEWED_AT_ONCE):
-        block = x[first : first + VIEWED_AT_ONCE]
-        out[first : first + VIEWED_AT_ONCE] = (view @ np.ascontiguousarray(block.T)).T
+    for first in range(0, len(x), 4096):  # scenes in memory
+        block = x[first : first + 4096]
+        out[first : first + 4096] = (view @ np.ascontiguousarray(block.T)).T
     return np.clip(out, 0, 1, out=out)  # rounding
 
 
@@ -311,8 +297,9 @@ def geometry_matrix(
 
     h, w = image_shape
     down, across = cells_shape
-    average_down, tops = _axis_average(down, blur[0], POINTS_PER_CELL[0])
-    average_across, lefts = _axis_average(across, blur[1], POINTS_PER_CELL[1])
+    # Points of a cell: a DLP7000's mirrors of 32 x 32 cells
+    average_down, tops = _axis_average(down, blur[0], 24)
+    average_across, lefts = _axis_average(across, blur[1], 32)
     x, y = np.meshgrid(lefts, tops)
     back = np.linalg.inv(np.asarray(homography, dtype=float))
     u, v, scale = back @ np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
@@ -357,20 +344,6 @@ def _axis_average(cells: int, blur: float, each: int) -> tuple["sparse.csr_array
     return sparse.csr_array((values, (cell, point)), shape=(cells, len(places))), places
 
 
-def _at_cells(values: np.ndarray, cells_shape: tuple[int, ...]) -> np.ndarray:
-    """Values of a grid over the unit square at the centres of another's cells, linear between."""
-    from scipy import ndimage
-
-    if values.shape == cells_shape:
-        return values
-    places = [
-        (np.arange(n) + 0.5) / n * size - 0.5
-        for n, size in zip(cells_shape, values.shape, strict=True)
-    ]
-    grid = np.meshgrid(*places, indexing="ij")
-    return np.asarray(ndimage.map_coordinates(values, grid, order=1, mode="nearest"))
-
-
 def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) -> Camera:
     """Camera of a design, with other settings; the preset `dmd` where none is known."""
     folders = (source, source / "patterns") if source.is_dir() else ()
@@ -384,7 +357,7 @@ def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) 
 
 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:
-    """Rails of a design file, to be shown; only adaptive masks need torch."""
+    """Rails of a design file; only adaptive masks need torch."""
     path = Path(file)
     if isinstance(DesignFile.read(path, ()).header, AdaptiveHeader):
         with require_extras():

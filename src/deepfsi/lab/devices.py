@@ -1,9 +1,8 @@
 """Devices of a run: protocols of projector and counter, and virtual ones.
 
 Projector and counter are context managers that let go of their device on every way out, Ctrl-C
-included, so that a laboratory can bring its own. Virtual devices do not wait: each step sets their
-clock on by the time that it takes. They see what the display shows frame by frame as the virtual
-camera does, write photons and markers to a PTU file, and read counts from it while it grows.
+included. Virtual devices do not wait: each step sets their clock on by the time that it takes. They
+write photons and markers to a PTU file, and read counts from it while it grows.
 """
 
 import math
@@ -23,9 +22,10 @@ from deepfsi.base.progress import SILENT, Progress
 from deepfsi.counting.acquisition import Acquisition
 from deepfsi.counting.events import PtuWriter
 from deepfsi.counting.streaming import FrameCounter, FrameCounts, FrameGates
-from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Stream, divide
+from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
 from deepfsi.lab.virtual_optics import (
     FRAME_MARKER,
+    EventRecorder,
     MirrorLight,
     VirtualCamera,
     arrival_rates,
@@ -34,62 +34,44 @@ from deepfsi.lab.virtual_optics import (
 )
 from deepfsi.patterns.folder import Patterns
 
-PATIENCE_S = 5.0
-"""Time by which counts may come later than their frames end, seconds."""
-
 
 class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol):
-    """Micromirror device that holds patterns and shows lists of them, for times told with each.
+    """Micromirror device that holds frames and shows lists of them; each picture gives a marker.
 
-    Entering takes hold of the device; leaving stops it and lets go of it. Each picture gives a
-    marker at its start.
+    Entering takes hold of the device; leaving stops it and lets go of it.
     """
 
     def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
-        """Bring the frames of patterns into the device, once, in place of earlier ones."""
+        """Bring the frames of patterns into the device, in place of earlier ones."""
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
-        """Bring another frame into the device in place of a loaded one, while none is shown.
-
-        Its packed bits (rows, bytes of a row) are as in the folder's files.
-        """
+        """Replace a loaded frame by packed bits (rows, bytes), while no list is shown."""
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pictures as which frames are shown that are held so long: how many, and each one's time.
-
-        Numbers (F,), more than 1 where a frame is repeated, and seconds (F,). Each picture gives a
-        marker. Times (F,) are as for `show`.
-        """
+        """Number of pictures (F,) that show each frame, and seconds (F,) of a picture."""
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
-        """Show frames one after another, after those of the last list; may return before the end.
+        """Show frames, places (F,) in the folder, after the last list; may return before the end.
 
-        Parameters are (F,): places in the folder, and for how long each is held at least, seconds,
-        the time to settle among them. The last frame stays until the next list.
+        Each is held for its seconds (F,) at least, settling included, the last until the next list.
         """
-
-    def halt(self) -> None:
-        """Stop the list where it is."""
 
 
 class PassProjector(AbstractContextManager["PassProjector"], Protocol):
-    """Micromirror device that shows all frames of a pattern folder, one pass after another.
+    """Micromirror device that shows passes of all frames, each with a marker at its start.
 
-    Entering takes hold of the device; leaving stops it and lets go of it. Each frame gives one
-    marker at its start, and is held for the picture time of the folder's manifest.
+    Entering takes hold of the device; leaving stops it and lets go of it. Frames are held for the
+    picture times of the manifest.
     """
 
     def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
-        """Bring the frames of patterns into the device, once, in place of earlier ones."""
+        """Bring the frames of patterns into the device, in place of earlier ones."""
 
     def run(self) -> None:
         """Start one pass; may return before its end."""
 
     def wait(self) -> None:
         """Return when the pass has ended."""
-
-    def halt(self) -> None:
-        """Stop the pass where it is."""
 
 
 class StreamingCounter(AbstractContextManager["StreamingCounter"], Protocol):
@@ -121,27 +103,13 @@ Projector_co = TypeVar("Projector_co", bound=StreamingProjector | PassProjector,
 
 @dataclass(frozen=True)
 class Setup(Generic[Projector_co]):
-    """Devices of a run, and who shows its scenes.
-
-    Parameters
-    ----------
-    projector : StreamingProjector or PassProjector
-        Shows lists of frames that a live run chooses, or a pass of all frames for each scene.
-    counter : StreamingCounter
-        Counts, and records what it counts.
-    display : callable
-        Shows a scene by its number, or darkness for -1, and returns when it has settled.
-    clock : callable
-        Seconds; the clock of virtual devices runs by itself.
-    latencies : dict, optional
-        Seconds of each step, of virtual devices.
-    """
+    """Devices of a run, and who shows its scenes."""
 
     projector: Projector_co
     counter: StreamingCounter
-    display: Callable[[int], None]
-    clock: Callable[[], float] = time.monotonic
-    latencies: dict[str, float] | None = None
+    display: Callable[[int], None]  # shows a scene by its number; returns when it has settled
+    clock: Callable[[], float] = time.monotonic  # seconds
+    latencies: dict[str, float] | None = None  # of each step of virtual devices, seconds
 
 
 LATENCIES = {
@@ -171,25 +139,17 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
             raise InputError(
                 "virtual devices of a run have no gates: leave gates out of its camera"
             )
-        self._made = made
         self.latencies = latencies
         # Time on the counter's clock before the first list, seconds
         self.now_s = 1e-3
+        inputs = range(rates.shape[2])
+        self.recorder = EventRecorder(camera, np.random.default_rng(seed), inputs)
+        self.marker_bit = FRAME_MARKER
+        self._made = made
         self._rates = rates
         self._scene = 0
         self._frame = 1
-        rng = np.random.default_rng(seed)
-        self._streams = [Stream(camera, rng) for _ in range(rates.shape[2])]
-        self._reach = self._streams[0].reach
-        self._camera = camera
-        self._light = camera.light(rng)
         self._times_s = np.zeros(0)  # of the frames that are loaded
-        self._end = 0  # ticks up to which the detectors' light is known
-        self._times = np.zeros(0, np.int64)
-        self._codes = np.zeros(0, np.int64)
-        self.written: PtuWriter | None = None  # of the counter that records
-        # Its inputs, one for each detector, and the bits of its markers
-        self.wiring: tuple[tuple[int, ...], int] = tuple(range(rates.shape[2])), FRAME_MARKER
 
     def __exit__(self, *error: object) -> None:
         """Do nothing: there is nothing to close."""
@@ -202,11 +162,11 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
     def display(self, scene: int) -> None:
         """Show a scene on the display."""
         self.now_s += self.latencies["display"]
-        self._see(np.array([self._frame]), np.array([max(self._ticks(self.now_s), self._end)]))
+        self._hold(self._ticks(self.now_s))
         self._scene = scene
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
-        """Load another frame in place of one, which is not shown at the moment."""
+        """Replace a frame that is not shown."""
         assert self._made is not None
         self.now_s += self.latencies["load"]
         self._rates[self._scene, frame] = self._made(self._scene, packed)
@@ -214,12 +174,12 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
         """Show frames; the clock is then where their counts have come and are decided upon."""
         self.now_s += self.latencies["command"]
-        start = max(self._ticks(self.now_s), self._end)
-        self._see(np.array([self._frame]), np.array([start]))
-        ends = start + np.cumsum(np.rint(dwells_s / DETECTOR_TICK_S).astype(np.int64))
-        marks = np.append(start, ends[:-1]) + self._ticks(self.latencies["trigger"])
-        self._add(marks, -self.wiring[1])
-        self._see(frames, ends)
+        self._hold(self._ticks(self.now_s))
+        durations = np.rint(dwells_s / DETECTOR_TICK_S).astype(np.int64)
+        marks = self.recorder.end + np.cumsum(durations) - durations
+        marks += self._ticks(self.latencies["trigger"])
+        self.recorder.add(marks, -self.marker_bit)
+        self.recorder.see(durations, self._rates[self._scene, frames])
         self._frame = int(frames[-1])
         # What came before the last frame's marker is handed over with it, in its block
         block = self.latencies["block"]
@@ -231,49 +191,22 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
         return np.ones(len(dwells_s), np.int64), dwells_s
 
     def run(self) -> None:
-        """Show a pass of all frames, each for its picture time."""
+        """Show every frame for its picture time."""
         self.show(np.arange(len(self._times_s)), self._times_s)
-
-    def halt(self) -> None:
-        """Do nothing: a virtual list has ended."""
 
     def wait(self) -> None:
         """Let time pass until all that was shown is recorded."""
-        end = max(self._ticks(self.now_s), self._end + self._reach)
-        self._see(np.array([self._frame]), np.array([end]))
-        self.now_s = end * DETECTOR_TICK_S
+        self._hold(max(self._ticks(self.now_s), self.recorder.end + self.recorder.reach))
+        self.now_s = self.recorder.end * DETECTOR_TICK_S
+
+    def _hold(self, end: int) -> None:
+        """Go on showing the last frame until a tick, unless it is past."""
+        more = max(end - self.recorder.end, 0)
+        self.recorder.see(np.array([more]), self._rates[self._scene, [self._frame]])
 
     @staticmethod
     def _ticks(seconds: float) -> int:
         return round(seconds / DETECTOR_TICK_S)
-
-    def _see(self, frames: np.ndarray, ends: np.ndarray) -> None:
-        """Draw the events while frames are shown, the last until `ends[-1]`, and write them."""
-        durations = np.diff(ends, prepend=self._end)
-        rates = self._camera.fluctuate(
-            self._rates[self._scene, frames], (ends - durations) * DETECTOR_TICK_S, self._light
-        )
-        for pieces, flow in divide(durations, rates):
-            stop = self._end + int(pieces.sum())
-            for each, stream in enumerate(self._streams):
-                self._add(stream.events(self._end, pieces, flow[:, each]), self.wiring[0][each])
-            self._end = stop
-            self._write()
-
-    def _add(self, times: np.ndarray, code: int) -> None:
-        self._times = np.append(self._times, np.maximum(times, 0))
-        self._codes = np.append(self._codes, np.full(len(times), code))
-
-    def _write(self) -> None:
-        """Write what no later event can come before."""
-        order = np.argsort(self._times, kind="stable")
-        times = self._times[order]
-        codes = self._codes[order]
-        ready = int(np.searchsorted(times, self._end - self._reach))
-        if self.written is not None and ready:
-            self.written.write(times[:ready], codes[:ready])
-        self._times = times[ready:]
-        self._codes = codes[ready:]
 
 
 class VirtualCounter(AbstractContextManager["VirtualCounter"]):
@@ -294,8 +227,10 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
     def start(self, path: Path) -> None:
         """Begin to record into a new file."""
         check_file_inputs(self._inputs)
-        self._projector.wiring = self._inputs, self._bit
-        self._projector.written = PtuWriter(path, DETECTOR_TICK_S, growing=True).__enter__()
+        recorder = self._projector.recorder
+        recorder.inputs = self._inputs
+        self._projector.marker_bit = self._bit
+        recorder.writer = PtuWriter(path, DETECTOR_TICK_S, growing=True).__enter__()
         self._file = FileIO(path)
         self._counter = FrameCounter(self._inputs, self._bit, path)
 
@@ -314,8 +249,8 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
             return
         self._file.close()
         self._file = None
-        writer = self._projector.written
-        self._projector.written = None
+        writer = self._projector.recorder.writer
+        self._projector.recorder.writer = None
         assert writer is not None
         writer.__exit__(None, None, None)
 
@@ -325,8 +260,6 @@ def virtual_setup(
     scenes: np.ndarray,
     acquisition: Acquisition,
     report: Progress = SILENT,
-    *,
-    latency_s: float | None = None,
     decision_s: float | None = None,
 ) -> Setup[VirtualProjector]:
     """Virtual devices of a run, with the camera, flux, seed and wiring of its acquisition."""
@@ -335,13 +268,11 @@ def virtual_setup(
     flux = acquisition.flux or 0.0
     images = check_scenes(scenes, manifest, flux)
     rates = arrival_rates(patterns, scenes, camera, flux, report=report)
-    load_us = manifest.device.load_us
-    times = {
-        "load": load_us * 1e-6 if load_us else None,
-        "command": latency_s,
-        "decision": decision_s,
-    }
-    latencies = LATENCIES | {name: time for name, time in times.items() if time is not None}
+    latencies = dict(LATENCIES)
+    if manifest.device.load_us:
+        latencies["load"] = manifest.device.load_us * 1e-6
+    if decision_s is not None:
+        latencies["decision"] = decision_s
 
     @lru_cache(maxsize=1)
     def light(scene: int) -> MirrorLight:

@@ -1,20 +1,17 @@
-"""Runs: a projector shows, and a counter counts, scene after scene, until all are shown.
+"""Runs: a projector shows, and a counter counts, scene after scene.
 
-A live run decides on what is shown next. Each of its lists of frames ends with the all-OFF frame,
-which stays while the next list is chosen: its marker ends the last gate, and the detector rests.
+A live run decides what is shown next. Each list of frames ends with the all-OFF frame, which stays
+while the next list is chosen: its marker ends the last gate, and the detector rests.
 
-A recorded run shows a pass of all frames for each scene. Its photon file is counted afterwards, as
-any. While it is written frames are counted, too, so that a missing marker or a scene without light
-is said at once, and not when all scenes are shown.
+A recorded run shows every frame for each scene, and its photon file is counted afterwards. Frames
+are also counted while it is written, so that a missing marker or a dark scene is said at once.
 """
 
-import math
 import time
 from collections.abc import Generator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +27,8 @@ from deepfsi.counting.flux import excess_chance
 from deepfsi.counting.recording import Recording
 from deepfsi.counting.streaming import FrameCounts, FrameGates
 from deepfsi.designfile.provenance import was_trained_on
+from deepfsi.lab.design_data import shown_design
 from deepfsi.lab.devices import (
-    PATIENCE_S,
     PassProjector,
     Setup,
     StreamingCounter,
@@ -49,6 +46,9 @@ from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.frames import make_frame
 from deepfsi.patterns.manifest import Manifest
 
+PATIENCE_S = 5.0
+"""Time by which counts may come later than their frames end, seconds."""
+
 
 class LiveStep(NamedTuple):
     """A decision of a live run, and when it fell."""
@@ -65,19 +65,18 @@ class LiveRun:
     Parameters
     ----------
     patterns : Patterns
-        Of a folder, which has the design, too.
+        Patterns of a folder, with their design.
     scenes : tuple of Scene
-        In their order.
     exposure_s : float
-        Time of all looks at a scene, seconds.
+        Seconds of all looks at a scene together.
     shortest_s : float, optional
-        Shortest time for which a frame is counted, seconds. Default: of the device.
+        Shortest time for which a frame is counted, seconds. Default: the device's.
     photons : float, optional
         Budget of an exposure, counts. Default: measured by the all-ON frames.
     until : float, optional
-        Probability at which an exposure ends. Default: of the design's rule.
+        Exposures that reach this probability end early. Default: the design's.
     dead_time : DeadTime
-        Dead time of the counter, to be corrected.
+        Dead time of the counter, which is corrected.
     **others
         Fields of the `Acquisition`.
 
@@ -100,16 +99,21 @@ class LiveRun:
         **others: object,
     ) -> None:
         with require_extras():
+            from deepfsi.design.design import Design
             from deepfsi.lab.adaptive_looks import AdaptiveLooks
-        if not (math.isfinite(exposure_s) and exposure_s > 0):
-            raise InputError(f"exposure {exposure_s!r} is not allowed: give seconds above 0")
-        if photons is not None and not (math.isfinite(photons) and photons > 0):
-            raise InputError(f"photons {photons!r} is not allowed: give a number above 0")
         if until is not None and not 0 < until < 1:
             raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
         self.patterns = patterns
-        self.looks = AdaptiveLooks.read(patterns)
         manifest = patterns.manifest
+        folder = patterns.folder
+        assert folder is not None
+        if manifest.looks is None:
+            raise InputError(
+                f"{folder} has the patterns of a design whose masks are known before: learn one of "
+                '`design="adaptive"` masks, or record it with `deepfsi camera simulate` or '
+                "`import`"
+            )
+        self.looks = AdaptiveLooks(Design.load(shown_design(folder, manifest)), manifest)
         looks_s = exposure_s * np.array(self.looks.shares)
         with as_input_error():
             self.settings = Acquisition(
@@ -164,7 +168,7 @@ class LiveRun:
 
 
 def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | None) -> int:
-    """Shortest gate of a run, ns, for looks of some lengths (K,)."""
+    """Shortest gate of a run, ns; `InputError` where the device cannot show the looks (K,)."""
     device = manifest.device
     if device.video_us is not None:
         raise InputError(
@@ -180,8 +184,6 @@ def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | 
             f"for {device.longest_us} at most: give a shorter `exposure`"
         )
     least_ns = device.shortest_us * 1000 - round(device.settle_us * 1000) - MARGIN_NS
-    if shortest_s is not None and not shortest_s >= 0:
-        raise InputError(f"a shortest dwell of {shortest_s!r} is not allowed: give 0 or more")
     shortest_ns = max(least_ns, round((shortest_s or 0.0) * 1e9), 1)
     if look_s * 1e9 < shortest_ns:
         raise InputError(
@@ -288,38 +290,21 @@ class _CountedFrames:
         return FrameCounts.join(parts, self._inputs)[:wanted]
 
 
-@dataclass(frozen=True)
-class _RecordedScene:
-    """A scene as its pass was counted while it was recorded, counts/s."""
-
-    scene: Scene
-    on_rate: float
-    off_rate: float
-    masks_rate: float  # in the masks' frames, of all detectors
-    lit: bool  # True if all-ON frames are brighter than the all-OFF one, by more than chance
-
-    def __str__(self) -> str:
-        return (
-            f"{self.scene.name}: {self.masks_rate:.4g} counts/s in the masks' frames, all ON "
-            f"{self.on_rate:.4g}, all OFF {self.off_rate:.4g}{'' if self.lit else ': NO LIGHT'}"
-        )
-
-    @classmethod
-    def of(cls, scene: Scene, counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> Self:
-        """Scene by counts (F, inputs) of its pass's frames but the last, and their times (F,)."""
-        arm = counts[:, manifest.arm]
-        on = arm[[0, -1]].sum()
-        on_s = times[[0, -1]].sum()
-        off = arm[OFF].sum()
-        off_s = times[OFF]
-        masks = manifest.shown
-        return cls(
-            scene=scene,
-            on_rate=float(on / on_s),
-            off_rate=float(off / off_s),
-            masks_rate=float(counts[masks].sum() / times[masks].sum()),
-            lit=bool(excess_chance(on, on_s, off, off_s) < NO_LIGHT),
-        )
+def _light_text(counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> str:
+    """Light of a pass, by counts (F, inputs) of its frames but the last, and their times (F,)."""
+    arm = counts[:, manifest.arm]
+    on = arm[[0, -1]].sum()
+    on_s = times[[0, -1]].sum()
+    off = arm[OFF].sum()
+    off_s = times[OFF]
+    masks = manifest.shown
+    rate = counts[masks].sum() / times[masks].sum()
+    # All-ON frames are brighter than the all-OFF one by no more than chance
+    dark = excess_chance(on, on_s, off, off_s) >= NO_LIGHT
+    return (
+        f"{rate:.4g} counts/s in the masks' frames, all ON {on / on_s:.4g}, all OFF "
+        f"{off / off_s:.4g}{': NO LIGHT' if dark else ''}"
+    )
 
 
 def record_run(
@@ -328,8 +313,8 @@ def record_run(
     acquisition: Acquisition,
     setup: Setup[PassProjector],
     report: Progress | None = None,
-) -> Generator[_RecordedScene]:
-    """Show and record scene after scene; gives each when its pass has ended."""
+) -> Generator[str]:
+    """Show and record scene after scene; says the light of each when its pass has ended."""
     acquisition.check_fixed(folder)
     manifest = patterns.manifest
     room = manifest.picture_s - acquisition.settle_s
@@ -357,10 +342,9 @@ def record_run(
                 setup.projector.run()
                 setup.projector.wait()
                 counts = frames.take(len(gates) - 1, PATIENCE_S, " of their pass").counts
-                recorded = _RecordedScene.of(scene, counts, gates.lengths_s[:-1], manifest)
                 done = index + 1
                 note_saved_work("finished scenes are kept")
-                yield recorded
+                yield f"{scene.name}: {_light_text(counts, gates.lengths_s[:-1], manifest)}"
             setup.counter.stop()
         finally:
             if 0 < done < len(acquisition.scenes):

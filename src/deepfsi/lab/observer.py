@@ -1,14 +1,13 @@
 """Decisions of a live run, from counts alone: the class of each scene, and what to show next.
 
-Each scene begins and ends with an all-ON and an all-OFF frame. A scene whose first all-ON frame is
-no brighter than the all-OFF ones has no light, and gets no class. The budget is the flux of the
-all-ON frames of all lit scenes since the lamp changed, as scenes differ in brightness and a dim one
-is to stay dim; the dark counts are those of the all-OFF frames that agree. After the last look the
-light of the scene is tested as that of a recorded one (`LightMonitor`), and its counts against the
-training; a scene that fails has faults, and gets no class.
+Each scene begins and ends with an all-ON and an all-OFF frame. Without light its first all-ON frame
+is no brighter than the all-OFF ones, and it gets no class. All-ON frames of all lit scenes since
+the lamp changed give the budget, since scenes differ in brightness; all-OFF frames that agree give
+the dark counts. After the last look `LightMonitor` tests the scene's light as it does for recorded
+scenes, and the counts are compared with the training. A scene that fails has faults and no class.
 
-Counts are corrected for dead time frame by frame, at the rate of each. An all-ON frame beyond the
-rate up to which that is sure ends the run; a short gate that is, by chance, is corrected as there.
+Counts are corrected for dead time frame by frame. An all-ON frame beyond the rate up to which the
+correction is sure ends the run; a short gate beyond it, by chance, is corrected as at that rate.
 """
 
 from collections import deque
@@ -52,12 +51,6 @@ OFF = 1
 SCENE_ENDS = -1
 """Number, in place of a look's, of the lists of frames that begin and end each scene."""
 
-WITHOUT_VIEW = set(SPOILING) - {"unsure", "unlike"}
-"""Faults of a scene whose counts tell nothing of how the camera sees scenes."""
-
-USUAL_DEAD_S = 3e-8
-"""Dead time that a counter with its detector may well have, seconds."""
-
 
 @dataclass(frozen=True)
 class Decision:
@@ -74,28 +67,12 @@ class Decision:
 
 
 class SceneObserver:
-    """Decisions on scene after scene of a live run.
-
-    Parameters
-    ----------
-    looks : AdaptiveLooks
-        Of the design whose patterns are shown.
-    manifest : Manifest
-        Patterns that are shown.
-    acquisition : Acquisition
-        Settings of the run.
-
-    Raises
-    ------
-    InputError
-        If the acquisition is no live run, or all-ON and all-OFF frames are too short to be counted.
-    """
+    """Decisions on scene after scene of a live run, in which a design's patterns are shown."""
 
     def __init__(
         self, looks: "AdaptiveLooks", manifest: Manifest, acquisition: Acquisition
     ) -> None:
-        if acquisition.live is None or manifest.looks is None:
-            raise InputError("this acquisition is no live run: make one with `deepfsi camera live`")
+        assert acquisition.live is not None
         self.looks = looks
         self._manifest = manifest
         self._settings = acquisition.live
@@ -107,9 +84,9 @@ class SceneObserver:
         self._ends = _scene_ends(manifest, acquisition.settle_s)
 
     def observe(self, scene: int, count: Callable[[FrameList], FrameCounts]) -> Iterator[Decision]:
-        """Decisions after each look at the next scene; none of one without light.
+        """Decisions after each look at the next scene, the last with its faults; none in the dark.
 
-        The last one has the faults of the scene. `count` shows a list of frames and counts them.
+        `count` shows a list of frames and counts them.
         """
         begin = self._arrivals(count, self._ends)
         lit, changes = self._light.begin(begin)
@@ -148,8 +125,9 @@ class SceneObserver:
             *self._checks.check_counts(scene, exposure.compare(), self._on_rate([begin, end])),
         ]
         view = None
-        kinds = {fault.kind for fault in (*faults, *doubts)}
-        if self._view and not kinds & WITHOUT_VIEW:
+        # With other faults the counts tell nothing of how the camera sees scenes
+        kinds = {fault.kind for fault in (*faults, *doubts)} - {"unsure", "unlike"}
+        if self._view and not kinds & set(SPOILING):
             self._view.add(self._readouts(photons, asked, arrivals))
             view = self._view.result
         if view is not None and view.refused:
@@ -186,32 +164,24 @@ class SceneObserver:
         manifest = self._manifest
         cells = manifest.detectors and manifest.detectors.cells
         of_detector = np.equal.outer(np.arange(manifest.detector_count), np.array(cells or 0))
-        inputs = np.arange(manifest.inputs)
-        readouts = []
-        for look, arrived in zip(asked, arrivals, strict=True):
-            share = look.gate_ns / self._exposure_ns
-            lit = self.looks.lit(look)
-            both = (
-                np.stack([lit, 1 - lit][: manifest.arms], axis=1)[:, :, None] * of_detector
-            )  # F, arms, D, N
-            gain = photons * share / manifest.summed_reflectance
-            masks = gain[:, None] * both.reshape(-1, lit.shape[-1]).reshape(len(lit), -1)
-            counts = arrived.photons.sum(axis=1)
-            dark = self._light.dark * (look.gate_ns * 1e-9)[:, None]
-            excess = (arrived.variance.sum(axis=1) - counts).clip(min=0)
-            readouts.append(
-                SceneReadouts(
-                    masks=masks.reshape(-1, lit.shape[-1]),
-                    counts=(counts - dark).ravel(),
-                    noise=(dark.clip(min=0) + excess).ravel(),
-                    inputs=np.tile(inputs, len(lit)),
-                )
-            )
-        return SceneReadouts.join(readouts)
+        lit = np.concatenate([self.looks.lit(look) for look in asked])
+        gate_ns = np.concatenate([look.gate_ns for look in asked])
+        arms = np.stack([lit, 1 - lit][: manifest.arms], axis=1)
+        masks = (arms[:, :, None] * of_detector).reshape(len(lit), manifest.inputs, -1)
+        gain = photons * (gate_ns / self._exposure_ns) / manifest.summed_reflectance
+        counts = np.concatenate([arrived.photons.sum(axis=1) for arrived in arrivals])
+        variance = np.concatenate([arrived.variance.sum(axis=1) for arrived in arrivals])
+        dark = self._light.dark * (gate_ns * 1e-9)[:, None]
+        return SceneReadouts(
+            masks=(gain[:, None, None] * masks).reshape(-1, lit.shape[-1]),
+            counts=(counts - dark).ravel(),
+            noise=(dark.clip(min=0) + (variance - counts).clip(min=0)).ravel(),
+            inputs=np.tile(np.arange(manifest.inputs), len(lit)),
+        )
 
 
 def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:
-    """The all-ON and the all-OFF frame that begin and end a scene, counted as long as they last."""
+    """All-ON and all-OFF frame that begin and end a scene, counted while they last."""
     rest_ns = round((settle_s + manifest.usual_tolerance_s) * 1e9) + MARGIN_NS
     pictures_us = [manifest.frames[index].picture_us for index in (ON, OFF)]
     gates = np.array([us * 1000 - rest_ns for us in pictures_us])
@@ -224,7 +194,7 @@ def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:
 
 
 class _SceneChecks:
-    """Checks of scene after scene: its budget, and its counts against those of the training."""
+    """Checks of scene after scene: its budget, and its counts beside the training's."""
 
     def __init__(self, trained: float | None, acquisition: Acquisition) -> None:
         assert acquisition.live is not None
@@ -258,7 +228,7 @@ class _SceneChecks:
     def check_counts(
         self, scene: int, comparison: tuple[float, str] | None, on_rate: float
     ) -> list[Fault]:
-        """Faults of counts that do not look like those of the training, by a chance and words."""
+        """Faults of counts that do not look like the training's, by a chance and a text."""
         if comparison is None:
             return []
         from scipy.special import bdtrc
@@ -286,10 +256,10 @@ class _SceneChecks:
 
     def _saturation(self, rate: float) -> str:
         """Words on a counter that loses photons to a dead time that was not told, at counts/s."""
-        # Share of the photons lost to it from which on saturation is named
-        if self._live.dead_time.seconds or rate * USUAL_DEAD_S < 0.05:
+        blind = 3e-8 * rate  # as many counters with their detectors are
+        if self._live.dead_time.seconds or blind < 0.05:
             return ""
         return (
-            f"; at {rate:.3g} counts/s a counter with a dead time of {USUAL_DEAD_S * 1e9:.0f} ns "
-            f"is blind {rate * USUAL_DEAD_S:.0%} of the time: give `dead_time`, or dim the light"
+            f"; at {rate:.3g} counts/s a counter with a dead time of 30 ns is blind {blind:.0%} of "
+            "the time: give `dead_time`, or dim the light"
         )

@@ -18,25 +18,19 @@ from deepfsi.camera.light import check_budget
 from deepfsi.designfile.provenance import Score, scene_hashes, was_trained_on
 from deepfsi.lab.classify import dim_scenes
 from deepfsi.lab.design_data import design_scenes
+from deepfsi.lab.results import Answer
 
 if TYPE_CHECKING:  # it imports torch, which those who predict nothing do without
     from deepfsi.design.design import Design
 
 
-@dataclass(frozen=True)
-class Predicted:
+@dataclass(frozen=True, kw_only=True)
+class Predicted(Answer):
     """Class of a picture."""
 
-    name: str  # of its file
-    label: str | None  # class that it is known to be of
-    predicted: str
-    confidence: float  # probability of that class
-    trained_on: bool | None  # true if the design was; none where its file does not say
+    NAME_KEY = "picture"
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        names = {"name": "picture", "predicted": "class"}
-        return {names.get(name, name): value for name, value in vars(self).items()}
+    confidence: float  # probability of that class
 
 
 @dataclass(frozen=True)
@@ -65,13 +59,13 @@ class Predictions:
         return vars(self) | {"score": self.score.as_dict(), "pictures": pictures}
 
     def lines(self, design: str) -> Iterator[str | Table]:
-        """Say the class of each picture, by a design whose name and size are said in words."""
+        """Say the class of each picture by a design, of which a text is given."""
         yield f"pictures: {self.preprocessing}."
         yield Table(
             f"{design}, {budget_text(self.photons)} photons, {self.noise} noise",
             ("picture", "class", "confidence", "labelled"),
             [
-                (each.name, each.predicted, f"{each.confidence:.3f}", each.label or "")
+                (each.name, str(each.predicted), f"{each.confidence:.3f}", each.label or "")
                 for each in self.pictures
             ],
         )
@@ -103,28 +97,26 @@ def predict(
 ) -> Predictions:
     """Classes of new pictures, each from one simulated exposure under the camera's noise.
 
-    The pictures get the preprocessing of the data that the design remembers: size, white, the range
-    to which reflectance is mapped, and the view of a camera.
+    The pictures are prepared as the data of the training were: size, white, range of reflectance,
+    and view of a camera.
 
     Parameters
     ----------
     design : Design
     pictures : str, path or array, shape (n, H, W) or (n, N)
         A picture, a folder of pictures, one with a sub-folder for each class, or a ``.csv`` file of
-        file names and labels. Those that ``deepfsi data export`` wrote are mapped already. Of an
-        array, whole numbers are pictures as those of files; floats are reflectance in [0, 1] as a
-        data set of the design has it, and get no preprocessing.
+        file names and labels. Whole numbers of an array are treated as files are; floats are
+        reflectance in [0, 1] and get no preprocessing. ``deepfsi data export`` mapped its pictures.
     photons : float, optional
-        Budget Φ. Default: that of the camera if it is within the budgets of the training, else
-        the lowest of these.
+        Budget Φ. Default: the camera's if the training has it, else the training's lowest.
     camera : Camera, str, path or mapping, optional
         Camera whose noise, dark counts and read noise hold. Default: the design's.
     seed : int
-        Of the noise.
+        Seed of the noise.
     skip_bad : bool
         Leave pictures that cannot be read out, which `preprocessing` then names.
     **settings
-        Fields of the camera in place of its own, such as ``noise="none"``.
+        Fields that replace the camera's, such as ``noise="none"``.
 
     Returns
     -------
@@ -148,10 +140,13 @@ def predict(
     >>> found.pictures[3].label, len(found.pictures)
     ('3', 10)
     """
+    import torch
+
+    from deepfsi.evaluation.accuracy import camera_for, check_draws
+    from deepfsi.exposure.kind import EXPOSED_AT_ONCE
+    from deepfsi.exposure.training_set import check_classes
     from deepfsi.physics.surroundings import library_defaults
 
-    run = library_defaults(grad=False)(_predict)
-    tested = {"camera": camera, **settings}
     source: Path | np.ndarray
     if isinstance(pictures, str | os.PathLike):
         source = Path(pictures).expanduser()
@@ -160,46 +155,28 @@ def predict(
             f"pictures were given as {type(pictures).__name__}: give a picture, a folder of "
             "pictures, a .csv file, or an array of numbers"
         )
-    return run(design, source, photons, tested, seed=seed, skip_bad=skip_bad)
-
-
-def _predict(
-    design: "Design",
-    source: Path | np.ndarray,
-    photons: float | None,
-    tested: dict[str, Any],
-    *,
-    seed: int,
-    skip_bad: bool,
-) -> Predictions:
-    """Classes of pictures; parameters as of `predict`, with the camera's fields in `tested`."""
-    import torch
-
-    from deepfsi.evaluation.accuracy import camera_for, check_draws
-    from deepfsi.exposure.kind import EXPOSED_AT_ONCE
-    from deepfsi.exposure.training_set import check_classes
-
     check_classes(design.values, "predict")
     check_draws(1, seed)
-    camera = camera_for(design, **tested)
-    budget = check_budget(_budget(design, camera) if photons is None else photons)
-    shown = design_scenes(design.info, design.image_shape, source, skip_bad)
-    generator = torch.Generator(design.exposure.device).manual_seed(seed)
-    scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
-    chances = []
-    clicks = 0.0
-    for some in scenes.split(EXPOSED_AT_ONCE):
-        answer, light = design.exposures(some, camera)(budget, generator)
-        chances.append(answer.chances.cpu())
-        clicks += light.counts
-    confidence, best = torch.cat(chances).max(dim=-1)
-    remarks = [fault.detail for fault in dim_scenes(design, np.array([budget]))]
-    remarks += filter(None, [design.exposure.full_gates(clicks / len(scenes), budget)])
+    with library_defaults(grad=False):
+        tested = camera_for(design, camera=camera, **settings)
+        budget = check_budget(_budget(design, tested) if photons is None else photons)
+        shown = design_scenes(design.info, design.image_shape, source, skip_bad)
+        generator = torch.Generator(design.exposure.device).manual_seed(seed)
+        scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
+        chances = []
+        clicks = 0.0
+        for some in scenes.split(EXPOSED_AT_ONCE):
+            answer, light = design.exposures(some, tested)(budget, generator)
+            chances.append(answer.chances.cpu())
+            clicks += light.counts
+        confidence, best = torch.cat(chances).max(dim=-1)
+        remarks = [fault.detail for fault in dim_scenes(design, np.array([budget]))]
+        remarks += filter(None, [design.exposure.full_gates(clicks / len(scenes), budget)])
     labels = shown.labels or [None] * len(shown.names)
     trained = was_trained_on(design.training_scenes, scene_hashes(shown.x, design.image_shape))
     return Predictions(
         photons=budget,
-        noise=camera.noise_name,
+        noise=tested.noise_name,
         preprocessing=shown.preprocessing,
         remarks=tuple(remarks),
         classes=design.classes,

@@ -1,8 +1,8 @@
 """A reference target, and how a camera shows it: orientation, scale, shift and rotation.
 
-The target is a picture without symmetry. What it counts behind the masks of an export is known for
-every place that it may have on the device. So a recording of it tells how scenes lie there, before
-any data are taken: a similarity in one of eight orientations is fitted to the counts.
+The target is a picture without symmetry. A recording of it tells how scenes lie on the device
+before any data are taken: a similarity in one of eight orientations is fitted to the counts behind
+the masks.
 """
 
 import io
@@ -20,12 +20,7 @@ from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.layout import DmdLayout
 from deepfsi.counting.recording import Recording
 from deepfsi.lab.calibration import DisplayedScenes
-from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.manifest import Manifest
-
-REFERENCE = "reference.png"
-EXPECTED = "reference.csv"
-"""Files of the target, and of what it is expected to count, in a folder of patterns."""
 
 TARGET = np.array(
     [
@@ -44,13 +39,6 @@ TARGET = np.array(
 )
 """The target: white blocks on black, unlike itself in all other orientations."""
 
-LEAST_READOUTS = 8
-"""Readouts that a fit needs: of five unknowns, and the light of target and surroundings."""
-
-STARTS = (0.5, 0.7, 1.0, 1.4), (-0.2, 0.0, 0.2)
-"""Scales and shifts from which a fit begins."""
-
-
 WELL_SCALE = 0.05  # share of 1
 WELL_SHIFT = 0.02  # share of the region's side
 WELL_ROTATION = 3.0  # degrees
@@ -62,42 +50,19 @@ accuracy, and twice as much 3 to 15.
 """
 
 
-def _reference_picture(image_shape: tuple[int, ...]) -> np.ndarray:
-    """The target as a picture in the proportions of scenes (h, w)."""
-    # Pixels of a block's side in the picture
-    down, across = (max(1, round(64 * n / max(image_shape))) for n in image_shape)
-    return np.kron(TARGET, np.ones((down, across)))
-
-
-@np.errstate(under="ignore")
-def _expected_shares(patterns: Patterns) -> np.ndarray:
-    """Light of the target in each frame that shows masks, of that of all mirrors ON, (f,)."""
-    model = _Model(patterns.manifest)
-    image = model.image(model.exported, np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
-    return np.asarray(patterns.fractions @ image / image.sum())
-
-
-def write_reference(patterns: Patterns, folder: Path) -> list[Path]:
-    """Write the target, and what each frame is expected to count of it, to a folder of patterns."""
+def write_reference(manifest: Manifest, folder: Path) -> None:
+    """Write the target to a folder of patterns."""
     from PIL import Image
 
-    if not _has_reference(patterns.manifest):
-        return []
+    if len(manifest.image_shape) != 2:  # masks of one axis have no orientation in a plane
+        return
+    # Pixels of a block's side, in the proportions of the scenes
+    shape = manifest.image_shape
+    down, across = (max(1, round(64 * n / max(shape))) for n in shape)
+    grey = np.kron(255 * TARGET, np.ones((down, across))).astype(np.uint8)
     picture = io.BytesIO()
-    grey = np.rint(255 * _reference_picture(patterns.manifest.image_shape)).astype(np.uint8)
     Image.fromarray(grey).save(picture, format="PNG")
-    shares = dict(zip(patterns.manifest.shown.tolist(), _expected_shares(patterns), strict=True))
-    rows = ["frame,shows,counts of those of all ON in the same time"]
-    for place, frame in enumerate(patterns.manifest.frames):
-        share = shares.get(place, float(frame.role == "on"))
-        rows.append(f'{place},"{frame}",{share:.5f}')
-    files = {REFERENCE: picture.getvalue(), EXPECTED: ("\n".join(rows) + "\n").encode()}
-    return [write_atomically(folder / name, content) for name, content in files.items()]
-
-
-def _has_reference(manifest: Manifest) -> bool:
-    """True if the masks have two axes: others have no orientation in a plane."""
-    return len(manifest.image_shape) == 2
+    write_atomically(folder / "reference.png", picture.getvalue())
 
 
 @dataclass(frozen=True)
@@ -165,7 +130,7 @@ class ReferenceFit:
 
     @property
     def findings(self) -> list[tuple[str, str, bool]]:
-        """Findings by name, in words, and whether each departs from what was exported."""
+        """Name and text of each finding, and whether it departs from what was exported."""
         scale, down, across, turn = self.errors
         turned = self.layout != self.exported
         words = "as exported"
@@ -192,8 +157,7 @@ class ReferenceFit:
             (
                 "blur",
                 f"{self.blur:.2f} ± {self.blur_error:.2f} cells (standard deviation)",
-                # Standard errors by which the blur must exceed what is well: it is known less than
-                # the place
+                # It is known less than the place
                 self.blur - 2.0 * self.blur_error > WELL_BLUR,
             ),
         ]
@@ -232,12 +196,12 @@ def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
     counts = run.read_counts().check_photons(folder)
     manifest = run.manifest
     read = counts.lengths_s > 0
-    if not _has_reference(manifest):
+    if len(manifest.image_shape) != 2:
         raise InputError("masks of one axis have no orientation: there is no reference for them")
-    if read.sum() < LEAST_READOUTS:
+    if read.sum() < 8:  # for five unknowns, and the light of target and surroundings
         raise InputError(
-            f"{read.sum()} readouts do not tell where the reference lies, and {LEAST_READOUTS} "
-            "are needed: record it with the patterns of `deepfsi dmd export hadamard --size 8x8`"
+            f"{read.sum()} readouts do not tell where the reference lies, and 8 are needed: record "
+            "it with the patterns of `deepfsi dmd export hadamard --size 8x8`"
         )
     usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
     if not usable.any():
@@ -248,19 +212,6 @@ def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
         signal = signal.sum(axis=-1)
         variance = variance.sum(axis=-1)
     return _fit_place(run.patterns.rails[read], signal[read], variance[read], manifest, report)
-
-
-def _misfit(
-    masks: np.ndarray, counts: np.ndarray, noise: np.ndarray, image: np.ndarray
-) -> np.ndarray:
-    """Counts (k,) less those of an image (N,) and of light spread evenly, over their noise."""
-    from scipy import optimize
-
-    model = masks @ np.stack([image, np.ones_like(image)], axis=1) / noise[:, None]
-    size = np.maximum(np.linalg.norm(model, axis=0), 1e-300)
-    wanted = counts / noise
-    parts, _ = optimize.nnls(model / size, wanted)
-    return np.asarray(wanted - (model / size) @ parts)
 
 
 def _fit_place(
@@ -281,13 +232,19 @@ def _fit_place(
     orientations = model.exported.orientations()
     for done, layout in enumerate(orientations):
         report(done / len(orientations))
+        shifts = (-0.2, 0.0, 0.2)
         starts = [
             np.array([scale, 0.0, down, across, 0.3])
-            for scale, down, across in product(STARTS[0], STARTS[1], STARTS[1])
+            for scale, down, across in product((0.5, 0.7, 1.0, 1.4), shifts, shifts)
         ]
 
         def misfit(place: np.ndarray, layout: DmdLayout = layout) -> np.ndarray:
-            return _misfit(masks, counts, noise, model.image(layout, place))
+            # Left of the counts over their noise by the target's light, and light spread evenly
+            image = model.image(layout, place)
+            light = masks @ np.stack([image, np.ones_like(image)], axis=1) / noise[:, None]
+            size = np.maximum(np.linalg.norm(light, axis=0), 1e-300)
+            parts, _ = optimize.nnls(light / size, counts / noise)
+            return np.asarray(counts / noise - (light / size) @ parts)
 
         starts.sort(key=lambda place: float((misfit(place) ** 2).sum()))
         # Starts of each orientation that are followed
@@ -300,9 +257,7 @@ def _fit_place(
                 x_scale=[0.1, 0.1, 0.1, 0.1, 0.3],
                 ftol=1e-6,
                 xtol=1e-5,
-                # Steps of a fit at most: a right one takes some twenty, and only wrong ones creep
-                # on
-                max_nfev=50,
+                max_nfev=50,  # a right fit takes some twenty steps, and only wrong ones creep on
             )
             fits.append((2 * step.cost, layout, step))
     fits.sort(key=lambda fit: fit[0])

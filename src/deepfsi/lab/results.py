@@ -95,20 +95,30 @@ def read_log(folder: Path) -> tuple[LoggedScene, ...]:
     return scenes
 
 
-def _as_dict(answer: "ClassifiedScene | LiveScene") -> dict[str, Any]:
-    """JSON types only."""
-    names = {"name": "scene", "predicted": "class"}
-    content = {names.get(name, name): value for name, value in vars(answer).items()}
-    return content | {"faults": [str(fault) for fault in answer.faults]}
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """Class of a scene or a picture."""
 
-
-@dataclass(frozen=True)
-class ClassifiedScene:
-    """Class of a scene from its exposures."""
+    NAME_KEY = "scene"  # of JSON
 
     name: str
     label: str | None = None  # class that it is known to be of
     predicted: str | None = None
+    trained_on: bool | None = None  # True if the design was; None where its file does not say
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        keys = {"name": self.NAME_KEY, "predicted": "class"}
+        content = {keys.get(name, name): value for name, value in vars(self).items()}
+        if "faults" in content:
+            content["faults"] = [str(fault) for fault in content["faults"]]
+        return content
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClassifiedScene(Answer):
+    """Class of a scene from its exposures."""
+
     probability: float | None = None
     exposures: int = 0
     guesses: tuple[str, ...] = ()  # class of each
@@ -116,11 +126,6 @@ class ClassifiedScene:
     faults: tuple[Fault, ...] = ()  # of the scene, and of the whole recording
     consistency: float | None = None  # p-value of its counts
     unsure: bool | None = None  # True if they do not look like those of the training
-    trained_on: bool | None = None  # True if the design was
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        return _as_dict(self)
 
     def row(self, several: bool) -> tuple[str, ...]:
         """Cells of a table, with the exposures that have its class if some have several."""
@@ -191,20 +196,16 @@ class ClassifiedRun:
         }
 
 
-@dataclass(frozen=True)
-class LiveScene:
+@dataclass(frozen=True, kw_only=True)
+class LiveScene(Answer):
     """Class of a scene of a live run, from its looks."""
 
-    name: str
-    label: str | None  # class that it is known to be of
-    predicted: str | None
     probability: float | None
     looks: int
     photons: float | None  # budget of a whole exposure, known during the run alone
     light_s: float  # exposure that was used, seconds
     clock_s: float  # from the first command to the class, seconds
     faults: tuple[Fault, ...] = ()  # of its light, its budget and its counts
-    trained_on: bool | None = None  # True if the design was
 
     @classmethod
     def of(
@@ -234,13 +235,13 @@ class LiveScene:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        content = _as_dict(self)
+        content = super().as_dict()
         if self.photons is None:  # the log has no budgets
             del content["photons"]
         return content
 
     def lines(self, exposure_s: float) -> list[str]:
-        """Say the answer and each fault, of a whole exposure of so many seconds."""
+        """Say the answer and each fault; a whole exposure lasts `exposure_s`."""
         if not self.looks:
             return [f"{self.name}: no light"]
         faults = [f"  {fault.words()}" for fault in self.faults]

@@ -2,18 +2,17 @@
 
     light -> efficiency, dark counts -> arrivals -> dead time -> counts -> afterpulses, jitter
 
-Arrivals are a Poisson process. After an arrival the counter is blind for the dead time τ, and an
-arrival in that time is lost. A *paralysable* counter (a PMT: pulses that overlap stay one) is blind
-again from each arrival, lost ones too; a non-paralysable one (a SPAD: no avalanche while it is
-quenched) only from those it registered. At a steady arrival rate n they register
+Arrivals are a Poisson process. A counter loses arrivals in the dead time τ after each arrival
+(*paralysable*, such as a PMT: pulses that overlap stay one) or after each that it registered (a
+SPAD: no avalanche while it is quenched). At a steady arrival rate n they register
 
     m = n exp(-nτ)   paralysable        m = n / (1 + nτ)   non-paralysable
 
-Each registered count is followed by an afterpulse with a probability of its own, an exponential
-delay after its dead time. Afterpulses blind nothing and are not followed by others.
+A registered count may have an afterpulse, an exponential delay after its dead time. Afterpulses
+blind nothing and have no afterpulses.
 
-A *gated* detector registers the first arrival in each of its gates, and none between them: of r
-arrivals that are expected in G gates of one length it gives Binomial(G, 1 - exp(-r / G)) clicks.
+A *gated* detector only registers the first arrival in each gate: r arrivals that are expected in G
+equal gates give Binomial(G, 1 - exp(-r / G)) clicks.
 """
 
 import math
@@ -32,7 +31,7 @@ DETECTOR_TICK_S = 1e-12
 """Unit of event times, seconds."""
 
 EVENTS_AT_ONCE = 2**19
-"""Events that are drawn at once, on average."""
+"""Mean number of events in a chunk."""
 
 LARGEST_JITTER = 8.0
 """Most standard deviations of jitter, so that events can be sorted; more are brought to it."""
@@ -45,7 +44,7 @@ class Detector(StrictModel):
     dark: float = Field(0.0, ge=0, le=1e12)  # Arrivals without light, counts/s
     dead_time_s: float = Field(0.0, ge=0, le=1e-3)  # Time for which it is blind, seconds
     paralysable: bool = False  # Whether a lost arrival makes it blind again
-    # Of an afterpulse after each registered count
+    # Chance of an afterpulse after each registered count
     afterpulse_probability: float = Field(0.0, ge=0, lt=1)
     # Mean delay of an afterpulse after the end of the dead time, seconds
     afterpulse_s: float = Field(1e-7, gt=0, le=1e-3)
@@ -113,17 +112,14 @@ class LightLevels:
 
 @dataclass
 class Shutter:
-    """Gates of one detector in the frames of a recording: of each the first arrival is registered.
-
-    Times are ticks.
-    """
+    """Gates of one detector in the frames of a recording; times are ticks."""
 
     starts: np.ndarray  # (n,): Of all frames, rising
     gates: GatePlan  # of a pass of F frames, which n is a multiple of
     _fired: int = field(default=-1, init=False)  # the last gate in which it did
 
     def first(self, times: np.ndarray) -> np.ndarray:
-        """Those of arrivals (a,), which follow all before, that are the first of their gate."""
+        """First arrival of each gate, of later arrivals (a,) than before."""
         gates = self.gates
         frames = len(self.gates.click_width_s)
         frame = np.searchsorted(self.starts, times, side="right") - 1
@@ -141,7 +137,7 @@ class Shutter:
 
 
 class Stream:
-    """Events of one detector in order of time, from one chunk to the next."""
+    """Events of one detector, chunk after chunk."""
 
     def __init__(
         self, detector: Detector, rng: np.random.Generator, shutter: Shutter | None = None
@@ -200,9 +196,8 @@ def arrivals(durations: np.ndarray, rates: np.ndarray, rng: np.random.Generator)
 
 def _thin(times: np.ndarray, dead: int) -> np.ndarray:
     """Arrivals that a non-paralysable counter registers if it is not blind at the first one."""
-    # Of rising times, int64 (n,), the first, and each that comes at least `dead` after the last one
-    # kept. An arrival at least `dead` after the one before it is always kept and starts a cluster;
-    # all clusters are followed at once, from one kept arrival to the next
+    # An arrival at least `dead` after the one before it is always kept and starts a cluster; all
+    # clusters are followed at once, from one kept arrival to the next
     heads = np.flatnonzero(np.diff(times, prepend=times[:1] - dead) >= dead)
     ends = np.r_[heads[1:], len(times)]
     keep = np.zeros(len(times), dtype=bool)

@@ -2,13 +2,12 @@
 
     scene -> perspective -> blur -> vignetting -> mirrors -> detectors (`detector`) -> file
 
-Places are (across, down) in a unit square each: the displayed image, and the area of the device
-that the cells of a mask fill. A display is an area of given brightness, so what moves or enlarges
-its image on the device does not change the light on a mirror that still sees it. A stop hides the
-mirrors beyond the cells. One arm sees those that are ON; on two arms a second detector sees the
-others.
+Places are (across, down) in two unit squares: the displayed image, and the area of the device that
+the cells of a mask fill. A display has a given brightness, so that a larger or shifted image leaves
+the light on a mirror that still sees it as it is. A stop hides the mirrors beyond the cells. One
+arm sees the mirrors that are ON; on two arms a second detector sees the others.
 
-It shares nothing with `physics.noise` and the scanner, so that each checks the other: with the
+It shares no code with `physics.noise` and the scanner, so that each checks the other: with the
 ideal camera a gate's counts are Poisson, with the scanner's mean.
 """
 
@@ -50,12 +49,6 @@ Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 FRAME_MARKER = 1
 """Bits of the marker at the start of each frame."""
-
-MOST_FLUX = 1e10
-"""Most photons/s on the device: no counter takes more, and each photon takes memory."""
-
-SCENES_AT_ONCE = 64
-"""Scenes whose light on the mirrors is held in memory."""
 
 DetectorRows = tuple[tuple[WholeNumber, ...], ...]
 """Detector of each part of an area that these rows, equally long, divide evenly."""
@@ -162,28 +155,24 @@ CAMERAS = {
         jitter_s=64e-12,
     ),
 }
-"""Cameras by name. Optics are ideal in all of them; put in those of your own.
+"""Cameras by name, with ideal optics.
 
 pmt
-    A photomultiplier as the paper's (PicoQuant PMA series). Its data sheet was not at hand, and
-    all values are typical ones, assumed: photocathode in the blue-green 0.2, 100 dark counts/s,
-    200 ps of jitter (full width at half maximum), 1 % of afterpulses within microseconds (ions).
-    The dead time is of the order that PicoQuant's MultiHarp 150 manual (version 3.1, section 2.1)
-    gives for detector and electronics together, "some tens of nanoseconds". The same manual
-    (2.3.4) says of hybrid detectors (PMA Hybrid) that they have virtually no afterpulses.
+    A photomultiplier as the paper's (PicoQuant PMA series), with assumed, typical values: 200 ps of
+    jitter (full width at half maximum), afterpulses within microseconds (ions). The dead time is of
+    the order that PicoQuant's MultiHarp 150 manual (3.1, section 2.1) gives for detector and
+    electronics together; its hybrid detectors (2.3.4) have virtually no afterpulses.
 spad
-    A silicon avalanche diode: peak efficiency 0.73 at 560 nm and 150 ps of jitter (full width)
-    from M. Stipčević et al., J. Lightwave Technol. 31 (2013) 3591, doi:10.1109/JLT.2013.2286422;
-    dead time 28.5 ns, the shortest of the module of M. Chen et al., Electronics 9 (2020) 1131.
-    500 dark counts/s and 1 % of afterpulses within 50 ns are typical values, assumed.
+    A silicon avalanche diode: efficiency at 560 nm and 150 ps of jitter (full width) from M.
+    Stipčević et al., J. Lightwave Technol. 31 (2013) 3591, doi:10.1109/JLT.2013.2286422; dead time
+    of M. Chen et al., Electronics 9 (2020) 1131; dark counts and afterpulses assumed.
 """
 
 
 def irradiance(
     scenes: np.ndarray, camera: VirtualCamera, device: Device, grid: DmdGrid
 ) -> np.ndarray:
-    """Relative irradiance of each mirror."""
-    # scenes (S, h, w)
+    """Relative irradiance (S, rows, columns) of each mirror by scenes (S, h, w)."""
     from scipy.fft import irfft2, rfft2
     from scipy.ndimage import fourier_gaussian
 
@@ -303,12 +292,12 @@ def arrival_rates(
     images = check_scenes(scenes, manifest, flux)
     frames = len(manifest.frames)
     out = np.empty((len(images), frames, manifest.inputs))
-    for first in range(0, len(images), SCENES_AT_ONCE):
-        part = images[first : first + SCENES_AT_ONCE]
+    # Scenes whose light on the mirrors is held in memory, and frames that are unpacked there
+    for first in range(0, len(images), 64):
+        part = images[first : first + 64]
         light = MirrorLight(manifest, part, camera, flux)
         done = 0
         unread = patterns.frames()
-        # Frames that are unpacked in memory
         while some := list(islice(unread, 16)):
             out[first : first + len(part), done : done + len(some)] = light.rates(some)
             done += len(some)
@@ -318,8 +307,9 @@ def arrival_rates(
 
 def check_scenes(scenes: np.ndarray, manifest: Manifest, flux: float) -> np.ndarray:
     """Images (S, h, w) of scenes, or `InputError` where they or their flux cannot be simulated."""
-    if not 0 <= flux <= MOST_FLUX:
-        raise InputError(f"a flux of {flux!r} is not allowed: give 0 to {MOST_FLUX:g} photons/s")
+    # No counter takes more, and each photon takes memory
+    if not 0 <= flux <= 1e10:
+        raise InputError(f"a flux of {flux!r} is not allowed: give 0 to 1e10 photons/s")
     images = np.asarray(scenes)
     if images.ndim == 2 and len(manifest.image_shape) == 1:  # spectra
         images = images[:, None, :]
@@ -344,18 +334,16 @@ def record_scenes(
     out : path
         Folder, new.
     patterns : Patterns
-        Of a folder.
     scenes : array (S, h, w) or (S, N)
         Reflectance.
     acquisition : Acquisition
-        Settings of the recording, which name the scenes, with camera, flux and seed.
+        Settings of the recording, with the names of the scenes, camera, flux and seed.
     report : Progress
-        Told of the share that is done.
 
     Returns
     -------
     Acquisition
-        As the folder has it, with the hash of the patterns.
+        Settings of the folder, with the hash of the patterns.
 
     Raises
     ------
@@ -393,6 +381,58 @@ def check_file_inputs(inputs: Sequence[int]) -> None:
         )
 
 
+class EventRecorder:
+    """Events of a camera's detectors, written in order of time."""
+
+    def __init__(
+        self,
+        camera: VirtualCamera,
+        rng: np.random.Generator,
+        inputs: Sequence[int],
+        shutters: Sequence[Shutter | None] | None = None,
+    ) -> None:
+        self.inputs = inputs  # of the file, one for each detector
+        self.writer: PtuWriter | None = None
+        self.end = 0  # ticks up to which the detectors' light is known
+        self._camera = camera
+        self._streams = [Stream(camera, rng, each) for each in shutters or [None] * len(inputs)]
+        self._light = camera.light(rng)
+        self._times = np.zeros(0, np.int64)
+        self._codes = np.zeros(0, np.int64)
+
+    @property
+    def reach(self) -> int:
+        """Most ticks by which a later event may lie before `end`."""
+        return self._streams[0].reach
+
+    def add(self, times: np.ndarray, code: int) -> None:
+        """Take in events with one code: a photon's input, or a marker's bits, negative."""
+        self._times = np.append(self._times, np.maximum(times, 0))
+        self._codes = np.append(self._codes, np.full(len(times), code))
+
+    def see(self, durations: np.ndarray, rates: np.ndarray, report: Progress = SILENT) -> None:
+        """Draw and write the events of pictures that last ticks (p,), at rates (p, inputs)."""
+        ends = self.end + np.cumsum(durations)
+        flow = self._camera.fluctuate(rates, (ends - durations) * DETECTOR_TICK_S, self._light)
+        for pieces, steady in divide(durations, flow):
+            for input_, stream, rate in zip(self.inputs, self._streams, steady.T, strict=True):
+                self.add(stream.events(self.end, pieces, rate), input_)
+            self.end += int(pieces.sum())
+            self.write(self.end - self.reach)
+            report(self.end / int(ends[-1]))
+
+    def write(self, end: int) -> None:
+        """Write the events before a tick; none that is drawn later may lie before it."""
+        order = np.argsort(self._times, kind="stable")
+        times = self._times[order]
+        codes = self._codes[order]
+        ready = int(np.searchsorted(times, end))
+        if self.writer is not None and ready:
+            self.writer.write(times[:ready], codes[:ready])
+        self._times = times[ready:]
+        self._codes = codes[ready:]
+
+
 def write_photons(
     path: Path,
     manifest: Manifest,
@@ -403,44 +443,19 @@ def write_photons(
     report: Progress = SILENT,
     gates: GatePlan | None = None,
 ) -> None:
-    """Write the photons and markers of one pass for each scene, one right after another."""
+    """Write the photons and markers of a pass for each scene."""
     # rates (S, F, inputs); gates: of a detector that is gated
     wired = range(rates.shape[2]) if inputs is None else inputs
     check_file_inputs(wired)
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
     durations = np.tile(picture * round(1e-6 / DETECTOR_TICK_S), len(rates))
-    ends = np.cumsum(durations)
-    marks = ends - durations
-    streams = [
-        Stream(camera, rng, None if gates is None else Shutter(marks, gates))
-        for _ in range(rates.shape[2])
-    ]
-    times = np.empty(0, np.int64)
-    codes = np.empty(0, np.int16)
-    start = 0
-    every = camera.fluctuate(
-        rates.reshape(len(durations), -1), marks * DETECTOR_TICK_S, camera.light(rng)
-    )
-    with PtuWriter(path, tick_s=DETECTOR_TICK_S) as writer:
-        for pieces, flow in divide(durations, every):
-            end = start + int(pieces.sum())
-            marked = marks[slice(*np.searchsorted(marks, [start, end]))]
-            events = [
-                stream.events(start, pieces, flow[:, place]) for place, stream in enumerate(streams)
-            ]
-            kinds = [np.full(len(marked), -FRAME_MARKER), codes]
-            kinds += [np.full(len(some), each) for each, some in zip(wired, events, strict=True)]
-            times = np.maximum(np.concatenate([marked, times, *events]), 0)
-            order = np.argsort(times, kind="stable")
-            times = times[order]
-            codes = np.concatenate(kinds).astype(np.int16)[order]
-            last = end == ends[-1]
-            ready = np.searchsorted(times, end if last else end - streams[0].reach)
-            writer.write(times[:ready], codes[:ready])
-            times = times[ready:]
-            codes = codes[ready:]
-            start = end
-            report(end / int(ends[-1]))
+    marks = np.cumsum(durations) - durations
+    shutters = [Shutter(marks, gates) for _ in wired] if gates else None
+    recorder = EventRecorder(camera, rng, wired, shutters)
+    recorder.add(marks, -FRAME_MARKER)
+    with PtuWriter(path, tick_s=DETECTOR_TICK_S) as recorder.writer:
+        recorder.see(durations, rates.reshape(len(durations), -1), report)
+        recorder.write(recorder.end)
 
 
 def virtual_camera(

@@ -180,10 +180,8 @@ def calibrate() -> Calibration:
     counts = draw_counts(arrivals, patterns.manifest, gates, LAB, rng)
     pictures = counts[:, 0, 0].reshape(len(scenes), 32, 32)
     lit, dark = arrivals[-1, :2, 0].tolist()  # a black display: all mirrors ON, all OFF
-    return fit_calibration(
-        spots, pictures[:-2], grid, white=pictures[-2], black=pictures[-1],
-        dark=dark, ambient=max(0.0, lit - dark),
-    )  # fmt: skip
+    found = fit_calibration(spots, pictures[:-2], grid, white=pictures[-2], black=pictures[-1])
+    return found.model_copy(update={"dark": dark, "ambient": max(0.0, lit - dark)})
 
 
 def prepare(data: Dataset) -> Dataset:
