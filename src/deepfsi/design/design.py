@@ -479,10 +479,8 @@ def _check_readouts(
             f"counts of shape {tuple(read.shape)} do not fit this design: give (..., "
             f"{', '.join(map(str, shape))})"
         )
-    if not bool(torch.isfinite(read).all()):
-        raise InputError("counts hold NaN or infinity: give finite counts")
-    if not bool((torch.isfinite(budget) & (budget > 0)).all()):
-        raise InputError("photons must be a finite number above 0 for every exposure")
+    if not bool(read.isfinite().all() and (budget.isfinite() & (budget > 0)).all()):
+        raise InputError("counts must be finite, and photons finite and above 0")
     try:
         budget = budget.expand(read.shape[: -len(wanted)]).unsqueeze(-1)
     except RuntimeError:

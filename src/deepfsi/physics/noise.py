@@ -363,10 +363,6 @@ class Fluctuation(Noise):
     fluctuation: float = 0.0  # σ, relative to the mean light
     has_moments = False  # readouts of one frame are correlated
 
-    def __post_init__(self) -> None:
-        if find_noise(self.inner.name).gates:
-            raise InputError("clicks have no light that fluctuates here: give another noise")
-
     @property
     def name(self) -> str:  # type: ignore[override]
         """Name of the inner noise."""
