@@ -40,7 +40,7 @@ BURST = 0.25
 def rates_of(design: Design, x: np.ndarray) -> np.ndarray:
     """Expected counts (n, rails, m) of scenes (n, N) for a budget of one photon."""
     with torch.no_grad():
-        return design.rates(design.scanner(), torch.from_numpy(x).float()).double().numpy()
+        return design.exposure.rates(design.scanner(), torch.from_numpy(x).float()).double().numpy()
 
 
 def pictures(change: Callable[[np.ndarray], np.ndarray], data: Dataset) -> np.ndarray:

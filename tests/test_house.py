@@ -21,7 +21,7 @@ LINES = {
     "cli": 2336,
     "counting": 4329,
     "datasets": 2502,
-    "design": 1142,
+    "design": 1137,
     "designfile": 1382,
     "evaluation": 1597,
     "exposure": 1104,

@@ -81,7 +81,7 @@ def test_shots_are_averaged(digits):
     spread = np.sqrt(usual.accuracy * (1 - usual.accuracy) / len(once))
     assert abs(once.mean() - usual.accuracy) < 5 * np.sqrt(2) * spread
     scanner = made.scanner("click")
-    rates = made.rates(scanner, torch.from_numpy(digits.x_test))
+    rates = made.exposure.rates(scanner, torch.from_numpy(digits.x_test))
     trained = made.exposure.scale(20.0)
     expected = made.exposure.detection.features(scanner.noise.mean(20 * rates))
     wanted = made.answer(expected / trained, 20).classes.numpy() == digits.y_test

@@ -18,7 +18,7 @@ def clicking(digits):
 def test_counts_of_a_result_are_clicks_and_it_says_what_arrives(clicking, digits):
     """Against the closed form of the test scenes' rates."""
     [result] = evaluate(clicking, digits, FEW, draws=1)
-    rates = clicking.rates(clicking.scanner(), torch.from_numpy(digits.x_test)) * FEW
+    rates = clicking.exposure.rates(clicking.scanner(), torch.from_numpy(digits.x_test)) * FEW
     clicks = 2 * (1 - torch.exp(-rates.double() / 2))
     assert result.noise == "click"
     assert result.counts == pytest.approx(float(clicks.flatten(1).sum(dim=1).mean()), rel=1e-4)

@@ -126,6 +126,6 @@ def test_the_light_of_all_detectors_is_that_of_one(digits):
     design = once(digits, masks=6, light="free-dwell", rails="single", detectors="2x2")
     one = replace(design, exposure=replace(design.exposure, detection=Detection()))
     x = torch.from_numpy(digits.x_train[:200])
-    rates = [each.rates(each.scanner("none"), x) for each in (design, one)]
+    rates = [each.exposure.rates(each.scanner("none"), x) for each in (design, one)]
     assert torch.allclose(rates[0].unflatten(-1, (6, 4)).sum(dim=-1), rates[1], rtol=1e-5)
     assert float(design.exposure.shares.sum()) <= 1 + 1e-6

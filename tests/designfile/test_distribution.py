@@ -126,7 +126,7 @@ def design(data):
 
 @torch.no_grad()
 def rates_of(design, x: np.ndarray) -> np.ndarray:
-    return design.rates(design.scanner(), torch.from_numpy(x).float()).double().numpy()
+    return design.exposure.rates(design.scanner(), torch.from_numpy(x).float()).double().numpy()
 
 
 def moved(rates: np.ndarray, frames) -> np.ndarray:

@@ -30,8 +30,8 @@ def test_chances_are_those_of_the_poisson_law(made, digits, light, rails, photon
     design = made("pca", light, rails)
     scanner = design.scanner()
     x = torch.from_numpy(digits.x_train[:300])
-    rates, labels = design.rates(scanner, x), digits.y_train[:300]
-    seen = design.rates(scanner, torch.from_numpy(digits.x_test[:60]))
+    rates, labels = design.exposure.rates(scanner, x), digits.y_train[:300]
+    seen = design.exposure.rates(scanner, torch.from_numpy(digits.x_test[:60]))
     counts = scanner.read(seen * photons, generator())
     found = IdealObserver(rates, torch.from_numpy(labels), 10).chances(counts, photons)
     lit = rates.flatten(1).amax(dim=0).numpy() > 0  # scipy gives NaN for 0 counts of rate 0

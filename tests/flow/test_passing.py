@@ -38,7 +38,7 @@ def test_each_exposure_of_a_test_has_a_place_of_its_own(data, learned):
     scanner = learned.scanner()
     one = torch.from_numpy(data.x_test[:1]).expand(20_000, -1)
     with torch.no_grad():
-        rates = learned.rates(scanner, one)
+        rates = learned.exposure.rates(scanner, one)
         counts = scanner.read(learned.exposure.placed(rates, generator()) * 1e4, generator(2))[:, 0]
     placed = learned.exposure.placed(rates, generator(1))[:, 0] * 1e4
     assert ((placed.var(dim=0) / placed.mean(dim=0)).max()) > 1  # jitter is seen at this budget

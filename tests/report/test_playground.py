@@ -58,7 +58,7 @@ def pages(designs, digits, tmp_path_factory):
 def test_rates_are_those_of_the_design(opened, designs, digits, kind):
     scenes = (synthetic((24,), scenes=600) if kind == "spectra" else digits).x_test[:20]
     design = designs(kind)
-    rates = design.rates(design.scanner(), torch.from_numpy(scenes)).numpy()
+    rates = design.exposure.rates(design.scanner(), torch.from_numpy(scenes)).numpy()
     found = ask(
         opened(kind), "return given.scenes.map(x => [...model.rates(x)])", scenes=scenes.tolist()
     )

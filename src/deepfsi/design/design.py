@@ -171,11 +171,6 @@ class Design:
         return self.mask_exposure.scanner(noise, sigma, dark)
 
     @library_defaults()
-    def rates(self, scanner: Scanner, scenes: Tensor) -> Tensor:
-        """Expected counts (..., rails, m · D) of reflectances (..., N) at the budget 1."""
-        return self.mask_exposure.rates(scanner, scenes)
-
-    @library_defaults()
     def exposures(self, scenes: Tensor, camera: Camera) -> Exposures:
         """Exposures of scenes (n, N) by a camera: answers and light at a budget, at each call.
 
@@ -226,10 +221,10 @@ class Design:
             )
         scanner = exposure.scanner(noise_of(camera))
         generator = torch.Generator(exposure.device).manual_seed(seed)
-        parts = [
-            scanner.read(exposure.placed(self.rates(scanner, some), generator) * budget, generator)
-            for some in scenes.split(EXPOSED_AT_ONCE)
-        ]
+        parts = []
+        for some in scenes.split(EXPOSED_AT_ONCE):
+            rates = exposure.placed(exposure.rates(scanner, some), generator)
+            parts.append(scanner.read(rates * budget, generator))
         counts = torch.cat(parts)
         return counts.view(*lead, *exposure.part_axis, *self.counts_shape).cpu().numpy()
 

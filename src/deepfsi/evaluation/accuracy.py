@@ -252,11 +252,12 @@ def _linear_bound(
     this V. Elsewhere a network may do better, and a linear estimator never. None of exposures whose
     places are drawn, and of a noise of a user's own.
     """
-    scanner = design.mask_exposure.scanner(noise_of(camera))
-    if not (design.exposure.comparable and scanner.noise.has_moments):
+    exposure = design.mask_exposure
+    scanner = exposure.scanner(noise_of(camera))
+    if not (exposure.comparable and scanner.noise.has_moments):
         return None
     with torch.no_grad():
-        rates = photons * design.rates(scanner, torch.from_numpy(np.asarray(data.x_test)))
+        rates = photons * exposure.rates(scanner, torch.from_numpy(np.asarray(data.x_test)))
         means, noise = (each.double().cpu().numpy() for each in scanner.moments(rates))
     joint = np.cov(np.concatenate([means, data.y_test], axis=1).T, ddof=0)
     features = slice(means.shape[1])

@@ -154,7 +154,7 @@ def ideal_observer(
         """Expected counts (n, rails, m) of scenes (n, N) for a budget of one photon."""
         if isinstance(design, Tensor):
             return scanner.rates(x.to(design) / s)
-        return design.rates(scanner, x)
+        return design.mask_exposure.rates(scanner, x)
 
     with torch.no_grad(), progress_bar(report, "ideal observer") as bar:
         rates = rates_of(torch.from_numpy(np.asarray(scenes.x_train)))

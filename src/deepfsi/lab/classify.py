@@ -161,7 +161,7 @@ def classify_table(
     >>> digits = deepfsi.load_dataset("digits")
     >>> few = deepfsi.Training(epochs=1)
     >>> design = deepfsi.learn(digits, camera="dmd", photons=1e4, masks=6, training=few)
-    >>> rates = design.rates(design.scanner(), torch.from_numpy(digits.x_test[:5]))
+    >>> rates = design.exposure.rates(design.scanner(), torch.from_numpy(digits.x_test[:5]))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file, table = design.save(f"{folder}/one.safetensors"), f"{folder}/counts.npy"
     ...     numpy.save(table, numpy.random.default_rng(0).poisson(1e4 * rates[:, 0].detach()))

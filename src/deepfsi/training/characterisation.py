@@ -125,7 +125,7 @@ def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> Readout
         rails = design.rails.map(detection.arrange)
         light = FrameLight(fluctuation, detection.frames(rails).cpu().numpy())
     with torch.no_grad():
-        rates = design.rates(design.scanner(), scenes[rows])
+        rates = design.mask_exposure.rates(design.scanner(), scenes[rows])
         return find_distribution(rates, labels[rows], len(design.classes) or 1, light=light)
 
 
