@@ -249,8 +249,7 @@ def _linear_bound(
     With f the expected features of a scene, θ its values, V the mean variance of the features'
     noise, and covariances over scenes, E² = diag(C_θθ − C_θf (C_ff + V)⁻¹ C_fθ). It is the Bayesian
     Cramér–Rao bound (H. L. van Trees) where θ and f are jointly normal and the noise is normal with
-    this V. Elsewhere a network may do better, and a linear estimator never. None of exposures whose
-    places are drawn, and of a noise of a user's own.
+    this V. Elsewhere a network may do better, a linear estimator never. None without moments.
     """
     exposure = design.mask_exposure
     scanner = exposure.scanner(noise_of(camera))
