@@ -22,7 +22,7 @@ LINES = {
     "counting": 4329,
     "datasets": 2502,
     "design": 1137,
-    "designfile": 1382,
+    "designfile": 1376,
     "evaluation": 1597,
     "exposure": 1104,
     "jobs": 1654,
