@@ -66,8 +66,7 @@ class ClickPosterior(AdaptivePosterior):
 
     def __init__(self, prior: ScenePrior, exposures: int, optics: LookOptics) -> None:
         super().__init__(prior, exposures, optics)
-        self.left = torch.ones(exposures)
-        """Share (b,) of the exposure that is left."""
+        self.left = torch.ones(exposures)  # share of the exposure that is left
 
     def rows_of(self, rows: Tensor) -> Self:
         """Posterior of the exposures where `rows` (b,) is true."""

@@ -209,8 +209,8 @@ class DictionaryPosterior(AdaptivePosterior):
         self._sums = np.zeros((-(-len(prior) // SUMMED), SUMMED), np.float32)
         self._powers = self._sums.reshape(-1)[: len(prior)]
         self._change = np.empty(len(prior), np.float32)
+        # the last masks that were asked for, and their indices
         self._chosen: tuple[Tensor | None, list[int]] = (None, [])
-        """The last masks that were asked for, and their indices."""
 
     def next_masks(self, share: float, generator: torch.Generator) -> Tensor:
         """Masks (b, N) to be shown next; nothing is drawn."""

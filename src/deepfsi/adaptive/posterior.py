@@ -83,8 +83,8 @@ class ScenePrior:
         seed: int = 0,
         clusters: int | None = None,
     ) -> None:
+        # rows of x by class: the scenes of the prior, or those that its centres stand for
         self.order = np.argsort(labels, kind="stable")
-        """Rows of `x` by class: the scenes of the prior, or those that its centres stand for."""
         scenes = torch.from_numpy(np.ascontiguousarray(x[self.order], np.float32))
         self.labels = torch.from_numpy(labels[self.order].astype(np.int64))
         self.sizes: list[int] = torch.bincount(self.labels, minlength=classes).tolist()
@@ -96,10 +96,9 @@ class ScenePrior:
         kept = vectors[:, -min(components, scenes.shape[1]) :].float()
         self.components = kept.T.contiguous()  # (d, N)
         self.coefficients = away @ kept  # (n, d)
-        self.members = torch.ones(len(self))
-        """Training scenes that each scene stands for."""
+        self.members = torch.ones(len(self))  # training scenes that each scene stands for
+        # of the classes' probabilities after each look; None before they are calibrated
         self.temperatures: Temperatures | None = None
-        """Of the classes' probabilities after each look; None before they are calibrated."""
         if clusters is not None:
             self.spread = CENTRE_SPREAD
             self._scale(self._cluster(clusters, seed) * self.spread)
@@ -344,12 +343,12 @@ class AdaptivePosterior:
             raise InputError("light that fluctuates needs a prior with a spread: give one above 0")
         self.prior = prior
         self.optics = optics
+        # counts of one fully reflecting pixel in a whole exposure
         self.gain = optics.photons / prior.summed_reflectance
-        """Counts of one fully reflecting pixel in a whole exposure."""
         d = prior.coefficients.shape[1]
         frequent = (prior.members / prior.members.max()).log()
+        # log-probabilities of the scenes, up to a constant
         self.logs = torch.zeros(exposures, len(prior)) + frequent
-        """Log-probabilities of the scenes, up to a constant."""
         self._known = torch.zeros(exposures, 0, d)  # directions in which e is known by now
         self._shift = torch.zeros(exposures, d)  # mean of e of the mean scene
         self._looks = 0

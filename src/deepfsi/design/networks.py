@@ -51,10 +51,6 @@ class Mlp(Classifier):
 
     Parameters
     ----------
-    inputs : int
-        m, number of features.
-    classes : int
-        C.
     hidden : sequence of int
         Widths of the hidden layers.
     dropout : float

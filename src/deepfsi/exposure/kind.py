@@ -66,15 +66,9 @@ class ExposureKind(ABC):
     shares: Tensor  # (k,), share of the budget counted for each feature, in the training mean
     camera: Camera  # of a design that does not say for which one it was trained
     detection: Detection  # detectors on parts of the device, and what is read of two rails
-
-    makes_masks: ClassVar[bool] = False
-    """Whether each mask is made from the counts so far."""
-
-    comparable: ClassVar[bool] = True
-    """Whether counts can be tested against the training's."""
-
-    refusals: ClassVar[dict[Use, str]] = {}
-    """Uses that the kind refuses, with the reason."""
+    makes_masks: ClassVar[bool] = False  # whether each mask is made from the counts so far
+    comparable: ClassVar[bool] = True  # whether counts can be tested against the training's
+    refusals: ClassVar[dict[Use, str]] = {}  # uses that the kind refuses, with the reason
 
     def check(self, use: Use, name: str | None = None) -> None:
         """Raise `InputError` if a design, called `name` in the message, refuses a use."""

@@ -145,14 +145,9 @@ class TrainingNoise:
 class SeedStream:
     """Draws that all jobs of one seed share; labels are (n,) or (n, q)."""
 
-    order: Tensor
-    """Indices (steps, B) of an epoch's scenes."""
-
-    rows: Tensor
-    """Indices (B,) of a step's scenes."""
-
-    with_mean: Tensor
-    """The same (B + 1,), and n, the index of the mean scene."""
+    order: Tensor  # (steps, B), indices of an epoch's scenes
+    rows: Tensor  # (B,), indices of a step's scenes
+    with_mean: Tensor  # (B + 1,), the same, and n, the index of the mean scene
 
     def __init__(
         self, seed: int, replicas: slice, noise: TrainingNoise, labels: Tensor, batch: int
