@@ -196,7 +196,7 @@ def test_both_trainings_of_ovit_do_the_same_work(printed):
         training={"classifier_arguments": {"width": 8, "depth": 1, "heads": 2, "hidden": 8}},
     )
     plain = ovit.Plain(job, data, scenes.summed_reflectance)
-    start = JobGroup.of(scenes, [job]).training().masks()
+    start = JobGroup(scenes, [job]).training().masks()
     assert torch.allclose(plain.masks.detach() * plain.unit, start.difference[0], atol=1e-6)
     rows = torch.from_numpy(data.x_train) * (ovit.BUDGET / scenes.summed_reflectance)
     cut = torch.nn.functional.unfold(rows.view(-1, 1, 16, 16), 4, stride=4).transpose(1, 2)

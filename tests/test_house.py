@@ -24,7 +24,7 @@ LINES = {
     "design": 1133,
     "designfile": 1376,
     "evaluation": 1597,
-    "exposure": 1098,
+    "exposure": 1092,
     "jobs": 1654,
     "lab": 3928,
     "patterns": 1504,

@@ -33,7 +33,7 @@ def photons(training_set):
 
 
 def masks_of(training_set, design):
-    return JobGroup.of(training_set, [job(**SMALL, design=design)]).training().masks
+    return JobGroup(training_set, [job(**SMALL, design=design)]).training().masks
 
 
 @every_design

@@ -56,29 +56,24 @@ class JobGroup:
 
     training_set: TrainingSet
     jobs: Sequence[Job]  # jobs of one seed are neighbours
-    noise: TrainingNoise
     matrix: np.ndarray | None = None  # (m, N), a user's own, for ``design="custom"``
     masks: FixedMasks | LearnedMasks | None = None  # that were learned before, of a control group
-
-    @classmethod
-    def of(
-        cls, training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None = None
-    ) -> "JobGroup":
-        """Group with the noise that its jobs ask for."""
-        job = jobs[0]
-        own = job.camera.noise if job.training.noise is None else job.training.noise
-        noises = [
-            noise_of(each.camera, job.noise if isinstance(own, str) else own) for each in jobs
-        ]
-        noises[0].check(learning=job.code.learned)
-        gains = [each.photons / training_set.summed_reflectance for each in jobs]
-        seeds = [each.seed for each in jobs]
-        noise = TrainingNoise.of(noises, gains, seeds, training_set.device)
-        return cls(training_set, jobs, noise, matrix)
 
     def training(self) -> "ExposureTraining":
         """Masks of the jobs before their training, by the class that their exposure names."""
         return resolve_name(self.jobs[0].exposure.trained_by)(self)
+
+
+def _noise_of(group: JobGroup) -> TrainingNoise:
+    """Noise that jobs train under."""
+    job = group.jobs[0]
+    own = job.camera.noise if job.training.noise is None else job.training.noise
+    setting = job.noise if isinstance(own, str) else own
+    noises = [noise_of(each.camera, setting) for each in group.jobs]
+    noises[0].check(learning=job.code.learned)
+    gains = [each.photons / group.training_set.summed_reflectance for each in group.jobs]
+    seeds = [each.seed for each in group.jobs]
+    return TrainingNoise.of(noises, gains, seeds, group.training_set.device)
 
 
 FeatureStatistics = tuple[Tensor, Tensor, Tensor]
@@ -98,10 +93,9 @@ class ExposureTraining(ABC):
         self.jobs = group.jobs
         self.entries = [FixedEntry()] * len(group.jobs)
         self.weights = [{}] * len(group.jobs)
-        self.noise = group.noise
         self.training_set = group.training_set
         self.job = group.jobs[0]
-        self.group = group
+        self.noise = _noise_of(group)
         self.camera = self.job.optics
         self.scale = self.job.training.scale
         self.law = light_law(self.camera.light)

@@ -202,7 +202,7 @@ def train(
     folds = [] if training_set.data.held_out else folds_of(training_set.data)
     own, *others = report.split(1 + len(folds))
     epochs = EpochWatch(callback)
-    group = JobGroup.of(training_set, jobs, matrix)
+    group = JobGroup(training_set, jobs, matrix)
     designs = _designs(group, own, checkpoint=checkpoint, epochs=epochs)
     for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
         design.info = provenance(job, training_set.data, training_set.device)
@@ -211,7 +211,7 @@ def train(
         design.training_scenes = training_set.hashes
     left_out = []
     for fold, span in zip(folds, others, strict=True):
-        group = JobGroup.of(training_set.of(fold), jobs, matrix)
+        group = JobGroup(training_set.of(fold), jobs, matrix)
         without = _designs(group, span, checkpoint=checkpoint, epochs=epochs.for_fold())
         left_out.append((fold, without))
     characterise(training_set, jobs, designs, left_out)
@@ -263,7 +263,7 @@ def _designs(
     if jobs[0].code.learned_under:
         # the control group first learns masks under gaussian noise, with a network of their own
         before, report = report.split(2)
-        teachers = JobGroup.of(group.training_set, [job.mask_job() for job in jobs])
+        teachers = JobGroup(group.training_set, [job.mask_job() for job in jobs])
         taught = _optimised(teachers, before, checkpoint=checkpoint, epochs=epochs)[0]
         group = replace(group, masks=taught.masks)
     return designs_of(*_optimised(group, report, checkpoint=checkpoint, epochs=epochs))
@@ -293,7 +293,7 @@ def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None)
     _check(training_set, [job], matrix)
     if job.code.adaptive:
         return 0.5  # nearly half of the mirrors are ON
-    exposure = JobGroup.of(training_set, [job], matrix).training()
+    exposure = JobGroup(training_set, [job], matrix).training()
     exposure.fix()
     light = exposure.masks().total[0] @ exposure.scenes.full.mean(dim=0)
     return float(light.sum()) * exposure.parts / training_set.summed_reflectance
