@@ -11,7 +11,7 @@ import os
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -232,8 +232,7 @@ class Checkpoint:
     def remove(self) -> None:
         """Remove the file of a finished training."""
         if self.path is not None:
-            with suppress(FileNotFoundError):
-                self.path.unlink()
+            self.path.unlink(missing_ok=True)
 
 
 NO_CHECKPOINT = Checkpoint()
