@@ -8,16 +8,15 @@ from torch import nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
-from deepfsi.camera.light import check_budget, summed_reflectance
+from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import LightLawName, find_noise
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.design.networks import OwnClassifier, make_custom
-from deepfsi.designfile.provenance import training_hashes
 from deepfsi.exposure.kind import Clicks, MaskExposure
 from deepfsi.exposure.training import ExposureTraining
-from deepfsi.exposure.training_set import TrainingSet, Values
+from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.exposures import FixedEntry
 from deepfsi.jobs.job import Job
 from deepfsi.physics.detection import Rails
@@ -67,7 +66,8 @@ def design_of(
     scenes = as_dataset(data)
     light = scanner.masks.law.name if isinstance(scanner.masks, LearnedMasks) else light
     rails = _rails(scanner, scenes, light)
-    s = summed_reflectance(scenes.x_train)
+    training_set = TrainingSet(scenes, rails.device)
+    s = training_set.summed_reflectance
     mean = torch.from_numpy(scenes.x_train.mean(axis=0))
     read = rails.masks * scanner.detection.width(rails.count)
     job = _job(scanner, rails, budget, light)
@@ -92,11 +92,11 @@ def design_of(
         exposure=exposure,
         classifier=_copy(classifier, read, scenes.answers).to(rails.device),
         info=info,
-        values=Values.of(scenes),
-        training_scenes=training_hashes(scenes),
+        values=training_set.values,
+        training_scenes=training_set.hashes,
     )
     del design.info["job"]["training"], design.info["seconds"]  # unknown for a training elsewhere
-    characterise(TrainingSet(scenes, rails.device), [job], [design])
+    characterise(training_set, [job], [design])
     return design
 
 
