@@ -31,7 +31,7 @@ LINES = {
     "physics": 1856,
     "report": 1428,
     "sweeps": 2519,
-    "training": 1570,
+    "training": 1569,
 }
 """Lines of each room, which may only fall: lower the number with them."""
 
