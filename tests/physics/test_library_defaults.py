@@ -140,7 +140,7 @@ def test_a_device_is_one_that_torch_has(monkeypatch):
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     assert torch_device("auto") == torch.device("cuda")
     assert torch_device("cuda:1") == torch_device(torch.device("cuda", 1)) == torch.device("cuda:1")
-    with pytest.raises(InputError, match="no device cuda:2 here, but 2 of CUDA"):
+    with pytest.raises(InputError, match="2 CUDA devices here, and no cuda:2"):
         torch_device("cuda:2")
     with pytest.raises(InputError, match=r"^unknown device 'cuda:x': choose auto, cpu, cuda"):
         torch_device("cuda:x")

@@ -55,6 +55,6 @@ def torch_device(given: Any) -> torch.device:
         return device
     if device.type != "cpu" and not (device.type == "mps" and torch.backends.mps.is_available()):
         raise InputError(
-            f'torch has no device {device!s} here, but {gpus} of CUDA: use `device="cpu"` or auto'
+            f'torch has {gpus} CUDA devices here, and no {device!s}: use `device="cpu"` or auto'
         )
     return torch.device(device.type)
