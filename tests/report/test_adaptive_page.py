@@ -10,7 +10,6 @@ from selenium.webdriver.common.by import By
 
 from conftest import exposing, generator, synthetic
 from deepfsi import Camera, learn
-from deepfsi.adaptive import choice
 from deepfsi.adaptive.exposure import prior_of
 from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
 from deepfsi.evaluation import page_data as payload
@@ -20,8 +19,8 @@ from deepfsi.report.demo import write_page
 from shared.playground import ask, open_playground
 
 LOOKS, PHOTONS, VECTORS = 6, 1e3, 20
-SURE_ENOUGH = 1 - 1 / choice.SAMPLES
-"""Probability of a class beyond which all scenes that are drawn may be of it."""
+SURE_ENOUGH = 1 - 1 / 128
+"""Probability of a class beyond which all scenes drawn by `next_masks` may be of it."""
 
 SURE = 0.2
 """Probability above which a design with a rule stops."""
