@@ -123,8 +123,7 @@ def run(tmp_path, monkeypatch, done, digits, trained_once):
     MNIST is small there, what trains on it is told to be brief, and its study is the shortest
     experiment of it.
     """
-    from deepfsi_paper import experiment, studies
-    from deepfsi_paper.mnist import starts
+    from deepfsi_paper import experiment, quantization, studies
     from shared.experiments import tiny
 
     monkeypatch.chdir(tmp_path)
@@ -133,8 +132,8 @@ def run(tmp_path, monkeypatch, done, digits, trained_once):
     monkeypatch.setattr(catalog.IdxImages, "load", lambda self, _: replace(few, name=self.name))
     monkeypatch.setattr("deepfsi.evaluation.page_data.TESTED", 20)
     monkeypatch.setattr("deepfsi.adaptive.exposure.SHARING_SCENES", 64)
-    recipes = tiny(starts.EXPERIMENT, 1)
-    monkeypatch.setitem(studies.STUDIES, "mnist", (starts.EXPERIMENT,))
+    recipes = tiny(quantization.EXPERIMENT, 1)
+    monkeypatch.setitem(studies.STUDIES, "mnist", (quantization.EXPERIMENT,))
     monkeypatch.setattr(experiment.Experiment, "recipes", lambda *_: recipes)
     monkeypatch.setattr(
         "deepfsi.cli.studies._shipped_recipes", lambda: {"mnist": tmp_path / "small.toml"}

@@ -31,13 +31,12 @@ Measure = Callable[[Results, Dataset, Path, int | None, Progress], dict[str, Any
 
 @dataclass(frozen=True)
 class Finding:
-    """Findings of an experiment, from its numbers; a title where these decide it."""
+    """Findings of an experiment, from its numbers."""
 
     found: str
     pictures: tuple[Picture, ...]
     claims: tuple[Claim, ...] = ()
     tables: tuple[Table, ...] = ()
-    title: str = ""
 
 
 @dataclass(frozen=True)
@@ -159,7 +158,7 @@ class Experiment:
             ) from error
         return Section(
             name=self.name,
-            title=shown.title or self.title,
+            title=self.title,
             found=shown.found,
             paper=self.paper,
             pictures=shown.pictures,

@@ -4,10 +4,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from deepfsi.base.intervals import Difference, accuracy_difference, all_above
-from deepfsi.report.style import DESIGN_COLOURS, photons_text
+from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Experiment, Finding, points
-from deepfsi_paper.report.lines import Line, lines_figure
 from deepfsi_paper.report.maps import Pair, difference_figure, pair
 from deepfsi_paper.report.section import Claim, Picture, Table
 
@@ -115,7 +114,7 @@ def show(results: Results) -> Finding:
         ("design", "points", "largest difference", "where", "beyond", "brighter"),
         tuple(each.row for each in compared.values()),
     )
-    return Finding(found, _pictures(compared), tuple(claims), (table,))
+    return Finding(found, _pictures(compared.values()), tuple(claims), (table,))
 
 
 def _gradients(own: Iterable[Point]) -> list[Claim]:
@@ -148,33 +147,17 @@ def _compared(own: Iterable[Point]) -> Compared:
     return Compared(every[0].label, pixels, pair(*tests))
 
 
-def _pictures(compared: Mapping[str, Compared]) -> tuple[Picture, ...]:
-    """A map of each design with several ratios, and lines of those with one."""
-    maps = [
+def _pictures(compared: Iterable[Compared]) -> tuple[Picture, ...]:
+    """A map of each design with several ratios; of those with one the table has the numbers."""
+    return tuple(
         Picture(
             difference_figure(each.pair, TESTS),
             f"{each.label}: accuracy by budget and compression ratio, trained with MLGauss.",
             "Heat maps of accuracy under two test noises, and of their difference.",
         )
-        for each in compared.values()
+        for each in compared
         if len(each.pair.ratios) > 1
-    ]
-    single = {design: each for design, each in compared.items() if len(each.pair.ratios) == 1}
-    if not single:
-        return tuple(maps)
-    lines = []
-    for design, each in single.items():
-        for test, values, style in zip(
-            TESTS, (each.pair.first, each.pair.second), ("--", "-"), strict=True
-        ):
-            look = {"color": DESIGN_COLOURS[design], "linestyle": style, "linewidth": 1.4}
-            lines.append(Line(f"{each.label}, {test}", look, each.pair.budgets, values[0].tolist()))
-    picture = Picture(
-        lines_figure({"budget Φ (photons)": lines}),
-        "Designs that have a mask for each pixel, trained with MLGauss.",
-        "Accuracy against the budget under two test noises; numbers in the table.",
     )
-    return (*maps, picture)
 
 
 def _reach(each: Difference) -> float:

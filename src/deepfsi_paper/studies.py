@@ -7,18 +7,15 @@ from deepfsi_paper import compression, mlgauss, quantization
 from deepfsi_paper.camera import claims as camera_study
 from deepfsi_paper.experiment import Experiment
 from deepfsi_paper.indian_pines import claims as indian_pines
-from deepfsi_paper.mnist import accuracy, control, images, masks, starts, training
+from deepfsi_paper.mnist import accuracy, masks
 from deepfsi_paper.ovit import claims as ovit
 from deepfsi_paper.report.study_page import write_study
 
 STUDIES: dict[str, tuple[Experiment, ...]] = {
-    "mnist": (accuracy.EXPERIMENT, masks.EXPERIMENT, starts.EXPERIMENT),
+    "mnist": (accuracy.EXPERIMENT, masks.EXPERIMENT),
     "compression": (compression.EXPERIMENT,),
     "mlgauss": (mlgauss.EXPERIMENT,),
     "quantization": (quantization.EXPERIMENT,),
-    "control": (control.EXPERIMENT,),
-    "training": (training.EXPERIMENT,),
-    "images": (images.EXPERIMENT,),
     "indian-pines": (indian_pines.EXPERIMENT,),
     "ovit": (ovit.EXPERIMENT,),
     "ovit-images": (ovit.IMAGES,),

@@ -47,9 +47,7 @@ def finding():
         for value in values
     ]
     measures = laboratory.Measures(
-        digits=[str(digit) for digit in range(10)],
         tests=[*tests.values(), *varied],
-        times=[laboratory.RunTime(name, label, 0.1, 1000, 10**6) for name, label in NAMES.items()],
     )
     with pytest.MonkeyPatch.context() as patch:  # of 9999 for each of 1440 intervals of a table
         patch.setattr(bootstrap, "RESAMPLES", 99)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from matplotlib.collections import QuadMesh
 
 from deepfsi.jobs.designs import DESIGNS as CODES
 from deepfsi.report import style
@@ -42,22 +41,3 @@ def test_exposures_have_lines_and_published_values_open_beside():
         assert line.get_color() == style.DESIGN_COLOURS[point.design]
     (top,) = ax.child_axes
     assert [tick.get_text() for tick in top.get_xticklabels()] == ["10³", "10⁴", "10⁵", "10⁶"]
-
-
-def test_squares_have_the_success_rate_as_grey_and_as_number():
-    rng = np.random.default_rng(0)
-    panels = {f"{exposure:g} s": rng.random((5, 10)) for exposure in EXPOSURES}
-    panels["0.1 s"][2, 3] = np.nan
-    panels["0.1 s"][0] = 1
-    classes = [str(digit) for digit in range(10)]
-    figure = figures.digits_figure(panels, LABELS, classes)
-    assert_legible(figure)
-    for ax, (heading, rates) in zip(figure.axes, panels.items(), strict=False):
-        assert ax.get_title(loc="left") == heading
-        (mesh,) = (c for c in ax.collections if isinstance(c, QuadMesh))
-        shown = np.ma.filled(mesh.get_array(), np.nan).reshape(5, 10)
-        np.testing.assert_allclose(shown, 100 * rates)
-        assert mesh.get_clim() == (0, 100)
-        words = [text.get_text() for text in ax.texts]
-        assert words == ["–" if np.isnan(rate) else f"{100 * rate:.0f}" for rate in rates.ravel()]
-        assert ax.get_ylim() == (5, 0)

@@ -1,63 +1,11 @@
-"""Claims on the control group's read noise, on training, and on the number of scenes."""
+"""Claims on MLGauss and on the number of masks."""
 
 import itertools
-import math
 
 import pytest
 
 from deepfsi_paper import compression, mlgauss
-from deepfsi_paper.mnist import control, images, training
 from shared.results import of_three, some_results
-
-BUDGETS = (1e2, 1e4)
-MASKS = 41
-
-
-def test_the_control_group_is_answered_for_each_read_noise():
-    """DeepFSI has 0.9."""
-    levels = {0.1: 0.8, 1.0: 0.9, 10.0: 0.95}
-    points = [of_three(0.9, photons=photons, masks=MASKS) for photons in BUDGETS]
-    for factor, photons in itertools.product(levels, BUDGETS):
-        place = {"photons": photons, "masks": MASKS, "design": "control"}
-        sigma = factor * math.sqrt(photons / 1024)
-        points.append(of_three(levels[factor], variant=f"sigma {sigma:.4g}", **place))
-    finding = control.show(some_results(points))
-    assert [claim.holds for claim in finding.claims] == [True, None, False]
-    assert ["0.1" in finding.claims[0].text, "10" in finding.claims[2].text] == [True, True]
-    assert "σ = √(Φ / N)" in finding.claims[1].text
-
-
-@pytest.mark.parametrize(("gain", "answer"), [(0.02, True), (0.0, None), (-0.02, False)])
-def test_dropout_is_compared_with_none(gain, answer):
-    """Dropout of 0.5 changes every design by so much, and epochs help."""
-    place = {"recipe": "dropout", "photons": 1e4}
-    points = [
-        of_three(0.8 + 0.05 * k, recipe="epochs", variant=f"epochs {epochs}", photons=1e4)
-        for k, epochs in enumerate((10, 40))
-    ]
-    for design in ("pca", "deepfsi"):
-        points += [
-            of_three(0.7, label=design, variant="dropout 0.0", **place),
-            of_three(0.7 + gain, label=design, variant="dropout 0.5", **place),
-        ]
-    finding = training.show(some_results(points))
-    assert [claim.holds for claim in finding.claims] == [True, answer]
-    assert "0.850 after 40" in finding.found
-    gains = [row[-1] for row in finding.tables[1].rows]
-    assert gains.count("") == 2
-
-
-def test_steps_are_chosen_on_validation_images_and_never_on_test():
-    """Too many steps validate worse, and test better."""
-    points = []
-    for design, scenes in itertools.product(("pca", "deepfsi"), (100, 1000, 60_000)):
-        for epochs, worse in ((10, 0.0), (50, 0.03)):
-            own = 0.5 - worse
-            place = {"recipe": str(scenes), "variant": f"epochs {epochs}", "design": design}
-            points.append(of_three(own + 2 * worse, **place).model_copy(update={"validation": own}))
-    [table] = images.show(some_results(points)).tables
-    assert {row[4] for row in table.rows} == {"10"}
-    assert {row[6] for row in table.rows} == {0.5}
 
 
 def test_every_design_is_answered_under_mlgauss():

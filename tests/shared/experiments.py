@@ -14,15 +14,14 @@ from deepfsi.training import learning
 from deepfsi_paper import bootstrap, experiment, studies
 from deepfsi_paper.camera import laboratory
 from deepfsi_paper.indian_pines import claims as indian_pines
-from deepfsi_paper.mnist import images
 from deepfsi_paper.ovit import claims as ovit
 
 ALL = [each for members in studies.STUDIES.values() for each in members]
 OVIT = (ovit.EXPERIMENT, ovit.IMAGES, ovit.FULL)
 # They need data of their own
-APART = (indian_pines.EXPERIMENT, *OVIT, images.EXPERIMENT)
+APART = (indian_pines.EXPERIMENT, *OVIT)
 EVERY = [each for each in ALL if each not in APART]
-TWICE = ("masks", "starts", "compression", "training")
+TWICE = ("masks", "compression")
 SMALL_DEVICE = find_device("256x192")
 """A sixteenth of the laboratory's mirrors."""
 
@@ -38,10 +37,10 @@ TINY = {"data": "digits", "ratios": (0.05, 0.1), "photons": (1e2, 1e4), "trainin
 def tiny(experiment, trials: int):
     """Recipes of the experiment on digits, of a moment; what makes them themselves is kept."""
     recipes = experiment.recipes(quick=True)
-    return {part: shrunk(experiment, trials, part, quick) for part, quick in recipes.items()}
+    return {part: shrunk(experiment, trials, quick) for part, quick in recipes.items()}
 
 
-def shrunk(experiment, trials: int, part: str, quick: Recipe):
+def shrunk(experiment, trials: int, quick: Recipe):
     kept = quick.model_dump(exclude={"masks"}, exclude_unset=True)
     training = {**kept.pop("training", {}), **TINY["training"], "batch": 200}
     changes = {**TINY, "training": training, "trials": trials}
@@ -53,8 +52,6 @@ def shrunk(experiment, trials: int, part: str, quick: Recipe):
         changes |= {"photons": 1e4, "test_photons": (1e2, 1e4, 1e6)}
     if experiment.name == "masks":
         changes |= {"photons": (1e3, 1e5), "ratios": 0.1}
-    if (experiment.name, part) == ("training", "epochs"):
-        training["epochs"] = (1, 2)
     return type(quick)(**{**kept, **changes})
 
 

@@ -1,6 +1,5 @@
 """Claims, figures and tables of the camera, beside the numbers that the paper published."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +16,6 @@ from deepfsi_paper.bootstrap import (
 )
 from deepfsi_paper.camera.figures import (
     Accuracy,
-    digits_figure,
     effects_figure,
     exposure_figure,
 )
@@ -32,13 +30,11 @@ from deepfsi_paper.camera.laboratory import (
     SWEPT,
     DigitTest,
     Measures,
-    RunTime,
     measure,
     prepare,
 )
 from deepfsi_paper.camera.published import (
     PAPER,
-    PAPER_RUN_S,
     PUBLISHED,
     STUDENTISED,
     WILCOXON,
@@ -90,11 +86,10 @@ def show(results: Results) -> Finding:
         _found(compared),
         (
             _exposure_picture(compared),
-            _digits_picture(compared, measures.digits),
             _effects_picture(measures),
         ),
         (_first(compared), _every_digit(compared), _even(compared)),
-        (_intervals(compared), _tests(compared), _times(measures.times)),
+        (_intervals(compared), _tests(compared)),
     )
 
 
@@ -225,20 +220,6 @@ def _exposure_picture(compared: _Comparison) -> Picture:
     )
 
 
-def _digits_picture(compared: _Comparison, digits: Sequence[str]) -> Picture:
-    panels = {
-        f"{exposure:g} s": np.array(
-            [compared.at[(name, exposure)].by_digit.mean(axis=0) for name in compared.labels]
-        )
-        for exposure in EXPOSURES
-    }
-    return Picture(
-        digits_figure(panels, list(compared.labels.values()), digits),
-        "Success rate of each digit, mean over trainings and draws.",
-        "Success rate of each digit and design for four exposures.",
-    )
-
-
 def _effects_picture(measures: Measures) -> Picture:
     points = [_point(test) for test in measures.tests if test.exposure_s in SWEPT]
     return Picture(
@@ -310,17 +291,6 @@ def _tests(compared: _Comparison) -> Table:
          "paper: statistic", "paper: p", "paper: rank-biserial"),
         tuple(rows),
     )  # fmt: skip
-
-
-def _times(times: Sequence[RunTime]) -> Table:
-    return Table(
-        f"From photon file to class, one exposure of {max(EXPOSURES):g} s",
-        ("design", "photons counted", "file (MB)", "seconds", "paper (s)"),
-        tuple(
-            (each.label, each.photons, each.bytes / 1e6, each.seconds, PAPER_RUN_S.get(each.design))
-            for each in times
-        ),
-    )
 
 
 EXPERIMENT = Experiment(

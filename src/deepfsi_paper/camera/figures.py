@@ -1,4 +1,4 @@
-"""Figures of the camera's accuracy: by exposure, by digit, and by what the laboratory varies."""
+"""Figures of the camera's accuracy: by exposure, and by what the laboratory varies."""
 
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -88,39 +86,6 @@ def exposure_figure(
 
 
 @style.styled
-def digits_figure(
-    panels: Mapping[str, np.ndarray], designs: Sequence[str], classes: Sequence[str]
-) -> Figure:
-    """Success rate of each class and design: a square for each pair, a panel for each exposure.
-
-    Grey level and number both are the success rate, in per cent.
-    """
-    columns = min(2, len(panels))
-    rows = -(-len(panels) // columns)
-    width = style.PAGE_WIDTH if columns == 2 else 0.6 * style.PAGE_WIDTH
-    side = (width - 1.5) / (columns * len(classes))
-    figure = Figure(
-        figsize=(width, rows * (side * len(designs) + 0.32) + 0.35), layout="constrained"
-    )
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-    norm = Normalize(0, 100)
-    for ax, (heading, rates) in zip(axes.flat, panels.items(), strict=False):
-        _squares(ax, 100 * np.asarray(rates, dtype=float), norm)
-        ax.set_title(heading)
-        ax.set_xticks(np.arange(len(classes)) + 0.5, classes)
-        ax.set_yticks(np.arange(len(designs)) + 0.5, designs)
-        ax.label_outer()
-    for ax in list(axes.flat)[len(panels) :]:
-        ax.remove()
-    figure.supxlabel("digit", fontsize=9)
-    bar = figure.colorbar(
-        ScalarMappable(norm, style.GREYS), ax=list(figure.axes), label="success rate (%)", aspect=30
-    )
-    style.plain_bar(bar)
-    return figure
-
-
-@style.styled
 def effects_figure(points: Iterable[Accuracy], axes: Mapping[str, str], *, flux: float) -> Figure:
     """Accuracy against what the laboratory varies: a column for each effect.
 
@@ -163,35 +128,6 @@ def effects_figure(points: Iterable[Accuracy], axes: Mapping[str, str], *, flux:
         handlelength=2.6,
     )
     return figure
-
-
-def _squares(ax: Axes, percent: np.ndarray, norm: Normalize) -> None:
-    """Draw a grey square with its number for each value, the first row on top."""
-    rows, columns = percent.shape
-    ax.pcolormesh(
-        np.arange(columns + 1),
-        np.arange(rows + 1),
-        np.ma.masked_invalid(percent),
-        cmap=style.GREYS,
-        norm=norm,
-        edgecolors=style.MUTED,
-        linewidth=0.5,
-    )
-    for (row, column), value in np.ndenumerate(percent):
-        known = bool(np.isfinite(value))
-        ax.text(
-            column + 0.5,
-            row + 0.5,
-            f"{value:.0f}" if known else "–",
-            color=scales.readable_ink(style.GREYS, norm(value)) if known else style.MUTED,
-            fontsize=style.SMALL,
-            horizontalalignment="center",
-            verticalalignment="center_baseline",
-        )
-    ax.set_aspect("equal")
-    ax.set_ylim(rows, 0)
-    ax.tick_params(length=0)
-    ax.spines[:].set_visible(False)
 
 
 def _published(

@@ -7,7 +7,6 @@ the patterns, and test with gates of four exposures in the same frames. The prot
 """
 
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -22,8 +21,7 @@ from deepfsi.base.progress import Progress
 from deepfsi.camera.device import find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.camera.names import LIGHT_LAWS
-from deepfsi.counting.acquisition import Acquisition, Calibration, Scene
-from deepfsi.counting.recording import Recording
+from deepfsi.counting.acquisition import Calibration
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
@@ -33,7 +31,6 @@ from deepfsi.lab.virtual_optics import (
     CAMERAS,
     VirtualCamera,
     arrival_rates,
-    record_scenes,
 )
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.manifest import GatePlan
@@ -143,23 +140,10 @@ class DigitTest:
 
 
 @dataclass(frozen=True)
-class RunTime:
-    """Time from a photon file to its classes for one exposure, its counts, and the file's size."""
-
-    design: str
-    label: str
-    seconds: float
-    photons: int
-    bytes: int
-
-
-@dataclass(frozen=True)
 class Measures:
     """Everything that is measured in the laboratory, as `hardware.json` holds it."""
 
-    digits: Sequence[str]
     tests: Sequence[DigitTest]
-    times: Sequence[RunTime]
 
 
 @lru_cache(maxsize=1)
@@ -216,20 +200,20 @@ def _mount(design: Design, scenes: np.ndarray) -> _MountedDesign:
     """A design exported to the device, and scenes (S, h, w) seen through it by the laboratory."""
     optics = LAB.model_copy(update={"dark": 0.0, "ambient": 0.0})
     with tempfile.TemporaryDirectory() as folder:
-        patterns = _export(design, REPEATS, Path(folder) / "patterns")
+        patterns = _export(design, Path(folder) / "patterns")
         scene_rates = arrival_rates(patterns, scenes, optics, FLUX)
         one = optics.model_copy(update={"ambient": 1.0})
         ambient_rates = arrival_rates(patterns, np.zeros_like(scenes[:1]), one, 0.0)
     return _MountedDesign(design.as_shown(*patterns.realised), patterns, scene_rates, ambient_rates)
 
 
-def _export(design: Design, repeats: int, folder: Path) -> Patterns:
-    """Patterns whose frames last for so many of the longest exposures, and a little more."""
+def _export(design: Design, folder: Path) -> Patterns:
+    """Patterns whose frames last for `REPEATS` of the longest exposures, and a little more."""
     rails = design.rails.stacked.numpy()
     light = design.mask_exposure.light
     frames = int((rails.max(axis=-1) > 0).sum())
     share = float(rails.max()) if LIGHT_LAWS[light].equal_times else 1 / frames
-    dwell = 1.01 * repeats * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6
+    dwell = 1.01 * REPEATS * max(EXPOSURES) * share + DEVICE.settle_us * 1e-6
     return Patterns.from_rails(
         DesignRails(rails, light, design.image_shape, design.summed_reflectance),
         DEVICE,
@@ -273,14 +257,6 @@ class Laboratory:
     truth: np.ndarray  # (draws, classes), Labels; S is their number
 
 
-@dataclass(frozen=True)
-class _DesignResult:
-    """Tests of one design, and the time of a run."""
-
-    tests: list[DigitTest]
-    time: RunTime
-
-
 def _design_groups(results: Results) -> list[Group]:
     """Designs with their points at the chosen number of masks."""
     groups: dict[str, list[Point]] = {}
@@ -306,21 +282,15 @@ def measure(
     groups = dict(_design_groups(results))
     costly_first = sorted(groups.items(), key=lambda group: -group[1][0].masks)
     report(0.0, "laboratory")
-    done = {}
+    done: dict[str, list[DigitTest]] = {}
     at_once = min(workers or cores(), len(groups))
     for result in processes(_in_laboratory, laboratory, costly_first, at_once):
-        done[result.time.design] = result
+        done[result[0].design] = result
         report(len(done) / len(groups), "laboratory")
-    return asdict(
-        Measures(
-            digits=list(data.classes),
-            tests=[test for name in groups for test in done[name].tests],
-            times=[done[name].time for name in groups],
-        )
-    )
+    return asdict(Measures([test for name in groups for test in done[name]]))
 
 
-def _in_laboratory(laboratory: Laboratory, group: Group) -> _DesignResult:
+def _in_laboratory(laboratory: Laboratory, group: Group) -> list[DigitTest]:
     """Tests of one design, trained for several budgets and several times for each."""
     name, points = group
     tests: list[DigitTest] = []
@@ -354,11 +324,7 @@ def _in_laboratory(laboratory: Laboratory, group: Group) -> _DesignResult:
                     commonest=float(np.mean(commonest)),
                 )
             )
-        if point.photons == ASSUMED:
-            made = Design.load(laboratory.designs / f"{point.keys[0]}.safetensors")
-            label = LABELS.get(name, point.label)
-            time = RunTime(name, label, *_run_time(made, laboratory.images[:1]))
-    return _DesignResult(tests, time)
+    return tests
 
 
 def _mounted_design(
@@ -378,27 +344,3 @@ def _conditions(assumed: float) -> Iterator[tuple[str, float, VirtualCamera, flo
         for effect, values in EFFECTS.items():
             for value, exposure in product(values, SWEPT):
                 yield effect, value, LAB.model_copy(update={effect: value}), exposure
-
-
-def _run_time(design: Design, scene: np.ndarray) -> tuple[float, int, int]:
-    """Seconds from a photon file to its classes, photons and bytes of one longest exposure."""
-    with tempfile.TemporaryDirectory() as folder:
-        run = Path(folder) / "run"
-        patterns = _export(design, 1, Path(folder) / "patterns")
-        acquisition = Acquisition.plan(
-            patterns.manifest,
-            (Scene(name="scene"),),
-            exposure_s=max(EXPOSURES),
-            repeats=1,
-            flux=FLUX,
-            camera=LAB.model_dump(mode="json"),
-            seed=0,
-        )
-        record_scenes(run, patterns, scene, acquisition)
-        began = time.perf_counter()
-        recording = Recording.read(run)
-        counts = recording.count()
-        shown = design.as_shown(*recording.patterns.realised)
-        shown.classify(shown.readouts(counts.signal()), counts.photons[:, None])
-        seconds = time.perf_counter() - began
-        return seconds, int(counts.counts.sum()), (run / "photons.ptu").stat().st_size

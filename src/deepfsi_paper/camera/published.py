@@ -70,6 +70,3 @@ WILCOXON: dict[str, dict[float, tuple[float, float, float]]] = {
     },
 }  # fmt: skip
 """Its third table: statistic, p and rank-biserial against DeepFSI."""
-
-PAPER_RUN_S = {"deepfsi": 1.0, "pca": 1.0, "hadamard": 144.0, "truncated-hadamard": 144.0}
-"""Seconds for one run, photon file to class: about 1 s, and 4 hours for 100 runs."""

@@ -1,9 +1,8 @@
 """The paper's comparison of designs on MNIST, under read noise and under photon noise."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from itertools import product
-from typing import Any
 
 from deepfsi.base.intervals import Difference, all_above
 from deepfsi.report.accuracy import accuracy_figure
@@ -21,7 +20,6 @@ from deepfsi_paper.experiment import (
 from deepfsi_paper.mnist.figures import error_figure
 from deepfsi_paper.report.section import Claim, Picture, Table, english_list
 
-PAPER_SECONDS_PER_RUN, PAPER_SECONDS = 71.0, 2.87e4
 STARVED = 1e6
 """Photons below which the paper's figure tells the designs apart under photon noise."""
 
@@ -69,7 +67,7 @@ def show(results: Results) -> Finding:
         part = results.with_points(point for point in chosen if point.noise == noise)
         caption = f"The same against photons, {name}."
         pictures.append(Picture(accuracy_figure(part), caption, photons_words))
-    return Finding(found, tuple(pictures), claims, (_accuracies(results), _cost(results)))
+    return Finding(found, tuple(pictures), claims, (_accuracies(results),))
 
 
 def _claim(text: str, compared: Compared) -> Claim:
@@ -231,30 +229,6 @@ def _accuracies(results: Results) -> Table:
     fields = ("noise", "label", "photons", "masks", "accuracy", "low", "high", "throughput")
     rows = [tuple(getattr(p, field) for field in fields) for p in results.points if p.best]
     return Table("Accuracy at the chosen number of masks, with 95 % intervals", heads, tuple(rows))
-
-
-def _cost(results: Results) -> Table:
-    """Training cost beside the paper's."""
-    learned = [point for point in results.points if point.design == "deepfsi"]
-    runs = sum(point.trials for point in learned)
-    seconds = sum(point.seconds * point.trials for point in learned)
-    every = results.points
-    rows: Sequence[tuple[Any, ...]] = (
-        ("paper, RTX 4500 Ada", "DeepFSI", 400, PAPER_SECONDS_PER_RUN, PAPER_SECONDS),
-        (results.provenance.device, "DeepFSI", runs, seconds / runs, seconds),
-        (
-            results.provenance.device,
-            "all designs",
-            sum(point.trials for point in every),
-            sum(p.seconds * p.trials for p in every) / sum(p.trials for p in every),
-            sum(p.seconds * p.trials for p in every),
-        ),
-    )
-    return Table(
-        "Training cost: seconds of one worker, summed over runs",
-        ("where", "what", "runs", "seconds a run", "seconds in all"),
-        tuple(rows),
-    )
 
 
 EXPERIMENT = Experiment(

@@ -1,4 +1,4 @@
-"""Figures of the study on MNIST: noise axis, masks and their measures, and starts."""
+"""Figures of the study on MNIST: noise axis, masks and their measures."""
 
 import itertools
 import math
@@ -18,7 +18,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from deepfsi.camera.names import noise_text
-from deepfsi.jobs.designs import DESIGNS
 from deepfsi.report import style
 from deepfsi.report.accuracy import accuracy_axes, marker_key, noises, series_axes
 from deepfsi.report.masks import brightest_masks, mask_axes, peak_value, signed
@@ -70,21 +69,6 @@ class LearnedMasks:
     def under(self, noise: str) -> np.ndarray:
         """Masks under a noise."""
         return np.asarray(getattr(self, noise))
-
-
-@dataclass(frozen=True)
-class Start:
-    """Accuracy of masks that start from a matrix, or its difference to another's.
-
-    Under the noise of the test, with its 95 % interval, None where there is none.
-    """
-
-    noise: str
-    start: str
-    photons: float
-    value: float
-    low: float | None
-    high: float | None
 
 
 @style.styled
@@ -253,51 +237,6 @@ def measures_figure(
     return figure
 
 
-@style.styled
-def starts_figure(
-    accuracies: Sequence[Start], differences: Sequence[Start], chance: float
-) -> Figure:
-    """Gain of learned masks from the matrix that they start from.
-
-    A row for each noise: accuracies on the left, paired differences to pca on the right. Bars
-    are the intervals.
-    """
-    rows = list(dict.fromkeys(row.noise for row in accuracies))
-    figure = Figure(figsize=(style.PAGE_WIDTH, 2.7 * len(rows) + 0.3), layout="constrained")
-    axes = figure.subplots(len(rows), 2, squeeze=False)
-    starts = list(dict.fromkeys(row.start for row in accuracies))
-    dotted: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
-    handles = {}
-    for (left, right), noise in zip(axes, rows, strict=True):
-        left.axhline(chance, **dotted)
-        right.axhline(0, color=style.DESIGN_COLOURS["pca"], linewidth=1.2)
-        for place, start in enumerate(starts):
-            look = {
-                "color": style.DESIGN_COLOURS.get(start, style.INK),
-                "linestyle": style.DESIGN_LINES.get(start, "-"),
-                "marker": "os^D"[place % 4],
-            }
-            shift = place - (len(starts) - 1) / 2
-            for ax, members in ((left, accuracies), (right, differences)):
-                own = [row for row in members if (row.noise, row.start) == (noise, start)]
-                if own:
-                    handles[f"from {DESIGNS[start].title}"] = _line(ax, own, look, shift)
-        left.set_ylim(0, 1)
-        left.set_ylabel(style.ACCURACY_AXIS)
-        right.set_ylabel("accuracy less that from PCA")
-        right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.signed_text(value)))
-        several = f"{noise_text(noise)}: " if len(rows) > 1 else ""
-        left.set_title(f"{several}accuracy")
-        right.set_title(f"{several}difference")
-        budgets = {row.photons for row in accuracies if row.noise == noise}
-        for ax in (left, right):
-            ax.grid(axis="y")
-            ax.set_xlabel(style.BUDGET_AXIS)
-            _budget_axis(ax, budgets)
-    _legend(figure, {**handles, "chance": Line2D([], [], **dotted)})
-    return figure
-
-
 def _legend(figure: Figure, lines: Mapping[str, Line2D]) -> None:
     """Name lines below all panels."""
     figure.legend(
@@ -310,18 +249,15 @@ def _legend(figure: Figure, lines: Mapping[str, Line2D]) -> None:
     )
 
 
-def _line(
-    ax: Axes, rows: Iterable[Measure | Start], look: Mapping[str, Any], shift: float = 0
-) -> Line2D:
-    """Draw one line over photons with bars from `low` to `high`, `shift` steps to the right."""
+def _line(ax: Axes, rows: Iterable[Measure], look: Mapping[str, Any]) -> Line2D:
+    """Draw one line over photons with bars from `low` to `high`."""
     ordered = sorted(rows, key=attrgetter("photons"))
     photons, value, low, high = (
         np.array([getattr(row, name) for row in ordered], dtype=float)
         for name in ("photons", "value", "low", "high")
     )
-    decades = max(1.0, math.log10(photons[-1] / photons[0]))
     bars = ax.errorbar(
-        photons * 10 ** (0.012 * decades * shift),
+        photons,
         value,
         yerr=np.clip([value - low, high - value], 0, None),
         elinewidth=1,

@@ -32,11 +32,6 @@ def power_text(value: float) -> str:
     return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
-def signed_text(value: float) -> str:
-    """Difference with its sign, the minus as long as the plus."""
-    return "0" if abs(value) < 1e-9 else f"{value:+.3g}".replace("-", "−")
-
-
 def readable_ink(colours: str, place: float) -> str:
     """Ink for text on a colour map, by the luminance beneath it."""
     luminance = np.dot(colormaps[colours](place)[:3], (0.2126, 0.7152, 0.0722))
