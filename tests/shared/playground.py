@@ -35,7 +35,7 @@ DARK_KINDS = {
 """Settings of designs for cameras with dark counts."""
 
 PARTS = (
-    "page", "model", "Exposure", "LookExposure", "LeastSquares", "Random", "poisson",
+    "page", "model", "Exposure", "LookExposure", "Random", "poisson",
     "LookOptics", "Posterior", "candidates", "nextMask",
 )  # fmt: skip
 """Parts of a page that a test may ask."""

@@ -39,10 +39,6 @@ export class AdaptiveView {
     return now ? [`look ${count + 1} of ${this.model.looks}`] : [];
   }
 
-  picture(exposure, count) {
-    return count ? exposure.scenes[count] : null;
-  }
-
   about() {
     const [scenes, of] = [this.model.known.scenes, this.model.known.of].map(wholeText);
     const known = this.model.known.centres ? "centres of clusters of training scenes" : "training scenes";

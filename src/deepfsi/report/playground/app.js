@@ -3,7 +3,7 @@
 import { AdaptiveView } from "./adaptive.js";
 import { accuracyAt, chanceText, drawAnswer, drawCounts, drawCurve, drawHistory, photonsText, wholeText } from "./charts.js";
 import { candidates, nextMask } from "./choice.js";
-import { Exposure, LeastSquares, Rivals } from "./exposure.js";
+import { Exposure, Rivals } from "./exposure.js";
 import { KnownView } from "./known.js";
 import { LookExposure, LookModel } from "./looks.js";
 import { Model } from "./model.js";
@@ -155,22 +155,8 @@ class Page {
     show($("impulse"), model, this.rivals.impulseAt(share));
     const shown = this.time > 0 ? now : frames[0];
     if (drawn.frame !== shown || drawn.count === undefined) view.drawFrame(exposure, shown, count);
-    if (drawn.count !== count) {
-      this.drawAnswer(count);
-      this.drawPicture(count);
-    }
+    if (drawn.count !== count) this.drawAnswer(count);
     this.drawn = { ...this.drawn, count, frame: shown };
-  }
-
-  /** Draw the picture that the counts so far give, now and then while an exposure is played. */
-  drawPicture(count) {
-    const { drawn } = this;
-    if (this.playing && performance.now() - (drawn.pictured ?? 0) < 150) return;
-    const picture = this.view.picture(this.exposure, count);
-    if (picture === undefined) return;
-    drawn.pictured = performance.now();
-    const nothing = () => null;
-    show($("own"), this.model, picture ?? Array.from(this.scene, nothing));
   }
 
   drawAnswer(count) {
@@ -274,11 +260,12 @@ class Page {
     });
     on("clear", "click", () => this.pad.clear());
     on("fit", "click", () => this.pad.fit());
-    on("invert", "click", () => this.pad.invert());
     for (const pen of document.querySelectorAll("input[name=pen]")) {
       pen.addEventListener("change", () => (this.pad.ink = pen.value === "ink"));
     }
-    if (!this.spectrum) this.listenForPictures(on);
+    const side = Math.max(this.pad.wide, this.pad.tall);
+    if (!this.spectrum) $("width").value = Math.round((this.pad.pen.radius / side) * 80 * 2) / 2;
+    on("width", "input", () => (this.pad.pen.radius = (Number($("width").value) / 80) * side));
     const again = () => {
       this.listThumbs();
       this.renew();
@@ -295,27 +282,6 @@ class Page {
     });
     on("scene", "focus", () => this.pad.draw(this.scene));
     on("scene", "blur", () => this.pad.draw(this.scene));
-  }
-
-  listenForPictures(on) {
-    const side = Math.max(this.pad.wide, this.pad.tall);
-    $("width").value = Math.round((this.pad.pen.radius / side) * 80 * 2) / 2;
-    on("width", "input", () => (this.pad.pen.radius = (Number($("width").value) / 80) * side));
-    const take = async (file) => {
-      if (!file) return;
-      try {
-        await this.pad.take(file);
-      } catch {
-        $("scene-words").textContent = `${file.name} is no picture that this browser reads: give a PNG or JPEG file.`;
-      }
-    };
-    on("picture", "click", () => $("file").click());
-    on("file", "change", () => take($("file").files[0]));
-    on("scene", "drop", (event) => {
-      event.preventDefault();
-      $("scene").classList.remove("over");
-      take(event.dataTransfer.files[0]);
-    });
   }
 }
 
@@ -336,7 +302,7 @@ async function start() {
   );
   const page = new Page(model, scenes);
   const optics = { LookOptics, Posterior, candidates, nextMask };
-  const parts = { Exposure, LookExposure, LeastSquares, Random, poisson, ...optics };
+  const parts = { Exposure, LookExposure, Random, poisson, ...optics };
   Object.assign(window, { playground: { page, model, ...parts } });
 }
 

@@ -141,32 +141,6 @@ export function drawCounts(holder, model, counts, most, now, names) {
   if (now !== null) add("path", { class: "now", d: `M${chart.middle(now)} ${zero + 2}l5 8h-10z` });
 }
 
-/** Time of each frame. */
-export function drawDwells(holder, exposure, now) {
-  const { model } = exposure;
-  const height = 110;
-  const { width, add } = begin(holder, height);
-  const rails = model.eachRail ? 2 : 1;
-  const own = Array.from({ length: rails }, () => new Array(model.masks).fill(0));
-  exposure.frames.forEach((frame) => {
-    own[rails === 2 ? frame.rails[0] : 0][frame.mask] = frame.share;
-  });
-  const most = Math.max(...exposure.frames.map((frame) => frame.share));
-  const [left, right, top] = [44, width - 4, 8];
-  const zero = rails === 2 ? height / 2 : height - 18;
-  const chart = bars(own, { left, right, zero, reach: zero - top, most });
-  own.forEach((_, rail) => {
-    const lit = places(model.masks).filter((mask) => !now || mask === now.mask);
-    add("path", { class: `${rail ? "minus" : "plus"} dim`, d: chart.path(rail, places(model.masks)) });
-    const isNow = !now || rails === 1 || now.rails[0] === rail;
-    if (isNow) add("path", { class: rail ? "minus" : "plus", d: chart.path(rail, lit) });
-  });
-  add("path", { class: "axis", d: `M${left} ${zero}H${right}` });
-  const percent = (most / exposure.length) * 100;
-  add("text", { x: left - 6, y: top + 6, "text-anchor": "end" }, `${Number(percent.toPrecision(2))} %`);
-  add("text", { x: left - 6, y: zero + 4, "text-anchor": "end" }, "0");
-}
-
 /** Probabilities of the classes over the exposure, as far as it is shown. */
 export function drawHistory(holder, exposure, count, top) {
   const height = 140;

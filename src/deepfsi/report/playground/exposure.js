@@ -1,6 +1,6 @@
-// One exposure of a scene: frames, counts, answers, and the pictures to compare it with.
+// One exposure of a scene: frames, counts, answers, and pictures of other cameras.
 
-import { factorise, Random, poisson } from "./numbers.js";
+import { Random, poisson } from "./numbers.js";
 
 const SLICES = 48; // parts of an exposure whose readouts all see light at once
 
@@ -100,7 +100,7 @@ export class Exposure extends Frames {
         scale[place] += frame.scale;
       });
     });
-    return { counts, lit: model.withoutDark(counts, scale), scale };
+    return { counts, lit: model.withoutDark(counts, scale) };
   }
 
   /**
@@ -162,129 +162,5 @@ export class Rivals {
   impulseAt(time) {
     const slice = Math.floor(time * this.slices + 1e-9);
     return this.impulse[slice].map((each) => (slice ? (each * this.scale * this.slices) / slice : null));
-  }
-}
-
-const DAMPING = 1e-6; // of the trace of the normal matrix, which damps what masks hardly see
-
-/** Solve for a right side, in place, with a Cholesky factor. */
-function substitute(factor, size, right) {
-  for (let i = 0; i < size; i++) {
-    for (let k = 0; k < i; k++) right[i] -= factor[i * size + k] * right[k];
-    right[i] /= factor[i * size + i];
-  }
-  for (let i = size - 1; i >= 0; i--) {
-    for (let k = i + 1; k < size; k++) right[i] -= factor[k * size + i] * right[k];
-    right[i] /= factor[i * size + i];
-  }
-  return right;
-}
-
-/** Least-squares pictures of counts: of all that explain them the one of smallest norm. */
-export class LeastSquares {
-  constructor(model) {
-    this.model = model;
-    this.parts = Array.from({ length: model.detectors }, (_, detector) => this.prepare(detector));
-  }
-
-  prepare(detector) {
-    const { model } = this;
-    const pixels = [];
-    for (let i = 0; i < model.pixels; i++) {
-      if (!model.labels || model.labels[i] === detector) pixels.push(i);
-    }
-    const rows = [];
-    for (let rail = 0; rail < model.rails; rail++) {
-      for (let mask = 0; mask < model.masks; mask++) {
-        if (!(model.peaks[rail][mask] > 0)) continue;
-        const values = Float64Array.from(pixels, (pixel) => model.entry(rail, mask, pixel));
-        rows.push({ place: model.place(rail, mask, detector), values });
-      }
-    }
-    return { pixels, rows, gram: null, factor: null };
-  }
-
-  /** Products of the rows with each other, made when they are first needed. */
-  gram(part) {
-    if (part.gram) return part.gram;
-    const size = part.rows.length;
-    part.gram = new Float64Array(size * size);
-    for (let i = 0; i < size; i++) {
-      const a = part.rows[i].values;
-      for (let j = 0; j <= i; j++) {
-        const b = part.rows[j].values;
-        let sum = 0;
-        for (let k = 0; k < a.length; k++) sum += a[k] * b[k];
-        part.gram[i * size + j] = part.gram[j * size + i] = sum;
-      }
-    }
-    return part.gram;
-  }
-
-  /** Reflectances of counts; `scale` is the share of its light that each readout has had. */
-  picture(counts, scale, photons) {
-    const { model } = this;
-    const out = new Float64Array(model.pixels);
-    const unit = model.summed_reflectance / photons;
-    for (const part of this.parts) {
-      const weights = part.rows.map(({ place }) => scale[place]);
-      const read = part.rows.map(({ place }) => counts[place] * unit);
-      const even = weights.length > 0 && weights.every((weight) => weight === weights[0]);
-      // of readouts with as much light each, one factor serves all exposures
-      const found = even
-        ? this.solve(part, null, read.map((each) => each / weights[0]))
-        : this.solve(part, weights, read);
-      part.pixels.forEach((pixel, i) => (out[pixel] = found[i]));
-    }
-    return out;
-  }
-
-  solve(part, weights, read) {
-    const weight = weights ?? part.rows.map(() => 1);
-    const wide = part.rows.length <= part.pixels.length;
-    const size = wide ? part.rows.length : part.pixels.length;
-    const normal = () => (wide ? this.ofRows(part, weight) : this.ofPixels(part, weight));
-    const make = () => factorise(this.damp(normal(), size), size);
-    const factor = weights ? make() : (part.factor ??= make());
-    if (!wide) return substitute(factor, size, this.project(part, weight, read));
-    return this.project(part, weight, substitute(factor, size, read));
-  }
-
-  /** Sum of the rows, each times its weight and a value. */
-  project(part, weights, values) {
-    const sum = new Float64Array(part.pixels.length);
-    part.rows.forEach((row, at) => {
-      const factor = weights[at] * values[at];
-      if (factor) for (let i = 0; i < sum.length; i++) sum[i] += row.values[i] * factor;
-    });
-    return sum;
-  }
-
-  ofRows(part, weights) {
-    const size = weights.length;
-    return this.gram(part).map(
-      (value, i) => value * weights[Math.floor(i / size)] * weights[i % size],
-    );
-  }
-
-  ofPixels(part, weights) {
-    const size = part.pixels.length;
-    const normal = new Float64Array(size * size);
-    part.rows.forEach(({ values }, row) => {
-      for (let i = 0; i < size; i++) {
-        const weighted = values[i] * weights[row] ** 2;
-        if (!weighted) continue;
-        const start = i * size;
-        for (let j = 0; j < size; j++) normal[start + j] += weighted * values[j];
-      }
-    });
-    return normal;
-  }
-
-  damp(normal, size) {
-    let trace = 0;
-    for (let i = 0; i < size; i++) trace += normal[i * size + i];
-    for (let i = 0; i < size; i++) normal[i * size + i] += DAMPING * trace || 1;
-    return normal;
   }
 }

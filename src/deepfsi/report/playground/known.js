@@ -1,18 +1,16 @@
 // What the page shows of a design whose masks are known before an exposure.
 
-import { drawDwells, photonsText, places } from "./charts.js";
-import { Exposure, LeastSquares } from "./exposure.js";
+import { photonsText, places } from "./charts.js";
+import { Exposure } from "./exposure.js";
 import { $, percent, roundUp } from "./page.js";
 import { colour, paint, plot, tile } from "./scene.js";
 
-const MOST_ROWS = 400; // of a least-squares picture that is renewed during an exposure
 const MOSAIC = 64; // masks shown side by side
 const CURVES = ["--pca", "--deepfsi", "--truncated-hadamard", "--control", "--hadamard", "--muted"];
 
 export class KnownView {
   constructor(model) {
     Object.assign(this, { model, spectrum: model.image_shape.length === 1 });
-    this.squares = new LeastSquares(model);
     this.unit = "mask";
     this.units = model.masks;
     this.names = { one: "mask 1", all: `mask ${model.masks}`, counts: "counts of each mask" };
@@ -46,29 +44,12 @@ export class KnownView {
     return [`frame ${count + 1} of ${exposure.frames.length}`];
   }
 
-  /** Picture of the counts after so many frames; null before the first, undefined to keep it. */
-  picture(exposure, count) {
-    if (count < exposure.frames.length && this.model.readouts > MOST_ROWS) return undefined;
-    const { lit, scale } = exposure.after(count);
-    return count ? this.squares.picture(lit, scale, exposure.photons) : null;
-  }
-
   about(exposure) {
     if (exposure.together) return "All masks see light at once: this is the answer to the light so far.";
     return "The network answers after the last mask.";
   }
 
   drawFrame(exposure, frame) {
-    this.drawMask(exposure, frame);
-    if (!exposure.together) this.drawTimes(exposure, frame);
-  }
-
-  drawTimes(exposure, frame) {
-    drawDwells($("dwells"), exposure, frame);
-    $("dwell-words").textContent = "Share of the exposure; the same for every scene.";
-  }
-
-  drawMask(exposure, frame) {
     const { model } = this;
     const canvas = $("mask");
     $("h-device").textContent = exposure.together || !frame ? "Masks" : "On the device now";

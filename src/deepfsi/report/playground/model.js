@@ -72,7 +72,6 @@ export class Model extends Design {
     );
     model.masks = model.matrix.length / model.pixels;
     model.features = model.mean.length;
-    model.eachRail = model.rails === 2 && model.law.arms === 1;
     model.frames = model.findFrames();
     model.peaks = model.findPeaks();
     return model;

@@ -148,12 +148,6 @@ export class ImagePad {
     this.changed();
   }
 
-  invert() {
-    const { low, high } = this.model.scenes;
-    this.grid = this.grid.map((value) => low + high - value);
-    this.changed();
-  }
-
   /** Move and scale the drawing to where test scenes have theirs. */
   fit() {
     const own = box(this.grid, [this.tall, this.wide], this.ground, this.bright);
@@ -165,22 +159,6 @@ export class ImagePad {
       const x = Math.round((own.x - mean("x") * scale) * this.wide + (i % this.wide) * scale);
       const inside = y >= 0 && y < this.tall && x >= 0 && x < this.wide;
       return inside ? this.grid[y * this.wide + x] : this.ground;
-    });
-    this.changed();
-  }
-
-  /** Take a picture file, brought to the scene's size as those of a training are. */
-  async take(file) {
-    const bitmap = await createImageBitmap(file);
-    const canvas = new OffscreenCanvas(this.wide, this.tall);
-    const context = canvas.getContext("2d", { willReadFrequently: true });
-    context.imageSmoothingQuality = "high";
-    context.drawImage(bitmap, 0, 0, this.wide, this.tall);
-    const { data } = context.getImageData(0, 0, this.wide, this.tall);
-    const { low, high } = this.model.scenes;
-    this.grid = this.grid.map((_, i) => {
-      const [red, green, blue] = data.subarray(4 * i, 4 * i + 3);
-      return low + ((0.299 * red + 0.587 * green + 0.114 * blue) / 255) * (high - low);
     });
     this.changed();
   }
@@ -230,11 +208,6 @@ export class ImagePad {
       canvas.addEventListener(end, () => (this.stroke = null));
     }
     canvas.addEventListener("keydown", (event) => this.press(event));
-    canvas.addEventListener("dragover", (event) => {
-      event.preventDefault();
-      canvas.classList.add("over");
-    });
-    canvas.addEventListener("dragleave", () => canvas.classList.remove("over"));
   }
 
   press(event) {
