@@ -246,11 +246,8 @@ trials = 0
 colour = "red"
 training.epochs = [1, 0]
 exposure.span = 0.5
-tuned.pac.lr = 1e-3
 """
-NAMED = (
-    *("'hadamrd'", "photons.1 = -1.0", "trials = 0", "colour", "epochs", "span = 0.5", "'pac'"),
-)
+NAMED = (*("'hadamrd'", "photons.1 = -1.0", "trials = 0", "colour", "epochs", "span = 0.5"),)
 
 
 def test_mistakes_of_a_recipe_are_told_at_once(refuse, tmp_path):

@@ -20,7 +20,7 @@ def test_a_count_that_a_design_cannot_have_is_replaced_by_its_most(digits):
         {"light": "free-dwell"},
         {"readout": "both"},
         {"test_noise": "ml_gauss"},
-        {"tuned": {"deepfsi": {"lr": 1e-3}, "pca": {"lr": 1e-3}}},
+        {"training": {"epochs": 2, "lr": 1e-3}},
     ],
 )
 def test_every_setting_changes_the_key(digits, change):

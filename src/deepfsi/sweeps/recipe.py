@@ -25,7 +25,7 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.evaluation.measures import MOST_DRAWS
 from deepfsi.jobs.designs import DESIGNS, check_design, count_allowed, mask_count
 from deepfsi.jobs.exposures import Exposure, find_exposure
-from deepfsi.jobs.training import CUSTOM_CLASSIFIER, MASK_SETTINGS, MLP, Training, find_classifier
+from deepfsi.jobs.training import MASK_SETTINGS, Training
 from deepfsi.sweeps.workers import Resources
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
@@ -36,12 +36,6 @@ Settings = dict[str, Any]
 
 _Axes = dict[str, tuple[Any, ...]]
 """Values of each setting."""
-
-_MLP_SETTINGS = find_classifier(MLP).settings
-"""Settings of the training that only the usual classifier has."""
-
-_CUSTOM_SETTINGS = CUSTOM_CLASSIFIER.settings
-"""Settings of the training that only classifiers of one's own have."""
 
 MOST_LOOKS = 32
 """Looks of adaptive masks that ratios ask for, at most: more tell little and take their time."""
@@ -138,12 +132,6 @@ _read_exposure = partial(_read_axes, make=find_exposure)
 _read_training = partial(_read_axes, make=Training.model_validate)
 
 
-def _read_tuned(given: Any) -> dict[str, _Axes]:
-    if not isinstance(given, Mapping):
-        raise ValueError(f"{given!r} is no table of designs")
-    return {check_design(name): _read_training(settings) for name, settings in given.items()}
-
-
 DesignKind = Annotated[str, AfterValidator(check_design)]
 TestNoise = Annotated[str, AfterValidator(check_noise)]
 Value = TypeVar("Value")
@@ -223,9 +211,6 @@ class Recipe(UserModel):
     training: Annotated[dict[str, Any], BeforeValidator(_read_training)] = Field(
         default={}, description="settings of the training of every design, each an axis"
     )
-    tuned: Annotated[dict[str, Any], BeforeValidator(_read_tuned)] = Field(
-        default={}, description="the same for single designs"
-    )
     resources: Resources = Field(
         default=Resources(), description="share of a Ray cluster that each batch of trials takes"
     )
@@ -245,11 +230,6 @@ class Recipe(UserModel):
 
         Those that share light among scenes have one always, as their budget is a mean. A cap is of
         adaptive masks alone: their exposures may end early.
-
-        Parameters
-        ----------
-        design : str
-            Its name.
         """
         axes = self.exposure
         others = {name: values for name, values in axes.items() if name != "cap"}
@@ -268,28 +248,17 @@ class Recipe(UserModel):
         """Noises of the cameras."""
         return tuple(dict.fromkeys(named.camera.noise_name for named in self.cameras()))
 
-    def training_axes(self, design: str) -> dict[str, tuple[Any, ...]]:
-        """Values of each setting of the training of a design."""
-        axes = {**self.training, **self.tuned.get(design, {})}
-        if not DESIGNS[design].learns_masks:
-            axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
-        return axes
-
     @property
     def balances(self) -> bool:
-        """True if any training weighs its classes: validation then goes by balanced accuracy."""
-        return any(
-            True in axes.get("balance", ()) for axes in (self.training, *self.tuned.values())
-        )
+        """True if a training weighs its classes: validation then goes by balanced accuracy."""
+        return True in self.training.get("balance", ())
 
     def trainings(self, design: str) -> Iterator[tuple[str, Settings]]:
         """Every setting of the training of a design, with a name where there are several."""
-        axes = self.training_axes(design)
-        both = len({value == MLP for value in axes.get("classifier", ())}) > 1
+        axes = self.training
+        if not DESIGNS[design].learns_masks:
+            axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
         for point in _points(axes):
-            if both:  # settings of the other kind of classifier are left out
-                others = _CUSTOM_SETTINGS if point["classifier"] == MLP else _MLP_SETTINGS
-                point = {name: point[name] for name in point if name not in others}
             yield _variant(point, axes), point
 
     def budgets(self, noise: str) -> tuple[float, ...]:
@@ -304,15 +273,7 @@ class Recipe(UserModel):
 
         A ratio is that of readouts, m · D / N, so that it means as much under several detectors. Of
         adaptive masks, which share the light among their looks, ratios ask for one count: more
-        looks tell more.
-
-        Parameters
-        ----------
-        design : str
-            Its name.
-        data : Dataset
-            Scenes as its masks see them.
-        detectors : DetectorMap
+        looks tell more. `data` holds scenes as the masks see them.
         """
         low, high = count_allowed(design, data, detectors)
         asked = self.masks or [

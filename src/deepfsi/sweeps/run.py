@@ -24,7 +24,7 @@ from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import FinishedTrial, Record, Records
 from deepfsi.sweeps.results import Results, read_results
 from deepfsi.sweeps.summary import summarise_records
-from deepfsi.sweeps.workers import Resources, cores, processes, report_of_task
+from deepfsi.sweeps.workers import Resources, cores, processes
 
 if TYPE_CHECKING:
     import torch
@@ -75,37 +75,12 @@ def compare(
     ray: str | None = None,
     report: Progress = SILENT,
 ) -> tuple[Results, list[Record]]:
-    """Results of a recipe, and their records.
+    """Results of a recipe, and the records of every trial, of all folds.
 
-    A changed recipe reuses what it still shares with the folder.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    data : Dataset
-    folder : path
-        Where records and designs are kept; it is made if need be.
-    command : str
-        Command that asks for it, for the results.
-    matrix : array, shape (m, N), optional
-        One's own masks, of the design "custom".
-    device : {"auto", "cpu", "cuda"} or torch.device
-    workers : int, optional
-        Processes that train; None for one on each core, or one on a GPU.
-    ray : str, optional
-        Address of a Ray cluster that trains in their place, or "auto".
-    report : Progress
-
-    Returns
-    -------
-    results : Results
-    records : list of mapping
-        Of every trial, of all folds.
-
-    Raises
-    ------
-    InputError
-        If anything in the recipe cannot be had, or a training diverged.
+    The folder keeps records and designs: a changed recipe reuses what it still shares with them.
+    `matrix` (m, N) holds one's own masks; `workers` None is one process on each core, or one on a
+    GPU; `ray` is the address of a cluster that trains in their place, or "auto". Raises
+    `InputError` if anything in the recipe cannot be had, or a training diverged.
     """
     from deepfsi.physics.surroundings import library_defaults
 
@@ -219,83 +194,56 @@ class _Work:
         """Train and record trials of different designs; return the keys of those that diverged."""
         trainer = self.trainer
         todo = trainer.batches(trials, self.workers)
-        count = min(self.workers, len(todo))
-        if self.ray is not None or count > 1:
+        workers = min(self.workers, len(todo))
+        if self.ray is not None or workers > 1:
             self.report(0.0, "matrices that all share")
             trainer.prepare(trials)
         bar = _EffortBar(trainer, todo, self.report)
         diverged: set[str] = set()
         while todo:
             bar.say(f"{len(todo)} batches")
-            claims = _Claims(self.records, todo)
-            with closing(self._results(claims, count, bar)) as arriving:
+            postponed: list[Batch] = []
+            with closing(self._results(self._claimed(todo, postponed), workers, bar)) as arriving:
                 for finished in arriving:
                     self.records.write(finished)
                     diverged |= {done.trial.design_key for done in finished if not done.record}
                     bar.finish([done.trial for done in finished])
-            todo = claims.postponed
+            todo = postponed
             if todo:
                 bar.say(f"another process works on {len(todo)} batches")
                 time.sleep(1)
         return diverged
 
+    def _claimed(self, todo: "Sequence[Batch]", postponed: "list[Batch]") -> "Iterator[Batch]":
+        """Yield what is left of each batch, locked; postpone what another process works on."""
+        records = self.records
+        for batch in todo:
+            left = [trial for trial in batch if records.design(trial) is None]
+            if left and not records.lock(left):
+                postponed.append(left)
+                continue
+            # between the look and the lock another process may have finished some
+            trained = [trial for trial in left if records.design(trial) is not None]
+            records.release(trained)
+            if len(trained) < len(left):
+                yield [trial for trial in left if trial not in trained]
+
     def _results(
-        self, claims: "_Claims", count: int, bar: "_EffortBar"
+        self, batches: "Iterator[Batch]", workers: int, bar: "_EffortBar"
     ) -> Generator[list[FinishedTrial], None, None]:
         """Yield what batches give, as they finish."""
-        checkpoints = self.records.checkpoints
-        if self.ray is not None:
-            # a node may see another disk: no checkpoints there
-            with closing(
-                run_on_ray(
-                    _train_there,
-                    self.trainer,
-                    claims,
-                    address=self.ray,
-                    cpus=self.resources.cpus,
-                    gpus=self.resources.gpus,
-                )
-            ) as results:
+        trainer, checkpoints = self.trainer, self.records.checkpoints
+        work = type(trainer).train
+        if self.ray is not None:  # a node may see another disk: no checkpoints there
+            cpus, gpus = self.resources.cpus, self.resources.gpus
+            there = run_on_ray(work, trainer, batches, address=self.ray, cpus=cpus, gpus=gpus)
+            with closing(there) as results:
                 yield from results
-        elif count > 1:
-
-            def watch(shares: dict[int, float]) -> None:
-                bar.watch([(claims.started[index], share) for index, share in shares.items()])
-
-            work = partial(_train_there, checkpoints=checkpoints)
-            yield from processes(work, self.trainer, claims, count, watch=watch)
+        elif workers > 1:
+            yield from processes(partial(work, checkpoints=checkpoints), trainer, batches, workers)
         else:
-            for batch in claims:
-                yield self.trainer.train(batch, bar.span(batch), checkpoints)
-
-
-def _train_there(
-    trainer: "BatchTrainer", batch: "Batch", checkpoints: Path | None = None
-) -> list[FinishedTrial]:
-    return trainer.train(batch, report_of_task(), checkpoints)
-
-
-class _Claims:
-    """Batches that no other process works on, each locked when it is asked for."""
-
-    def __init__(self, records: Records, todo: "Sequence[Batch]") -> None:
-        self.records = records
-        self.todo = todo
-        self.started: list[Batch] = []
-        self.postponed: list[Batch] = []
-
-    def __iter__(self) -> "Iterator[Batch]":
-        """Yield what is left to train of each batch."""
-        for batch in self.todo:
-            left = [trial for trial in batch if self.records.design(trial) is None]
-            if left and not self.records.lock(left):
-                self.postponed.append(left)
-                continue
-            trained = [trial for trial in left if self.records.design(trial) is not None]
-            self.records.release(trained)
-            if len(trained) < len(left):
-                self.started.append([trial for trial in left if trial not in trained])
-                yield self.started[-1]
+            for batch in batches:
+                yield trainer.train(batch, bar.span(batch), checkpoints)
 
 
 class _EffortBar:
@@ -317,12 +265,6 @@ class _EffortBar:
         titled = Progress(lambda share, _: self.show(share, title))
         end = (self.done + self.trainer.effort(batch)) / self.total
         return titled.between(self.done / self.total, end)
-
-    def watch(self, running: "Sequence[tuple[Batch, float]]") -> None:
-        """Show how far all batches are that workers have."""
-        under_way = sum(share * self.trainer.effort(batch) for batch, share in running)
-        titles = dict.fromkeys(self.trainer.title(batch) for batch, _ in running)
-        self.show(min((self.done + under_way) / self.total, 1.0), "; ".join(titles))
 
     def finish(self, batch: "Batch") -> None:
         """Count a batch as done."""

@@ -9,23 +9,19 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from itertools import islice
 from multiprocessing import resource_tracker
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 from pydantic import Field, field_validator
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.interrupts import block_ctrl_c, saved_work_text
 from deepfsi.base.models import StrictModel
-from deepfsi.base.progress import SILENT, Progress
-
-LOOK_SECONDS = 0.5
-"""Time between two looks at how far the tasks are."""
 
 _shared: Any = None
-_shares: Any = None
-_slot = 0
+"""What all tasks of this process share."""
 
 
 class Resources(StrictModel):
@@ -42,13 +38,6 @@ class Resources(StrictModel):
         return gpus
 
 
-class _Running(NamedTuple):
-    """Place of a task among all, and of `shares` where its process says how far it is."""
-
-    place: int
-    slot: int
-
-
 def cores() -> int:
     """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
@@ -57,39 +46,27 @@ def cores() -> int:
 
 
 def processes(
-    work: Callable[[Any, Any], Any],
-    shared: Any,
-    tasks: Iterable[Any],
-    workers: int,
-    watch: Callable[[dict[int, float]], None] = lambda shares: None,
+    work: Callable[[Any, Any], Any], shared: Any, tasks: Iterable[Any], workers: int
 ) -> Generator[Any, None, None]:
     """Results of tasks as they finish, each done by one of several processes."""
     others = set(multiprocessing.active_children())
-    spawn = multiprocessing.get_context("spawn")
-    shares = spawn.RawArray("d", workers)
     pool = ProcessPoolExecutor(
         workers,
-        mp_context=spawn,
+        mp_context=multiprocessing.get_context("spawn"),
         initializer=_settle,
-        initargs=(shared, shares, max(1, cores() // workers)),
+        initargs=(shared, max(1, cores() // workers)),
     )
     resource_tracker.ensure_running()  # which would let Ctrl-C through, were it started later
-    waiting = enumerate(tasks)
-    free = list(range(workers))  # places of `shares`
-    running: dict[Future[Any], _Running] = {}
+    waiting = iter(tasks)
+    running: set[Future[Any]] = set()
     try:
         while True:
-            while free and (next_task := next(waiting, None)):
-                slot = free.pop()
-                shares[slot] = 0.0
+            for task in islice(waiting, workers - len(running)):
                 with block_ctrl_c(), _main_hidden():
-                    index, task = next_task
-                    running[pool.submit(_run, work, task, slot)] = _Running(index, slot)
+                    running.add(pool.submit(_run, work, task))
             if not running:
                 return
-            done, _ = wait(running, LOOK_SECONDS, return_when=FIRST_COMPLETED)
-            watch({now.place: shares[now.slot] for now in running.values()})
-            free += [running.pop(future).slot for future in done]
+            done, running = wait(running, return_when=FIRST_COMPLETED)
             yield from [future.result() for future in done if not future.exception()]
             for future in done:
                 future.result()
@@ -116,25 +93,13 @@ def _main_hidden() -> Iterator[None]:
         sys.modules["__main__"] = script
 
 
-def report_of_task() -> Progress:
-    """Report of the task that this worker process does; of any other process one that is silent."""
-    if _shares is None:
-        return SILENT
-
-    def show(share: float, _: str) -> None:
-        _shares[_slot] = share
-
-    return Progress(show)
-
-
-def _settle(shared: Any, shares: Any, threads: int) -> None:
+def _settle(shared: Any, threads: int) -> None:
     """Prepare a process: Ctrl-C is its parent's to handle, and it dies with its parent."""
     import torch
     from threadpoolctl import threadpool_limits
 
-    global _shared, _shares
+    global _shared
     _shared = shared
-    _shares = shares
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     torch.set_num_threads(threads)
     threadpool_limits(threads)
@@ -148,7 +113,5 @@ def _die_with_parent() -> None:
     os._exit(1)
 
 
-def _run(work: Callable[[Any, Any], Any], task: Any, slot: int) -> Any:
-    global _slot
-    _slot = slot
+def _run(work: Callable[[Any, Any], Any], task: Any) -> Any:
     return work(_shared, task)
