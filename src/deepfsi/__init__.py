@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from deepfsi.design.networks import Mlp as Mlp
     from deepfsi.design.networks import OwnClassifier as OwnClassifier
     from deepfsi.evaluation.accuracy import evaluate as evaluate
-    from deepfsi.evaluation.ideal import IdealObserver as IdealObserver
     from deepfsi.evaluation.ideal import ideal_observer as ideal_observer
     from deepfsi.evaluation.results import Result as Result
     from deepfsi.jobs.exposures import Fixed as Fixed
@@ -46,7 +45,6 @@ _HOMES = {
     "Dataset": "datasets.dataset",
     "Design": "design.design",
     "Fixed": "jobs.exposures",
-    "IdealObserver": "evaluation.ideal",
     "InputError": "base.errors",
     "Job": "jobs.job",
     "Mlp": "design.networks",

@@ -166,11 +166,7 @@ class Experiment:
             tables=shown.tables,
             files=(f"{self.name}.csv", f"{self.name}-trials.csv"),
             command=results.command,
-            facts={
-                "data": results.data.as_dict(),
-                "recipe": results.recipe,
-                "provenance": results.provenance.as_dict(),
-            },
+            data=results.data.name,
         )
 
 

@@ -10,8 +10,9 @@ from scipy.special import logsumexp
 from scipy.stats import poisson
 
 from conftest import every_optics, generator
-from deepfsi import IdealObserver, evaluate, ideal_observer
+from deepfsi import evaluate, ideal_observer
 from deepfsi.base.errors import InputError
+from deepfsi.evaluation.ideal import IdealObserver
 
 
 def exact(rates: np.ndarray, labels: np.ndarray, counts: np.ndarray, photons: float) -> np.ndarray:

@@ -13,7 +13,9 @@ from shared.results import make_results
 def section(**changes) -> section_module.Section:
     nothing = dict.fromkeys(("pictures", "claims", "tables", "files"), ())
     words = dict.fromkeys(("title", "found", "paper", "command"), "words")
-    return section_module.Section(**{"name": "one", "facts": {}, **nothing, **words, **changes})
+    return section_module.Section(
+        **{"name": "one", "data": "digits", **nothing, **words, **changes}
+    )
 
 
 def test_page_is_one_self_contained_document(tmp_path):

@@ -118,7 +118,7 @@ def hostile_pages(home, name):
         tables=(Table(name, tuple(words), (tuple(words),)),),
         files=(name,),
         command=name,
-        facts={"data": {"name": name, "classes": words}},
+        data=name,
     )
     return page.as_uri(), write_study(home / "study", name, [section]).as_uri()
 

@@ -166,7 +166,7 @@ def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[s
 class ShowDesign(Command):
     """`deepfsi show`.
 
-    Adaptive masks are drawn for one exposure of a test scene, with what was known after each.
+    Adaptive masks are made for each scene: see them on a page of `deepfsi page`.
 
     Example: deepfsi show digits.safetensors -o masks.png
     """
@@ -185,22 +185,18 @@ class ShowDesign(Command):
         check_report()
         from deepfsi.design.design import load_design
         from deepfsi.designfile.provenance import trained_on
-        from deepfsi.lab.design_data import data_of
-        from deepfsi.report.masks import design_figure, looks_figure
+        from deepfsi.report.masks import design_figure
         from deepfsi.report.style import write_figure
 
         design = load_design(self.file)
         lines = [f"drawn: {out}"]
         if design.exposure.makes_masks:
-            scenes, _ = data_of(design)
-            label = design.classes[scenes.y_test[0]]
-            photons = design.info.get("job", {}).get("photons")
-            figure = looks_figure(design, scenes.x_test[0], label, photons)
-        else:
-            figure = design_figure(design, self.count)
-            if training := trained_on(design.info):
-                lines.append(f"trained on: {training.words}")
-        write_figure(figure, out)
+            raise InputError(
+                "adaptive masks are made for each scene: see them on a page, by deepfsi page"
+            )
+        if training := trained_on(design.info):
+            lines.append(f"trained on: {training.words}")
+        write_figure(design_figure(design, self.count), out)
         return Outcome({"picture": str(out)}, lines)
 
 

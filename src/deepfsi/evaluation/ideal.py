@@ -38,23 +38,9 @@ from deepfsi.physics.surroundings import library_defaults
 class IdealObserver:
     """Posterior of the class of Poisson counts, with given scenes as prior.
 
+    Rates (n, ...) are for a budget of one photon, of scenes of classes `labels` (n,), 0 .. C-1.
     Where no scene can give the counts, as rates are 0, those scenes remain that have the fewest
     impossible ones: the limit of a vanishing background.
-
-    Parameters
-    ----------
-    rates : tensor, shape (n, ...)
-        Expected counts of each readout of each scene, for a budget of one photon.
-    labels : tensor, shape (n,)
-        Classes of the scenes, 0 .. C-1.
-    classes : int
-        C.
-
-    Examples
-    --------
-    >>> rates, labels = torch.tensor([[0.9, 0.1], [0.1, 0.9]]), torch.tensor([0, 1])
-    >>> IdealObserver(rates, labels, 2).chances(torch.tensor([[2.0, 0.0]]), 10.0)
-    tensor([[0.9878, 0.0122]])
     """
 
     def __init__(self, rates: Tensor, labels: Tensor, classes: int) -> None:

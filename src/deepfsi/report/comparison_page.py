@@ -31,8 +31,8 @@ from deepfsi.report.accuracy import (
     noises,
     shares_light,
 )
-from deepfsi.report.masks import masks_figure, peak_value, signed, values_figure
-from deepfsi.report.rendering import capital, flat, render, share_text
+from deepfsi.report.masks import masks_figure, peak_value, signed
+from deepfsi.report.rendering import capital, render, share_text
 from deepfsi.report.style import Figures, photons_text
 from deepfsi.sweeps.results import Data, Point, Results, read_results
 
@@ -99,11 +99,6 @@ def _page_text(results: Results, designs: Path, figures: Figures) -> str:
             and any(point.score(measure.key) is not None for point in points)
         ],
         worst=worst_text,
-        facts=[
-            ("Data", [each for each in flat(results.data.as_dict()) if each[0] != "classes"]),
-            ("Recipe", list(flat(results.recipe))),
-            ("Made with", list(flat(results.provenance.as_dict()))),
-        ],
     )
 
 
@@ -266,7 +261,7 @@ def _confusions(results: Results) -> list[tuple[str, Point]]:
 
 
 def _learned_masks(results: Results, designs: Path, figures: Figures) -> Iterator[PagePart]:
-    """Masks and value distributions of every learned design whose files are there, by budget."""
+    """Masks of every learned design whose files are there, by budget."""
     for i, noise in enumerate(noises(results), start=1):
         series = Series.of(results, [p for p in _chosen(results, noise) if p.learned])
         for j, members in enumerate(series.groups.values(), start=1):
@@ -283,7 +278,7 @@ def _learned_masks(results: Results, designs: Path, figures: Figures) -> Iterato
 
 
 def _mask_panel(point: Point, file: Path, number: str, figures: Figures) -> PagePart:
-    """Masks of one design at one budget, and the distribution of their values."""
+    """Masks of one design at one budget."""
     design = DesignFile.read(file, ("rails",))
     rails = design.rails
     lit = lit_masks(rails)
@@ -294,12 +289,10 @@ def _mask_panel(point: Point, file: Path, number: str, figures: Figures) -> Page
     drawn = masks_figure(rails, design.mask_header.mask_shape, count=MASKS_SHOWN)
     peak = f"{peak_value(signed(rails)):.2g}"
     counted = share_text(point.throughput)
-    words = f"Histogram of the mask values learned at {where}."
     return {
         "heading": where,
         "note": f"{which}, peak {peak}, {counted} of the budget counted",
         "drawn": figures.add(f"masks-{number}", drawn, f"Masks learned at {where}, {which}."),
-        "spread": figures.add(f"values-{number}", values_figure(rails), words),
     }
 
 

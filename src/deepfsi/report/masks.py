@@ -1,6 +1,5 @@
-"""Pictures of masks and their values, of one exposure, and of scenes as they were counted."""
+"""Pictures of masks."""
 
-import textwrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +9,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter
 
 from deepfsi.base.quantities import budget_text
 from deepfsi.evaluation.results import lit_masks, lit_text
@@ -22,12 +21,6 @@ if TYPE_CHECKING:  # it imports torch
 
 BAR_LABEL = "share of a pixel's photons, Mᵢⱼ"
 """Words of a scale of mask values."""
-
-_LOOK_COLUMNS = 8
-"""Looks of an exposure that are drawn, at most."""
-
-_LOOK_WIDTH = 0.75
-"""Width of a look, inches."""
 
 
 def signed(rails_or_matrix: np.ndarray) -> np.ndarray:
@@ -191,72 +184,3 @@ def _colour_bar(figure: Figure, scale: ScalarMappable, axes: np.ndarray) -> None
         FuncFormatter(lambda value, _: f"{value:.2g}".replace("-", "−"))
     )
     bar.outline.set_edgecolor(style.MUTED)
-
-
-@style.styled
-def values_figure(rails_or_matrix: np.ndarray) -> Figure:
-    """Shares of the values of rails (2 or 1, m, N) or masks (m, N) in bins, on a log scale."""
-    values = signed(rails_or_matrix).ravel()
-    low, high = _scale_of(values[None]).get_clim()
-    counts, edges = np.histogram(values, bins=51, range=(low, high))
-    figure = Figure(figsize=(5.4, 1.7), layout="constrained")
-    ax = figure.subplots()
-    floor = 0.5 / values.size
-    ax.stairs(counts / values.size, edges, baseline=floor, fill=True, color=style.MUTED)
-    ax.set_yscale("log")
-    ax.set_ylim(floor, 1.5)
-    ax.set_xlim(low, high)
-    ax.axvline(0, color=style.INK, linewidth=0.6)
-    ax.yaxis.set_major_locator(LogLocator(numticks=4))
-    ax.yaxis.set_minor_locator(NullLocator())
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.set_xlabel(BAR_LABEL)
-    ax.set_ylabel("share of entries")
-    return figure
-
-
-@style.styled
-def looks_figure(design: "Design", scene: np.ndarray, label: str, photons: float) -> Figure:
-    """Looks at a scene (N,) with adaptive masks: each mask, and scene and class as known after it.
-
-    Drawn are the first look, the last, and some between.
-    """
-    masks, scenes, chances = design.looks_at(scene, photons)  # (K, N), (K, N) and (K, C)
-    classes = design.classes
-    title = (
-        f"one exposure of {budget_text(photons)} photons in {design.masks} looks. Class: {label}. "
-        f"Answer: {classes[chances[-1].argmax()]}, with probability {chances[-1].max():.3f}"
-    )
-    looks = len(masks)
-    shape = design.image_shape
-    scene = scene.reshape(shape)
-    steps = np.rint(np.geomspace(1, looks, min(looks, _LOOK_COLUMNS)))
-    drawn = np.unique(steps.astype(int) - 1).tolist()
-    layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.03, wspace=0.02, hspace=0.02)
-    wide = _LOOK_WIDTH * (len(drawn) + 1)
-    high = 2 * _LOOK_WIDTH * shape[0] / shape[1] + 1.6
-    figure = Figure(figsize=(wide, high), layout=layout)
-    words = textwrap.fill(title, int(12 * wide))
-    figure.suptitle(words, fontsize=9, x=0.01, horizontalalignment="left")
-    grid = figure.subplots(3, len(drawn) + 1, squeeze=False)
-    light = ScalarMappable(Normalize(0, float(scene.max()) or 1.0), style.GREYS)
-    mask_axes(grid[1, 0], scene, light)
-    grid[1, 0].set_title("scene", fontsize=9, fontweight="normal", pad=2)
-    for ax in (grid[0, 0], grid[2, 0]):
-        ax.set_visible(False)
-    for look, (top, middle, bottom) in zip(drawn, grid[:, 1:].T, strict=True):
-        mask_axes(top, masks[look].reshape(shape), ScalarMappable(Normalize(0, 1), style.GREYS))
-        top.set_title(f"look {look + 1}", fontsize=9, fontweight="normal", pad=2)
-        mask_axes(middle, scenes[look].clip(0).reshape(shape), light)
-        likeliest = int(chances[look].argmax())
-        colours = [style.GRID] * len(classes)
-        colours[likeliest] = style.DESIGN_COLOURS["adaptive"]
-        bottom.bar(np.arange(len(classes)), chances[look], color=colours, edgecolor="none")
-        bottom.set(ylim=(0, 1), xlim=(-0.6, len(classes) - 0.4), xticks=[likeliest])
-        bottom.set_xticklabels([classes[likeliest]], fontsize=8)
-        bottom.set_yticks([0, 1] if look == 0 else [])
-        bottom.tick_params(length=2, labelsize=8)
-    rows = ("mask", "mean scene\nby then", "probability\nby then")
-    for ax, words in zip(grid[:, 1], rows, strict=True):
-        ax.set_ylabel(words, fontsize=8)
-    return figure

@@ -1,7 +1,6 @@
 """Templates of every page, with the terms that they explain."""
 
 import tomllib
-from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -46,20 +45,3 @@ def capital(words: str) -> str:
 def share_text(value: float | None) -> str:
     """Write a share between 0 and 1 with three decimals; a dash where there is none."""
     return "–" if value is None else f"{value:.3f}"
-
-
-def flat(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
-    """Yield settings that are set as name and value, nested names joined with a dot."""
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from flat(value, f"{above}{name}.")
-        else:
-            items = value if isinstance(value, list | tuple) else [value]
-            if words := ", ".join(_setting(item) for item in items if item not in (None, "")):
-                yield above + name, words
-
-
-def _setting(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -60,109 +60,77 @@ class _Stored(StrictModel):
 class Point(_Stored):
     """Trials of one setting, averaged."""
 
-    recipe: str = Field("", description="name of the recipe, in an experiment that has several")
-    data: str = Field("", description="data set, in an experiment that has several")
-    split: str = Field("", description="its split, in an experiment that has several")
+    recipe: str = Field("", description="recipe, in an experiment of several")
+    data: str = Field("", description="data set, in an experiment of several")
+    split: str = Field("", description="its split, in an experiment of several")
     trained_under: str = Field(description="noise of the training")
     light: str = Field(description="light law")
-    rails: str = Field(description="signed or non-negative masks: dual or single")
-    detectors: str = Field(
-        description="detectors on parts of the device: ROWSxCOLUMNS, bands of a spectrum, or a "
-        "map's name"
-    )
-    readout: str = Field(
-        description="what the network reads of two rails, difference or both; empty of a single one"
-    )
+    rails: str = Field(description="dual: signed masks; single: non-negative ones")
+    detectors: str = Field(description="ROWSxCOLUMNS, bands of a spectrum, or a map's name")
+    readout: str = Field(description="what the network reads of two rails: difference or both")
     design: str = Field(description="name of the design")
     trained_at: Positive = Field(description="budget of the training")
-    variant: str = Field(description="which of several training settings, in words")
+    variant: str = Field(description="settings of the training that differ, in words")
     noise: str = Field(description="noise of the test")
     photons: Positive = Field(description="budget of the test")
-    levels: _StoredCount = Field(
-        description="grey levels of the masks in the test; 0 for continuous ones"
-    )
+    levels: _StoredCount = Field(description="grey levels of the masks in the test; 0: continuous")
     masks: _StoredCount = Field(description="number of masks, m")
-    lit: FiniteFloat | None = Field(
-        None,
-        description="how many of the masks have light, in the mean over trials; the others have no "
-        "time under this budget",
-    )
+    lit: FiniteFloat | None = Field(None, description="masks with light, mean over trials")
     label: str = Field(description="short name of the design")
     title: str = Field(description="long name of the design")
     specific: bool = Field(description="whether the design depends on the task")
     learned: bool = Field(description="whether its masks are trained")
     ratio: FiniteFloat = Field(description="m · D / N, readouts of a rail over pixels")
-    trials: _StoredCount = Field(description="trainings with different seeds that are averaged")
+    trials: _StoredCount = Field(description="trainings with different seeds, averaged")
     validation: _Score | None = Field(
-        description="mean measure on validation data, if any was held out; balanced accuracy "
-        "where a recipe balances its training"
+        description="the measure on validation data, by which masks are chosen"
     )
-    accuracy: _Score = Field(
-        description="measure of the answers, in the mean over trials: accuracy, or R² of values"
-    )
+    accuracy: _Score = Field(description="mean over trials: accuracy, or R² of values")
     low: FiniteFloat = Field(description="lower end of its 95 % interval")
     high: FiniteFloat = Field(description="upper end of its 95 % interval")
-    covers: str = Field(description="what the interval covers")
-    balanced: Share | None = Field(
-        None, description="mean of the classes' accuracies; none of values"
-    )
-    balanced_low: FiniteFloat | None = Field(
-        None, description="lower end of its interval, which covers the same"
-    )
+    covers: str = Field(description="what the intervals cover")
+    balanced: Share | None = Field(None, description="mean of the classes' accuracies")
+    balanced_low: FiniteFloat | None = Field(None, description="lower end of its 95 % interval")
     balanced_high: FiniteFloat | None = Field(None, description="upper end of its interval")
-    worst: _Score = Field(
-        description="lowest accuracy of a class, or R² of a value, in the mean over trials"
-    )
-    worst_class: _StoredCount = Field(
-        description="place of that class or value among those of the data"
-    )
-    rmse: tuple[FiniteFloat, ...] = Field(
-        (), description="root mean squared error of each value, in the mean over trials"
-    )
+    worst: _Score = Field(description="lowest accuracy of a class, or R² of a value")
+    worst_class: _StoredCount = Field(description="place of that class or value in the data")
+    rmse: tuple[FiniteFloat, ...] = Field((), description="root mean squared error of each value")
     bound: tuple[FiniteFloat, ...] = Field(
-        (), description="that of the best linear estimator of the same counts, likewise"
+        (), description="that of the best linear estimator of the same counts"
     )
     log_loss: FiniteFloat | None = Field(
-        None, description="mean of −ln p of the true class, in nats, and over trials"
+        None, description="mean of −ln p of the true class, in nats"
     )
-    further: dict[str, FiniteFloat] = Field(
-        {}, description="measures without a field of their own, by name, in the mean over trials"
-    )
+    further: dict[str, FiniteFloat] = Field({}, description="other measures, by name")
     counts: FiniteFloat = Field(
-        description="photons that the detectors count, or clicks, in the mean over test scenes and "
-        "trials"
+        description="photons that the detectors count, or clicks, mean over test scenes"
     )
     arriving: FiniteFloat | None = Field(
-        None,
-        description="photons that reach the detectors, in the same mean: as many as the counts, "
-        "but of detectors that click",
+        None, description="photons that reach the detectors, mean over test scenes"
     )
     throughput: FiniteFloat = Field(
-        description="share of the budget that the detectors count, in the training mean; of masks "
-        "that are quantised for a test only, that of the masks before"
+        description="share of the budget that the detectors count, mean over training scenes, "
+        "before masks are quantised"
     )
     seconds: FiniteFloat = Field(description="mean time of a training")
     accuracies: tuple[_Score, ...] = Field(description="measure of each trial")
     terms: tuple[_PackedValues, ...] = Field(
         (),
-        description="at a chosen mask count: of each trial, values of the test scenes whose mean "
-        "is its measure, such as the share of noise draws that are right; 32-bit floats, zlib, "
-        "base64. None of trials of earlier versions",
+        description="at the chosen number of masks: of each trial, values of the test scenes whose "
+        "mean is its measure; 32-bit floats, zlib, base64",
     )
     keys: tuple[_Key, ...] = Field(
         min_length=1, description="design file of each trial, or of each of its folds"
     )
     best: bool = Field(
-        description="whether its mask count was chosen on validation data, or nothing was chosen"
+        description="whether its number of masks was chosen on validation data, or nothing was"
     )
     confusion: tuple[tuple[_StoredCount, ...], ...] = Field(
         (),
-        description="at a chosen mask count: rows true classes, columns answers, over all trials "
-        "and noise draws",
+        description="at the chosen number of masks: rows true classes, columns answers, over all "
+        "trials and noise draws",
     )
-    one_class: bool = Field(
-        False, description="whether each trial gives one class as the answer to every test scene"
-    )
+    one_class: bool = Field(False, description="whether each trial answers one class only")
 
     def score(self, key: str) -> float | None:
         """Mean of a measure over trials, by its key; None where the answers do not have it."""
@@ -188,23 +156,16 @@ class Data(_Stored):
         min_length=1, description="rows and columns of a scene, or bands of a spectrum"
     )
     classes: tuple[str, ...] = Field(description="names of the classes; none where it has values")
-    values: tuple[str, ...] = Field(
-        (), description="names of its values; none where it has classes"
-    )
-    measure: MeasureTitle = Field(
-        "accuracy", description="what `accuracy` of a point is: accuracy or R²"
-    )
+    values: tuple[str, ...] = Field((), description="names of its values")
+    measure: MeasureTitle = Field("accuracy", description="accuracy or R²")
     train: _StoredCount = Field(description="scenes trained on")
     validation: _StoredCount = Field(description="scenes held out")
     test: _StoredCount = Field(description="scenes tested on")
     folds: _StoredCount = Field(
-        1,
-        description="parts of the scenes, each tested by designs that were trained on the others; "
-        "1 where there is one test part",
+        1, description="parts of the scenes, each tested by designs trained on the others"
     )
     chance: FiniteFloat = Field(
-        description="measure of guessing: the share of the test scenes that are of their commonest "
-        "class, or R² 0"
+        description="measure of guessing: the share of the commonest class, or R² 0"
     )
     preprocessing: str = Field(description="steps from the data's own values to reflectance")
     mean_reflectance: FiniteFloat = Field(description="of a pixel of the training scenes")
@@ -232,12 +193,8 @@ class Results(_Stored):
     recipe: dict[str, Any] = Field(description="its settings")
     data: Data = Field(description="data set")
     provenance: Provenance = Field(description="versions, device and times")
-    chosen_on: str = Field(
-        description="data that mask counts were chosen on: validation or nothing"
-    )
-    chosen_by: str = Field(
-        "accuracy", description="measure that they were chosen by: accuracy, balanced or r2"
-    )
+    chosen_on: str = Field(description="data that masks were chosen on: validation or nothing")
+    chosen_by: str = Field("accuracy", description="by which measure: accuracy, balanced or r2")
     points: tuple[Point, ...] = Field(description="one for each setting")
     extra: dict[str, Any] = Field({}, description="further numbers of an experiment")
 

@@ -1,8 +1,6 @@
 """Parts of a study's page: sections of pictures, claims and tables."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -61,7 +59,7 @@ class Section:
     tables: tuple[Table, ...]
     files: tuple[str, ...]  # CSV files behind the figures, relative to the page
     command: str  # what repeats the experiment
-    facts: Mapping[str, Any]  # provenance, nested as you like
+    data: str  # name of its data set
 
 
 def english_list(words: list[str]) -> str:

@@ -8,7 +8,7 @@ from numbers import Integral, Real
 from pathlib import Path
 
 from deepfsi.base.files import write_atomically
-from deepfsi.report.rendering import flat, render
+from deepfsi.report.rendering import render
 from deepfsi.report.style import Figures
 from deepfsi_paper.report.section import Cell, Claim, Section, Table
 
@@ -49,7 +49,6 @@ def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[S
                     for number, picture in enumerate(section.pictures, start=1)
                 ],
                 "tables": [(table, *_columns(table)) for table in section.tables],
-                "facts": list(flat(section.facts)),
             }
             for section in sections
         ],
@@ -74,8 +73,7 @@ def _tally(claims: Iterable[Claim]) -> str:
 
 def opened(sections: Sequence[Section]) -> str:
     """Say in three sentences what is tested, what the light is, and what intervals cover."""
-    names = [str(part.facts["data"]["name"]) for part in sections if "data" in part.facts]
-    data = f" of {', '.join(dict.fromkeys(names))}" if names else ""
+    data = f" of {', '.join(dict.fromkeys(section.data for section in sections))}"
     return (
         f"This page tests how well the class of a scene{data} can be read from few photons, with "
         "masks and a network that were learned together and with others. A photon budget Φ is the "
