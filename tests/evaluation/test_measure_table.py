@@ -47,5 +47,5 @@ def test_a_new_measure_is_one_entry(digits, tmp_path, monkeypatch):
     [point] = read_results(tmp_path / "results.json").points
     assert point.further == {"top_2": row["top_2"]}
     page = write_report(tmp_path).read_text(encoding="utf-8")
-    assert '<button type="button">top 2</button>' in page
+    assert '<th scope="col">top 2</th>' in page
     assert f"<td>{row['top_2']:.3f}</td>" in page

@@ -1,4 +1,4 @@
-"""The page of a comparison in a browser: nothing cut or blocked, readable, tables that sort.
+"""The page of a comparison in a browser: nothing cut or blocked, readable.
 
 Needs Chromium and its driver. `.ci/run` sets `DEEPFSI_BROWSER=required`: there, a missing browser
 is a failure and no reason to skip.
@@ -6,7 +6,6 @@ is a failure and no reason to skip.
 
 import numpy as np
 import pytest
-from selenium.webdriver import Keys
 from selenium.webdriver.common.by import By
 
 from deepfsi.report.accuracy import accuracy_figure
@@ -46,25 +45,6 @@ def style(element, name):
     return element.value_of_css_property(name)
 
 
-def the_table(browser):
-    """Give the longest table that scrolls inside its box, once what hides tables is open."""
-    browser.execute_script("document.querySelectorAll('details').forEach(d => d.open = true)")
-    boxes = browser.find_elements(By.CSS_SELECTOR, ".tall")
-    return max(boxes, key=lambda box: int(box.get_property("scrollHeight")))
-
-
-def column(browser, table, head):
-    """Give the button of a column, its heading, and what its cells hold from top to bottom."""
-    heads = table.find_elements(By.CSS_SELECTOR, "th")
-    place = [cell.text for cell in heads].index(head)
-    script = (
-        "return [...arguments[0].querySelectorAll('tbody tr')].map(row => "
-        "row.cells[arguments[1]]).map(cell => cell.dataset.value ?? cell.textContent)"
-    )
-    button = heads[place].find_element(By.TAG_NAME, "button")
-    return button, heads[place], lambda: browser.execute_script(script, table, place)
-
-
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("width", WIDTHS)
 def test_nothing_is_cut_blocked_or_hard_to_read(opened, width, scheme):
@@ -75,7 +55,7 @@ def test_nothing_is_cut_blocked_or_hard_to_read(opened, width, scheme):
     assert opened.execute_script("return document.querySelectorAll('svg text').length") > 50
     assert opened.execute_script(CUT) == []
     contrasts = opened.execute_script(CONTRASTS)
-    assert {"H1", "TD", "text", "BUTTON", "FIGCAPTION"} <= {tag for _, tag, _ in contrasts}
+    assert {"H1", "TD", "text", "FIGCAPTION"} <= {tag for _, tag, _ in contrasts}
     assert contrasts[0][0] >= 4.5, contrasts[:5]
     sizes = opened.execute_script(SIZES)
     least = 11.99 if width == 1280 else 11.99 * NARROWEST_SHARE  # of figures, which shrink there
@@ -141,29 +121,6 @@ def test_names_that_users_give_stay_text_wherever_they_stand(browser, tmp_path, 
         assert browser.get_log("browser") == []
 
 
-def test_a_click_and_a_key_sort_numbers(opened):
-    table = the_table(opened)
-    button, head, cells = column(opened, table, "accuracy")
-    before = cells()
-    numbers = [float(cell) for cell in before if cell != "–"]
-    missing = ["–"] * before.count("–")
-    assert len(before) > 30
-    assert numbers != sorted(numbers)
-    button.click()
-    assert head.get_attribute("aria-sort") == "ascending"
-    assert [float(cell) for cell in cells()[: len(numbers)]] == sorted(numbers)
-    assert cells()[len(numbers) :] == missing
-    button.send_keys(Keys.ENTER)
-    assert head.get_attribute("aria-sort") == "descending"
-    assert [float(cell) for cell in cells()[: len(numbers)]] == sorted(numbers, reverse=True)
-    assert cells()[len(numbers) :] == missing
-    other, other_head, budgets = column(opened, table, "photons")
-    other.send_keys(Keys.SPACE)
-    assert head.get_attribute("aria-sort") is None
-    assert other_head.get_attribute("aria-sort") == "ascending"
-    assert list(map(float, budgets())) == sorted(map(float, budgets()))
-
-
 def test_paper_gets_everything_in_black_on_white(opened):
     look(opened, A4_WIDTH, "dark", media="print")
     body = opened.find_element(By.TAG_NAME, "body")
@@ -172,7 +129,8 @@ def test_paper_gets_everything_in_black_on_white(opened):
     assert opened.execute_script(OVERFLOW) <= 0
     assert opened.execute_script(CUT) == []
     assert opened.execute_script(CONTRASTS)[0][0] >= 4.5
-    box = the_table(opened)
+    opened.execute_script("document.querySelectorAll('details').forEach(d => d.open = true)")
+    [box] = opened.find_elements(By.CSS_SELECTOR, ".tall")
     assert box.get_property("scrollHeight") <= box.get_property("clientHeight") + 1
     for cell in opened.find_elements(By.CSS_SELECTOR, "td:last-child"):
         assert cell.rect["x"] + cell.rect["width"] <= A4_WIDTH + 0.5

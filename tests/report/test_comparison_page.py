@@ -55,24 +55,6 @@ def test_all_designs_and_numbers_are_in_the_tables(tmp_path):
 
 
 @words_alone
-def test_what_to_do_next_is_a_command_of_files_that_are_there(tmp_path):
-    few = {"designs": ("pca", "deepfsi"), "budgets": (1e4,)}
-    make_results(tmp_path, **few)
-    assert "dmd export" not in page_of(tmp_path)  # no device shows masks of the light law column
-    results = make_results(tmp_path / "dmd", lights=("free-dwell",), **few)
-    page = page_of(tmp_path / "dmd")
-    [file] = re.findall(r"deepfsi dmd export designs/(\S+)", page)
-    assert (tmp_path / "dmd" / "designs" / file).is_file()
-    assert file == f"{verdict_of(results).best.keys[0]}.safetensors"
-    assert f"deepfsi page designs/{file} -o page.html" in words_of(page)
-    for kept in (tmp_path / "dmd" / "designs").iterdir():
-        kept.unlink()
-    page = page_of(tmp_path / "dmd")
-    assert "deepfsi page" not in page
-    assert "design files of this comparison are not in its folder" in page
-
-
-@words_alone
 @pytest.mark.usefixtures("drawn_once")
 @pytest.mark.parametrize(
     "case",

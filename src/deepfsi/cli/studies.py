@@ -38,7 +38,6 @@ class _Study(Command):
     out: Path
     workers: fields.WorkerCount = None
     device: fields.TorchDevice = "auto"
-    force: fields.Force = False
 
     def train(
         self,
@@ -48,11 +47,9 @@ class _Study(Command):
         matrix: np.ndarray | None = None,
         ray: str | None = None,
     ) -> "tuple[Results, list[Record]]":
-        """Train and test; results of other settings are lost with --force only."""
-        from deepfsi.sweeps.run import check_kept, compare
+        """Results and records of the trials."""
+        from deepfsi.sweeps.run import compare
 
-        if not self.force:
-            check_kept(self.out, recipe, scenes, matrix)
         with terminal.progress("trials") as report:
             return compare(
                 recipe,
@@ -124,8 +121,8 @@ class SweepRecipe(_Study):
     """`deepfsi sweep`.
 
     It may be stopped at any moment: run again with the same output folder, it goes on where it
-    was. After a change of the recipe, trials that are still in it are used; where others would be
-    lost, --force is needed. Several processes may work on one folder.
+    was. After a change of the recipe, trials that are still in it are used; the records of others
+    stay in the folder. Several processes may work on one folder.
 
     Example: deepfsi sweep baseline -o runs/baseline --table runs/baseline.csv
     """
@@ -142,6 +139,7 @@ class SweepRecipe(_Study):
     table: Annotated[Path | None, fields.Output((".csv", ".parquet"))] = fields.option(
         "write all records as one table, .csv or .parquet"
     )
+    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         """Results and a page of them."""

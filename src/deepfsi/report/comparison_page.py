@@ -18,7 +18,7 @@ from deepfsi.base.intervals import (
     frequent_confusions,
 )
 from deepfsi.base.quantities import Table, budget_text, rate_text, short_name
-from deepfsi.camera.names import LIGHT_LAWS, noise_text
+from deepfsi.camera.names import noise_text
 from deepfsi.designfile.design_file import DesignFile
 from deepfsi.evaluation.measures import MEASURES, main_measure
 from deepfsi.evaluation.results import error_text, lit_masks, lit_text, worst_text
@@ -77,7 +77,6 @@ def _page_text(results: Results, designs: Path, figures: Figures) -> str:
         verdict=verdict,
         scenes=scenes_text(results.data),
         mean_light=_mean_light_text(best),
-        commands=list(_next_steps(verdict.best, best, designs)),
         variants=len(Series.of(results).groups) > len({p.design for p in points}),
         accuracy=list(_accuracy_panels(results, figures)),
         counts=list(_count_panels(results, figures)),
@@ -128,33 +127,6 @@ def scenes_text(data: Data) -> str:
         f"{words}; {data.validation} more are held out to choose numbers of masks, where "
         "deepfsi design trains on all"
     )
-
-
-def _next_steps(leader: Point, best: Iterable[Point], designs: Path) -> Iterator[tuple[str, str]]:
-    """Next steps, in words and as commands: to see an exposure, and to show masks on a device."""
-
-    def is_there(point: Point) -> bool:
-        return (designs / f"{point.keys[0]}.safetensors").is_file() and not point.every_pixel
-
-    if is_there(leader) and leader.balanced is not None:
-        yield (
-            f"Watch exposures of {leader.title}",
-            f"deepfsi page designs/{leader.keys[0]}.safetensors -o page.html",
-        )
-    showable = [
-        p
-        for p in best
-        if is_there(p) and p.design not in ADAPTIVE
-        # a later version may have other laws
-        if p.light in LIGHT_LAWS and LIGHT_LAWS[p.light].one_device
-    ]
-    if showable:
-        shown = max(showable, key=lambda p: (p.photons == leader.photons, p.photons, p.accuracy))
-        yield (
-            f"Write the masks of {shown.title} for your device",
-            f"deepfsi dmd export designs/{shown.keys[0]}.safetensors --device dlp7000 "
-            "--exposure 10ms -o patterns",
-        )
 
 
 def _chosen(results: Results, noise: str) -> list[Point]:

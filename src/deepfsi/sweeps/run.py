@@ -9,7 +9,7 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain, product
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ from deepfsi.sweeps.plan import Trial, plan_trials
 from deepfsi.sweeps.ray_cluster import run_on_ray
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.records import FinishedTrial, Record, Records
-from deepfsi.sweeps.results import Results, read_results
+from deepfsi.sweeps.results import Results
 from deepfsi.sweeps.summary import summarise_records
 from deepfsi.sweeps.workers import Resources, cores, processes
 
@@ -33,34 +33,6 @@ if TYPE_CHECKING:
 
 
 _ONE_PROCESSOR = Resources()
-
-
-def check_kept(
-    folder: Path, recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None
-) -> None:
-    """Raise `InputError` if results in a folder would be lost to those of a recipe."""
-    file = folder / "results.json"
-    if not file.is_file():
-        return
-    try:
-        old = read_results(file)
-    except InputError as error:
-        raise InputError(f"{error}; --force replaces it") from None
-    same = old.recipe == recipe.model_dump(mode="json") and old.data.hash == data.hash
-    if same and matrix is None:
-        return
-    new_tests = {
-        (trial.design_key, *test)
-        for fold in recipe.parts(data)
-        for trial in plan_trials(recipe, fold, matrix)
-        for test in product(trial.test_noise, trial.test_photons, trial.test_levels)
-    }
-    old_tests = {(key, p.noise, p.photons, p.levels) for p in old.points for key in p.keys}
-    if old_tests - new_tests:
-        raise InputError(
-            f"{folder} holds results of other settings ({old.command}): give another folder, or "
-            "--force to replace its results and report"
-        )
 
 
 def compare(

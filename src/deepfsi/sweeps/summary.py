@@ -4,9 +4,8 @@ import math
 import platform
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
-from functools import cached_property
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
@@ -76,22 +75,19 @@ def summarise_records(
         job = trial["job"]
         camera = job["camera"]
         settings = {
-            "trained_under": trial["trained_under"],
-            "light": camera["light"],
-            "rails": camera["rails"],
-            "design": job["design"],
-            "trained_at": job["photons"],
-            "variant": trial["variant"],
-            "detectors": trial["detectors"],
+            **trial,
+            **camera,
+            **job,
+            "detectors": trial["detectors"],  # their name
             "readout": camera["readout"] if camera["rails"] == "dual" else "",
-            "masks": job["masks"],
+            "trained_at": job["photons"],
         }
         for index, test in enumerate(record["test"]):
             at = {**settings, **{name: test[name] for name in ("noise", "photons", "levels")}}
             groups[tuple(at[axis] for axis in _AXES)].append(_Member(record, index))
     measure = "balanced" if recipe.balances else main_measure(scenes.measure).key
     points = [
-        _Setting(dict(zip(_AXES, key, strict=True)), members, labels).point(scenes, measure)
+        _point(dict(zip(_AXES, key, strict=True)), members, labels, scenes, measure)
         for key, members in groups.items()
     ]
     return Results(
@@ -226,96 +222,87 @@ def _test_of_all_folds(tests: Sequence[Record]) -> Record:
 
 
 class _Member(NamedTuple):
-    """Record of a trial, and the place among its tests of that of a setting."""
+    """Record of a trial, and the place of a setting among its tests."""
 
     record: Record
     place: int
 
 
-@dataclass(frozen=True)
-class _Setting:
-    """Trials of one setting: its values on `_AXES`, and classes (images,) of the test images."""
+def _point(
+    axes: Mapping[str, Any],
+    members: Sequence[_Member],
+    labels: np.ndarray,
+    data: Dataset,
+    chosen_by: str,
+) -> Point:
+    """Trials of one setting averaged; `labels` (images,) are classes or values of the scenes."""
+    tests = [record["test"][place] for record, place in members]
+    terms = {
+        name: np.stack([unpack_values(test["terms"][name]) for test in tests])
+        for name in tests[0]["terms"]
+    }
+    measure = main_measure(data.measure)
+    validated = [record["validation"][place] for record, place in members if record["validation"]]
+    job = members[0].record["trial"]["job"]
+    scene = find_exposure(job["exposure"]).scene(data)
+    detectors = DetectorMap.of(job["camera"]["detectors"], scene.image_shape).count
+    code = DESIGNS[axes["design"]]
+    lit = [test.get("photons_per_mask", ()) for test in tests]
+    means: dict[str, float] = {}
+    for key, other in MEASURES.items():
+        if other.averaged and all(test.get(key) is not None for test in tests):
+            means |= zip(other.keys, _measured(other, tests, terms, labels), strict=True)
+    further = {key: means.pop(key) for key in [*means] if key not in Point.model_fields}
+    return Point(
+        **axes,
+        label=code.label,
+        title=code.title,
+        specific=code.specific,
+        learned=code.learned,
+        lit=float(np.mean([*map(np.count_nonzero, lit)])) if all(lit) else None,
+        ratio=axes["masks"] / (scene.pixels / detectors),
+        trials=len(tests),
+        validation=_mean(validated, chosen_by) if validated else None,
+        **dict(
+            zip(("accuracy", "low", "high"), _measured(measure, tests, terms, labels), strict=True)
+        ),
+        covers=_covers(tests),
+        **(_of_values(tests) if data.values else _of_classes(tests)),
+        **means,
+        **({"further": further} if further else {}),
+        **{name: _mean(tests, name) for name in ("counts", "arriving", "throughput")},
+        seconds=_mean([record["info"] for record, _ in members], "seconds"),
+        accuracies=tuple(float(test[measure.key]) for test in tests),
+        terms=tuple(pack_values(row) for row in terms[measure.terms]),
+        keys=tuple(
+            key for record, _ in members for key in record.get("designs", [record["design"]])
+        ),
+        best=True,
+    )
 
-    axes: Mapping[str, Any]
-    members: Sequence[_Member]
-    labels: np.ndarray
 
-    @cached_property
-    def tests(self) -> Sequence[Record]:
-        """Test of each trial."""
-        return [record["test"][place] for record, place in self.members]
+def _mean(records: Sequence[Record], name: str) -> float:
+    return float(np.mean([record[name] for record in records]))
 
-    @cached_property
-    def terms(self) -> Mapping[str, np.ndarray]:
-        """Values of the test images (trials, images) by measure."""
-        packed = [test["terms"] for test in self.tests]
-        return {
-            name: np.stack([unpack_values(texts[name]) for texts in packed]) for name in packed[0]
-        }
 
-    def point(self, data: Dataset, chosen_by: str) -> Point:
-        """The trials, averaged."""
-        members = self.members
-        tests = self.tests
-        measure = main_measure(data.measure)
-        validated = [
-            record["validation"][place] for record, place in members if record["validation"]
-        ]
-        job = members[0].record["trial"]["job"]
-        scene = find_exposure(job["exposure"]).scene(data)
-        detectors = DetectorMap.of(job["camera"]["detectors"], scene.image_shape).count
-        code = DESIGNS[self.axes["design"]]
-        lit = [test.get("photons_per_mask", ()) for test in tests]
-        return Point(
-            **self.axes,
-            label=code.label,
-            title=code.title,
-            specific=code.specific,
-            learned=code.learned,
-            lit=float(np.mean([*map(np.count_nonzero, lit)])) if all(lit) else None,
-            ratio=self.axes["masks"] / (scene.pixels / detectors),
-            trials=len(tests),
-            validation=float(np.mean([v[chosen_by] for v in validated])) if validated else None,
-            **dict(zip(("accuracy", "low", "high"), self._measured(measure), strict=True)),
-            covers=self._covers(),
-            **(_of_values(tests) if data.values else _of_classes(tests)),
-            **self._averages(),
-            counts=float(np.mean([test["counts"] for test in tests])),
-            arriving=float(np.mean([test["arriving"] for test in tests])),
-            throughput=float(np.mean([test["throughput"] for test in tests])),
-            seconds=float(np.mean([record["info"]["seconds"] for record, _ in members])),
-            accuracies=tuple(float(test[measure.key]) for test in tests),
-            terms=tuple(pack_values(row) for row in self.terms[measure.terms]),
-            keys=tuple(
-                key for record, _ in members for key in record.get("designs", [record["design"]])
-            ),
-            best=True,
-        )
+def _covers(tests: Sequence[Record]) -> str:
+    """Sources of chance in the intervals."""
+    covers = str(tests[0]["covers"])
+    if len(tests) == 1:
+        return covers
+    trainings = f"{len(tests)} trainings{covers.partition(_ONE_TRAINING)[2]}"
+    return f"test images, noise draws and training seeds ({trainings})"
 
-    def _covers(self) -> str:
-        """Sources of chance in the intervals."""
-        covers = str(self.tests[0]["covers"])
-        if len(self.tests) == 1:
-            return covers
-        trainings = f"{len(self.tests)} trainings{covers.partition(_ONE_TRAINING)[2]}"
-        return f"test images, noise draws and training seeds ({trainings})"
 
-    def _measured(self, measure: Measure) -> tuple[float, ...]:
-        """Mean of a measure, with both ends of its interval where it has one."""
-        mean = float(np.mean([test[measure.key] for test in self.tests]))
-        if measure.interval is None:
-            return (mean,)
-        _, low, high = measure.interval(self.terms[measure.terms], self.labels)
-        return mean, low, min(high, 1.0)
-
-    def _averages(self) -> dict[str, Any]:
-        """Fields of a point: measures that are averaged over trials, where these have them."""
-        means: dict[str, float] = {}
-        for key, measure in MEASURES.items():
-            if measure.averaged and all(test.get(key) is not None for test in self.tests):
-                means |= zip(measure.keys, self._measured(measure), strict=True)
-        further = {key: means.pop(key) for key in [*means] if key not in Point.model_fields}
-        return means | ({"further": further} if further else {})
+def _measured(
+    measure: Measure, tests: Sequence[Record], terms: Mapping[str, np.ndarray], labels: np.ndarray
+) -> tuple[float, ...]:
+    """Mean of a measure, with both ends of its interval where it has one."""
+    mean = _mean(tests, measure.key)
+    if measure.interval is None:
+        return (mean,)
+    _, low, high = measure.interval(terms[measure.terms], labels)
+    return mean, low, min(high, 1.0)
 
 
 def _of_classes(tests: Sequence[Record]) -> dict[str, Any]:
@@ -365,20 +352,10 @@ def check_target(target: float, recipe: Recipe, data: Dataset) -> None:
 
 
 def needs_of(results: Results, target: float) -> list[dict[str, Any]]:
-    """Photons and masks with which each design reaches a target, the fewest photons first.
+    """Photons and masks with which each design reaches a target accuracy, fewest photons first.
 
-    Parameters
-    ----------
-    results : Results
-        Of a comparison of two budgets or more.
-    target : float
-        Accuracy.
-
-    Returns
-    -------
-    list of dict
-        JSON types only. `photons`, `low` and `high` are those of `Crossing`; `masks` those of the
-        tried budget next to it.
+    JSON types only: `photons`, `low` and `high` are those of `Crossing`, `masks` those of the tried
+    budget next to it. The comparison has two budgets or more.
     """
     apart = ("masks",) if results.chosen_on == "nothing" else ()
     curves: dict[tuple[Any, ...], list[Point]] = defaultdict(list)

@@ -3,7 +3,6 @@
 import math
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
 
@@ -15,16 +14,8 @@ from deepfsi_paper.report.section import Cell, Claim, Section, Table
 WIDE = 5.5
 """Inches; wider pictures have a line of the page for themselves."""
 
-# How an answer is written: word, mark, and place when claims are sorted by it.
-ANSWERS = {True: ("yes", "✓", 1), False: ("no", "✗", 2), None: ("open", "?", 3)}
-
-
-@dataclass(frozen=True)
-class Shown:
-    """A table cell as the page has it: its text, and the number that it sorts by."""
-
-    text: str
-    value: str | None = None
+ANSWERS = {True: ("yes", "✓"), False: ("no", "✗"), None: ("open", "?")}
+"""Word and mark of an answer."""
 
 
 def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[Section]) -> Path:
@@ -99,23 +90,23 @@ def lead(sections: Sequence[Section]) -> str:
     )
 
 
-def _columns(table: Table) -> tuple[list[bool], list[list[Shown]]]:
+def _columns(table: Table) -> tuple[list[bool], list[list[str]]]:
     """Tell which columns of a table hold words, and write its cells, row by row."""
     words, shown = [], []
     for cells in zip(*table.rows, strict=True):
         decimals = _decimals_of([float(cell) for cell in cells if isinstance(cell, Real)])
         words.append(any(isinstance(cell, str) for cell in cells))
-        shown.append([_cell_shown(cell, decimals) for cell in cells])
+        shown.append([_cell_text(cell, decimals) for cell in cells])
     return words or [True] * len(table.heads), [list(row) for row in zip(*shown, strict=True)]
 
 
-def _cell_shown(cell: Cell, decimals: int) -> Shown:
+def _cell_text(cell: Cell, decimals: int) -> str:
     """Write a cell; a dash where there is no value."""
     if isinstance(cell, str):
-        return Shown(cell)
+        return cell
     if cell is None or math.isnan(cell):
-        return Shown("–")
-    return Shown(_number_text(cell, decimals), str(cell).replace("inf", "Infinity"))
+        return "–"
+    return _number_text(cell, decimals)
 
 
 def _decimals_of(numbers: Sequence[float]) -> int:
