@@ -8,7 +8,7 @@ import pytest
 import torch
 from selenium.webdriver.common.by import By
 
-from conftest import exposing, generator, synthetic
+from conftest import exposing, generator
 from deepfsi import Camera, learn
 from deepfsi.adaptive.exposure import prior_of
 from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
@@ -30,7 +30,6 @@ KINDS = {
     "arms": {"camera": "two-arm"},
     "dark": {"camera": Camera(dark=3e3, detectors="2x2")},
     "among": {"camera": "dmd"},
-    "spectra": {"camera": "dmd"},
     "centres": {"camera": "dmd", "training": {"clusters": 8}},
 }
 """Cameras; of `among` a scene is one of those of the prior."""
@@ -43,8 +42,7 @@ CLOSE = 1e-6
 def designs(digits, all_trained_once):
     few, made = replace(digits, x_train=digits.x_train[:700], y_train=digits.y_train[:700]), {}
     for kind, settings in KINDS.items():
-        data = synthetic((24,)) if kind == "spectra" else few
-        made[kind] = learn(data, design="adaptive", masks=LOOKS, photons=PHOTONS, **settings)
+        made[kind] = learn(few, design="adaptive", masks=LOOKS, photons=PHOTONS, **settings)
     known = AdaptiveMasks(looks=LOOKS, spread=0.0)
     made["among"] = exposing(made["among"], prior=prior_of(few, known), settings=known)
     rule = {"stopping": {"threshold": SURE, "photons": PHOTONS}}
@@ -60,8 +58,7 @@ def pages(designs, digits, tmp_path_factory):
             payload, "SLIDER_BUDGETS", payload.SLIDER_BUDGETS[:1]
         )  # no test reads the accuracy here
         for kind, design in designs.items():
-            data = synthetic((24,)) if kind == "spectra" else digits
-            write_page(home / f"{kind}.html", playable(design, data))
+            write_page(home / f"{kind}.html", playable(design, digits))
     return {kind: (home / f"{kind}.html").as_uri() for kind in designs}
 
 
@@ -93,12 +90,11 @@ def exposures(designs, digits, double):
 
     def expose(kind):
         design, found = of_page(designs[kind]), []
-        data = synthetic((24,)) if kind == "spectra" else digits
         budgets = np.geomspace(10, 1e6, VECTORS)
         share = design.prior_exposure.settings.shares[0]
         for number, photons in enumerate(budgets):
             optics = LookOptics.of(design.camera, design.image_shape, float(photons))
-            prior, x = doubled(design.prior_exposure.prior), data.x_test[number]
+            prior, x = doubled(design.prior_exposure.prior), digits.x_test[number]
             state = AdaptivePosterior(prior, 1, optics)
             noise, looks = generator(number), []
             for _ in range(LOOKS):

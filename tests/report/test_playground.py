@@ -10,7 +10,7 @@ import torch
 from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 
-from conftest import quick, synthetic
+from conftest import quick
 from deepfsi.evaluation.page_data import playable
 from deepfsi.report.demo import write_page
 from shared.playground import (
@@ -36,12 +36,12 @@ CLOSE = 1e-7
 @pytest.fixture(scope="module")
 def designs(digits, all_trained_once):
     """Give designs by their kind, trained until they know something."""
-    kept, spectra = digits.hold_out(237), synthetic((24,))
+    kept = digits.hold_out(237)
 
     @cache
     def design(kind):
         settings = {**KINDS, **DARK_KINDS}[kind]
-        return quick(spectra if kind == "spectra" else kept, epochs=15, lr=2e-2, **settings)
+        return quick(kept, epochs=15, lr=2e-2, **settings)
 
     return design
 
@@ -49,13 +49,12 @@ def designs(digits, all_trained_once):
 @pytest.fixture(scope="module")
 def pages(designs, digits, tmp_path_factory):
     few = replace(digits, x_test=digits.x_test[:100], y_test=digits.y_test[:100])
-    data = {"spectra": synthetic((24,))}
-    return page_writer(tmp_path_factory.mktemp("pages"), designs, lambda kind: data.get(kind, few))
+    return page_writer(tmp_path_factory.mktemp("pages"), designs, lambda _: few)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_rates_are_those_of_the_design(opened, designs, digits, kind):
-    scenes = (synthetic((24,), scenes=600) if kind == "spectra" else digits).x_test[:20]
+    scenes = digits.x_test[:20]
     design = designs(kind)
     rates = design.exposure.rates(design.scanner(), torch.from_numpy(scenes)).numpy()
     found = ask(
@@ -224,7 +223,7 @@ def test_all_is_done_with_the_keyboard_alone(opened):
     assert said(browser, "verdict").startswith("Answer: ")
 
 
-@pytest.mark.parametrize("kind", ["column", "range", "spectra"])
+@pytest.mark.parametrize("kind", ["column", "range"])
 def test_an_exposure_is_watched_frame_by_frame(opened, kind):
     browser = opened(kind)
     assert said(browser, "verdict").startswith("Nothing is exposed yet")
@@ -241,7 +240,7 @@ def test_an_exposure_is_watched_frame_by_frame(opened, kind):
         browser, "return page.exposure.frames.flatMap(f => f.counts).reduce((a, b) => a + b)"
     )
     drawn = ask(browser, "return [...page.exposure.answers.keys()].filter(at => at > 0)")
-    assert len(drawn) == {"column": 48, "range": 1, "spectra": 1}[kind]
+    assert len(drawn) == {"column": 48, "range": 1}[kind]
     before = min(drawn) - 1  # no probability is shown where the network did not learn to answer
     assert ["%" in words for words in answers] == [False] * before + [True] * (len(looks) - before)
     assert said(browser, "verdict").startswith("Answer: ")

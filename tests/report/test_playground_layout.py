@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from selenium.webdriver.common.by import By
 
-from conftest import quick, synthetic
+from conftest import quick
 from deepfsi import learn
 from deepfsi.evaluation import page_data
 from shared.browser import CONTRASTS, CUT, OVERFLOW, look, requests_of
@@ -21,27 +21,24 @@ from shared.playground import (
 from shared.waiting import until
 
 WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
-ADAPTIVE = {"adaptive": "dmd", "adaptive-arms": "two-arm", "adaptive-spectra": "dmd"}
+ADAPTIVE = {"adaptive": "dmd", "adaptive-arms": "two-arm"}
 LOOKS = 8
 """Of adaptive masks: an exposure lasts five seconds at speed 1."""
 
-every_kind = pytest.mark.parametrize("kind", ["column", "range", "spectra", *ADAPTIVE])
+every_kind = pytest.mark.parametrize("kind", ["column", "range", *ADAPTIVE])
 
 
 @pytest.fixture(scope="module")
 def pages(digits, tmp_path_factory):
     def design(kind):
         if kind not in ADAPTIVE:
-            return quick(data(kind), **KINDS[kind])
+            return quick(digits, **KINDS[kind])
         settings = {"camera": ADAPTIVE[kind], "masks": LOOKS, "photons": 1e3}
-        return learn(data(kind), design="adaptive", **settings)
-
-    def data(kind):
-        return synthetic((24,)) if kind.endswith("spectra") else digits
+        return learn(digits, design="adaptive", **settings)
 
     with pytest.MonkeyPatch.context() as patch:  # no test reads the accuracy here
         patch.setattr(page_data, "SLIDER_BUDGETS", page_data.SLIDER_BUDGETS[:1])
-        yield page_writer(tmp_path_factory.mktemp("pages"), design, data)
+        yield page_writer(tmp_path_factory.mktemp("pages"), design, lambda _: digits)
 
 
 @every_kind

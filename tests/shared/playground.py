@@ -21,7 +21,6 @@ KINDS = {
     "tiles": {"masks": 3, "light": "free-dwell", "detectors": "2x2"},
     "both": {"masks": 5, "light": "free-dwell", "readout": "both"},
     "range": {"masks": 9, "span": 1e3, "photons": 1e2, **ONE_ARM},
-    "spectra": {"masks": 5, "light": "free-dwell"},
 }
 """Settings of the designs that are played."""
 

@@ -42,16 +42,6 @@ def test_a_recipe_names_classifiers_of_ones_own(digits, tmp_path):
     assert all(record["test"][0]["draws"] == 2 for record in again)
 
 
-def test_settings_of_one_kind_of_classifier_are_not_those_of_the_other(digits):
-    own = {"hidden": [[8], [16]], "classifier_arguments": {"width": 3}}
-    trials = plan_trials(recipe(photons=1e3, training=own), digits)
-    jobs = [trial.job.training for trial in trials]
-    found = [(job.classifier, job.hidden, job.classifier_arguments) for job in jobs]
-    assert found == [("mlp", (8,), {}), ("mlp", (16,), {}), (CNN, (40, 128), {"width": 3})]
-    with pytest.raises(InputError, match="are of the usual classifier"):
-        plan_trials(recipe(training={**own, "classifier": CNN}), digits)
-
-
 def test_records_depend_on_the_file_of_the_classifier(digits, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     file = tmp_path / "edited_nets.py"

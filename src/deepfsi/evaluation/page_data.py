@@ -35,7 +35,6 @@ SLIDER_BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 
 SCENES = 30
 """Test scenes in the page, of each class as many as can be."""
 
-
 TESTED = 300
 """Test scenes by which the accuracy of adaptive masks is measured, at most: a look takes a ms."""
 
@@ -101,6 +100,8 @@ def of_page(design: Design, seed: int = 0) -> Design:
 def check_playable(design: Design) -> None:
     """Raise `InputError` for a design that no page can play."""
     check_classes(design.values, "a page")
+    if len(design.image_shape) == 1:
+        raise InputError("this design is of spectra, and on a page images are drawn")
     if not design.camera.noise_facts.steady:
         raise InputError(
             "this design is for light that fluctuates, and a page draws photon and dark counts of "
@@ -233,9 +234,6 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
         "high": high,
         "levels": _pack(levels),
         "labels": data.y_test[rows].tolist(),
-        "wavelengths": None
-        if data.wavelengths is None
-        else np.nan_to_num(data.wavelengths, nan=-1).tolist(),
     }
 
 

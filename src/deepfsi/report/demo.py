@@ -26,7 +26,6 @@ _SCRIPTS = tuple(
 
 def write_page(path: str | os.PathLike[str], payload: Mapping[str, Any]) -> Path:
     """Write the page of a design, as `playable` makes it, whole or not at all."""
-    bands = [nm for nm in payload["scenes"]["wavelengths"] or [] if nm > 0]
     adaptive = "prior" in payload
     masks = len(payload["shares"]) if adaptive else payload["matrix"]["shape"][0]
     page = render(
@@ -37,7 +36,6 @@ def write_page(path: str | os.PathLike[str], payload: Mapping[str, Any]) -> Path
         mask_count=masks,
         masks=plural(masks, "adaptive mask" if adaptive else "mask"),
         pixels=prod(payload["image_shape"]),
-        bands=(round(min(bands)), round(max(bands))) if bands else None,
     )
     return write_atomically(path, page.encode())
 

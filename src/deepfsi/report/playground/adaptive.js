@@ -3,14 +3,14 @@
 import { places, wholeText } from "./charts.js";
 import { LookExposure } from "./looks.js";
 import { $, roundUp } from "./page.js";
-import { colour, paint, plot, show, tile, UNLIT } from "./scene.js";
+import { paint, show, tile, UNLIT } from "./scene.js";
 
 const STRIP = 64; // masks side by side
 const COLUMNS = 16; // of them in a row
 
 export class AdaptiveView {
   constructor(model) {
-    Object.assign(this, { model, spectrum: model.image_shape.length === 1 });
+    this.model = model;
     this.unit = "look";
     this.units = model.looks;
     this.names = { one: "look 1", all: `look ${model.looks}`, counts: "counts of each look" };
@@ -50,8 +50,7 @@ export class AdaptiveView {
     const { model } = this;
     const { pattern, look } = frame ?? exposure.frames[count - 1];
     $("h-device").textContent = !frame ? "Last mask" : look ? "On the device now" : "First mask";
-    if (this.spectrum) plot($("mask"), [{ values: [...pattern], ink: colour("--pca"), steps: true }], [0, 1]);
-    else paint($("mask"), model.image_shape, (i) => pattern[i]);
+    paint($("mask"), model.image_shape, (i) => pattern[i]);
     show($("through"), model, exposure.scenes[count]);
     const made = look ? `made from the counts of the ${look === 1 ? "look" : `${look} looks`} before` : "made before anything is counted";
     const lit = pattern.reduce((a, b) => a + b, 0) / pattern.length;
@@ -61,15 +60,13 @@ export class AdaptiveView {
     this.drawStrip(exposure, frame ? count + 1 : count);
   }
 
-  /** Masks so far side by side; of a spectrum each is a row. */
+  /** Masks so far side by side. */
   drawStrip(exposure, count) {
     const { model } = this;
-    const shape = this.spectrum ? [1, model.pixels] : model.image_shape;
-    $("strip").classList.toggle("rows", this.spectrum);
     const shown = Math.min(model.looks, STRIP);
     const first = Math.max(count - shown, 0);
-    const columns = this.spectrum ? 1 : Math.min(COLUMNS, shown);
+    const columns = Math.min(COLUMNS, shown);
     const patterns = places(shown).map((place) => (first + place < count ? exposure.frames[first + place].pattern : null));
-    tile($("strip"), shape, shown, columns, (place, i) => (patterns[place] ? patterns[place][i] : UNLIT));
+    tile($("strip"), model.image_shape, shown, columns, (place, i) => (patterns[place] ? patterns[place][i] : UNLIT));
   }
 }

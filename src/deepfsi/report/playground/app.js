@@ -10,7 +10,7 @@ import { Model } from "./model.js";
 import { poisson, Random, unpack } from "./numbers.js";
 import { $, percent } from "./page.js";
 import { LookOptics, Posterior } from "./posterior.js";
-import { colour, CurvePad, ImagePad, plot, show } from "./scene.js";
+import { Pad, show } from "./scene.js";
 
 const SECONDS = 5; // of a whole exposure on the page at speed 1
 const embedded = window !== parent; // as high as it is whole: what is in view is not known
@@ -18,14 +18,11 @@ const embedded = window !== parent; // as high as it is whole: what is in view i
 class Page {
   constructor(model, scenes) {
     Object.assign(this, { model, scenes, label: null, playing: false, drawn: {} });
-    this.spectrum = model.image_shape.length === 1;
     this.view = model.prior ? new AdaptiveView(model) : new KnownView(model);
-    const Pad = this.spectrum ? CurvePad : ImagePad;
     this.pad = new Pad($("scene"), model, scenes, () => this.drew());
     const { low, high } = model.budget ?? { low: 1e4, high: 1e4 };
     $("light").value = Math.min(Math.max(Math.log10(Math.sqrt(low * high)), 1), 7);
     $("seed").value = 1;
-    $("mask").parentElement.classList.toggle("curves", this.spectrum);
     this.listThumbs();
     this.listen();
     this.choose(model.scenes.clearest);
@@ -41,7 +38,6 @@ class Page {
   }
 
   listThumbs() {
-    $("scenes").classList.toggle("curves", this.spectrum);
     this.thumbs = this.scenes.map((scene, place) => {
       const button = document.createElement("button");
       button.type = "button";
@@ -49,8 +45,7 @@ class Page {
       button.setAttribute("aria-label", `Test scene ${place + 1}, class ${name}`);
       button.title = name;
       const canvas = document.createElement("canvas");
-      if (this.spectrum) plot(canvas, [{ values: scene, ink: colour("--ink") }], [this.model.scenes.low, this.model.scenes.high], [120, 56]);
-      else show(canvas, this.model, scene);
+      show(canvas, this.model, scene);
       button.append(canvas);
       button.addEventListener("click", () => this.choose(place));
       return button;
@@ -110,7 +105,7 @@ class Page {
     $("light-words").textContent =
       `About ${percent(share)} of ${model.test.images} test scenes are right with so much light${mean}. ` +
       `From this scene come ${photonsText(photons * brightness)} photons, ` +
-      `${photonsText((photons * brightness) / model.pixels)} per ${this.spectrum ? "band" : "pixel"}.` +
+      `${photonsText((photons * brightness) / model.pixels)} per pixel.` +
       this.view.counted(this.scene, photons);
     const name = this.label === null ? null : model.classes[this.label];
     $("scene-words").textContent = name === null ? "Your own scene." : `Class ${name}. Draw, or choose another:`;
@@ -264,7 +259,7 @@ class Page {
       pen.addEventListener("change", () => (this.pad.ink = pen.value === "ink"));
     }
     const side = Math.max(this.pad.wide, this.pad.tall);
-    if (!this.spectrum) $("width").value = Math.round((this.pad.pen.radius / side) * 80 * 2) / 2;
+    $("width").value = Math.round((this.pad.pen.radius / side) * 80 * 2) / 2;
     on("width", "input", () => (this.pad.pen.radius = (Number($("width").value) / 80) * side));
     const again = () => {
       this.listThumbs();

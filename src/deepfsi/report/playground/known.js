@@ -3,14 +3,13 @@
 import { photonsText, places } from "./charts.js";
 import { Exposure } from "./exposure.js";
 import { $, percent, roundUp } from "./page.js";
-import { colour, paint, plot, tile } from "./scene.js";
+import { paint, tile } from "./scene.js";
 
 const MOSAIC = 64; // masks shown side by side
-const CURVES = ["--pca", "--deepfsi", "--truncated-hadamard", "--control", "--hadamard", "--muted"];
 
 export class KnownView {
   constructor(model) {
-    Object.assign(this, { model, spectrum: model.image_shape.length === 1 });
+    this.model = model;
     this.unit = "mask";
     this.units = model.masks;
     this.names = { one: "mask 1", all: `mask ${model.masks}`, counts: "counts of each mask" };
@@ -66,19 +65,14 @@ export class KnownView {
     const device = pattern.map((each) => each / peak);
     const { high } = model.scenes;
     const passed = device.map((each, i) => each * exposure.scene[i]);
-    if (this.spectrum) {
-      plot(canvas, [{ values: device, ink: colour(rail ? "--deepfsi" : "--pca"), steps: true }], [0, 1]);
-      plot($("through"), [{ values: passed, ink: colour("--ink") }], [0, high]);
-    } else {
-      paint(canvas, model.image_shape, (i) => device[i]);
-      paint($("through"), model.image_shape, (i) => passed[i] / high);
-    }
+    paint(canvas, model.image_shape, (i) => device[i]);
+    paint($("through"), model.image_shape, (i) => passed[i] / high);
     $("passed").hidden = false;
     canvas.classList.toggle("rail-minus", rail === 1);
     canvas.classList.toggle("rail-plus", rail === 0);
     const which = rails.length > 1 ? ", both arms" : model.rails === 2 ? [", positive rail", ", negative rail"][rail] : "";
-    const arms = this.spectrum ? "High goes in one direction, low in the other. " : "White goes in one direction, black in the other. ";
-    const all = this.spectrum ? "" : `White goes to the detector${model.detectors > 1 ? "s" : ""}. `;
+    const arms = "White goes in one direction, black in the other. ";
+    const all = `White goes to the detector${model.detectors > 1 ? "s" : ""}. `;
     $("h-through").textContent = rails.length > 1 ? "Light in the first direction" : "Light that passes";
     $("mask-words").textContent =
       `Mask ${mask + 1} of ${model.masks}${which}, shown for ${percent(share / exposure.length)} of the exposure. ` +
@@ -91,30 +85,22 @@ export class KnownView {
     if (this.mosaic) return;
     this.mosaic = true;
     const canvas = $("mask");
-    const count = Math.min(model.masks, this.spectrum ? CURVES.length : MOSAIC);
+    const count = Math.min(model.masks, MOSAIC);
     canvas.classList.remove("rail-plus", "rail-minus");
     const value = (mask, i) => model.matrix[mask * model.pixels + i];
     const peaks = Array.from({ length: count }, (_, mask) => Math.max(model.peaks[0][mask], model.peaks[1]?.[mask] ?? 0));
-    if (this.spectrum) {
-      const curves = places(count).map((mask) => ({
-        values: Array.from({ length: model.pixels }, (_, i) => value(mask, i) / peaks[mask]),
-        ink: colour(CURVES[mask]),
-      }));
-      plot(canvas, curves, [model.rails === 2 ? -1 : 0, 1]);
-    } else {
-      const dwells = places(count).map((mask) => model.entry(0, mask, 0) + (model.rails > 1 ? model.entry(1, mask, 0) : 0));
-      tile(canvas, model.image_shape, count, Math.ceil(Math.sqrt(count)), (mask, i) => {
-        const share = value(mask, i) / peaks[mask];
-        if (model.rails === 1) return share;
-        if (model.law.arms === 2) return (1 + value(mask, i) / dwells[mask]) / 2;
-        const bright = share > 0 ? [86, 180, 255] : [255, 125, 59];
-        return bright.map((each) => each * Math.abs(share));
-      });
-    }
+    const dwells = places(count).map((mask) => model.entry(0, mask, 0) + (model.rails > 1 ? model.entry(1, mask, 0) : 0));
+    tile(canvas, model.image_shape, count, Math.ceil(Math.sqrt(count)), (mask, i) => {
+      const share = value(mask, i) / peaks[mask];
+      if (model.rails === 1) return share;
+      if (model.law.arms === 2) return (1 + value(mask, i) / dwells[mask]) / 2;
+      const bright = share > 0 ? [86, 180, 255] : [255, 125, 59];
+      return bright.map((each) => each * Math.abs(share));
+    });
     if ($("passed")) $("passed").hidden = true;
     const some = count < model.masks ? `The first ${count} of ${model.masks} masks` : `All ${model.masks} masks`;
     const dual = model.law.arms === 2 ? " White goes in one direction, black in the other." : " Blue is counted by the positive rail, orange by the negative one.";
     const signs = model.rails === 2 ? dual : " White is counted, black is not.";
-    $("mask-words").textContent = `${some}, each to its own brightest value.${this.spectrum ? "" : signs}`;
+    $("mask-words").textContent = `${some}, each to its own brightest value.${signs}`;
   }
 }

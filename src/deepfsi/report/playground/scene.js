@@ -5,8 +5,6 @@ export const UNLIT = [44, 56, 70];
 
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
-export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-
 /** Paint an image, each pixel of it an [r, g, b] or a grey level 0 to 1. */
 export function paint(canvas, [height, width], levels) {
   canvas.width = width;
@@ -24,52 +22,19 @@ export function paint(canvas, [height, width], levels) {
 export function tile(canvas, [height, width], count, columns, level) {
   const rows = Math.ceil(count / columns);
   const gap = Math.max(1, Math.round(width / 12));
-  const rise = height > 1 ? gap : 0; // rows of single pixels lie close
-  const size = [rows * (height + rise) - rise, columns * (width + gap) - gap];
+  const size = [rows * (height + gap) - gap, columns * (width + gap) - gap];
   paint(canvas, size, (at) => {
     const [y, x] = [Math.floor(at / size[1]), at % size[1]];
-    const place = Math.floor(y / (height + rise)) * columns + Math.floor(x / (width + gap));
-    const [row, column] = [y % (height + rise), x % (width + gap)];
+    const place = Math.floor(y / (height + gap)) * columns + Math.floor(x / (width + gap));
+    const [row, column] = [y % (height + gap), x % (width + gap)];
     if (place >= count || row >= height || column >= width) return UNLIT;
     return level(place, row * width + column);
   });
 }
 
-/** Draw curves over the bands, each with its colour; null leaves a gap. */
-export function plot(canvas, curves, [low, high], [width, height] = [560, 220]) {
-  canvas.classList.add("curve");
-  canvas.width = width;
-  canvas.height = height;
-  const context = canvas.getContext("2d");
-  for (const { values, ink, steps } of curves) {
-    context.strokeStyle = ink;
-    context.lineWidth = 3;
-    context.lineJoin = "round";
-    context.beginPath();
-    let open = false;
-    values.forEach((value, i) => {
-      if (value === null) {
-        open = false;
-        return;
-      }
-      const y = height - 8 - clamp((value - low) / (high - low), 0, 1) * (height - 16);
-      const [left, right] = [(i * width) / values.length, ((i + 1) * width) / values.length];
-      if (!open) context.moveTo(steps ? left : (left + right) / 2, y);
-      else context.lineTo(steps ? left : (left + right) / 2, y);
-      if (steps) context.lineTo(right, y);
-      open = true;
-    });
-    context.stroke();
-  }
-}
-
-/** Show reflectances (null where nothing was measured) as a picture or a curve. */
-export function show(canvas, model, values, range = model.scenes) {
-  const { low, high } = range;
-  if (model.image_shape.length === 1) {
-    plot(canvas, [{ values: [...values], ink: colour("--ink") }], [low, high]);
-    return;
-  }
+/** Show reflectances (null where nothing was measured) as a picture. */
+export function show(canvas, model, values) {
+  const { low, high } = model.scenes;
   paint(canvas, model.image_shape, (i) =>
     values[i] === null ? UNLIT : (values[i] - low) / (high - low),
   );
@@ -93,7 +58,7 @@ function box(values, [height, width], ground, ink) {
 }
 
 /** Canvas to draw an image on: strokes are fine, the scene is their mean over each pixel. */
-export class ImagePad {
+export class Pad {
   constructor(canvas, model, scenes, changed) {
     Object.assign(this, { canvas, model, changed, ink: true, stroke: null });
     [this.height, this.width] = model.image_shape;
@@ -233,79 +198,5 @@ export class ImagePad {
     const [x, y] = [this.cursor.x / this.fine, this.cursor.y / this.fine];
     context.fillStyle = "#e8590c";
     context.fillRect(clamp(Math.floor(x), 0, this.width - 1), clamp(Math.floor(y), 0, this.height - 1), 1, 1);
-  }
-}
-
-/** Canvas to draw a spectrum on. */
-export class CurvePad {
-  constructor(canvas, model, scenes, changed) {
-    Object.assign(this, { canvas, model, changed, last: null, band: 0 });
-    this.values = Float64Array.from(scenes[0]);
-    canvas.addEventListener("pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      this.last = this.point(event);
-      this.move(this.last);
-    });
-    canvas.addEventListener("pointermove", (event) => this.last && this.move(this.point(event)));
-    for (const end of ["pointerup", "pointercancel"]) {
-      canvas.addEventListener(end, () => (this.last = null));
-    }
-    canvas.addEventListener("keydown", (event) => this.press(event));
-  }
-
-  get scene() {
-    return Float64Array.from(this.values);
-  }
-
-  set scene(values) {
-    this.values = Float64Array.from(values);
-  }
-
-  clear() {
-    this.values.fill((this.model.scenes.low + this.model.scenes.high) / 2);
-    this.changed();
-  }
-
-  point(event) {
-    const frame = this.canvas.getBoundingClientRect();
-    const { low, high } = this.model.scenes;
-    const share = (event.clientX - frame.left) / frame.width;
-    const rise = 1 - (event.clientY - frame.top) / frame.height;
-    return {
-      band: clamp(Math.floor(share * this.values.length), 0, this.values.length - 1),
-      value: low + clamp(rise, 0, 1) * (high - low),
-    };
-  }
-
-  move(to) {
-    const from = this.last;
-    const step = to.band >= from.band ? 1 : -1;
-    for (let band = from.band; band !== to.band + step; band += step) {
-      const share = to.band === from.band ? 1 : (band - from.band) / (to.band - from.band);
-      this.values[band] = from.value + share * (to.value - from.value);
-    }
-    this.last = to;
-    this.changed();
-  }
-
-  press(event) {
-    const { low, high } = this.model.scenes;
-    const sideways = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-    const rise = { ArrowUp: 1, ArrowDown: -1 }[event.key];
-    if (!sideways && !rise) return;
-    event.preventDefault();
-    if (sideways) this.band = clamp(this.band + sideways, 0, this.values.length - 1);
-    else this.values[this.band] = clamp(this.values[this.band] + (rise * (high - low)) / 50, low, high);
-    this.changed();
-  }
-
-  draw(scene) {
-    const { low, high } = this.model.scenes;
-    const curves = [{ values: [...scene], ink: colour("--ink") }];
-    if (this.canvas.matches(":focus-visible")) {
-      const mark = [...scene].map((value, i) => (Math.abs(i - this.band) < 1 ? value : null));
-      curves.push({ values: mark, ink: colour("--deepfsi"), steps: true });
-    }
-    plot(this.canvas, curves, [low, high], [900, 300]);
   }
 }
