@@ -233,7 +233,7 @@ def check_data(design: Design, data: Dataset) -> None:
 
 
 def check_draws(draws: object, seed: object) -> None:
-    """Raise `InputError` unless so many noise draws can be had from that seed."""
+    """Raise `InputError` unless the number of draws and the seed are allowed."""
     whole = int, np.integer
     if not isinstance(seed, whole) or not 0 <= seed < 2**63:
         raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")

@@ -183,9 +183,6 @@ def _fit(logits: np.ndarray, scenes: CalibrationScenes) -> float:
     return float(minimize_scalar(log_loss, bounds=LOG_BOUNDS, method="bounded", options=options).x)
 
 
-FEWEST_OF_A_CLASS = 50
-"""Scenes of each class from which on a tail is calibrated: those that a tail has are a fifth."""
-
 MOST_SCENES = 4096
 """Training scenes that are looked at, at most."""
 
@@ -215,7 +212,8 @@ def find_distribution(
     # what the scenes of one fold alone light cannot be compared with those of the others
     lit = np.sum([(every[fold] > 0).any(axis=0) for fold in folds], axis=0) > 1
     sizes = np.bincount(labels, minlength=classes)
-    if len(every) < 100 or sizes.min() < FEWEST_OF_A_CLASS or not lit.any():
+    # the tail of a class, to which a power law is fitted, is a fifth of its scenes
+    if len(every) < 100 or sizes.min() < 50 or not lit.any():
         return None
     held = every[:, lit]
     total = held.mean(axis=0).sum()

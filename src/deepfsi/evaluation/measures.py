@@ -40,7 +40,7 @@ MOST_DRAWS = 10_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Answers:
-    """Answers of one design at one budget: E exposures, so many draws of each of n scenes."""
+    """Answers of a design at a budget: E exposures, `draws` of each of n scenes."""
 
     photons: float  # budget Φ
     noise: str

@@ -23,14 +23,8 @@ Measured: TypeAlias = Any
 DESIGN_AND_OPTICS = ("design", "light", "rails", "detectors")
 """Fields that tell series apart in every comparison, the design first."""
 
-_LONGEST_NAME = 32
-"""Letters of the longest name in a figure; where one is longer, all are the designs' short ones."""
-
 SeriesKey = tuple[str, ...]
 """Values of the fields that tell series apart."""
-
-LINE_HEIGHT = 0.06
-"""Height of a name at the right edge, in parts of the axis."""
 
 _CHANCE: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
 """Line of the accuracy that chance gives."""
@@ -71,7 +65,7 @@ class Series:
         """Name of each series in a figure: written out, or short where one would be too long."""
         firsts = {key: members[0] for key, members in self.groups.items()}
         names = {key: self.name(point) for key, point in firsts.items()}
-        if max(map(len, names.values())) <= _LONGEST_NAME:
+        if max(map(len, names.values())) <= 32:  # letters beside a panel
             return names
         return {key: self.name(point, "label") for key, point in firsts.items()}
 
@@ -320,7 +314,7 @@ def _name_ends(ax: Axes, ends: list[_End]) -> None:
     ordered = sorted(ends, key=attrgetter("y"))
     heights = np.array([end.y for end in ordered])
     top = ax.get_ylim()[1]
-    line = LINE_HEIGHT * top
+    line = 0.06 * top  # height of a name
     for i in range(1, len(heights)):
         heights[i] = max(heights[i], heights[i - 1] + line)
     heights[-1] = min(heights[-1], top + line / 3)

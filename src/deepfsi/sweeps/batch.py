@@ -25,21 +25,6 @@ from deepfsi.training.learning import Diverged, check_fits, companions, footprin
 MASKS_AT_ONCE = 2048
 """Learned masks that a processor trains together: with more its caches lose what batching gains."""
 
-MEMORY_SHARE = 0.7
-"""Share of the free memory that is planned for."""
-
-TRAINING_SHARE = 0.9
-"""Share of a batch's time that its training takes, for the bar; its tests take the rest."""
-
-PRIOR_SHARE = 0.1
-"""The same of the prior of adaptive masks."""
-
-LOOK_EFFORT = 0.4
-"""Cost of a look of adaptive masks at one scene, in units of `BatchTrainer.effort`."""
-
-_TRAINING_KEPT = "what was trained is kept, run again to go on"
-"""What a sweep that is stopped says, once there is a checkpoint."""
-
 Batch = list[Trial]
 """Trials that are trained together."""
 
@@ -83,11 +68,12 @@ class BatchTrainer:
         return self.training_set.device
 
     def batches(self, trials: Sequence[Trial], workers: int = 1) -> list[Batch]:
-        """Trials to be trained together, the longest work first, in the free memory.
+        """Batches that fit the free memory, the longest work first.
 
-        `InputError` where one of them alone takes more than all that is free.
+        Raises `InputError` if one trial alone takes more memory than is free.
         """
-        limit = MEMORY_SHARE * memory_for(self.processor) / workers
+        # less than what is free: estimates of a footprint are not exact
+        limit = 0.7 * memory_for(self.processor) / workers
         batches = self.batches_within(trials, limit)
         for batch in batches:
             if len(batch) == 1:
@@ -95,11 +81,10 @@ class BatchTrainer:
         return batches
 
     def batches_within(self, trials: Sequence[Trial], limit: float) -> list[Batch]:
-        """Trials to be trained together, the longest work first.
+        """Batches of at most `limit` bytes, the longest work first.
 
-        On a GPU those are all that are `companions`; on a processor those of one seed, which share
-        their scenes and noise, up to `MASKS_AT_ONCE`. A batch that would take more than `limit`
-        bytes is split.
+        A GPU trains all `companions` together; a processor those of one seed, which share scenes
+        and noise, up to `MASKS_AT_ONCE`.
         """
         groups: dict[Any, Batch] = defaultdict(list)
         for trial in sorted(trials, key=lambda trial: (trial.job.seed, trial.job.photons)):
@@ -128,9 +113,9 @@ class BatchTrainer:
         """Relative cost of training a batch: a constant a step, products and noise."""
         trial = batch[0]
         job = trial.job
-        if job.code.adaptive:  # their tests take the time
+        if job.code.adaptive:  # tests take the time: a look at a scene costs 0.4
             scenes = trial.draws * len(trial.test_photons) * (len(self.data.x_test) + self.held_out)
-            return LOOK_EFFORT * scenes * job.masks * len(batch)
+            return 0.4 * scenes * job.masks * len(batch)
         cost = 20.0 + len(batch) * (20 + job.masks) * (3 if job.code.learned else 1)
         twice = 2 if job.code.learned_under else 1
         return job.training.epochs * cost * twice
@@ -145,9 +130,9 @@ class BatchTrainer:
     ) -> list[FinishedTrial]:
         """Train and test one batch, which goes on from its file in a folder of checkpoints.
 
-        It is done in parts where this machine would batch otherwise than the one that planned or
-        has less memory free than was planned for, in halves where a GPU's memory does not hold it,
-        and one by one where a trial diverges; that one's record is None.
+        A machine that batches otherwise, or has less free memory, trains it in parts; a GPU whose
+        memory does not hold it, in halves. Where a trial diverges they are trained one by one, and
+        its record is None.
         """
         first = batch[0].job
         taken = self.training_set.full.nbytes
@@ -155,7 +140,8 @@ class BatchTrainer:
         if len(parts) > 1:
             spans = zip(parts, report.split(len(parts)), strict=True)
             return [done for part, span in spans for done in self.train(part, span, checkpoints)]
-        share = PRIOR_SHARE if first.code.adaptive else TRAINING_SHARE
+        # of the bar; tests take the rest, with adaptive masks most of the time
+        share = 0.1 if first.code.adaptive else 0.9
         matrix = self.matrix if first.code.is_custom else None
         jobs = [trial.job for trial in batch]
         try:
@@ -196,7 +182,7 @@ class BatchTrainer:
         except InputError:  # damaged, or of a batch of other trials
             path.unlink(missing_ok=True)
             checkpoint = Checkpoint.of(path, self.training_set, jobs, matrix)
-        checkpoint.words = _TRAINING_KEPT
+        checkpoint.words = "what was trained is kept, run again to go on"
         return checkpoint
 
     def record(self, trial: Trial, design: Design) -> Record:

@@ -23,7 +23,7 @@ from deepfsi.jobs.job import REVISION, Job, custom_parts
 from deepfsi.sweeps.recipe import CameraVariant, Recipe, TestNoise
 
 MOST_TRIALS = 100_000
-"""Trials of one recipe: months of training, and records that still fit the memory."""
+"""Trials of a recipe at most: months of training, whose records still fit the memory."""
 
 ADAPTIVE_SCENES = 5000
 """Scenes with which adaptive masks are compared unasked, at most: each look takes a millisecond."""
@@ -47,8 +47,8 @@ class Trial(StrictModel):
     detectors: str = Field("1x1", description="name of its detectors: as given, or of their map")
     data: str = Field(description="name")
     data_hash: str = Field(description="of scenes and labels")
-    matrix_hash: str = Field("", description="of one's own masks")
-    source_hash: str = Field("", description="of the files of one's own classifier, loss and noise")
+    matrix_hash: str = Field("", description="of your own masks")
+    source_hash: str = Field("", description="of the files of your own classifier, loss and noise")
     validation: int = Field(description="training scenes held out")
     draws: int = Field(description="noise draws of each test scene")
     test_photons: tuple[float, ...] = Field(description="budgets of the tests")
@@ -114,7 +114,7 @@ def check_settings(
     load: Callable[[Recipe], Dataset],
     matrix: np.ndarray | None = None,
 ) -> tuple[Recipe, Dataset]:
-    """Recipe of settings, and its data; `matrix` (m, N) holds one's own masks."""
+    """Recipe of settings, and its data; `matrix` (m, N) holds the user's masks."""
     with as_input_error():
         recipe = Recipe.model_validate(settings)
     if matrix is not None and "custom" not in recipe.designs:
@@ -142,7 +142,7 @@ def with_adaptive(recipe: Recipe, data: Dataset) -> Recipe:
 
 @dataclass(frozen=True)
 class _Plan:
-    """Recipe, data that it is run on, and one's own masks (m, N)."""
+    """Recipe, its data, and the user's masks (m, N)."""
 
     recipe: Recipe
     data: Dataset

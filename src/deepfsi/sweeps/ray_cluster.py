@@ -28,7 +28,7 @@ def run_on_ray(
     cpus: float = 1,
     gpus: float = 0,
 ) -> Generator[Any, None, None]:
-    """Results of tasks on a Ray cluster, as they finish.
+    """Yield what tasks return on a Ray cluster, as each finishes.
 
     Stopping early cancels the rest, and stops a cluster that was started here. Where every node
     that could run a task has gone, it waits for one to come.

@@ -46,9 +46,6 @@ Record = dict[str, Any]
 _TRIALS_KEPT = "finished trials are kept, run again to go on"
 """What a command that is stopped says, once there is one."""
 
-_LARGEST_RECORD = 2**26
-"""Bytes of a record at most."""
-
 
 class FinishedTrial(NamedTuple):
     """A trial that was trained, tested, or both."""
@@ -88,7 +85,7 @@ class Records:
         if not self._design_path(trial).is_file():
             return None
         try:
-            content = read_regular(self._record_path(trial), _LARGEST_RECORD, "leave it out")
+            content = read_regular(self._record_path(trial), 2**26, "leave it out")
             record = json.loads(content)
             named = record["schema"], record["key"], bool(record["test"][0]["terms"])
         except (ValueError, LookupError, TypeError, RecursionError):  # damaged

@@ -25,9 +25,6 @@ from deepfsi.jobs.designs import EVERY_PIXEL
 RESULTS_SCHEMA = 5
 """Schema of results and of records, the only one; tests of records of another are run anew."""
 
-_LARGEST_RESULTS = 2**28
-"""Bytes of a file of results at most."""
-
 _Score = Annotated[float, Field(le=1, allow_inf_nan=False)]
 """Accuracy, area under a ROC curve, or R², which a bad guess takes below 0."""
 
@@ -240,6 +237,6 @@ def write_results(path: Path, results: Results) -> Path:
 def read_results(path: Path) -> Results:
     """Results that `write_results` wrote, or `InputError`."""
     again = "run the comparison again"
-    content = read_text(path, _LARGEST_RESULTS, again)
+    content = read_text(path, 2**28, again)
     with as_input_error(str(path), again, content, RESULTS_SCHEMA):
         return Results.model_validate_json(content)

@@ -47,10 +47,10 @@ def compare(
     ray: str | None = None,
     report: Progress = SILENT,
 ) -> tuple[Results, list[Record]]:
-    """Results of a recipe, and the records of every trial, of all folds.
+    """Results of a recipe, and the record of each trial of each fold.
 
     The folder keeps records and designs: a changed recipe reuses what it still shares with them.
-    `matrix` (m, N) holds one's own masks; `workers` None is one process on each core, or one on a
+    `matrix` (m, N) holds the user's masks; `workers` None is one process on each core, or one on a
     GPU; `ray` is the address of a cluster that trains in their place, or "auto". Raises
     `InputError` if anything in the recipe cannot be had, or a training diverged.
     """
@@ -93,9 +93,9 @@ def run_trials(
     resources: Resources = _ONE_PROCESSOR,
     report: Progress = SILENT,
 ) -> list[Record]:
-    """Records of trials of one data set, in a folder that other processes may share.
+    """Records of trials on one data set; those that the folder lacks are trained and tested.
 
-    Those that the folder does not hold yet are trained and tested.
+    Other processes may work on the same folder.
     """
     from deepfsi.sweeps.batch import BatchTrainer
 
@@ -111,7 +111,7 @@ def run_trials(
             f"training diverged and the others are done: {', '.join(sorted(lost))}; lower lr "
             "and mask_lr"
         )
-    # a record is found by what it depends on; its words are those of who asks
+    # two recipes may share a record and name its settings otherwise
     return [
         {**record, "trial": trial.model_dump(mode="json")}
         for trial in trials
@@ -150,7 +150,7 @@ class _Work:
         return diverged
 
     def _test_trained(self, trials: Sequence[Trial]) -> list[Trial]:
-        """Test designs that are there already, from other tests; return the other trials."""
+        """Test designs that were trained for other tests; return the other trials."""
         others = []
         for index, trial in enumerate(trials):
             design = self.records.design(trial)

@@ -44,9 +44,6 @@ _AXES = (
 _CURVES = ("noise", "light", "rails", "detectors", "readout", "variant", "levels", "trained_under")
 """Fields that tell two curves of a design apart: a table has those that differ."""
 
-_TEST_LISTS = ("validation", "test")
-"""Lists of tests in a record."""
-
 _ONE_TRAINING = "of one training"
 """Words of a test for what its interval covers, before those of folds or of values."""
 
@@ -116,7 +113,7 @@ def provenance_of(records: Sequence[Record], seconds: float) -> Provenance:
 
 
 def _facts(data: Dataset, scenes: Dataset, held_out: int, folds: int) -> Data:
-    """Facts of a data set, whose `scenes` are those of its first fold, tested on those of all."""
+    """Facts of a data set; `scenes` is its first fold with the test parts of all."""
     train = len(scenes.x_train) - held_out
     return Data(
         name=scenes.name,
@@ -136,7 +133,7 @@ def _facts(data: Dataset, scenes: Dataset, held_out: int, folds: int) -> Data:
 
 
 def _chosen(points: Sequence[Point]) -> list[Point]:
-    """Points of which those at the mask count with the best validation keep what is of it alone."""
+    """Points; those at the best mask count alone keep answers to single scenes."""
     rivals: dict[tuple[Any, ...], list[Point]] = defaultdict(list)
     for point in points:
         rivals[_without_masks(point)].append(point)
@@ -156,7 +153,7 @@ def _without_masks(point: Point) -> tuple[Any, ...]:
 
 
 def _pooled(data: Dataset, folds: Sequence[Dataset]) -> Dataset:
-    """A data set whose test part are those of its folds, one after the other."""
+    """The data with the test parts of all folds."""
     if len(folds) == 1:
         return folds[0]
     return replace(
@@ -183,7 +180,7 @@ def _of_all_folds(folds: Sequence[Record]) -> Record:
     }
     tests = {
         name: [*map(_test_of_all_folds, zip(*(fold[name] for fold in folds), strict=True))]
-        for name in _TEST_LISTS
+        for name in ("validation", "test")
     }
     return {**folds[0], "designs": [fold["design"] for fold in folds], **tests, "info": info}
 
