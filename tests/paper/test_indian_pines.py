@@ -56,7 +56,7 @@ def study(tmp_path_factory, all_drawn_once):
 
 def test_the_page_names_the_scene_its_bands_and_splits(study):
     folder, results, section = study
-    assert len(section.pictures) == 5
+    assert len(section.pictures) == 3
     assert all("indian-pines" in picture.caption for picture in section.pictures)
     assert all("indian-pines" in claim.measured for claim in section.claims[:4])
     for name in section.files:
@@ -106,10 +106,9 @@ BUDGETS = (1e2, 1e4, 1e6)
 
 def measured(labels, *recalls):
     packed = measures.pack(np.array(labels))
-    spectra = {"a": [[0.1, 0.2, 0.3]] * 3}
-    scene = measures.Overview(["a", "b"], packed, packed, None, 3, None, spectra)
+    scene = measures.Overview(["a", "b"], packed, 3)
     parts = measures.Parts(packed, 3, 2, 0, 2)
-    return measures.Measures(scene, {"random": parts, "blocks": parts}, [], [], recalls)
+    return measures.Measures(scene, {"random": parts, "blocks": parts}, [], recalls)
 
 
 def answers(changed):

@@ -21,12 +21,8 @@ from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.style import INK, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Compared, Experiment, Finding, best, gains, no_gain
-from deepfsi_paper.indian_pines.figures import (
-    class_maps_figure,
-    overview_figure,
-    spectral_masks_figure,
-)
-from deepfsi_paper.indian_pines.measures import BAND, Measures, measure
+from deepfsi_paper.indian_pines.figures import class_maps_figure
+from deepfsi_paper.indian_pines.measures import Measures, measure
 from deepfsi_paper.report.section import Claim, Picture, Table, english_list
 
 NOTICED = 0.02
@@ -109,7 +105,7 @@ def show(results: Results) -> Finding:
         _found(numbers),
         (
             *(_accuracy_picture(numbers, split) for split in numbers.splits),
-            *_scene_pictures(numbers.of, numbers.measures),
+            *_maps_picture(numbers.of, numbers.measures),
         ),
         tuple(claims_of(numbers)),
         tuple(_tables(numbers)),
@@ -283,42 +279,20 @@ def _accuracy_picture(numbers: Numbers, split: str) -> Picture:
     )
 
 
-def _scene_pictures(of: str, measures: Measures) -> list[Picture]:
-    """The scene, and where they were measured its class maps and spectral masks."""
-    scene, parts = measures.scene, measures.parts
-    at = "" if scene.band_nm is None else f", {scene.band_nm:.0f} nm"
-    pictures = [
+def _maps_picture(of: str, measures: Measures) -> list[Picture]:
+    """Class maps, where they were measured."""
+    if not measures.maps:
+        return []
+    uses = {split: part.uses.values for split, part in measures.parts.items()}
+    return [
         Picture(
-            overview_figure(scene, title=of, band_name=f"band {min(BAND, scene.bands)}{at}"),
-            f"{of}: a band, the classes, their pixels, and the spectra of two (median, and 5 to "
-            "95 % of pixels).",
-            f"Overview of {of}.",
+            class_maps_figure(measures.scene, measures.maps, uses, title=of),
+            f"{of}: the classes that DeepFSI gives to every labelled pixel after one exposure "
+            "with photon noise, one design for each budget. Pixels that it was trained on are "
+            "among them: above each map the accuracy on test and on training pixels.",
+            f"Maps of classes that DeepFSI predicts on {of}, beside the truth.",
         )
     ]
-    if measures.maps:
-        uses = {split: part.uses.values for split, part in parts.items()}
-        pictures.append(
-            Picture(
-                class_maps_figure(scene, measures.maps, uses, title=of),
-                f"{of}: the classes that DeepFSI gives to every labelled pixel after one exposure "
-                "with photon noise, one design for each budget. Pixels that it was trained on are "
-                "among them: above each map the accuracy on test and on training pixels.",
-                f"Maps of classes that DeepFSI predicts on {of}, beside the truth.",
-            )
-        )
-    if measures.masks:
-        first = f"{of}, {next(iter(parts))} split"
-        pictures.append(
-            Picture(
-                spectral_masks_figure(measures.masks, scene, title=first),
-                f"{first}: the spectral masks of DeepFSI that count most photons, "
-                "as learned under each noise. A positive value sends that share of a band's "
-                "photons to the detector while the mask's first rail is shown, a negative one "
-                "while its second is.",
-                f"Curves of masks learned on {of} over wavelength.",
-            )
-        )
-    return pictures
 
 
 def _tables(numbers: Numbers) -> list[Table]:

@@ -1,7 +1,7 @@
 """Numbers behind the figures of Indian Pines, as `indian-pines.json` holds them.
 
-The scene and its parts, classes that DeepFSI gives to every labelled pixel, its spectral masks,
-and its accuracy class by class.
+The scene and its parts, classes that DeepFSI gives to every labelled pixel, and its accuracy class
+by class.
 """
 
 import base64
@@ -18,31 +18,15 @@ from deepfsi.datasets.catalog import load_indian_pines
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.spectra import SpectralImage
 from deepfsi.design.design import Design
-from deepfsi.designfile.design_file import DesignFile
 from deepfsi.evaluation.accuracy import evaluate
-from deepfsi.report.masks import brightest_masks
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import best
 
 MAPPED = (1e2, 1e4, 1e6)
 """Budgets of the class maps, photons."""
 
-SHOWN = (1e2, 1e4, 1e8)
-"""Budgets of the spectral masks, photons."""
-
-CURVE_COUNT = 4
-"""Spectral masks that are drawn of each noise and budget."""
-
-BAND = 12
-"""Band of the overview, from 1, as in the paper."""
-
-PAIR = ("Corn-notill", "Woods")
-"""Classes whose spectra are shown."""
-
 TRAINED, TESTED, LEFT_OUT = 1, 2, 3
 """Use of a labelled pixel; 0 has no label."""
-
-Curves = Sequence[Sequence[float]]
 
 
 @dataclass(frozen=True)
@@ -65,15 +49,11 @@ def pack(values: np.ndarray) -> Packed:
 
 @dataclass(frozen=True)
 class Overview:
-    """Hyperspectral scene: its classes, one band and some spectra."""
+    """Hyperspectral scene: its classes and bands."""
 
     classes: Sequence[str]
-    labels: Packed  # class of each pixel from 1, 0 for none; one band
-    band: Packed  # class of each pixel from 1, 0 for none; one band
-    band_nm: float | None  # its wavelength, if known
+    labels: Packed  # class of each pixel from 1, 0 for none
     bands: int
-    wavelengths: Sequence[float] | None  # of all bands, nm
-    spectra: dict[str, Curves]  # (3, bands), Percentiles 5, 50 and 95 of some classes
 
 
 @dataclass(frozen=True)
@@ -99,17 +79,6 @@ class ClassMap:
 
 
 @dataclass(frozen=True)
-class SpectralMasks:
-    """Brightest masks (k, bands) learned for a budget under each noise, and how many there are."""
-
-    photons: float
-    gaussian: Curves
-    gaussian_masks: int
-    poisson: Curves
-    poisson_masks: int
-
-
-@dataclass(frozen=True)
 class Recall:
     """Accuracy (trials, classes) of DeepFSI on the test pixels of each class; None without any."""
 
@@ -125,14 +94,13 @@ class Measures:
     scene: Overview
     parts: dict[str, Parts]
     maps: Sequence[ClassMap]
-    masks: Sequence[SpectralMasks]
     recalls: Sequence[Recall]
 
 
 def measure(
     results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
-    """Overview, parts, class maps, spectral masks and recalls of the trained designs.
+    """Overview, parts, class maps and recalls of the trained designs.
 
     Parameters as of `Experiment.measure`.
     """
@@ -152,9 +120,9 @@ def measure(
                 right = seen == _ranks(scene)
                 train, test = (float(right[uses == use].mean()) for use in (TRAINED, TESTED))
                 maps.append(ClassMap(split, photons, pack(seen), train, test))
-    masks = list(_spectral_masks(results, scene.cube.shape[2], splits[0], designs))
     recalls = [row for split in splits for row in _recalls(results, scene, split, designs)]
-    return asdict(Measures(_overview(scene), parts, maps, masks, recalls))
+    overview = Overview(list(scene.class_names), pack(_ranks(scene)), scene.cube.shape[2])
+    return asdict(Measures(overview, parts, maps, recalls))
 
 
 def _load(designs: Path, point: Point, trial: int = 0) -> Design:
@@ -165,29 +133,6 @@ def _ranks(scene: SpectralImage) -> np.ndarray:
     """Place of each pixel's class among those present, from 1, (H, W); 0 where it has none."""
     present = np.unique(scene.labels[scene.labels != 0])
     return np.where(scene.labels != 0, np.searchsorted(present, scene.labels) + 1, 0)
-
-
-def _overview(scene: SpectralImage) -> Overview:
-    labels = _ranks(scene)
-    spectra = scene.scenes().reshape(*labels.shape, -1)
-    bands = spectra.shape[2]
-    band = spectra[..., min(BAND, bands) - 1]
-    names = scene.class_names
-    nm = scene.wavelengths
-    return Overview(
-        classes=list(names),
-        labels=pack(labels),
-        band=pack(np.rint(255 * band / band.max())),
-        band_nm=None if nm is None else float(nm[min(BAND, len(nm)) - 1]),
-        bands=bands,
-        wavelengths=None if nm is None else nm.tolist(),
-        spectra={
-            name: np.percentile(spectra[labels == names.index(name) + 1], (5, 50, 95), axis=0)
-            .round(4)
-            .tolist()
-            for name in [name for name in PAIR if name in names] or list(names[:2])
-        },
-    )
 
 
 def _uses(scene: SpectralImage, split: str) -> np.ndarray:
@@ -215,22 +160,6 @@ def _classify_pixels(
     seen = np.zeros(known.shape, int)
     seen[known] = guess.numpy() + 1
     return seen
-
-
-def _spectral_masks(
-    results: Results, bands: int, split: str, designs: Path
-) -> Iterator[SpectralMasks]:
-    """Brightest masks of DeepFSI at each of `SHOWN` for which both noises were trained."""
-    chosen = {noise: best(results, noise=noise, split=split) for noise in ("gaussian", "poisson")}
-    for photons in SHOWN:
-        if all(("deepfsi", photons) in own for own in chosen.values()):
-            row: list[Any] = []
-            for own in chosen.values():
-                point = own[("deepfsi", photons)]
-                rails = DesignFile.read(designs / f"{point.keys[0]}.safetensors", ("rails",)).rails
-                masks = (rails[0] - rails[1])[brightest_masks(rails, CURVE_COUNT), :bands]
-                row += [masks.round(6).tolist(), point.masks]
-            yield SpectralMasks(photons, *row)
 
 
 def _recalls(results: Results, scene: SpectralImage, split: str, designs: Path) -> Iterator[Recall]:
