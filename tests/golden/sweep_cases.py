@@ -29,7 +29,7 @@ def _compare(words: str) -> Any:
     images = {"x": data.x_train.reshape(-1, 8, 8), "x_test": data.x_test.reshape(-1, 8, 8)}
     np.savez("some.npz", y=data.y_train, y_test=data.y_test, **images)
     line = ("compare", "--data", "some.npz", "-o", "out", *words.split())
-    return _without_normal(timeless(answer(*line, *TRAINING)))
+    return _without_left(timeless(answer(*line, *TRAINING)))
 
 
 @CASES.of(COMPARED)
@@ -37,7 +37,9 @@ def compared(name: str) -> dict[str, Any]:
     """A comparison, the files of its folder, its records and designs."""
     out = {"said": _compare(COMPARED[name])}
     paths = {path.relative_to("out").as_posix(): path for path in sorted(Path("out").rglob("*"))}
-    paths = {name: path for name, path in paths.items() if path.is_file()}
+    # without the histograms of mask values, which left
+    kept = (path for path in paths if not path.startswith("figures/values-"))
+    paths = {name: paths[name] for name in kept if paths[name].is_file()}
     designs = {name: path for name, path in paths.items() if path.suffix == ".safetensors"}
     return {
         **out,
@@ -49,12 +51,13 @@ def compared(name: str) -> dict[str, Any]:
 
 
 def _read(path: Path | str) -> Any:
-    return _without_normal(timeless(cleaned(json.loads(Path(path).read_text()))))
+    return _without_left(timeless(cleaned(json.loads(Path(path).read_text()))))
 
 
-def _without_normal(content: Any) -> Any:
-    """Without a field of recipes that left."""
-    content.get("recipe", {}).pop("normal", None)
+def _without_left(content: Any) -> Any:
+    """Without fields of recipes that left."""
+    for name in ("normal", "tuned"):
+        content.get("recipe", {}).pop(name, None)
     return content
 
 
