@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from deepfsi.evaluation.measures import ClassAnswers, ValueAnswers
+from deepfsi.evaluation.measures import BINS, ClassAnswers, ValueAnswers, confidence_error
 from deepfsi.evaluation.results import Estimates, Result
 
 TEST = {"photons": 1e3, "noise": "poisson", "covers": "", "counts": 0.0, "arriving": 0.0}
@@ -46,3 +46,9 @@ def test_draws_of_a_scene_stand_together_in_their_order():
     result = Result.of(answers)
     assert (result.images, result.draws, result.accuracy) == (3, 2, 5 / 6)
     assert (result.throughput, result.photons_per_mask) == (0.75, [500, 250])
+
+
+def test_calibration_error_is_that_of_groups_written_out():
+    confidence = np.repeat([0.5, 0.7, 1.0], 20 * BINS)
+    right = np.concatenate([np.tile([1, 0], 10 * BINS), np.ones(40 * BINS)])
+    assert confidence_error(confidence, right) == pytest.approx((0 + 0.3 + 0) / 3)
