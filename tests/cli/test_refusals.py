@@ -57,7 +57,7 @@ REFUSED = {
     """,
     "sweep": """
         nosuch | no recipe at nosuch
-        vast-pca.toml | 1000000000 trials
+        vast-pca.toml | at most 100000 trials
         split.toml | digits takes no
         halves.toml | 'random' or 'blocks'
     """,
