@@ -8,12 +8,9 @@ import torch
 
 import deepfsi
 from deepfsi import InputError
-from deepfsi.counting.tables import TableSettings
 from deepfsi.design.onnx import to_onnx
 from deepfsi.evaluation.page_data import playable
 from deepfsi.physics.surroundings import torch_device
-from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.run import compare
 from shared.pictures import save_images
 
 
@@ -96,23 +93,12 @@ def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digi
     rng = np.random.default_rng(0)
     save_images(tmp_path / "new", rng.integers(0, 255, (1, 8, 8), dtype=np.uint8))
     counts = rng.poisson(100, (60, *design.counts_shape))
-    np.save(tmp_path / "counts.npy", counts)
-    recipe = Recipe(designs=("deepfsi",), photons=(1e4,), masks=(3,), training=training)
-
-    def sweep():
-        folder = tmp_path / f"sweep{len([*tmp_path.iterdir()])}"
-        points = compare(recipe, digits, folder, command="a")[0].points
-        return [each.as_dict() | {"seconds": 0} for each in points]
 
     def results():
         every = (
             deepfsi.evaluate(each, digits, 1e4, draws=1) for each in (design, ranged, adaptive)
         )
         return [result.as_dict() for one in every for result in one]
-
-    def table():
-        settings = TableSettings(photons=1e4)
-        return str(deepfsi.classify_table(file, tmp_path / "counts.npy", settings, force=True))
 
     calls = [
         lambda: learn_adaptive().prior_exposure.prior.components,
@@ -127,8 +113,8 @@ def test_everything_that_users_call_gives_the_same_whatever_torch_is_set_to(digi
         lambda: to_onnx(design),
         lambda: str(playable(ranged, digits)),
         lambda: adaptive.looks_at(digits.x_test[0].ravel(), 1e4)[0],
-        sweep, results, table,
-    ]  # fmt: skip
+        results,
+    ]
     for number, call in enumerate(calls):
         with torch.no_grad():
             wanted = call()
