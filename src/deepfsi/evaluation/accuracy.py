@@ -170,7 +170,7 @@ def expose_scenes(
     kind: type[AnyAnswers],
     report: Progress,
 ) -> list[AnyAnswers]:
-    """Answers to the test scenes at each budget, of which masks count shares (m,)."""
+    """Answers to the test scenes at each budget; masks count `shares` (m,) of it."""
     budgets = conditions.budgets
     generators = [torch.Generator(shares.device).manual_seed(conditions.seed) for _ in budgets]
     outputs: list[list[list[np.ndarray]]] = [[] for _ in budgets]

@@ -199,10 +199,9 @@ def find_distribution(
     classes: int,
     light: FrameLight | None = None,
 ) -> ReadoutDistribution | None:
-    """Distribution of readouts of training scenes, or None where there are too few scenes.
+    """Distribution of readouts of training scenes; None if a class has too few scenes.
 
-    Rates (n, rails, m) are for a budget of one photon. Too few scenes of one of the labels (n,) are
-    too few.
+    Rates (n, rails, m) are for a budget of one photon.
     """
     fluctuation = 0.0 if light is None else light.fluctuation
     every = rates.double().cpu().numpy()

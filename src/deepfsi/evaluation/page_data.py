@@ -3,9 +3,9 @@
 Of adaptive masks a page knows some of the training scenes, and its answers and accuracy are those
 of a design that knows no others.
 
-Arrays are float32, every byte of them: first all lowest bytes, then the next ones, as the highest
-bytes of weights are much alike and shrink when deflated. That is written in base64. Scenes are kept
-in 16 bits, and coefficients of those of a prior in 8.
+Arrays are float32: first all lowest bytes, then the next ones, since the highest bytes of weights
+are much alike and shrink when deflated; then base64. Scenes have 16 bits, coefficients of a prior
+have 8.
 """
 
 import base64

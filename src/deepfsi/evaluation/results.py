@@ -172,9 +172,9 @@ class Result(_AnswerTest):
 
     @property
     def right(self) -> list[float]:
-        """Share of the draws of each test image that is answered right, in their order.
+        """Share of each test image's draws that is answered right.
 
-        By it designs are compared on the same images (`paired_difference`).
+        Designs are compared by it on the same images (`paired_difference`).
         """
         return self.image_terms.get("accuracy", [])
 
@@ -235,7 +235,7 @@ def score_text(result: Result | Estimates) -> str:
 
 
 def details_text(result: Result | Estimates, classes: Sequence[str]) -> str:
-    """Test of each class in words, or of each value."""
+    """Say how well each class, or each value, was answered."""
     if isinstance(result, Estimates):
         errors = ", ".join(map(" ".join, zip(result.values, _answers(result, ()), strict=True)))
         return f"root mean squared error (of the best linear estimator): {errors}"

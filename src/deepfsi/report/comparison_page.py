@@ -102,7 +102,7 @@ def _page_text(results: Results, designs: Path, figures: Figures) -> str:
 
 
 def _mean_light_text(points: Iterable[Point]) -> str | None:
-    """Light that exposures which may end early took in the tests, in words; None without such."""
+    """Say how much light exposures took that may end early; None if none may."""
     taken = [point.further["mean_light"] for point in points if shares_light(point)]
     if not taken:
         return None
@@ -114,7 +114,7 @@ def _mean_light_text(points: Iterable[Point]) -> str | None:
 
 
 def scenes_text(data: Data) -> str:
-    """Scenes that designs of a comparison were trained and tested on, in words."""
+    """Say on which scenes designs were trained and tested."""
     words = f"trained on {data.train} scenes, tested on {data.test}"
     if data.folds > 1:
         words = (
@@ -393,7 +393,7 @@ def _better(first: Point, second: Point) -> bool:
 
 
 def _times(first: Point, other: Point, series: Series, *, images: int) -> str | None:
-    """Ratio of the light that two designs need, with its 95 % interval, in words.
+    """Say how many times more light the other design needs, with its 95 % interval.
 
     None unless both curves reach the accuracy within the tested budgets, and the interval, too.
     """
@@ -415,7 +415,7 @@ def _times(first: Point, other: Point, series: Series, *, images: int) -> str | 
 
 
 def _meets(curve: Sequence[Point], target: float, images: int) -> Crossing:
-    """Where a curve meets a target; of one budget that is not known."""
+    """Where a curve meets a target; unknown from one budget."""
     if len(curve) < 2:
         return Crossing(None, None, None, "beyond")
     trials = [[max(score, 0.0) for score in p.accuracies] for p in curve]  # R² may lie below 0

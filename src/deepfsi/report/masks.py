@@ -39,8 +39,7 @@ def peak_value(rails_or_matrix: np.ndarray) -> float:
 def brightest_masks(rails_or_matrix: np.ndarray, count: int) -> np.ndarray:
     """Index of the masks that count most photons from a uniform scene, brightest first.
 
-    Of rails (2 or 1, m, N) or a matrix (m, N). Masks without light are none of them, unless all are
-    dark.
+    Takes rails (2 or 1, m, N) or a matrix (m, N). Dark masks are left out, unless all are dark.
     """
     array = np.asarray(rails_or_matrix)
     light = np.abs(array).sum(axis=-1)

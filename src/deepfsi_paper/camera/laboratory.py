@@ -270,10 +270,7 @@ def _design_groups(results: Results) -> list[Group]:
 def measure(
     results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
-    """Tests of every design in the laboratory, several at a time.
-
-    Parameters as of `Experiment.measure`.
-    """
+    """Tests of every design in the laboratory, several at a time."""
     raw = load_dataset(results.recipe["data"])
     places = _draw_digits(raw.y_test, DRAWS, seed=0)
     laboratory = Laboratory(

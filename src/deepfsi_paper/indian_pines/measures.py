@@ -100,10 +100,7 @@ class Measures:
 def measure(
     results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
-    """Overview, parts, class maps and recalls of the trained designs.
-
-    Parameters as of `Experiment.measure`.
-    """
+    """Overview, parts, class maps and recalls of the trained designs."""
     scene = load_indian_pines()
     splits = list(dict.fromkeys(point.split for point in results.points))
     parts: dict[str, Parts] = {}

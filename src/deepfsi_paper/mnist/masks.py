@@ -69,10 +69,7 @@ class _Measures:
 def measure(
     results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
-    """Measures of the masks of every trial, and the masks of the first for the figure.
-
-    Parameters as of `Experiment.measure`.
-    """
+    """Measures of the masks of every trial, and the masks of the first for the figure."""
     mean_scene = data.x_train[: results.data.train].mean(axis=0, dtype=np.float64)
     matrices: dict[tuple[str, float], list[np.ndarray]] = {}
     for point in results.points:

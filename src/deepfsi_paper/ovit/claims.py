@@ -67,10 +67,7 @@ class Measures:
 def _measure(
     results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
-    """Throughput and directions of every trial's learned masks, and the masks of the first.
-
-    Parameters as of `Experiment.measure`.
-    """
+    """Throughput and directions of every trial's learned masks, and the masks of the first."""
     found = []
     learned = (point for point in results.points if point.design == LEARNED)
     for point in sorted(learned, key=lambda point: point.photons):
