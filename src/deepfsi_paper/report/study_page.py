@@ -43,7 +43,6 @@ def write_study(folder: str | os.PathLike[str], title: str, sections: Sequence[S
             }
             for section in sections
         ],
-        claims=[(section, claim) for section in sections for claim in section.claims],
         answers=ANSWERS,
     )
     figures.write(home)
