@@ -23,7 +23,7 @@ LINES = {
     "datasets": 2502,
     "design": 1133,
     "designfile": 1376,
-    "evaluation": 1578,
+    "evaluation": 1570,
     "exposure": 1092,
     "jobs": 1654,
     "lab": 3928,

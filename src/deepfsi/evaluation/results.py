@@ -108,14 +108,8 @@ class Result(_AnswerTest):
 
     Attributes
     ----------
-    photons : float
-        Budget Φ.
-    noise : str
-        Of this test.
     accuracy, low, high : float
         Mean over images and noise draws, and its 95 % interval (`accuracy_interval`).
-    covers : str
-        What the interval covers.
     images, draws : int
         Scenes, and independent noise draws of each.
     balanced, balanced_low, balanced_high : float
@@ -137,12 +131,10 @@ class Result(_AnswerTest):
         Photons that reach the detectors in the same mean; they equal `counts` unless detectors
         click.
     throughput : float
-        Share of the budget that reaches the detectors, averaged over training scenes. For masks
-        quantised only in the test, it is the share before.
+        Share of the budget that reaches the detectors, averaged over training scenes, before masks
+        are quantised for a test.
     photons_per_mask : list of float
         Expected photons of each mask, both rails together, averaged in the same way.
-    further, image_terms
-        Other measures of the test, and their values for each image, by name.
 
     Examples
     --------
