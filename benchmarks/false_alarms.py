@@ -21,7 +21,7 @@ from deepfsi.adaptive.posterior import AdaptivePosterior
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import DEVICES
 from deepfsi.counting.checks import LightMonitor, check_light, find_lateness
-from deepfsi.counting.flux import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
+from deepfsi.counting.flux import FALSE_ALARMS, Arrivals
 from deepfsi.designfile.distribution import REFUSED, UNSURE, ReadoutDistribution
 from deepfsi.evaluation.confidence import find_distribution
 from deepfsi.patterns.manifest import Brightness, Frame, Manifest
@@ -82,23 +82,20 @@ def drawn(
     lamp: Callable[[np.ndarray], np.ndarray] | None = None,
     gains: tuple[float, ...] = (1.0,),
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Photons (P, F, K, D) of an acquisition, and seconds (P, F, K).
+    """Photons (P, F, D) of an acquisition, and seconds (P, F).
 
-    The lamp is a factor of the time (P, F, K) in seconds.
+    The lamp is a factor of the time (P, F) in seconds.
     """
     frames, count = MASKS + 4, len(gains)
-    middles = (
-        np.arange(frames)[:, None] + (np.arange(PARTS_OF_FRAME) + 0.5) / PARTS_OF_FRAME
-    ) * FRAME_S
-    time = np.arange(PASSES)[:, None, None] * frames * FRAME_S + middles
+    time = (np.arange(PASSES)[:, None] * frames + np.arange(frames) + 0.5) * FRAME_S
     bright = rng.normal(1, 0.04, PASSES).clip(0.88, 1.12)
     shown = rng.uniform(0.3, 0.7, (PASSES, frames))
     shown[:, [0, -2]], shown[:, [1, -1]] = 1.0, 0.0
-    light = FLUX * bright[:, None, None] * shown[..., None]
+    light = FLUX * bright[:, None] * shown
     light = light * (1.0 if lamp is None else lamp(time))
-    parts = rng.dirichlet(np.full(count, 2500.0 / count), PASSES)[:, None, None] * np.array(gains)
+    parts = rng.dirichlet(np.full(count, 2500.0 / count), PASSES)[:, None] * np.array(gains)
     rates = light[..., None] * parts + DARK
-    seconds = np.full(time.shape, FRAME_S / PARTS_OF_FRAME)
+    seconds = np.full(time.shape, FRAME_S)
     return rng.poisson(rates * seconds[..., None]), seconds
 
 
@@ -129,13 +126,13 @@ def recorded(name: str, fault: str, kind: str, **course) -> Law:
 
 def steps(time: np.ndarray) -> np.ndarray:
     """Light that falls to 0.7 in the middle of the acquisition, between two scenes."""
-    return np.where(np.arange(PASSES)[:, None, None] < PASSES // 2, 1.0, 0.7) + 0 * time
+    return np.where(np.arange(PASSES)[:, None] < PASSES // 2, 1.0, 0.7) + 0 * time
 
 
 def sags(time: np.ndarray) -> np.ndarray:
     """Light that is 0.6 of itself in the second half of one pass."""
-    frame = np.arange(time.shape[1])[None, :, None] > time.shape[1] // 2
-    return np.where((np.arange(PASSES)[:, None, None] == 7) & frame, 0.6, 1.0) + 0 * time
+    frame = np.arange(time.shape[1]) > time.shape[1] // 2
+    return np.where((np.arange(PASSES)[:, None] == 7) & frame, 0.6, 1.0) + 0 * time
 
 
 def gain(rng: np.random.Generator, faulty: bool) -> bool:
@@ -150,7 +147,7 @@ def late(rng: np.random.Generator, faulty: bool) -> bool:
     means = np.array([[DARK], [DARK], [FLUX]]) * seconds
     if faulty:
         means[0] += 1e-6 * FLUX
-    return bool(find_lateness(rng.poisson(means), seconds, room_s=1.0))
+    return bool(find_lateness(rng.poisson(means), seconds))
 
 
 def live(rng: np.random.Generator, faulty: bool) -> bool:

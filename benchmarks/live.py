@@ -65,7 +65,7 @@ def stream(path: Path, frames: int, frame_s: float, inputs: int, block: int) -> 
     counter.expect(FrameGates.of(SETTLE_S, np.full(frames, GATE * (frame_s - SETTLE_S))))
     with path.open("rb", buffering=0) as file:
         while data := file.read(block):
-            found.append(counter.feed(data).counts)
+            found.append(counter.feed(data))
     return np.concatenate(found)
 
 

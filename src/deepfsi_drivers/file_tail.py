@@ -12,8 +12,10 @@ from contextlib import AbstractContextManager
 from io import FileIO
 from pathlib import Path
 
+import numpy as np
+
 from deepfsi.base.errors import InputError
-from deepfsi.counting.streaming import FrameCounter, FrameCounts, FrameGates
+from deepfsi.counting.streaming import FrameCounter, FrameGates
 
 FILE_POLL_S = 0.0001
 """Time between two looks at the file, seconds."""
@@ -65,16 +67,16 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
         """Tell the gates of the frames that are shown next, before they are shown."""
         self._counting()[1].expect(gates)
 
-    def counts_since_marker(self, timeout_s: float) -> FrameCounts:
-        """Frames whose gates have ended since the last call, as `StreamingCounter` says."""
+    def counts_since_marker(self, timeout_s: float) -> np.ndarray:
+        """Counts since the last call, as `StreamingCounter` says."""
         file, frames = self._counting()
         end = time.monotonic() + timeout_s
         while True:
             size = file.readinto(self._buffer)
-            if size and len((found := frames.feed(self._buffer[:size])).counts):
+            if size and len(found := frames.feed(self._buffer[:size])):
                 return found
             if time.monotonic() > end:
-                return FrameCounts.join([], len(self._inputs))
+                return np.zeros((0, len(self._inputs)), np.int64)
             if not size:
                 self._check_same(file)
                 time.sleep(FILE_POLL_S)

@@ -17,11 +17,12 @@ import threading
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from pydantic import FilePath, validate_call
 
 from deepfsi.base.errors import InputError
 from deepfsi.counting.reader import PtuStream
-from deepfsi.counting.streaming import FrameCounter, FrameCounts, FrameGates
+from deepfsi.counting.streaming import FrameCounter, FrameGates
 
 SNAPI_POLL_S = 0.0002
 """Time between two questions for records, seconds."""
@@ -47,7 +48,7 @@ class SnapiCounter:
         self._api: Any = None
         self._frames: FrameCounter | None = None
         self._lock = threading.Lock()  # of the frames
-        self._counted: queue.Queue[FrameCounts | Exception] = queue.Queue()
+        self._counted: queue.Queue[np.ndarray | Exception] = queue.Queue()
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -112,14 +113,14 @@ class SnapiCounter:
         with self._lock:
             self._frames.expect(gates)
 
-    def counts_since_marker(self, timeout_s: float) -> FrameCounts:
-        """Frames whose gates have ended since the last call, as `StreamingCounter` says."""
+    def counts_since_marker(self, timeout_s: float) -> np.ndarray:
+        """Counts since the last call, as `StreamingCounter` says."""
         if self._frames is None:
             raise InputError("nothing is recorded: start the counter first")
         try:
             found = self._counted.get(timeout=timeout_s)
         except queue.Empty:
-            return FrameCounts.join([], len(self.inputs))
+            return np.zeros((0, len(self.inputs)), np.int64)
         if isinstance(found, Exception):
             self._counted.put(found)
             raise found
@@ -146,7 +147,7 @@ class SnapiCounter:
                     )
                 with self._lock:
                     counts = frames.feed(words.data)
-                if len(counts.counts):
+                if len(counts):
                     self._counted.put(counts)
                 if finished:
                     raise InputError(

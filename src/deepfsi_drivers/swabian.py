@@ -27,7 +27,7 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_toml
 from deepfsi.base.models import UserModel
 from deepfsi.counting.events import PtuWriter
-from deepfsi.counting.streaming import FrameCounts, FrameGates
+from deepfsi.counting.streaming import FrameGates
 from deepfsi_drivers.device_errors import refusals
 from deepfsi_drivers.file_tail import FollowedCounter
 
@@ -129,8 +129,8 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
         """Tell the gates of the frames that are shown next, before they are shown."""
         self._followed.expect(gates)
 
-    def counts_since_marker(self, timeout_s: float) -> FrameCounts:
-        """Frames whose gates have ended since the last call, as `StreamingCounter` says."""
+    def counts_since_marker(self, timeout_s: float) -> np.ndarray:
+        """Counts since the last call, as `StreamingCounter` says."""
         end = time.monotonic() + timeout_s
         while True:
             if self._fault is not None:
@@ -138,7 +138,7 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
             left = end - time.monotonic()
             # Time between two looks for a fault of the thread, seconds
             found = self._followed.counts_since_marker(min(max(left, 0.0), 0.05))
-            if len(found.counts) or left <= 0:
+            if len(found) or left <= 0:
                 return found
 
     def stop(self) -> None:

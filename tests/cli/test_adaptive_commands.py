@@ -19,8 +19,7 @@ def ready(tmp_path_factory, digits):
     ("held", "said"),
     [
         (64, None),
-        (63, "64 frames do not fit small, whose controller holds 63: learn the design with "
-         "`dictionary` of 59 at most, or use a device that holds them, such as dlp7000"),
+        (63, "64 frames do not fit small, whose controller holds 63: use fewer masks"),
     ],
 )  # fmt: skip
 def test_a_dictionary_is_exported_whole_or_not_at_all(call, ready, tmp_path, held, said):

@@ -87,7 +87,6 @@ REFUSED = {
     "dmd nonsense": "| see `deepfsi dmd --help`",
     "dmd export": """
         a.safetensors --device nosuch | unknown device 'nosuch'
-        a.safetensors --selection some | unknown selection 'some'
         a.safetensors --device 64x48 --rotate 45 | rotate = 45: give 0, 90, 180 or 270
         a.safetensors --device 64x48 --format jpg | unknown format 'jpg'
         a.safetensors --device 64x48 --shortest 1.5us | shortest_us = 1.5: give a whole number
@@ -106,7 +105,7 @@ REFUSED = {
         --input 9 | no light on input 9
         --marker 4 | --marker 4: give 3 or less
         --dead-time 1us --dead-time-model nosuch | dead_time_model = 'nosuch'
-        --background nosuch | no scene and no folder nosuch
+        --background nosuch | unknown scene 'nosuch'
     """,
     "show a.safetensors --out x.txt": "| end the name in .png",
     "camera inspect a.safetensors": "| is not a PTU file",

@@ -61,10 +61,10 @@ def encode(kind: ptu.Kind, events: list[tuple[str, int, int]], rng: np.random.Ge
     for what, time, value in events:
         while time // kind.wrap > wraps:
             steps = 1
-            if kind.counted and rng.random() < 0.5:
+            if hydra and rng.random() < 0.5:
                 steps = int(min(time // kind.wrap - wraps, kind.time_mask))
             one = 0 if steps == 1 and rng.random() < 0.5 else steps
-            words.append(1 << 31 | 63 << 25 | (one if kind.counted else 7) if hydra else 15 << 28)
+            words.append(1 << 31 | 63 << 25 | one if hydra else 15 << 28)
             wraps += steps
         field = time - wraps * kind.wrap
         delay = int(rng.integers(0, 4096)) if kind.mode == "T3" else 0

@@ -118,8 +118,8 @@ def test_law_few_photons_alone_are_no_gain(seconds):
     def found(gain: float, mean: float) -> list:
         detectors = []
         for share in (0.5 * gain, 0.5):
-            photons = rng.poisson(mean * share, (scenes, 4, 1))
-            open_s = np.full((scenes, 4, 1), seconds)
+            photons = rng.poisson(mean * share, (scenes, 4))
+            open_s = np.full((scenes, 4), seconds)
             places = np.arange(scenes), (0, 2), (1, 3), ()
             curve = flux.LightCurve(photons, open_s, *places, "", sees_part=True)
             none = flux.Background(np.zeros(scenes), np.ones(scenes), [slice(0, scenes)])
@@ -146,7 +146,7 @@ def test_law_lateness_is_certain_at_six_standard_deviations_of_sound_draws(longe
         photons = mean.copy()
         photons[0] += round(excess) // scenes
         photons[0, : round(excess) % scenes] += 1
-        return bool(find_lateness(photons, seconds, room_s=1.0))
+        return bool(find_lateness(photons, seconds))
 
     assert not named(5.3 * spread)
     assert named(6.7 * spread)

@@ -8,7 +8,7 @@ from scipy.stats import poisson
 from counting.recording_samples import schedule
 from deepfsi.counting import checks, flux
 from deepfsi.counting.checks import LightMonitor
-from deepfsi.counting.flux import FALSE_ALARMS, PARTS_OF_FRAME, Arrivals
+from deepfsi.counting.flux import FALSE_ALARMS, Arrivals
 from deepfsi.patterns.manifest import Brightness
 
 SCENES, SECONDS = 20, 1e-3
@@ -19,10 +19,8 @@ def all_on(photons: int) -> LightMonitor:
     same = Brightness(low=1, high=1, between=1, within=0)
     manifest = schedule([1000] * 4).model_copy(update={"brightness": same})
     light = LightMonitor(manifest, (0,), SCENES)
-    parts = np.full((2, PARTS_OF_FRAME), SECONDS / PARTS_OF_FRAME)
-    counts = np.zeros((2, PARTS_OF_FRAME, 1))
-    counts[0] = photons / PARTS_OF_FRAME
-    lit, faults = light.begin(Arrivals(manifest.frames[:2], counts, counts, parts))
+    counts = np.array([[photons], [0.0]])
+    lit, faults = light.begin(Arrivals(manifest.frames[:2], counts, counts, np.full(2, SECONDS)))
     assert lit
     assert not faults
     return light
@@ -49,9 +47,9 @@ def test_law_a_stated_flux_is_contradicted_at_the_stated_chance(photons):
 def test_law_the_error_of_the_background_is_in_the_test_of_levels(unit):
     """A background that changes is known from short dark frames, and is far above the light."""
     rng, passes = np.random.default_rng(7), 6
-    seconds = np.tile(unit * np.array([1.0, 0.01, 1.0, 0.01]), (passes, 1))[..., None]
-    stray = np.repeat([1e5, 3e5], passes // 2)[:, None, None] / unit
-    light = 5e3 / unit * np.array([1, 0, 1, 0])[:, None]
+    seconds = np.tile(unit * np.array([1.0, 0.01, 1.0, 0.01]), (passes, 1))
+    stray = np.repeat([1e5, 3e5], passes // 2)[:, None] / unit
+    light = 5e3 / unit * np.array([1, 0, 1, 0])
     brightness = Brightness(low=0.87, high=1.14, between=1.03, within=0.05)
     alarms = 0
     for _ in range(60):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recording_samples import DWELL, named, patterns_of, train, write_photons
 
-from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.counting.recording import Recording
 from deepfsi.patterns.folder import Patterns
 
 FLUX, DARK, SCENES = 1e7, 100.0, 5
@@ -16,7 +16,7 @@ def lamp(tmp_path):
     patterns = patterns_of(tmp_path / "patterns")
     Recording.prepare(tmp_path / "run", Patterns.read(tmp_path / "patterns"), named(SCENES))
 
-    def record(late: float, burst: float = 0.0, rate: float = 0.0) -> None:
+    def record(late: float, rate: float = 0.0) -> None:
         manifest, rng = patterns.manifest, np.random.default_rng(0)
         begins = train(manifest, SCENES, rate, jitter=0)
         rates = np.zeros(len(manifest.frames))
@@ -27,8 +27,7 @@ def lamp(tmp_path):
         photons = np.repeat(starts, many) + np.repeat(lengths, many) * rng.random(many.sum())
         span = starts[-1] + lengths[-1]
         dark = rng.uniform(0, span, rng.poisson(DARK * span))
-        flash = begins[2, 2] - burst * rng.random(round(FLUX * burst))
-        times = np.concatenate([starts + late, photons, dark, flash])
+        times = np.concatenate([starts + late, photons, dark])
         codes = np.zeros(len(times), int)
         codes[: len(starts)] = -1
         write_photons(tmp_path / "run", times, codes)
@@ -52,12 +51,3 @@ def test_a_late_trigger_gives_no_dark_counts(lamp, late, rate):
         said = float(faults[0].detail.removeprefix("all markers, by ").split(" µs")[0]) * 1e-6
         photons = FLUX * late * (SCENES - 1)  # the brightest is left out
         assert said == pytest.approx(late, rel=6 / np.sqrt(photons), abs=5e-8)
-        assert "--exposure" not in str(faults[0])  # gates end long before their frames
-
-
-def test_gates_that_hold_light_of_the_next_frame_are_said(lamp):
-    folder, record = lamp
-    record(5e-6)
-    (fault,) = Recording.read(folder).count(CountSettings(exposure_s=11 * (DWELL - 2.2e-5))).faults
-    assert "gates end 2.0 µs before the next marker" in fault.detail
-    assert "--exposure" in fault.detail

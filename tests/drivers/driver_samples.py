@@ -22,7 +22,7 @@ def make_patterns(folder, device, masks, light="free-dwell", format="npy", dwell
 def collect(counter: StreamingCounter, frames: int) -> np.ndarray:
     found: list[list[int]] = []
     while len(found) < frames:
-        more = counter.counts_since_marker(60).counts.tolist()
+        more = counter.counts_since_marker(60).tolist()
         assert more, f"{len(found)} frames came, of {frames}"
         found += more
     return np.array(found)

@@ -183,4 +183,4 @@ def test_records_are_counted_while_nobody_asks(api, tmp_path):
         while made.raw.left:
             threading.Event().wait(0.001)
         assert len(collect(counter, 12)) == 12
-        assert len(counter.counts_since_marker(0.0).counts) == 0
+        assert len(counter.counts_since_marker(0.0)) == 0

@@ -39,7 +39,7 @@ EXPORTED = {
     "raw, inverted": ("single", "--device 64x48 --format raw --invert"),
     "png, flipped": ("single", "--device 64x48 --format png --flip"),
     "bmp, turned": ("single", "--device 64x48 --format bmp --rotate 90"),
-    "planes, random": ("dual", "--device dlp4500 --selection random --seed 3"),
+    "planes": ("dual", "--device dlp4500"),
     "region": ("dual", "--device 64x48 --region 32x32+4+8"),
     "stretch": ("dual", "--device 64x48 --stretch --settle 5us --shortest 60us"),
     "arms": ("arms", "--device 64x48"),

@@ -152,20 +152,6 @@ def with_a_flat() -> dict[str, Any]:
 
 
 @CASES
-def with_a_dark_run() -> dict[str, Any]:
-    """The background of another run, whose scenes were dark."""
-    run, dark = recording("ambient", "single"), recording("one-arm", "single", "dark")
-    answer("camera", "count", dark, "--dead-time", 0)
-    return {
-        "count": answer("camera", "count", run, "--background", dark),
-        "arrays": arrays(Path(run, "counts.npz")),
-        "other patterns": answer(
-            "camera", "count", run, "--background", recording("jump", "dual", "other")
-        ),
-    }
-
-
-@CASES
 def inspected() -> dict[str, Any]:
     """Photon files that are listed, one cut."""
     run = recording("both-rails", "dual")
@@ -286,7 +272,7 @@ def table(name: str) -> dict[str, Any]:
 
 @CASES
 def tables_of_each_format() -> dict[str, Any]:
-    """One table in every format that is read, of analogue values, and with names."""
+    """One table in every format that is read, and with names."""
     import polars
     from scipy.io import savemat
 
@@ -297,8 +283,6 @@ def tables_of_each_format() -> dict[str, Any]:
     Path("names.csv").write_text("\n".join([",".join(names), *rows]))
     np.savetxt("comment.csv", values, delimiter=",", fmt="%d", header="a comment")
     np.save("array.npy", values.astype(np.int32))
-    np.save("dark.npy", np.tile([3, 2, 1, 0, 1, 0, 2, 0, 3, 0], (2, 1)))
-    np.save("analogue.npy", values * 0.1 + 0.003)
     savemat("one.mat", {"counts": values, "other": np.eye(3)})
     savemat("two.mat", {"a": values, "b": values})
     polars.DataFrame({f"c{k}": column for k, column in enumerate(values.T)}).write_parquet(
@@ -308,12 +292,9 @@ def tables_of_each_format() -> dict[str, Any]:
     asked = patterns_of("single")
     files_and_words = (
         "names.csv", "comment.csv", "array.npy", "one.mat", "two.mat:b", "p.parquet",
-        "names.parquet", "analogue.npy --gain 10 --read-noise 2",
-        "analogue.npy --gain 10 --read-noise 2 --background 5", "array.npy --background dark.npy",
-        "array.npy --background array.npy",
+        "names.parquet",
         # refused:
-        "two.mat", "analogue.npy", "array.npy --gain 2", "nosuch.csv",
-        "array.npy --read-noise 2", "array.npy --repeats 3",
+        "two.mat", "nosuch.csv", "array.npy --repeats 3",
     )  # fmt: skip
     return {words: answer("camera", "classify", asked, *words.split()) for words in files_and_words}
 

@@ -48,7 +48,7 @@ def test_counts_are_those_of_the_masks_that_were_made(digits, tmp_path, optics, 
     found.check_file(tmp_path / "run")
     manifest, z = Patterns.read(patterns).manifest, []
     cells = np.array(manifest.detectors.cells if manifest.detectors else [0] * 64)
-    looks = [each.counts[0] for each in found.lists if len(each.counts) == 1]
+    looks = [each[0] for each in found.lists if len(each) == 1]
     for shown in read_log(tmp_path / "run"):
         counted = np.array(looks[shown.scene * LOOKS :][:LOOKS])
         gates_s = np.array([each.gate_ns[0] for each in shown.lists[1:-1]]) * 1e-9
@@ -85,7 +85,9 @@ def test_decisions_are_those_of_the_design(digits, patterns, tmp_path):
 
 def test_a_device_that_loads_no_frame_while_it_runs_is_refused(patterns, tmp_path):
     rails = design_rails(patterns.parent / "adaptive.safetensors")
-    with pytest.raises(InputError, match="dlp6500 takes no frame then: use dlp7000"):
+    with pytest.raises(
+        InputError, match="dlp6500 takes no frame then: use a device that does, such as dlp7000"
+    ):
         Patterns.from_rails(rails, find_device("dlp6500"), 1e-3, format="planes").write(
             tmp_path / "other"
         )

@@ -16,7 +16,6 @@ SMALL = find_device("67x50")
 
 UNEQUAL = np.array([0.999, 0.001])[None, :, None].repeat(16, axis=2)
 every_format = pytest.mark.parametrize("form", ["npy", "png", "bmp", "raw", "planes"])
-every_selection = pytest.mark.parametrize("selection", ["ordered", "random"])
 
 
 def family(name: str) -> Device:

@@ -26,22 +26,20 @@ def test_frames_are_mirrors_counted_in_cells_and_packed(data):
     device = Device(name="any", columns=columns, rows=data.draw(st.integers(down, 20)))
     shape = (across,) if down == 1 and data.draw(st.booleans()) else (down, across)
     grid = find_grid(device, shape, DmdLayout(stretch=True))
-    seed = data.draw(st.integers(0, 9))
-    on = np.random.default_rng(seed).integers(0, grid.mirrors + 1, (3, down * across))
+    on = np.random.default_rng(data.draw(st.integers(0, 9))).integers(
+        0, grid.mirrors + 1, (3, down * across)
+    )
     order = np.tile(frames_module.order_mirrors(grid.height, grid.width), (down, across))
-    for selection in ("ordered", "random"):
-        for counts, frame in zip(on, make_frames(on, device, grid, selection, seed), strict=True):
-            mirrors = unpack(frame, device)
-            assert mirrors.shape == (device.rows, device.columns)
-            assert frame.nbytes == device.frame_bytes
-            assert np.array_equal(np.packbits(mirrors, axis=1), frame)
-            assert np.array_equal(frames_module.recount(mirrors, grid), counts)
-            assert mirrors.sum() == counts.sum()  # none outside
-            if selection == "ordered":
-                cells = np.kron(counts.reshape(down, across), np.ones((grid.height, grid.width)))
-                inside = np.zeros_like(mirrors)
-                inside[grid.top :, grid.left :][: len(cells), : cells.shape[1]] = order < cells
-                assert np.array_equal(mirrors, inside)
+    for counts, frame in zip(on, make_frames(on, device, grid), strict=True):
+        mirrors = unpack(frame, device)
+        assert mirrors.shape == (device.rows, device.columns)
+        assert frame.nbytes == device.frame_bytes
+        assert np.array_equal(np.packbits(mirrors, axis=1), frame)
+        assert np.array_equal(frames_module.recount(mirrors, grid), counts)
+        cells = np.kron(counts.reshape(down, across), np.ones((grid.height, grid.width)))
+        inside = np.zeros_like(mirrors)
+        inside[grid.top :, grid.left :][: len(cells), : cells.shape[1]] = order < cells
+        assert np.array_equal(mirrors, inside)
 
 
 def gradients(height: int, width: int) -> np.ndarray:
@@ -51,13 +49,13 @@ def gradients(height: int, width: int) -> np.ndarray:
     return np.stack([np.cos(turn) * x + np.sin(turn) * y[:, None] for turn in turns])
 
 
-def errors(scenes: np.ndarray, selection: str, seed: int = 0) -> np.ndarray:
+def errors(scenes: np.ndarray) -> np.ndarray:
     """Light of the first k mirrors less k/K of the cell's, for k = 0 to K: (n, K + 1)."""
     height, width = scenes.shape[1:]
     device = Device(name="cell", columns=width, rows=height)
     on = np.arange(height * width + 1)[:, None]
     grid = find_grid(device, (1, 1), DmdLayout(stretch=True))
-    frames = make_frames(on, device, grid, selection, seed)
+    frames = make_frames(on, device, grid)
     shown = np.stack([unpack(frame, device).ravel() for frame in frames])
     flat = scenes.reshape(len(scenes), -1)
     return flat @ shown.T - flat.sum(axis=1, keepdims=True) * on.T / (height * width)
@@ -69,7 +67,7 @@ def test_ordered_mirrors_weigh_a_gradient_to_less_than_one_mirror(shape):
     scenes = gradients(*shape)
     scenes = scenes[np.ptp(scenes, axis=(1, 2)) > 0]
     spans = np.ptp(scenes, axis=(1, 2))[:, None]
-    assert (abs(errors(scenes, "ordered")) < spans + 1e-12).all()
+    assert (abs(errors(scenes)) < spans + 1e-12).all()
 
 
 @every_format

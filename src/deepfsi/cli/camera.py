@@ -164,10 +164,6 @@ class ExportPatterns(Command):
         "mean picture time of a frame, settling included, such as 1ms or 44us; default: what "
         "the camera's exposure takes, or 1ms"
     )
-    selection: str = fields.option(
-        "mirrors of a grey cell: ordered (low discrepancy) or random", "ordered"
-    )
-    seed: WholeNumber = fields.option("seed of a random selection", 0)
     flip: bool = fields.option("exchange left and right of the masks, before --rotate", False)
     rotate: int = fields.option(
         "turn the masks on the device, degrees clockwise: 0, 90, 180, 270", 0
@@ -209,8 +205,6 @@ class ExportPatterns(Command):
             rails,
             device,
             dwell,
-            selection=self.selection,  # type: ignore[arg-type]
-            seed=self.seed,
             format=self.kind or ("planes" if device.packed else "npy"),  # type: ignore[arg-type]
             layout=layout,
         )

@@ -1,17 +1,14 @@
 """Commands that read what was recorded: photon files, runs and tables of counts."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.models import Count, Seconds
-from deepfsi.base.tables import TABLE_ENDINGS, is_table, read_table
+from deepfsi.base.tables import TABLE_ENDINGS, is_table
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal, option_name
-
-if TYPE_CHECKING:
-    from deepfsi.counting.tables import TableSettings
 
 
 class InspectPhotons(Command):
@@ -66,8 +63,7 @@ class CountRun(Command):
         "how far a marker may be off; default: 10us or a tenth of a frame", alias="tolerance"
     )
     background: str | None = fields.option(
-        "scene of this run that was dark, or folder of a run with the scene dark: its counts are "
-        "subtracted"
+        "scene of this run that was dark: its counts are subtracted"
     )
     inputs: fields.Inputs = ()
     marker_bit: fields.MarkerBit = None
@@ -116,20 +112,13 @@ class ClassifyRun(Command):
         "RUN|TABLE",
     )
     photons: fields.ExposureBudget = None
-    background: str | None = fields.option(
-        "table: dark counts of an input in one exposure; default: those of the all-OFF frames; "
-        "or a table of exposures with the scene dark, to be subtracted"
+    background: float | None = fields.option(
+        "table: dark counts of an input in one exposure; default: those of the all-OFF frames"
     )
     settle_s: Seconds | None = fields.option(
         "table: time after each marker without counting; default: 0", alias="settle"
     )
     repeats: Count = fields.option("table: number of consecutive exposures of each scene", 1)
-    gain: float | None = fields.option(
-        "table of an analogue detector: counts that one unit stands for"
-    )
-    read_noise: float | None = fields.option(
-        "table of an analogue detector: read noise of a value, counts rms"
-    )
     trust: fields.Trust = False
     force: bool = fields.option(
         "classify even if the counts do not look like those of the training", False
@@ -137,10 +126,11 @@ class ClassifyRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the exposures."""
+        from deepfsi.counting.tables import TableSettings
         from deepfsi.lab.classify import classify_run, classify_table
 
         if self.counted.is_dir():
-            of_tables = ("background", "settle_s", "gain", "read_noise", "repeats")
+            of_tables = ("background", "settle_s", "repeats")
             for name in (*self.explicit(of_tables), *self.settings):
                 option = option_name(name.removesuffix("_s"))
                 raise InputError(
@@ -158,25 +148,9 @@ class ClassifyRun(Command):
         table = classify_table(
             self.file,
             self.counted,
-            self._table_settings(),
+            TableSettings(**self.explicit(("photons", "background", "settle_s", "repeats"))),
             camera=self.settings,
             force=self.force,
             trust=self.trust,
         )
         return Outcome(table.as_dict(), table.lines())
-
-    def _table_settings(self) -> "TableSettings":
-        from deepfsi.counting.tables import TableSettings
-
-        names = ("photons", "settle_s", "repeats", "gain", "read_noise")
-        settings = self.explicit(names)
-        if self.background is not None and is_table(self.background):
-            settings["dark"] = read_table(self.background, TableSettings.WORDS)
-        elif self.background is not None:
-            try:
-                settings["background"] = float(self.background)
-            except ValueError:
-                raise InputError(
-                    f"--background {self.background!r} is not allowed: give counts, or a table"
-                ) from None
-        return TableSettings(**settings)

@@ -87,7 +87,7 @@ class Acquisition(StrictModel):
 
     @property
     def exposures_text(self) -> str:
-        """Number of scenes, and of the exposures of each, in words."""
+        """Scenes and exposures, for a report."""
         return (
             f"{plural(len(self.scenes), 'scene')}, {plural(self.repeats, 'exposure')} of "
             f"{time_text(self.exposure_s)} for each"
@@ -190,15 +190,6 @@ class Acquisition(StrictModel):
             raise InputError(f"{name}: {error}") from None
 
 
-LEAST_SPOTS = 16
-"""Spots that a calibration should rest on, or all that were shown."""
-
-LARGEST_RESIDUAL_CELLS = 0.25
-"""Distance of the spots from the fit above which a calibration is doubted, cells."""
-
-LARGEST_ERROR_CELLS = 0.1
-"""Standard error of the view above which a calibration is doubted, cells."""
-
 HomographyRow = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 """Row of a homography."""
 
@@ -245,21 +236,20 @@ class Calibration(StrictModel):
     def doubts(self) -> list[str]:
         """Why not to trust it, one line each; none where all is well."""
         said = []
-        if self.spots < min(LEAST_SPOTS, self.shown):
+        if self.spots < min(16, self.shown):
             said.append(
-                f"only {self.spots} of {self.shown} spots are seen, and {LEAST_SPOTS} or more are "
-                "wanted: expose longer, show larger spots or aim the camera"
+                f"only {self.spots} of {self.shown} spots are seen, and 16 or more are wanted: "
+                "expose longer, show larger spots or aim the camera"
             )
-        if self.residual > LARGEST_RESIDUAL_CELLS:
+        if self.residual > 0.25:
             said.append(
-                f"the spots lie {self.residual:.2f} cells from one perspective, and up to "
-                f"{LARGEST_RESIDUAL_CELLS:g} are well: the lens bends lines, something moved, or "
-                "there is too little light"
+                f"the spots lie {self.residual:.2f} cells from one perspective, and up to 0.25 are "
+                "well: the lens bends lines, something moved, or there is too little light"
             )
-        if self.error > LARGEST_ERROR_CELLS:
+        if self.error > 0.1:
             said.append(
-                f"the view is known to {self.error:.2f} cells, and {LARGEST_ERROR_CELLS:g} are "
-                f"wanted: give {(self.error / LARGEST_ERROR_CELLS) ** 2:.2g} times the light"
+                f"the view is known to {self.error:.2f} cells, and 0.1 are wanted: give "
+                f"{(self.error / 0.1) ** 2:.2g} times the light"
             )
         return said
 

@@ -76,10 +76,6 @@ class Fault(StrictModel):
         start = f"{self.kind}{','.join(where)}"
         return f"{start}: {self.detail}"
 
-    def line(self, names: Sequence[str] = ()) -> str:
-        """The fault in one line that also says if it is of markers or light; as of `words`."""
-        return f"{'marker' if self.kind == 'late' else 'light'} {self.words(names)}"
-
 
 @dataclass
 class PassLight:
@@ -130,8 +126,8 @@ class PassLight:
         These are stray light, or a lamp that changed.
         """
         curve = self.curve
-        photons = curve.photons.sum(axis=2)
-        seconds = curve.seconds.sum(axis=2)
+        photons = curve.photons
+        seconds = curve.seconds
         on, on_s = curve.together(curve.bright)
         chances = excess_chance(photons, seconds, on[:, None], on_s[:, None], ratio=1 + HARMLESS)
         brighter = chances * photons.size <= chance
@@ -164,7 +160,7 @@ class PassLight:
         faults = []
         for index in np.flatnonzero(differ).tolist():
             frames = curve.bright if bright[index] else curve.dark
-            one, other = (float(curve.photons[index, frame].sum()) for frame in frames)
+            one, other = curve.photons[index, list(frames)].tolist()
             detail = (
                 f"light{curve.name} changed within the pass: {one:.0f} photons in "
                 f"{curve.frames[frames[0]]} at its start, {other:.0f} at its end"
@@ -192,12 +188,11 @@ def _find_lit(curve: LightCurve, background: Background, chance: float) -> np.nd
 def _differ(
     curve: LightCurve, frames: tuple[int, int], ratio: np.ndarray | float, chance: float
 ) -> np.ndarray:
-    """Passes (P,) in which one of two frames is brighter than the other, by more than that."""
-    photons, seconds = curve.of(frames)
-    (one, other) = photons.T
-    (one_s, other_s) = seconds.T
+    """Passes (P,) in which one of two frames is brighter by more than a ratio."""
+    one, other = curve.photons[:, list(frames)].T
+    one_s, other_s = curve.seconds[:, list(frames)].T
     chances = change_chance(one, one_s, other, other_s, ratio=ratio)
-    return np.asarray(chances * len(photons) <= chance)
+    return np.asarray(chances * len(one) <= chance)
 
 
 def _find_level_changes(flux: Flux) -> list[Fault]:
@@ -291,7 +286,7 @@ def check_light(
     return _Light(flux.rate, rates, lit, tuple(faults))
 
 
-def find_lateness(photons: np.ndarray, seconds: np.ndarray, room_s: float) -> tuple[Fault, ...]:
+def find_lateness(photons: np.ndarray, seconds: np.ndarray) -> tuple[Fault, ...]:
     """Name markers that all come late: light of the first mask is in the frame before it."""
     guard, dark, light = photons
     guard_s, dark_s, light_s = seconds
@@ -304,15 +299,10 @@ def find_lateness(photons: np.ndarray, seconds: np.ndarray, room_s: float) -> tu
     rate = float((light[used] / light_s[used] - dark[used] / dark_s[used]).sum())
     if excess <= CERTAIN_SIGMAS * noise or rate <= 0:
         return ()
-    late = excess / rate
     detail = (
-        f"all markers, by {late * 1e6:.1f} µs: the light of each frame begins before its marker"
+        f"all markers, by {excess / rate * 1e6:.1f} µs: the light of each frame begins before its "
+        "marker; mend the trigger, or count an --exposure that ends earlier"
     )
-    if room_s < late:
-        detail += (
-            f", and gates end {max(room_s, 0) * 1e6:.1f} µs before the next marker: mend the "
-            "trigger, or count a shorter --exposure"
-        )
     return (Fault(kind="late", detail=detail),)
 
 
@@ -336,7 +326,7 @@ def _find_blind_detectors(detectors: Sequence[PassLight]) -> list[Fault]:
 
 
 def find_unequal_gains(detectors: Sequence[PassLight], trained: DetectorMap | None) -> list[Fault]:
-    """Fault of an arm's detectors that share the light of all scenes as no classes do, if any."""
+    """Fault of an arm whose detectors share the light of all scenes as no classes do."""
     # In the mean over scenes each detector's share of the light lies among those of the classes,
     # whatever classes are shown. Where no mixture of classes explains the shares, detectors differ
     # in efficiency
@@ -384,17 +374,13 @@ def _nearest_mixture(
     return float(solution.x[-1]), classes @ solution.x[:-1]
 
 
-NAMED_FRAMES = 5
-"""Largest number of frames that a fault lists."""
-
-
 def _list_frames(which: np.ndarray) -> str:
     """Frames of a fault, if they are several, as an insertion."""
     frames = np.flatnonzero(which).tolist()
     if len(frames) < 2:
         return ""
-    more = f" and {len(frames) - NAMED_FRAMES} more" if len(frames) > NAMED_FRAMES else ""
-    return f" (frames {', '.join(map(str, frames[:NAMED_FRAMES]))}{more})"
+    more = f" and {len(frames) - 5} more" if len(frames) > 5 else ""
+    return f" (frames {', '.join(map(str, frames[:5]))}{more})"
 
 
 NO_LIGHT = 0.01

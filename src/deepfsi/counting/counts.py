@@ -1,25 +1,23 @@
 """Photon counts of each readout: their corrections, and their file counts.npz.
 
-A counter registers more or less than arrives, and in proportion to what it counts: first what dead
-time took is undone (`Corrections`), then the gains of its detectors.
+A counter registers more or less than arrives, in proportion to what it counts: first what dead time
+took is undone (`Corrections`), then the gains of its detectors.
 
 Ambient light on the device is counted through each mask, and is no factor. A pass with the scene
-dark measures it, readout by readout, beyond the dark counts that all-OFF frames have; it is then
-subtracted from all scenes, and what all-ON frames hold of it from the flux. Its variance is that of
-the photons by which it was measured, and is the same error in all scenes.
+dark measures it, readout by readout, beyond the dark counts of all-OFF frames; it is subtracted
+from all scenes and from the flux. Its error is the same in all scenes.
 
-Clicks are corrected for nothing, as they are not in proportion to the light: of the photons in each
-of the G equal gates of a frame's exposure the first alone. A detector that fires at most once in a
-gate makes them, or a count of the photons of any other. Of r expected photons a frame has
+Clicks are not in proportion to the light, and are not corrected: of the photons in each of the G
+equal gates of a frame's exposure only the first is counted. Of r expected photons a frame has
 
     k ~ Binomial(G, 1 - exp(-r / G))
 
-clicks. Their budget comes from the all-ON and all-OFF frames of a whole run: a gate in which a
-detector fires with the probability p has -log(1 - p) photons in the mean. Where gates hold more
-than one photon in the mean, a detector is not gated, and the photons themselves tell it.
+clicks. The all-ON and all-OFF frames of a whole run tell the budget: a gate in which a detector
+fires with the probability p has -log(1 - p) photons in the mean. Where gates hold more than one
+photon in the mean, the detector is not gated, and its photons are the budget.
 
 The file carries hashes of what was counted (settings, patterns, photons.ptu) and of its own
-content: counts of something else, and counts that were edited, are refused.
+content: counts of something else, and edited ones, are refused.
 """
 
 import io
@@ -45,13 +43,10 @@ from deepfsi.camera.dead_time import (
 from deepfsi.counting.checks import SPOILING, Fault
 from deepfsi.patterns.manifest import Frame, Manifest
 
-LEAST_UNFIRED = 25
-"""Gates of all ON without a click that tell the light, at least: to 1 / 5 of a photon in each."""
-
 
 @dataclass(frozen=True)
 class RunLight:
-    """Light of each scene, as `Counts` has it, and the faults of all."""
+    """Light of each scene, and all faults."""
 
     on_rate: np.ndarray  # (S,)
     off_rate: np.ndarray  # (S,)
@@ -64,7 +59,7 @@ class RunLight:
 class Counts:
     """Photon counts of each readout; the axis D is there only of several detectors."""
 
-    counts: np.ndarray  # registered counts, int64, or the values of a table
+    counts: np.ndarray  # registered counts, int64, or those of a table
     arrivals: np.ndarray
     variance: np.ndarray
     valid: np.ndarray  # whether all readouts of an exposure were recorded
@@ -126,7 +121,7 @@ class Counts:
         return out
 
     def check_photons(self, folder: str | os.PathLike[str]) -> Self:
-        """Counts of photons as they are; `InputError` if they are clicks."""
+        """Give these counts; raise `InputError` if they are clicks."""
         if self.gates is not None:
             raise InputError(
                 f"{folder} was counted in clicks, which are not in proportion to the light: record "
@@ -138,9 +133,9 @@ class Counts:
         """Raise `InputError` where clicks do not tell the flux of any scene."""
         if not np.isfinite(self.flux).any():
             raise InputError(
-                f"{source} does not tell its budget: all-ON frames leave less than {LEAST_UNFIRED} "
-                "gates without a click, or click no more often than all-OFF ones; give `photons`, "
-                "or look at the order of frames"
+                f"{source} does not tell its budget: all-ON frames leave less than 25 gates "
+                "without a click, or click no more often than all-OFF ones; give `photons`, or "
+                "look at the order of frames"
             )
 
     def save(self, path: Path, photons: Path, acquisition: str) -> None:
@@ -293,14 +288,11 @@ class Ambient:
     ) -> Self:
         """Light of exposures (E) with the scene dark."""
         exposures = len(gated.arrivals)
-        rate, noise = np.zeros((2, manifest.inputs))
-        flux = 0.0
         on = _rate(frames, frames_s, ALL_ON)
         off = _rate(frames, frames_s, ALL_OFF)
-        if on is not None and off is not None:
-            rate = manifest.dark_inputs(on.arrivals, off.arrivals)
-            noise = manifest.dark_inputs(on.variance, off.variance)
-            flux = float((on.arrivals - rate)[manifest.arm].sum())
+        rate = manifest.dark_inputs(on.arrivals, off.arrivals)
+        noise = manifest.dark_inputs(on.variance, off.variance)
+        flux = float((on.arrivals - rate)[manifest.arm].sum())
         mean = gated.arrivals.mean(axis=0)
         variance = gated.variance.sum(axis=0) / exposures**2
         lengths = manifest.lengths_by_readout(lengths_s)
@@ -324,11 +316,9 @@ class Ambient:
         return rest
 
 
-def _rate(photons: np.ndarray, seconds: np.ndarray, frames: list[int]) -> Estimate | None:
-    """Counts/s (inputs,) in some frames; None where they were not counted."""
+def _rate(photons: np.ndarray, seconds: np.ndarray, frames: list[int]) -> Estimate:
+    """Counts/s (inputs,) in some frames."""
     spent = seconds[frames].sum()
-    if not spent:
-        return None
     total = photons[frames].sum(axis=0)
     return Estimate(total / spent, total.clip(min=0) / spent**2)
 
@@ -361,7 +351,8 @@ def light_of_clicks(
     with np.errstate(divide="ignore"):
         rate = np.where(mean > 1, mean, -np.log1p(-share)) / width_s
     dark = manifest.dark_inputs(rate[0], rate[1])
-    certain = ((mean > 1) | (gates - fired >= LEAST_UNFIRED))[0, arm].all()
+    # 25 gates without a click tell the light to 1 / 5 of a photon in each
+    certain = ((mean > 1) | (gates - fired >= 25))[0, arm].all()
     flux = float((rate[0] - dark)[arm].sum()) if certain else np.nan
     on, off = share[:, arm].sum(axis=1) / width_s
     return RunLight(

@@ -20,12 +20,6 @@ from deepfsi.base.files import GrowingFile, open_atomically
 from deepfsi.base.tables import read_whole_numbers
 from deepfsi.counting.ptu import GENERIC_T2, MAGIC, TICKS_S
 
-EVENTS_IN_MEMORY = 2**18
-"""Events that are encoded at once."""
-
-MOST_WRAPS = 127
-"""Largest number of overflows of one record: ptufile 2026.2 multiplies them in 32 bits."""
-
 
 class PtuWriter:
     """Writer of a T2 file of type Generic, as a context manager.
@@ -97,12 +91,12 @@ class PtuWriter:
         InputError
             If times run back or codes mean nothing.
         """
-        for start in range(0, len(times), EVENTS_IN_MEMORY):
-            stop = start + EVENTS_IN_MEMORY
+        for start in range(0, len(times), 2**18):  # so many are in memory at once
+            stop = start + 2**18
             self._append(times[start:stop], codes[start:stop])
 
     def _append(self, times: np.ndarray, codes: np.ndarray) -> None:
-        """Append events, up to `EVENTS_IN_MEMORY`."""
+        """Append events, one or more."""
         if int(times[0]) < self._latest or (times[1:] < times[:-1]).any():
             raise InputError("times run back: give events in order, none before 0")
         if int(times[-1]) > 2**55 or int(codes.min()) < -15 or int(codes.max()) > 63:
@@ -120,9 +114,10 @@ class PtuWriter:
         wraps = times >> GENERIC_T2.time_bits
         steps = np.diff(wraps, prepend=self._wraps)
         late = np.flatnonzero(steps)
-        copies = -(-steps[late] // MOST_WRAPS)
-        counts = np.full(int(copies.sum()), MOST_WRAPS)
-        counts[np.cumsum(copies) - 1] = steps[late] - (copies - 1) * MOST_WRAPS
+        most = 127  # overflows of one record: ptufile 2026.2 multiplies them in 32 bits
+        copies = -(-steps[late] // most)
+        counts = np.full(int(copies.sum()), most)
+        counts[np.cumsum(copies) - 1] = steps[late] - (copies - 1) * most
         overflows = 1 << 31 | 63 << GENERIC_T2.shift | counts
         words = np.insert(words, np.repeat(late, copies), overflows)
 

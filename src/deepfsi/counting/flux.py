@@ -1,4 +1,4 @@
-"""Light over time: what arrived in parts of frames, its flux and background, and exact chances.
+"""Light over time: what arrived in frames, its flux and background, and exact chances.
 
 A row of passes is cut where a segment of it, at one of its ends or within, is brighter or darker
 than the rest beyond chance and beyond what is allowed; then each segment is looked at in the same
@@ -21,9 +21,6 @@ from typing import ClassVar, Self
 import numpy as np
 
 from deepfsi.patterns.manifest import Brightness, Frame
-
-PARTS_OF_FRAME = 8
-"""Parts of each frame that are counted by themselves."""
 
 FALSE_ALARMS = 1e-3
 """Largest chance of any fault of the light in a sound acquisition."""
@@ -49,14 +46,14 @@ AllowedRatio = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Arrivals:
-    """Photons that arrived in equal parts of frames, as estimated from those that were counted."""
+    """Photons that arrived in frames, as estimated from those that were counted."""
 
     ARRAYS: ClassVar = ("photons", "variance", "seconds")
 
     frames: tuple[Frame, ...]  # frames in the order in which they were shown
-    photons: np.ndarray
-    variance: np.ndarray  # variance of their noise
-    seconds: np.ndarray  # how long each part was open: 0 of frames that are not counted yet
+    photons: np.ndarray  # ([P,] F, inputs)
+    variance: np.ndarray  # of their noise
+    seconds: np.ndarray  # ([P,] F): how long they were counted; 0 if they are not yet
 
     @classmethod
     def join(cls, lists: Sequence[Self]) -> Self:
@@ -85,24 +82,19 @@ class Arrivals:
 class LightCurve:
     """Light over time, of an arm's detectors together or of one of them."""
 
-    photons: np.ndarray
-    seconds: np.ndarray
-    scenes: np.ndarray  # scene of each pass
+    photons: np.ndarray  # (P, F)
+    seconds: np.ndarray  # (P, F)
+    scenes: np.ndarray  # (P,): scene of each pass
     bright: tuple[int, int]
     dark: tuple[int, int]
     frames: tuple[Frame, ...]
     name: str  # what a fault calls the inputs
     sees_part: bool = False  # True of a detector that sees a part of the device, which may be dark
 
-    def of(self, frames: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """Photons and seconds of some frames, each (P, frames)."""
-        which = list(frames)
-        return self.photons[:, which].sum(axis=2), self.seconds[:, which].sum(axis=2)
-
     def together(self, frames: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Photons and seconds of some frames together, each (P,)."""
-        photons, seconds = self.of(frames)
-        return photons.sum(axis=1), seconds.sum(axis=1)
+        which = list(frames)
+        return self.photons[:, which].sum(axis=1), self.seconds[:, which].sum(axis=1)
 
 
 @dataclass(frozen=True)
@@ -153,10 +145,10 @@ class Curves:
 
 
 def _as_poisson(arrivals: Arrivals, columns: slice) -> tuple[np.ndarray, np.ndarray]:
-    """Photons and seconds (P, F, K) of inputs together, scaled so that noise is Poisson's."""
+    """Photons and seconds (P, F) of inputs together, scaled so that noise is Poisson's."""
     photons = arrivals.photons[..., columns].sum(axis=-1)
-    noise = arrivals.variance[..., columns].sum(axis=(-2, -1))
-    share = np.where(noise > 0, photons.sum(axis=-1) / np.where(noise > 0, noise, 1), 1)[..., None]
+    noise = arrivals.variance[..., columns].sum(axis=-1)
+    share = np.where(noise > 0, photons / np.where(noise > 0, noise, 1), 1)
     return photons * share, arrivals.seconds * share
 
 
@@ -206,7 +198,7 @@ def change_chance(
 
 @dataclass(frozen=True)
 class _PassRates:
-    """Rates of passes in their order; several passes sum."""
+    """Rates of passes; those of several sum."""
 
     counts: np.ndarray  # (P,): photons, less the background where it is known
     variances: np.ndarray  # (P,): of the counts
@@ -218,7 +210,7 @@ class _PassRates:
 
 
 def _find_segments(rates: _PassRates, allowed: AllowedRatio, chance: float) -> list[slice]:
-    """Segments between the change points of a row of passes, in their order."""
+    """Segments between the change points of a row of passes."""
     segments = []
     todo = [(0, len(rates.counts))]
     rows = np.stack([rates.counts, rates.variances, rates.seconds]).astype(np.float64)
@@ -308,7 +300,7 @@ class Background:
 
     @classmethod
     def of(cls, curve: LightCurve, chance: float) -> Self:
-        """Background of each pass: that of its own dark frames and of its neighbours that agree."""
+        """Background of each pass, from its dark frames and its neighbours' that agree."""
         photons, seconds = curve.together(curve.dark)
         usual = (photons.sum() + 1) / max(seconds.sum(), 1e-300)
         ratio = 1 + HARMLESS_DARK * _usual_light(curve) / usual

@@ -9,10 +9,10 @@ A file is a header of tags and then records of 32 bits, as PicoQuant describes t
 
 import os
 import struct
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -31,11 +31,7 @@ LATEST_TICK = 2**61
 EARLIEST_TICK = -(2**62)
 """A time before all others, ticks."""
 
-RUNS_BACK = "a time before that of the record before"
-"""Fault of a record whose time is too early."""
-
 MAGIC = b"PQTTTR"
-"""First bytes of a file."""
 
 LONGEST_HEADER = 2**22
 """Largest number of bytes of a header, or of one tag."""
@@ -43,26 +39,14 @@ LONGEST_HEADER = 2**22
 TICKS_S = (1e-15, 1.0)
 """Shortest and longest tick that is believed, seconds."""
 
-_VALUES: dict[int, Callable[[bytes], Any]] = {
-    0xFFFF0008: lambda field: None,  # Empty8
-    0x00000008: any,  # Bool8
-    **dict.fromkeys(  # Int8, BitSet64, Color8
-        (0x10000008, 0x11000008, 0x12000008),
-        lambda field: int.from_bytes(field, "little", signed=True),
-    ),
-    **dict.fromkeys(  # Float8, TDateTime
-        (0x20000008, 0x21000008), lambda field: struct.unpack("<d", field)[0]
-    ),
-}
-"""Value of a tag by its type, from its 8 bytes."""
+_EIGHT_BYTES = (
+    *(0xFFFF0008, 0x00000008, 0x10000008, 0x11000008),  # Empty8, Bool8, Int8, BitSet64
+    *(0x12000008, 0x20000008, 0x21000008),  # Color8, Float8, TDateTime
+)
+"""Types of tags whose value is their 8 bytes."""
 
-_CONTENTS: dict[int, Callable[[bytes], Any]] = {
-    0x2001FFFF: lambda raw: np.frombuffer(raw[: len(raw) // 8 * 8], "<f8"),  # Float8Array
-    0x4001FFFF: lambda raw: raw.rstrip(b"\0").decode("windows-1252", "replace"),  # AnsiString
-    0x4002FFFF: lambda raw: raw.decode("utf-16-le", "replace").rstrip("\0"),  # WideString
-    0xFFFFFFFF: bytes,  # BinaryBlob
-}
-"""The same of types whose 8 bytes are the number of those that follow, from these."""
+_LONGER = (0x2001FFFF, 0x4001FFFF, 0x4002FFFF, 0xFFFFFFFF)  # Float8Array, two strings, BinaryBlob
+"""Types of tags whose 8 bytes are the number of bytes that follow."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +59,6 @@ class Kind:
     shift: int = 25
     time_bits: int = 25
     wrap: int = 1 << 25
-    counted: bool = True
     first: int = 0
     inputs: int = 64
 
@@ -91,7 +74,6 @@ PICOHARP_T2 = Kind(
     shift=28,
     time_bits=28,
     wrap=210_698_240,
-    counted=False,
     inputs=5,
 )
 """Record of a PicoHarp 300 in T2 mode."""
@@ -103,7 +85,6 @@ PICOHARP_T3 = Kind(
     shift=28,
     time_bits=16,
     wrap=65_536,
-    counted=False,
     first=1,
     inputs=4,
 )
@@ -113,10 +94,9 @@ GENERIC_T2 = Kind("Generic T2", 0x00010207)
 """Record of a recent device in T2 mode, as files are written here."""
 
 
-def _both_modes(name: str, code: int, *, old: bool = False) -> tuple[Kind, Kind]:
-    """Types of records, T2 and T3, of a HydraHarp or later; old ones count no overflows."""
-    wrap = 33_552_000 if old else GENERIC_T2.wrap
-    t2 = replace(GENERIC_T2, name=f"{name} T2", code=code, wrap=wrap, counted=not old)
+def _both_modes(name: str, code: int) -> tuple[Kind, Kind]:
+    """Types of records, T2 and T3, of a HydraHarp or later."""
+    t2 = replace(GENERIC_T2, name=f"{name} T2", code=code)
     t3 = replace(t2, name=f"{name} T3", code=code + 0x100, mode="T3", time_bits=10, wrap=1 << 10)
     return t2, t3
 
@@ -126,7 +106,6 @@ KINDS = {
     for kind in (
         PICOHARP_T2,
         PICOHARP_T3,
-        *_both_modes("HydraHarp V1", 0x00010204, old=True),
         *_both_modes("HydraHarp V2", 0x01010204),
         *_both_modes("TimeHarp 260 N", 0x00010205),
         *_both_modes("TimeHarp 260 P", 0x00010206),
@@ -138,10 +117,9 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Header:
-    """Header of a PTU file: its tags and the type of its records."""
+    """Header of a PTU file, as far as records are read by it."""
 
     path: Path  # the file, or a name for a stream
-    tags: dict[str, Any]  # values by name
     kind: Kind  # type of the records
     offset: int  # bytes before the first record
     tick_s: float  # seconds of a tick
@@ -186,11 +164,12 @@ class Header:
     @classmethod
     def parse(cls, path: str | os.PathLike[str]) -> Generator[int, bytes, "Header"]:
         """Parse a header: yields how many bytes it needs, and is sent them, or fewer at the end."""
-        tags, offset = yield from _parse_tags(path)
+        tags, offset = yield from _parse_numbers(path)
         code = _integer(tags, "TTResultFormat_TTTRRecType", path)
         if code not in KINDS:
             raise InputError(
-                f"{path} has records of unknown type {code:#010x}: the file is damaged or newer"
+                f"{path} has records of unknown type {code:#010x}: the file is damaged, newer, or "
+                "of a HydraHarp with software 1"
             )
         kind = KINDS[code]
         if _integer(tags, "TTResultFormat_BitsPerRecord", path, 32) not in (0, 32):
@@ -201,12 +180,9 @@ class Header:
             )
         tick = tags.get("MeasDesc_GlobalResolution")
         if not (isinstance(tick, float) and TICKS_S[0] <= tick <= TICKS_S[1]):
-            raise InputError(
-                f"{path} is damaged: its time resolution is {str(tick)[:40]}, not 1e-15 to 1 s"
-            )
+            raise InputError(f"{path} is damaged: its time resolution is {tick}, not 1e-15 to 1 s")
         return cls(
             path=Path(path),
-            tags=tags,
             kind=kind,
             offset=offset,
             tick_s=tick,
@@ -214,17 +190,17 @@ class Header:
         )
 
 
-def _parse_tags(
+def _parse_numbers(
     path: str | os.PathLike[str],
-) -> Generator[int, bytes, tuple[dict[str, Any], int]]:
-    """Tags of a header by name, and its bytes."""
+) -> Generator[int, bytes, tuple[dict[str, int | float | None], int]]:
+    """Numbers in the tags of a header by name, None of another type, and the header's bytes."""
     start = yield 16
     if start[:8].rstrip(b"\0") != MAGIC:
         raise InputError(
             f"{path} is not a PTU file: it begins with {start[:8]!r}, not {MAGIC!r}; give times "
             "and channels of other formats to `deepfsi camera import`, as two columns"
         )
-    tags: dict[str, Any] = {}
+    numbers: dict[str, int | float | None] = {}
     offset = len(start)
     while True:
         raw = yield 48
@@ -234,30 +210,30 @@ def _parse_tags(
         ident, index, code, value = struct.unpack("<32siI8s", raw)
         name = ident.split(b"\0")[0].decode("ascii", "replace")
         if name == "Header_End":
-            return tags, offset
-        key = name if index < 0 else f"{name}({index})"
-        if code in _VALUES:
-            tags[key] = _VALUES[code](value)
-        elif code in _CONTENTS:
+            return numbers, offset
+        if code in _LONGER:
             (size,) = struct.unpack("<q", value)
             content = (yield size) if 0 < size <= LONGEST_HEADER else b""
             if len(content) != size:
-                raise InputError(f"{path} is damaged: its tag {key!r} is of {size} bytes")
+                raise InputError(f"{path} is damaged: its tag {name!r} is of {size} bytes")
             offset += size
-            tags[key] = _CONTENTS[code](content)
-        else:
-            raise InputError(f"{path} is damaged: its tag {key!r} is of unknown type {code:#010x}")
+        elif code not in _EIGHT_BYTES:
+            raise InputError(f"{path} is damaged: its tag {name!r} is of unknown type {code:#010x}")
+        if index < 0:
+            form = {0x10000008: "<q", 0x20000008: "<d"}.get(code)
+            numbers[name] = struct.unpack(form, value)[0] if form else None
 
 
 def _integer(
-    tags: dict[str, Any], name: str, path: str | os.PathLike[str], default: int | None = None
+    numbers: dict[str, int | float | None],
+    name: str,
+    path: str | os.PathLike[str],
+    default: int | None = None,
 ) -> int:
     """Integer of a tag, or the default where there is none."""
-    value = tags.get(name, default)
+    value = numbers.get(name, default)
     if not isinstance(value, int):
-        raise InputError(
-            f"{path} is damaged: its tag {name!r} is {str(value)[:40]!r}, not an integer"
-        )
+        raise InputError(f"{path} is damaged: its tag {name!r} is not an integer")
     return value
 
 
@@ -289,7 +265,7 @@ class Part:
 
     @property
     def markers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Markers in their order: times in ticks, int64 (n,), and bits, uint8 (n,)."""
+        """Times of the markers in ticks, int64 (n,), and their bits, uint8 (n,)."""
         which = np.flatnonzero(self.bits)
         return self.times[which], self.bits[which].astype(np.uint8)
 
@@ -312,7 +288,7 @@ class Part:
         return low
 
     def count(self, number: int, places: np.ndarray) -> tuple[np.ndarray, int]:
-        """Photons on an input before each of some places, and all of them."""
+        """Photons on an input before each place, and in the whole part."""
         field = self.kind.first + number
         counted = self.words < np.uint32(field + 1 << self.kind.shift)
         if field:
@@ -341,7 +317,7 @@ class Part:
 
 
 class Decoder:
-    """Decoder of records that come in blocks, which may be of any length.
+    """Decodes records that come in blocks of any length.
 
     Where a record is damaged, the part ends before it with a `fault`, and no more can be decoded.
     """
@@ -391,7 +367,8 @@ class Decoder:
             loose = _merge(exact, (places[bits > 0], marked + self._slack, marked - self._slack))
             late, latest = _follow(exact, self._latest)
             later, after = _follow(loose, self._after)
-            damages += [(back, RUNS_BACK), (late, RUNS_BACK), (later, RUNS_BACK)]
+            early = np.concatenate([back, late, later])
+            damages.append((np.sort(early), "a time before that of the record before"))
 
         starts = [(int(where[0]), how) for where, how in damages if len(where)]
         if starts:
@@ -490,6 +467,6 @@ def _specials(
         codes = codes & 63
         valid = codes != 63
         bits = codes
-        wraps = np.where(valid, 0, np.maximum(times, 1) if kind.counted else 1)
+        wraps = np.where(valid, 0, np.maximum(times, 1))
         sync = (codes == 0) & (kind.mode == "T2")
     return wraps, np.where(valid & (bits < 16), bits, 0), sync, times

@@ -35,12 +35,6 @@ from deepfsi.counting.ptu import (
     Part,
 )
 
-MOST_PHOTONS = 2**27
-"""Largest number of photons whose times are held at once."""
-
-MOST_MARKERS = 2**24
-"""Largest number of markers of a file."""
-
 
 class PtuFile:
     """PTU file that is there as a whole, or as far as it was recorded."""
@@ -88,7 +82,7 @@ class PtuStream:
     def without_header(cls, name: str | os.PathLike[str], tick_s: float) -> Self:
         """Stream of T2 records of type Generic alone, as a device gives them."""
         stream = cls(name)
-        stream._begin(Header(Path(name), {}, GENERIC_T2, offset=0, tick_s=tick_s, claimed=0))
+        stream._begin(Header(Path(name), GENERIC_T2, offset=0, tick_s=tick_s, claimed=0))
         return stream
 
     @property
@@ -267,7 +261,7 @@ def read_markers(photons: Photons, progress: Progress = SILENT) -> tuple[np.ndar
     Raises
     ------
     InputError
-        If the file is damaged, or has more than `MOST_MARKERS`.
+        If the file is damaged, or has more than 2^24 markers.
     """
     source = _as_source(photons)
     times = [np.zeros(0, np.int64)]
@@ -279,10 +273,9 @@ def read_markers(photons: Photons, progress: Progress = SILENT) -> tuple[np.ndar
         times.append(ticks)
         bits.append(which)
         total += len(ticks)
-        if total > MOST_MARKERS:
+        if total > 2**24:
             raise InputError(
-                f"{source.header.path} has more than {MOST_MARKERS} markers: give one for each "
-                "frame"
+                f"{source.header.path} has more than {2**24} markers: give one for each frame"
             )
     return np.concatenate(times), np.concatenate(bits)
 
@@ -300,9 +293,9 @@ def read_photons(
         times.append(part.photons(number))
         reached = part.reached
         total += len(times[-1])
-        if total > MOST_PHOTONS:
+        if total > 2**27:  # their times are held at once
             raise InputError(
-                f"{source.header.path} has more than {MOST_PHOTONS} photons: give a shorter record"
+                f"{source.header.path} has more than {2**27} photons: give a shorter record"
             )
     tick_s = source.header.tick_s
     return np.concatenate(times) * tick_s, reached * tick_s
@@ -349,7 +342,7 @@ def count_windows(
 
 
 class WindowCounter:
-    """Counter of the photons in windows, which may be told as late as they begin."""
+    """Counts photons in windows, each of which is told before it begins."""
 
     def __init__(self, source: PhotonSource, inputs: Sequence[int]) -> None:
         _check_inputs(source, inputs)
@@ -363,7 +356,7 @@ class WindowCounter:
         self._reached = -1  # no photon of parts to come is earlier
 
     def expect(self, starts: np.ndarray, stops: np.ndarray) -> None:
-        """Count windows that follow those before; shapes as of `count_windows`."""
+        """Count further windows, whose shapes are those of `count_windows`."""
         if not len(starts):
             return
         edges = np.stack([starts, stops], axis=1).astype(np.int64).ravel()

@@ -23,7 +23,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.errors import InputError, as_input_error, check_choice
 from deepfsi.base.files import hash_file, new_folder, read_regular, read_text, write_atomically
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.quantities import count_text, time_text
@@ -42,7 +42,7 @@ from deepfsi.counting.counts import (
     check_clicks,
     light_of_clicks,
 )
-from deepfsi.counting.flux import PARTS_OF_FRAME, Arrivals, name_inputs
+from deepfsi.counting.flux import Arrivals, name_inputs
 from deepfsi.counting.reader import PhotonSource, PtuFile, summarise
 from deepfsi.counting.windows import (
     MOST_DRIFT,
@@ -65,7 +65,7 @@ class CountSettings:
     inputs: tuple[int, ...] | None = None  # inputs of the counter, from 0, one for each detector
     marker_bit: int | None = None  # 1, 2, 4 or 8: the marker input of the device's trigger
     dead_time: DeadTime | None = None  # to be corrected for
-    background: str | None = None  # name of a dark scene, or folder of a recording of one
+    background: str | None = None  # name of a dark scene
     gains: tuple[float, ...] = ()
     clicks: int | None = None
 
@@ -208,7 +208,7 @@ class Recording:
             )
 
     def read_counts(self) -> Counts:
-        """Counts as `count` wrote them, or `InputError` where they are of something else."""
+        """Counts that `count` wrote; `InputError` if settings or photons changed since."""
         self.acquisition.check_fixed(self.folder)
         return Counts.read(self._counts_file, self.photons, self.acquisition.digest)
 
@@ -251,7 +251,7 @@ class Recording:
             yield f"{self.photons.name}: {problem}"
         names = [scene.name for scene in self.acquisition.scenes]
         for fault in counts.faults:
-            yield fault.line(names)
+            yield fault.words(names)
         counted = int(counts.counts.sum())
         if counts.dead_time.seconds:
             lost = 1 - counted / max(float(counts.arrivals.sum()), 1.0)
@@ -272,7 +272,7 @@ class Recording:
         yield f"{counted} {kind} counted"
         yield f"budget {source}: {_span(counts.photons)} photons an exposure"
         yield f"dark counts: {_span(counts.dark_rate[counts.valid.any(axis=1)])} a second"
-        yield f"clocks: frames last {_drift_text(counts.drift)}"
+        yield f"clocks: frames last {1 + counts.drift:.7g} times as long as planned"
         if counts.ambient_variance.any():
             error = math.sqrt(counts.ambient_variance.sum())
             found = f"{counts.ambient.sum():.4g} ± {error:.2g}"
@@ -286,14 +286,6 @@ def _span(values: np.ndarray) -> str:
         return "unknown"
     ends = [count_text(end) for end in (np.nanmin(values), np.nanmax(values))]
     return " to ".join(dict.fromkeys(ends))
-
-
-def _drift_text(drift: float) -> str:
-    """Drift of clocks, a share, in words."""
-    if abs(drift) < 1e-7:
-        return "as planned"
-    size = f"{abs(drift) * 1e6:.1f} ppm" if abs(drift) < 1e-3 else f"{abs(drift):.2%}"
-    return f"{size} {'shorter' if drift < 0 else 'longer'} than planned"
 
 
 @dataclass(frozen=True)
@@ -340,18 +332,10 @@ class _FoundFrames:
             )
         return cls(recording, source, gates, starts)
 
-    def count_in(self, *sets: Windows, progress: Progress = SILENT) -> list[WindowCounts]:
-        """Photons of the passes in sets of windows."""
+    def count_in(self, windows: Windows, progress: Progress = SILENT) -> WindowCounts:
+        """Photons of the passes in windows."""
         inputs = self.recording.acquisition.inputs
-        return self.starts.count_in(self.source, sets, inputs, progress)
-
-    def find_late(self, gated: WindowCounts) -> tuple[Fault, ...]:
-        """Fault of markers that all come late."""
-        manifest = self.recording.manifest
-        pictures = self.starts.pictures_s[manifest.shown]
-        ends = self.gates.settle_s + self.gates.repeats * self.gates.length_s
-        room_s = float((pictures - ends).min())
-        return find_lateness(*gated.around_first_mask(manifest.arm), room_s=room_s)
+        return self.starts.count_in(self.source, windows, inputs, progress)
 
     def check_lit(self, lit: np.ndarray, *, inverted: bool = False) -> None:
         """Raise `InputError` if no pass has light, saying which inputs have photons."""
@@ -390,7 +374,7 @@ class _FoundFrames:
     def counts(
         self, passes: np.ndarray, readouts: Estimate, light: RunLight, **others: Any
     ) -> Counts:
-        """Counts of all scenes; readouts and light are of the passes (P,)."""
+        """Counts of all scenes, from readouts and light of passes (P,)."""
         scenes = len(self.recording.acquisition.scenes)
         fields: dict[str, Any] = vars(readouts) | vars(light) | others
         for name in ("counts", "arrivals", "variance", "on_rate", "off_rate", "flux", "dark_rate"):
@@ -422,46 +406,40 @@ def _count_photons(
         dead_time = Calibration.load(calibration).dead_time
     dead_time = dead_time or NO_DEAD_TIME
     corrections = Corrections.of(dead_time, manifest, settings.gains)
-    names = [scene.name for scene in acquisition.scenes]
-    dark = names.index(settings.background) if settings.background in names else None
     ambient = Ambient.none(manifest)
-    if settings.background is not None and dark is None:
-        ambient = _read_ambient(Path(settings.background), recording, gates, corrections)
     found = _FoundFrames.of(recording, gates, settings.tolerance_s, progress.between(0.0, 0.4))
-    starts = found.starts
     source = str(recording.photons)
-    gated, parted = found.count_in(
-        Windows.of_gates(manifest, gates, starts),
-        Windows.of_parts(starts, gates.settle_s, PARTS_OF_FRAME),
-        progress=progress.between(0.4, 1.0),
+    gated = found.count_in(
+        Windows.of_gates(manifest, gates, found.starts), progress.between(0.4, 1.0)
     )
     of_dark = []
     passes = np.arange(len(acquisition.scenes))
-    if dark is not None:
+    if settings.background is not None:
+        names = [scene.name for scene in acquisition.scenes]
+        check_choice("scene", settings.background, names)
+        dark = names.index(settings.background)
         others = passes != dark
         passes = passes[others]
         ambient = found.find_ambient(gated.select(~others), corrections)
         gated = gated.select(others)
-        parted = parted.select(others)
         detail = "it was dark, and its counts are subtracted from those of the others"
         of_dark.append(Fault(kind="background", scene=dark, detail=detail))
     photons, spent = gated.per_frame()
     rates = photons / spent[..., None]
     corrections.check(rates, manifest.frames, acquisition.inputs, source)
     factors = corrections.factors(rates)
-    shape = (len(passes), len(manifest.frames), PARTS_OF_FRAME)
-    parts = parted.photons.reshape(*shape, -1)
     arrivals = Arrivals(
         manifest.frames,
-        photons=parts * factors.arrivals[:, :, None],
-        variance=parts * factors.variance[:, :, None],
-        seconds=parted.open_s.reshape(shape),
+        photons=photons * factors.arrivals,
+        variance=photons * factors.variance,
+        seconds=spent,
     )
     light = check_light(arrivals, manifest, acquisition.inputs, scenes=passes)
     on, off = (
         (rates * factors.arrivals)[:, frames].mean(axis=1)[:, manifest.arm].sum(axis=1)
         for frames in (ALL_ON, ALL_OFF)
     )
+    late = find_lateness(*gated.around_first_mask(manifest.arm))
     found.check_lit(light.lit, inverted=off.sum() > 2 * on.sum())
     counts = gated.gates(gates.repeats)
     return found.counts(
@@ -472,7 +450,7 @@ def _count_photons(
             off_rate=off,
             flux=ambient.of_flux(light.flux, source),
             dark_rate=manifest.by_rail(light.dark_rate),
-            faults=(*found.find_late(gated), *light.faults, *of_dark),
+            faults=(*late, *light.faults, *of_dark),
         ),
         counts=manifest.by_readout(counts),
         exposure_s=settings.exposure_s or acquisition.exposure_s,
@@ -490,19 +468,16 @@ def _count_clicks(
     manifest = recording.manifest
     acquisition = recording.acquisition
     found = _FoundFrames.of(recording, gates, settings.tolerance_s, progress.between(0.0, 0.4))
-    gated, parted = found.count_in(
-        Windows.of_gates(manifest, gates, found.starts),
-        Windows.of_clicks(gates, len(acquisition.scenes)),
-        progress=progress.between(0.4, 1.0),
-    )
+    windows = Windows.of_clicks(gates, len(acquisition.scenes))
+    gated = found.count_in(windows, progress.between(0.4, 1.0))
     found.check_lit(gated.photons)
-    fired = np.minimum(parted.photons, 1)
-    opened = (parted.open_s > 0)[..., None]
+    fired = np.minimum(gated.photons, 1)
+    opened = (gated.open_s > 0)[..., None]
     clicks = manifest.by_readout(_sum_exposures(fired, gates, manifest.shown, gates.repeats))
     light = light_of_clicks(
         *(
             _sum_exposures(values, gates, np.array(ENDS), 1)[:, 0]
-            for values in (parted.photons, fired, opened)
+            for values in (gated.photons, fired, opened)
         ),
         width_s=float(gates.click_width_s[0]),
         scenes=len(acquisition.scenes),
@@ -510,12 +485,11 @@ def _count_clicks(
     )
     # Where clicks do not tell the flux, it is the one that was stated
     flux = np.where(np.isfinite(light.flux), light.flux, acquisition.flux or np.nan)
-    faults = found.find_late(gated)
     ambient = Ambient.none(manifest)
     return found.counts(
         np.arange(len(acquisition.scenes)),
         Estimate(clicks.astype(float), clicks * (1 - clicks / gates.clicks)),
-        replace(light, flux=flux, faults=faults),
+        replace(light, flux=flux),
         counts=clicks,
         exposure_s=settings.exposure_s or acquisition.exposure_s,
         ambient=ambient.counts,
@@ -534,24 +508,3 @@ def _sum_exposures(
     first = (np.cumsum(gates.click_exposures) - gates.click_exposures)[frames]
     sums = values.reshape(len(values), -1, gates.clicks, values.shape[-1]).sum(axis=2)
     return np.asarray(sums[:, first + np.arange(repeats)[:, None]])
-
-
-def _read_ambient(
-    folder: Path, recording: Recording, gates: GatePlan, corrections: Corrections
-) -> Ambient:
-    """Background that a recording with the scene dark has, in the gates of another."""
-    if not folder.is_dir():
-        raise InputError(
-            f"there is no scene and no folder {folder}: give the name of a scene that was dark, "
-            "or the folder of a run with the scene dark"
-        )
-    dark = Recording.read(folder)
-    wired = recording.acquisition
-    if dark.acquisition.manifest_sha256 != wired.manifest_sha256:
-        raise InputError(
-            f"{folder} was recorded with other patterns: record the dark scene as the others"
-        )
-    rewired = dark.acquisition.rewired(wired.inputs, wired.marker_bit)
-    found = _FoundFrames.of(replace(dark, acquisition=rewired), gates)
-    (counts,) = found.count_in(Windows.of_gates(recording.manifest, gates, found.starts))
-    return found.find_ambient(counts, corrections)

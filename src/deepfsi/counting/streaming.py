@@ -17,13 +17,9 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import time_text
-from deepfsi.camera.dead_time import CorrectionFactors, DeadTime
-from deepfsi.counting.counts import Corrections
-from deepfsi.counting.flux import PARTS_OF_FRAME
 from deepfsi.counting.ptu import EARLIEST_TICK, Part, marker_slack
 from deepfsi.counting.reader import PtuStream, WindowCounter
 from deepfsi.counting.windows import MOST_EXTRA, MOST_RATE
-from deepfsi.patterns.manifest import Frame, Manifest
 
 
 @dataclass(frozen=True)
@@ -46,50 +42,6 @@ class FrameGates:
 
     def __len__(self) -> int:
         return len(self.offsets_s)
-
-
-@dataclass(frozen=True)
-class FrameCounts:
-    """Counts of some frames that follow each other."""
-
-    starts_s: np.ndarray  # (F,): Times of their markers on the counter's clock, seconds
-    # (F, K, inputs): Photons in equal parts of their gates; K is 1 of a counter that knows no more
-    # than whole gates, else `PARTS_OF_FRAME`
-    parts: np.ndarray
-
-    @property
-    def counts(self) -> np.ndarray:
-        """Photons (F, inputs) in their gates."""
-        return np.asarray(self.parts.sum(axis=1))
-
-    def correct(
-        self,
-        dead_time: DeadTime,
-        manifest: Manifest,
-        gate_s: np.ndarray,
-        *,
-        ends: Sequence[Frame] | None = None,
-    ) -> CorrectionFactors:
-        """Factors (F, inputs) of the counts in gates of these lengths (F,), seconds."""
-        # Frames that are ends of a scene must not be too bright; others are corrected as the
-        # brightest that can be
-        corrections = Corrections.of(dead_time, manifest)
-        rates = self.counts / gate_s[:, None]
-        if ends is not None:
-            corrections.check(rates[None], ends, range(manifest.inputs), "a scene")
-        return corrections.factors(rates)
-
-    def __getitem__(self, frames: slice) -> "FrameCounts":
-        return FrameCounts(self.starts_s[frames], self.parts[frames])
-
-    @classmethod
-    def join(cls, parts: "Sequence[FrameCounts]", inputs: int) -> "FrameCounts":
-        """Frames of parts that follow each other, or none."""
-        starts = [np.zeros(0), *(counts.starts_s for counts in parts)]
-        photons = [counts.parts for counts in parts] or [
-            np.zeros((0, PARTS_OF_FRAME, inputs), np.int64)
-        ]
-        return cls(np.concatenate(starts), np.concatenate(photons))
 
 
 class _DueFrame(NamedTuple):
@@ -131,8 +83,8 @@ class FrameCounter:
         self._frame: _DueFrame | None = None  # the frame whose marker came last
         self._last = EARLIEST_TICK  # that marker
         self._skipped = 0  # markers to come of that frame
-        self._begun: deque[int] = deque()  # markers of frames whose counts were not given
-        # (n, inputs): Of the parts of their gates that have ended
+        self._begun = 0  # frames whose counts were not given
+        # (n, inputs): Of their gates that have ended
         self._counts = np.zeros((0, len(self._inputs)), np.int64)
         self._stop = EARLIEST_TICK  # end of the last gate
 
@@ -142,11 +94,11 @@ class FrameCounter:
         if self._stream.begun:
             self._open()
 
-    def feed(self, data: bytes | bytearray | memoryview) -> FrameCounts:
-        """Read the next bytes; give the frames whose gates ended, in order."""
+    def feed(self, data: bytes | bytearray | memoryview) -> np.ndarray:
+        """Read the next bytes; give the counts (F, inputs) of frames whose gates ended."""
         self._stream.feed(data)
-        counts = [self._add(part) for part in self._stream.parts()]
-        return FrameCounts.join(counts, len(self._inputs))
+        none = np.zeros((0, len(self._inputs)), np.int64)
+        return np.concatenate([none, *(self._add(part) for part in self._stream.parts())])
 
     def _open(self) -> WindowCounter:
         """Counter of windows, with the frames that were told before the header came."""
@@ -181,26 +133,21 @@ class FrameCounter:
             due = _DueFrame._make([*times, number > 0])
             self._due.append(due if gates.pictures_s is not None else due._replace(picture=None))
 
-    def _add(self, part: Part) -> FrameCounts:
+    def _add(self, part: Part) -> np.ndarray:
         """Count the next records; give the frames whose gates, and pictures, have ended."""
         windows = self._open()
         part.check(self._stream.header.path)
         times, bits = part.markers
         begun = map(self._begin, times[bits & self._bit != 0].tolist())
         gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
-        # Each gate in equal parts of whole ticks
-        steps = np.diff(gates) * np.arange(PARTS_OF_FRAME + 1) // PARTS_OF_FRAME
-        edges = gates[:, :1] + steps
-        windows.expect(edges[:, :-1].ravel(), edges[:, 1:].ravel())
+        windows.expect(*gates.T)
         windows.add(part)
         counts = np.concatenate([self._counts, windows.take()])
-        ended = len(counts) // PARTS_OF_FRAME
-        waits = 0 < ended == len(self._begun) and self._followed
-        ready = ended - waits
-        self._counts = counts[ready * PARTS_OF_FRAME :]
-        starts = [self._begun.popleft() for _ in range(ready)]
-        parts = counts[: ready * PARTS_OF_FRAME].reshape(ready, PARTS_OF_FRAME, counts.shape[1])
-        return FrameCounts(np.array(starts, np.float64) * self._tick_s, parts)
+        waits = 0 < len(counts) == self._begun and self._followed
+        ready = len(counts) - waits
+        self._counts = counts[ready:]
+        self._begun -= ready
+        return counts[:ready]
 
     @property
     def _followed(self) -> bool:
@@ -232,7 +179,7 @@ class FrameCounter:
                 "than 2 µs"
             )
         self._stop = start + frame.length
-        self._begun.append(time)
+        self._begun += 1
         return start, self._stop
 
     def _check_step(self, time: int, follows: bool) -> None:

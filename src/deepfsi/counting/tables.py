@@ -9,11 +9,10 @@ the time T_f, becomes that of its gate,
 and the budget is the flux times E: all the light of these frames.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
-from pydantic import ConfigDict
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.models import Amount, Count, Positive, UserModel
@@ -21,7 +20,7 @@ from deepfsi.base.quantities import time_text
 from deepfsi.base.tables import NumberTable
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.counting.acquisition import MOST_READOUTS, Scene
-from deepfsi.counting.checks import Fault, check_light
+from deepfsi.counting.checks import check_light
 from deepfsi.counting.counts import (
     ALL_OFF,
     ALL_ON,
@@ -41,8 +40,6 @@ from deepfsi.patterns.manifest import Manifest
 class TableSettings(UserModel):
     """Settings with which a table is read."""
 
-    model_config = ConfigDict(arbitrary_types_allowed=True)
-
     SCENE: ClassVar[str] = "scene"
     LABEL: ClassVar[str] = "label"
     WORDS: ClassVar[tuple[str, ...]] = (SCENE, LABEL)  # names of the columns of words
@@ -53,32 +50,8 @@ class TableSettings(UserModel):
     repeats: Count = (
         1  # exposures of each scene, one after another, where the table names no scenes
     )
-    gain: Positive | None = None  # counts for a unit of the table, of an analogue detector
-    read_noise: Amount | None = None  # of each value of an analogue detector, counts rms
-    dead_time: DeadTime = NO_DEAD_TIME  # of a photon counter, to be corrected for
-    dark: NumberTable | None = None  # exposures with the scene dark, whose counts are subtracted
+    dead_time: DeadTime = NO_DEAD_TIME  # to be corrected for
     clicks: int | None = None  # gates of a frame, of tables of clicks: values from 0 to this
-
-    @property
-    def analogue(self) -> bool:
-        """True for values that are no photon counts."""
-        return self.gain is not None or self.read_noise is not None
-
-    def check(self) -> None:
-        """Raise `InputError` for settings that exclude each other."""
-        dead_time = bool(self.dead_time.seconds)
-        if self.analogue and dead_time:
-            raise InputError(
-                "an analogue detector counts no photons: leave `dead_time` out, or `gain` and "
-                "`read_noise`"
-            )
-        if self.clicks is not None:
-            of_photons = {
-                "`background`": self.background is not None or self.dark is not None,
-                "`dead_time`": dead_time,
-                "`gain` or `read_noise`": self.analogue,
-            }
-            check_clicks(self.clicks, of_photons)
 
 
 def column_names(manifest: Manifest) -> list[str]:
@@ -101,21 +74,22 @@ def count_table(
     table: NumberTable, manifest: Manifest, settings: TableSettings, name: str = "the table"
 ) -> tuple[Counts, tuple[Scene, ...]]:
     """Counts of the exposures in a table, and their scenes."""
-    settings.check()
+    if settings.clicks is not None:
+        of_photons = {
+            "`background`": settings.background is not None,
+            "`dead_time`": bool(settings.dead_time.seconds),
+        }
+        check_clicks(settings.clicks, of_photons)
     exposures = _Exposures.read(table, manifest, settings, name)
     scenes, scene_of = _find_scenes(table, len(exposures.values), settings, name)
     frames = exposures.correct()
     light = _find_light(exposures, frames, scene_of)
     ambient = Ambient.none(manifest)
-    if settings.dark is not None:
-        dark = _Exposures.read(settings.dark, manifest, settings, "the table of the background")
-        ambient = dark.as_ambient(exposures.sentinels)
-        light = replace(light, flux=ambient.of_flux(light.flux, name))
     repeats = np.bincount(scene_of)
     valid = np.arange(repeats.max()) < repeats[:, None]
 
     def by_scene(of_frames: np.ndarray) -> np.ndarray:
-        """Readouts (S, R, rails, m[, D]) from those of masks' frames (E, f, inputs)."""
+        """Readouts (S, R, rails, m[, D]) of masks' frames (E, f, inputs)."""
         readouts = manifest.by_readout(of_frames)
         out = np.zeros((*valid.shape, *readouts.shape[1:]))
         out[valid] = readouts
@@ -198,9 +172,6 @@ class _Exposures:
         settings = self.settings
         if settings.clicks is not None:
             return Estimate(values, values * (1 - values / settings.clicks))
-        if settings.analogue:
-            counts = values * (settings.gain or 1.0)
-            return Estimate(counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2)
         rates = values / self.seconds[:, None]
         corrections = Corrections.of(settings.dead_time, self.manifest)
         corrections.check(rates, self.manifest.frames, range(self.manifest.inputs), self.name)
@@ -214,21 +185,6 @@ class _Exposures:
         if self.settings.clicks is not None:
             scale = np.ones_like(scale)
         return Estimate(frames.arrivals[:, masks] * scale, frames.variance[:, masks] * scale**2)
-
-    def as_ambient(self, sentinels: bool) -> Ambient:
-        """Background that they measured with the scene dark, of scenes with sentinels or none."""
-        if self.sentinels != sentinels:
-            raise InputError(
-                f"{self.name} must have all-ON and all-OFF frames if the other has, or none"
-            )
-        frames = self.correct()
-        return Ambient.of(
-            self.manifest,
-            self.in_gates(frames),
-            self.lengths_s,
-            frames=frames.arrivals.sum(axis=0),
-            frames_s=self.seconds * len(self.values) * sentinels,
-        )
 
 
 def _arrange(table: NumberTable, manifest: Manifest, name: str) -> np.ndarray:
@@ -258,7 +214,7 @@ def _arrange(table: NumberTable, manifest: Manifest, name: str) -> np.ndarray:
 def _find_scenes(
     table: NumberTable, exposures: int, settings: TableSettings, name: str
 ) -> tuple[tuple[Scene, ...], np.ndarray]:
-    """Scenes, and which of them each exposure (E,) is of: those of one scene follow each other."""
+    """Scenes, and the scene of each exposure (E,)."""
     names = table.words.get(settings.SCENE)
     labels = table.words.get(settings.LABEL)
     repeats = settings.repeats
@@ -284,10 +240,10 @@ def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings,
     if read[:, 2:-2].size > MOST_READOUTS:
         raise InputError(f"{name} holds more than {MOST_READOUTS} values: split it")
     wrong = read[(read < 0) | (read % 1 != 0)]
-    if wrong.size and not settings.analogue:
+    if wrong.size:
         raise InputError(
             f"{name} holds {wrong[0]:g}, which is no count of photons: give whole numbers, 0 or "
-            "more, or --gain and --read-noise of an analogue detector"
+            "more; divide volts by those of one photon, and round"
         )
     most = settings.clicks
     if most is not None and (read > most).any():
@@ -300,7 +256,7 @@ def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings,
 
 
 def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -> RunLight:
-    """Light of each scene, all exposures of one together, from what arrived in all frames."""
+    """Light of each scene, from the frames of all its exposures."""
     # scene_of (E,): scene of each exposure
     manifest = exposures.manifest
     settings = exposures.settings
@@ -332,34 +288,14 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
         photons[:, ends].sum(axis=1) / spent[:, ends].sum(axis=1, keepdims=True)
         for ends in (ALL_ON, ALL_OFF)
     )
-    if settings.analogue:
-        measured = off.copy()
-        measured[:, arm.stop :] = on[:, arm.stop :]  # the second arm is dark when all are ON
-        measured[:] = measured.mean(axis=0)
-        flux = np.full(scenes, (on - off)[:, arm].sum(axis=1).mean())
-        faults: tuple[Fault, ...] = ()
-    else:
-        arrivals = Arrivals(
-            manifest.frames,
-            photons=photons[:, :, None],
-            variance=variance[:, :, None],
-            seconds=spent[..., None],
-        )
-        light = check_light(
-            arrivals,
-            manifest,
-            range(manifest.inputs),
-            scenes=np.arange(scenes),
-        )
-        measured = light.dark_rate
-        flux = light.flux
-        faults = light.faults
+    arrivals = Arrivals(manifest.frames, photons=photons, variance=variance, seconds=spent)
+    light = check_light(arrivals, manifest, range(manifest.inputs), scenes=np.arange(scenes))
     if stated is None:
-        dark = measured
+        dark = light.dark_rate
     return RunLight(
         on_rate=on[:, arm].sum(axis=1),
         off_rate=off[:, arm].sum(axis=1),
-        flux=flux + (measured - dark)[:, arm].sum(axis=1),
+        flux=light.flux + (light.dark_rate - dark)[:, arm].sum(axis=1),
         dark_rate=manifest.by_rail(dark),
-        faults=faults,
+        faults=light.faults,
     )

@@ -31,12 +31,11 @@ from deepfsi.patterns.manifest import GatePlan, Manifest
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of a pass, in their order."""
+    """Windows of a pass, one after another."""
 
     frame: np.ndarray  # (g,): Of each window
     offset_s: np.ndarray  # (g,): When it opens after the start of its frame
     length_s: np.ndarray  # (g,)
-    frames: int  # of a pass, F
     # Of windows of gates, (g,), bool: readouts of the masks' frames, and ends of all-OFF frames
     gate: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
     guard: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
@@ -52,41 +51,20 @@ class Windows:
         first = np.cumsum(count) - count
         gated = first[manifest.shown][:, None] + np.arange(gates.repeats)  # (f, R)
         guards = first[dark] + 1
-        ends = starts.pictures_s - starts.tolerance_s
+        # A guard takes up to half of a frame after settling
+        guard_s = np.minimum(starts.tolerance_s, 0.5 * (starts.pictures_s - gates.settle_s))
+        ends = starts.pictures_s - guard_s
         offset = np.full(len(frame), gates.settle_s)
         offset[gated] = gates.starts_s
         offset[gated[:, -1] + 1] = gates.settle_s + gates.repeats * gates.length_s
         offset[guards] = ends[dark]
         length = np.maximum(ends[frame] - offset, 0.0)
         length[gated] = gates.length_s[:, None]
-        length[guards] = starts.tolerance_s
+        length[guards] = guard_s[dark]
         gate, guard = np.zeros((2, len(frame)), bool)
         gate[gated] = True
         guard[guards] = True
-        return cls(
-            frame=frame,
-            offset_s=offset,
-            length_s=length,
-            frames=len(count),
-            gate=gate,
-            guard=guard,
-        )
-
-    @classmethod
-    def of_parts(cls, starts: "FrameStarts", settle_s: float, number: int) -> Self:
-        """Equal parts of each frame, between settling and guard."""
-        rest = starts.pictures_s - settle_s
-        # A guard takes up to half of a frame after settling
-        guard = np.minimum(starts.tolerance_s, 0.5 * rest)
-        length = np.maximum(rest - guard, 0.0) / number
-        offset = settle_s + length[:, None] * np.arange(number)
-        frames = len(rest)
-        return cls(
-            frame=np.repeat(np.arange(frames), number),
-            offset_s=offset.ravel(),
-            length_s=np.repeat(length, number),
-            frames=frames,
-        )
+        return cls(frame, offset, length, gate=gate, guard=guard)
 
     @classmethod
     def of_clicks(cls, gates: GatePlan, scenes: int) -> Self:
@@ -100,12 +78,7 @@ class Windows:
         frame = np.repeat(np.arange(len(count)), count)
         order = np.arange(len(frame)) - (np.cumsum(count) - count)[frame]
         width = gates.click_width_s[frame]
-        return cls(
-            frame=frame,
-            offset_s=gates.settle_s + order * width,
-            length_s=width,
-            frames=len(count),
-        )
+        return cls(frame, offset_s=gates.settle_s + order * width, length_s=width)
 
 
 @dataclass(frozen=True)
@@ -122,7 +95,7 @@ class WindowCounts:
 
     def per_frame(self) -> tuple[np.ndarray, np.ndarray]:
         """Photons (P, F, inputs) of whole frames but guards, and how long they were counted."""
-        first = np.searchsorted(self.windows.frame, np.arange(self.windows.frames))
+        first = np.flatnonzero(np.diff(self.windows.frame, prepend=-1))
         counted = ~self.windows.guard
         photons = np.add.reduceat(self.photons * counted[:, None], first, axis=1)
         return photons, np.add.reduceat(self.open_s * counted, first, axis=1)
@@ -150,9 +123,6 @@ MOST_RATE = 0.02
 
 MOST_EXTRA = 0.2
 """Most that may be added to each frame, as a share of the shortest."""
-
-GOLDEN = 0.6180339887498949
-"""Golden section: fractional parts of its multiples are spread evenly, out of step with passes."""
 
 
 @dataclass(frozen=True)
@@ -230,37 +200,25 @@ class FrameStarts:
     def count_in(
         self,
         source: PhotonSource,
-        sets: Sequence[Windows],
+        windows: Windows,
         inputs: Sequence[int],
         progress: Progress = SILENT,
-    ) -> list[WindowCounts]:
-        """Photons of the passes in sets of windows, all read at once.
+    ) -> WindowCounts:
+        """Photons of the passes in windows.
 
-        Where two clocks and a marker's jitter make a window reach into the next of its set, it ends
-        there.
+        Where two clocks and a marker's jitter make a window reach into the next, it ends there.
         """
         tick_s = source.header.tick_s
-        edges = []
-        for windows in sets:
-            opens_s = self.starts_s[:, windows.frame] + windows.offset_s
-            edges_s = np.stack([opens_s, opens_s + windows.length_s]).reshape(2, -1)
-            begins, ends = np.rint(edges_s / tick_s).astype(np.int64)
-            begins = np.minimum(np.minimum.accumulate(begins[::-1])[::-1], ends.max(initial=0))
-            ends[:-1] = np.minimum(ends[:-1], begins[1:])
-            edges.append(np.stack([begins, ends]))
-        every = np.concatenate(edges, axis=1)
-        # Windows of several sets overlap: photons are counted between all of their edges
-        unique, places = np.unique(every, return_inverse=True)
-        counts = count_windows(source, unique[:-1], unique[1:], inputs, progress=progress)
-        before = np.pad(np.cumsum(counts, axis=0), ((1, 0), (0, 0)))[places.reshape(every.shape)]
-        photons = before[1] - before[0]
-        out = []
-        for windows, (begins, ends) in zip(sets, edges, strict=True):
-            shape = len(self.starts_s), len(windows.frame)
-            open_s = ((ends - begins) * tick_s).reshape(shape)
-            out.append(WindowCounts(photons[: len(begins)].reshape(*shape, -1), open_s, windows))
-            photons = photons[len(begins) :]
-        return out
+        opens_s = self.starts_s[:, windows.frame] + windows.offset_s
+        edges_s = np.stack([opens_s, opens_s + windows.length_s]).reshape(2, -1)
+        begins, ends = np.rint(edges_s / tick_s).astype(np.int64)
+        begins = np.minimum(np.minimum.accumulate(begins[::-1])[::-1], ends.max(initial=0))
+        ends[:-1] = np.minimum(ends[:-1], begins[1:])
+        photons = count_windows(source, begins, ends, inputs, progress=progress)
+        shape = opens_s.shape
+        return WindowCounts(
+            photons.reshape(*shape, -1), ((ends - begins) * tick_s).reshape(shape), windows
+        )
 
 
 def _follows(starts: np.ndarray, pictures: np.ndarray, tolerance: float) -> bool:
@@ -288,8 +246,9 @@ def _as_measured(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> n
     # Places of the schedule that each is compared with, the first ones
     planned = np.lib.stride_tricks.sliding_window_view(pictures[:-1], size)[:4096]
     steps = np.lib.stride_tricks.sliding_window_view(np.diff(times), size)
-    # Places of a recording that are compared
-    places = np.unique((np.arange(64) * GOLDEN % 1 * len(steps)).astype(np.int64))
+    # Places of a recording that are compared: multiples of the golden section are spread evenly,
+    # out of step with passes
+    places = np.unique((np.arange(64) * 0.6180339887498949 % 1 * len(steps)).astype(np.int64))
     total = planned.sum(axis=1)
     shortest = float(pictures.min())
     fits: dict[str, list[tuple[float, float]]] = {"rate": [], "extra": []}
@@ -317,7 +276,7 @@ def _as_measured(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> n
 
 
 def _first_departure(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> str:
-    """Where markers leave the schedule, in words."""
+    """Name the place where markers leave the schedule."""
     scene, frame = np.divmod(np.arange(len(times) - 1), len(pictures))
     planned = pictures[frame]
     steps = np.diff(times)

@@ -121,7 +121,7 @@ class _AdaptiveLiveExposure:
     def take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
         assert asked.masks is not None
-        counts = torch.from_numpy(arrivals.photons.sum(axis=1)).float()
+        counts = torch.from_numpy(arrivals.photons).float()
         share = float(asked.gate_ns[0]) / self._exposure_ns
         masks = torch.from_numpy(asked.masks).float()
         self._look = asked.look

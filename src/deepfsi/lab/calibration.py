@@ -534,8 +534,9 @@ def _pictures(masks: np.ndarray, counts: np.ndarray, detectors: DetectorMap | No
 def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
     """Fit the camera's view to a counted run of the spots, and write it to a folder."""
     run = Recording.read(folder)
+    shown = read_display(spots)
     counts = run.read_counts().check_photons(folder)
-    fitted = calibrate_run(read_display(spots), run, counts)
+    fitted = calibrate_run(shown, run, counts)
     several = run.patterns.manifest.detectors
     labels = find_detectors(counts, run.patterns) if several and several.cells is None else None
     file = fitted.save(out)

@@ -21,7 +21,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.counting.acquisition import Acquisition
 from deepfsi.counting.events import PtuWriter
-from deepfsi.counting.streaming import FrameCounter, FrameCounts, FrameGates
+from deepfsi.counting.streaming import FrameCounter, FrameGates
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
 from deepfsi.lab.virtual_optics import (
     FRAME_MARKER,
@@ -87,8 +87,8 @@ class StreamingCounter(AbstractContextManager["StreamingCounter"], Protocol):
     def expect(self, gates: FrameGates) -> None:
         """Tell the gates of the frames that are shown next, before they are shown."""
 
-    def counts_since_marker(self, timeout_s: float) -> FrameCounts:
-        """Frames whose gates have ended since the last call, in order, with their counts.
+    def counts_since_marker(self, timeout_s: float) -> np.ndarray:
+        """Counts (F, inputs) of frames whose gates have ended since the last call, in order.
 
         Waits for one; after the timeout there may be none. Raises `InputError` if a marker came
         that starts no frame told, or the gate of the frame before had not ended.
@@ -238,8 +238,8 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
         """Tell the gates of the frames that are shown next."""
         self._counter.expect(gates)
 
-    def counts_since_marker(self, timeout_s: float) -> FrameCounts:
-        """Frames whose gates have ended since the last call; a virtual counter never waits."""
+    def counts_since_marker(self, timeout_s: float) -> np.ndarray:
+        """Counts since the last call; a virtual counter never waits."""
         assert self._file is not None
         return self._counter.feed(self._file.read())
 

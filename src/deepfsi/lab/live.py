@@ -25,7 +25,7 @@ from deepfsi.counting.acquisition import Acquisition, LiveSettings, Scene, StopR
 from deepfsi.counting.checks import NO_LIGHT
 from deepfsi.counting.flux import excess_chance
 from deepfsi.counting.recording import Recording
-from deepfsi.counting.streaming import FrameCounts, FrameGates
+from deepfsi.counting.streaming import FrameGates
 from deepfsi.designfile.provenance import was_trained_on
 from deepfsi.lab.design_data import shown_design
 from deepfsi.lab.devices import (
@@ -230,8 +230,8 @@ class _DeviceFrames:
             clock_s=self.clock_s,
         )
 
-    def count(self, asked: FrameList) -> FrameCounts:
-        """Counts of the frames of a list, which are shown."""
+    def count(self, asked: FrameList) -> np.ndarray:
+        """Counts (F, inputs) of the frames of a list, which are shown."""
         projector = self._setup.projector
         if asked.masks is not None:
             manifest = self._manifest
@@ -270,10 +270,10 @@ class _CountedFrames:
         self._inputs = inputs
         self._late = 0  # frames of earlier lists whose counts are still to come
 
-    def take(self, wanted: int, limit_s: float, since: str = "") -> FrameCounts:
-        """Counts of the next frames, within a time; `since` says in a fault when it begins."""
+    def take(self, wanted: int, limit_s: float, since: str = "") -> np.ndarray:
+        """Counts (F, inputs) of the next frames; `since` says in a fault when the time begins."""
         until = time.monotonic() + limit_s
-        parts = []
+        parts = [np.zeros((0, self._inputs), np.int64)]
         count = -self._late
         while count < wanted:
             left = until - time.monotonic()
@@ -285,9 +285,9 @@ class _CountedFrames:
                 )
             counts = self._counter.counts_since_marker(left)
             parts.append(counts[max(-count, 0) :])
-            count += len(counts.starts_s)
+            count += len(counts)
         self._late = wanted + 1 - count
-        return FrameCounts.join(parts, self._inputs)[:wanted]
+        return np.concatenate(parts)[:wanted]
 
 
 def _light_text(counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> str:
@@ -341,7 +341,7 @@ def record_run(
                 setup.counter.expect(gates)
                 setup.projector.run()
                 setup.projector.wait()
-                counts = frames.take(len(gates) - 1, PATIENCE_S, " of their pass").counts
+                counts = frames.take(len(gates) - 1, PATIENCE_S, " of their pass")
                 done = index + 1
                 note_saved_work("finished scenes are kept")
                 yield f"{scene.name}: {_light_text(counts, gates.lengths_s[:-1], manifest)}"

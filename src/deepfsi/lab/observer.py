@@ -21,8 +21,8 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.counting.acquisition import Acquisition
 from deepfsi.counting.checks import SPOILING, Fault, LightMonitor
+from deepfsi.counting.counts import Corrections
 from deepfsi.counting.flux import Arrivals
-from deepfsi.counting.streaming import FrameCounts
 from deepfsi.designfile.distribution import REFUSED, UNSURE
 from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
 from deepfsi.lab.results import FrameList
@@ -83,7 +83,7 @@ class SceneObserver:
         self._view = ViewTest(model, manifest.image_shape) if model else None
         self._ends = _scene_ends(manifest, acquisition.settle_s)
 
-    def observe(self, scene: int, count: Callable[[FrameList], FrameCounts]) -> Iterator[Decision]:
+    def observe(self, scene: int, count: Callable[[FrameList], np.ndarray]) -> Iterator[Decision]:
         """Decisions after each look at the next scene, the last with its faults; none in the dark.
 
         `count` shows a list of frames and counts them.
@@ -134,27 +134,23 @@ class SceneObserver:
             faults += (Fault(kind="view", scene=scene, detail=view.refusal),)
         yield replace(decision, final=True, faults=(*changes, *faults, *doubts), view=view)
 
-    def _arrivals(self, count: Callable[[FrameList], FrameCounts], asked: FrameList) -> Arrivals:
+    def _arrivals(self, count: Callable[[FrameList], np.ndarray], asked: FrameList) -> Arrivals:
         """Photons that arrived in the gates of a list, of those that were counted."""
         counts = count(asked)
         frames = tuple(self._manifest.frames[index] for index in asked.frames)
         gate_s = asked.gate_ns * 1e-9
-        ends = frames if asked.look == SCENE_ENDS else None
-        factors = counts.correct(self._settings.dead_time, self._manifest, gate_s, ends=ends)
-        parts = counts.parts.shape[1]
-        seconds = np.repeat((gate_s / parts)[:, None], parts, axis=1)
-        return Arrivals(
-            frames=frames,
-            photons=counts.parts * factors.arrivals[:, None],
-            variance=counts.parts * factors.variance[:, None],
-            seconds=seconds,
-        )
+        corrections = Corrections.of(self._settings.dead_time, self._manifest)
+        rates = counts / gate_s[:, None]
+        if asked.look == SCENE_ENDS:
+            corrections.check(rates[None], frames, range(self._manifest.inputs), "a scene")
+        factors = corrections.factors(rates)
+        return Arrivals(frames, counts * factors.arrivals, counts * factors.variance, gate_s)
 
     def _on_rate(self, ends: list[Arrivals]) -> float:
         """Counts/s of a scene's all-ON frames, less dark counts."""
         arm = self._manifest.arm
-        counts = sum(float(end.photons[ON, :, arm].sum()) for end in ends)
-        seconds = sum(float(end.seconds[ON].sum()) for end in ends)
+        counts = sum(float(end.photons[ON, arm].sum()) for end in ends)
+        seconds = sum(float(end.seconds[ON]) for end in ends)
         return (counts - float(self._light.dark[arm].sum()) * seconds) / seconds
 
     def _readouts(
@@ -169,8 +165,8 @@ class SceneObserver:
         arms = np.stack([lit, 1 - lit][: manifest.arms], axis=1)
         masks = (arms[:, :, None] * of_detector).reshape(len(lit), manifest.inputs, -1)
         gain = photons * (gate_ns / self._exposure_ns) / manifest.summed_reflectance
-        counts = np.concatenate([arrived.photons.sum(axis=1) for arrived in arrivals])
-        variance = np.concatenate([arrived.variance.sum(axis=1) for arrived in arrivals])
+        counts = np.concatenate([arrived.photons for arrived in arrivals])
+        variance = np.concatenate([arrived.variance for arrived in arrivals])
         dark = self._light.dark * (gate_ns * 1e-9)[:, None]
         return SceneReadouts(
             masks=(gain[:, None, None] * masks).reshape(-1, lit.shape[-1]),

@@ -167,7 +167,7 @@ class ClassifiedRun:
         )
         names = [scene.name for scene in self.scenes]
         for fault in self.faults:
-            yield fault.line(names)
+            yield fault.words(names)
         yield from self.remarks
         labelled = sum(len(scene.guesses) for scene in self.scenes if scene.label)
         if foreign := labelled - self.score.answers:

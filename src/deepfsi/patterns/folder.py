@@ -42,16 +42,12 @@ from deepfsi.patterns.frames import (
     AGAIN,
     FRAME_FORMATS,
     Format,
-    Selection,
     make_frames,
     recount,
     unpack,
 )
 from deepfsi.patterns.manifest import MOST_FRAMES, SENTINELS, GatePlan, Manifest
 from deepfsi.patterns.rails import LEAST_DIMMED, DesignRails
-
-RED = 1
-"""Colour of the lamps in TI's program, which has no other for none. Light is from outside."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +81,6 @@ class Patterns:
         device: Device,
         dwell_s: float,
         *,
-        selection: Selection = "ordered",
-        seed: int = 0,
         format: Format = "npy",
         layout: DmdLayout = USUAL_LAYOUT,
     ) -> Self:
@@ -103,8 +97,6 @@ class Patterns:
             Device that shows the frames.
         dwell_s : float
             Mean picture time of the masks' frames, seconds.
-        selection, seed
-            Choice of the mirrors of a grey cell, and the seed of a random one.
         format
             Files of the frames.
         layout : DmdLayout
@@ -120,7 +112,6 @@ class Patterns:
                 f"dwell {dwell_s!r} is not allowed: give seconds above 0, up to "
                 f"{LONGEST_PICTURE_S:g}"
             )
-        check_choice("selection", selection, get_args(Selection))
         check_choice("format", format, get_args(Format))
         if format == "planes" and not device.packed:
             raise InputError(
@@ -142,8 +133,6 @@ class Patterns:
             sentinel_us=sentinel_us,
             looks=rails.looks,
             device=device,
-            selection=selection,
-            seed=seed,
             format=format,
             layout=layout,
         )
@@ -163,9 +152,7 @@ class Patterns:
         grid = manifest.grid
         total = len(manifest.frames)
         ends = np.full_like(self.on[0], grid.mirrors), np.zeros_like(self.on[0])
-        frames = make_frames(
-            chain(ends, self.on, ends), device, grid, manifest.selection, manifest.seed
-        )
+        frames = make_frames(chain(ends, self.on, ends), device, grid)
         hashes: list[str] = []
 
         def hashed() -> Iterator[np.ndarray]:
@@ -235,7 +222,7 @@ class Patterns:
         return cls(manifest, on, Path(folder))
 
     def frames(self) -> Iterator[np.ndarray]:
-        """Packed frames of the folder in their order, uint8 (rows, bytes of a row) each.
+        """Packed frames as they are shown, uint8 (rows, bytes of a row) each.
 
         Raises
         ------
@@ -307,6 +294,7 @@ class Patterns:
         manifest = self.manifest
         device = manifest.device
         cost = self._cost
+        times = [frame.picture_us for frame in manifest.frames]
         return {
             "frames": len(manifest.frames),
             "mask_frames": len(manifest.shown),
@@ -323,53 +311,28 @@ class Patterns:
             "used": manifest.used,
             "layout": manifest.layout.model_dump(),
             "most_frames": device.patterns,
-            "picture_us": self._shortest_and_longest_us,
-            "departures": manifest.departures,
+            "picture_us": [min(times), max(times)],
         }
 
     def lines(self) -> Iterator[str]:
-        """Say what is shown, for how long, what it costs, and whether the device can."""
+        """Say what is shown, for how long, and what it costs."""
         manifest = self.manifest
         device = manifest.device
         grid = manifest.grid
         yield from self._pass_lines()
-        shape = f"{grid.aspect:.3g} times as wide as high"
-        if abs(grid.aspect - 1) < 1e-9:
-            shape = "square"
-        layout = manifest.layout
-        turned = "; flipped" if layout.flip else ""
-        if layout.rotate:
-            turned += f"; turned by {layout.rotate} degrees clockwise"
-        if layout.invert:
-            turned += "; 1 is OFF in the files"
+        square = abs(grid.aspect - 1) < 1e-9
+        shape = "square" if square else f"{grid.aspect:.3g} times as wide as high"
         yield (
             f"cells of {grid.width} x {grid.height} mirrors, {shape}, on "
             f"{grid.across * grid.width} x {grid.down * grid.height} of {device.columns} x "
-            f"{device.rows} mirrors: {manifest.used:.1%} of the device's light is used{turned}"
+            f"{device.rows} mirrors: {manifest.used:.1%} of the device's light is used"
         )
-        longest = f" to {device.longest_us}"
-        if device.longest_us == LONGEST_PICTURE_S * 1e6:
-            longest = " or more"
-        held = "" if device.patterns is None else f" of {device.patterns}"
-        low, high = self._shortest_and_longest_us
-        yield (
-            f"limits of {device.name}: {len(manifest.frames)} frames{held}, pictures of {low} to "
-            f"{high} µs ({device.shortest_us}{longest} allowed)"
-        )
-        for departure in manifest.departures:
-            yield f"beyond its documents: {departure}"
         if manifest.dimmed < LEAST_DIMMED:
             yield (
                 f"cost in light: one device shows a {manifest.light} design with "
                 f'{manifest.dimmed:.3g} of its light; learn it with `light="free-dwell"` or '
                 "equal-dwell instead"
             )
-
-    @property
-    def _shortest_and_longest_us(self) -> list[int]:
-        """Shortest and longest picture time, µs."""
-        times = [frame.picture_us for frame in self.manifest.frames]
-        return [min(times), max(times)]
 
     @property
     def _longest_s(self) -> float:
@@ -406,24 +369,14 @@ class Patterns:
         if looks and looks.dictionary:
             yield (
                 f"{frames}: {plural(looks.count, 'look')}, each at one of these masks by its "
-                "index, so that nothing is loaded between looks; show them with `deepfsi camera "
-                "live`"
+                "index; show them with `deepfsi camera live`"
             )
-            if device.packed:
-                yield (
-                    f"virtual devices alone show them: the driver of {device.name} shows its "
-                    "table from the beginning, and no frame by its index"
-                )
         elif looks:
             yield (
-                f"{frames}: the mask of the first look, of {looks.count}; a live run loads a new "
-                f"one before each look, {device.load_us} µs a frame on {device.name}, in which no "
-                "photon is counted; show them with `deepfsi camera live`"
+                f"{frames}: the mask of the first look, of {looks.count}; `deepfsi camera live` "
+                f"loads a new one before each look, {device.load_us} µs a frame on {device.name}"
             )
         elif cost is not None:
-            reason = f"no picture is shorter than {device.shortest_us} µs"
-            if device.video_us:
-                reason = "all pictures last as long as the longest"
             yield (
                 f"{frames}, {time_text(manifest.pass_s)} a pass, exposures up to "
                 f"{time_text(self._longest_s)}"
@@ -431,7 +384,7 @@ class Patterns:
             yield (
                 f"cost in time: at that exposure {sum(cost.values()):.1%} of a pass is not "
                 f"counted: {cost['sentinels']:.1%} for all-ON and all-OFF frames, "
-                f"{cost['settling']:.1%} for mirrors to settle, {cost['idle']:.1%} since {reason}"
+                f"{cost['settling']:.1%} for mirrors to settle, {cost['idle']:.1%} beyond the gates"
             )
 
 
@@ -495,7 +448,8 @@ def _tables(manifest: Manifest) -> dict[str, str]:
         new_image = int(not bit)
         shown = [str(frame), f"{device.settle_us:g}"]
         rows.writerow([*where, exposure, dark, 1, new_image, *shown])
-        settings.append(f"{image},1,{exposure},{dark},{RED},0,1")
+        # Colour 1, red: TI's program has none for light from outside
+        settings.append(f"{image},1,{exposure},{dark},1,0,1")
     tables = {"patterns.csv": out.getvalue()}
     if (device.controller, manifest.format) == ("dlpc900", "bmp"):
         tables["settings.txt"] = "\n".join([*settings, ""])

@@ -1,9 +1,8 @@
 """Frames: which mirrors of each cell are ON, their packed bits, and the files that hold them.
 
-A cell's grey level is the number `k` of its `K` mirrors that are ON, exact in both selections.
-`ordered` takes the first k of a fixed order in which every beginning is spread evenly over the
-cell, so that k/K of the light is taken even where a scene varies within a cell; `random` takes any
-k, drawn anew for each cell of each frame.
+A cell's grey level is the number `k` of its `K` mirrors that are ON: the first k of a fixed order
+in which every beginning is spread evenly over the cell, so that k/K of the light is taken even
+where a scene varies within a cell.
 
 Bits are packed along rows, the leftmost mirror in the highest bit of a byte, ON as 1 unless the
 layout inverts them; each row begins a new byte.
@@ -37,47 +36,25 @@ from deepfsi.camera.layout import DmdGrid
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Selection = Literal["ordered", "random"]
-"""Choice of the mirrors of a grey cell."""
 
-POTENTIAL_UNIT = 2**15
-"""Repelling potential of a mirror on itself in each direction, in the whole numbers used."""
-
-
-def make_frames(
-    on: Iterable[np.ndarray],
-    device: Device,
-    grid: DmdGrid,
-    selection: Selection = "ordered",
-    seed: int = 0,
-) -> Iterator[np.ndarray]:
-    """Make packed frames, one at a time."""
-    counts = (frame[grid.pixels] for frame in on)  # (down, across)
-    aligned = grid.width % 8 == 0 == grid.left % 8  # every cell begins and ends with a byte
-    table_bits = (grid.mirrors + 1) * grid.mirrors
-    if selection == "random":
-        frames = _draw(counts, device, grid, np.random.default_rng(seed))
-    # Largest table of every grey level of a cell, packed; larger ones are not worth their memory
-    elif aligned and table_bits <= 8 * 2**24:
-        frames = _look_up(counts, device, grid)
-    else:
-        frames = _compare(counts, device, grid)
-    for frame in frames:
-        yield _as_written(frame, device, grid)
+def make_frames(on: Iterable[np.ndarray], device: Device, grid: DmdGrid) -> Iterator[np.ndarray]:
+    """Make packed frames of mirrors ON in each cell (N,), one at a time."""
+    order = order_mirrors(grid.height, grid.width)[None, :, None, :]
+    for counts in on:
+        yield _pack(order < counts[grid.pixels][:, None, :, None], device, grid)
 
 
 def make_frame(on: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
     """Make the packed frame of cells (N,) that have all mirrors ON where true, or else none."""
     sides = grid.down, grid.height, grid.across, grid.width
-    lit = np.broadcast_to(on[grid.pixels][:, None, :, None], sides)
-    return _as_written(_pack(lit, device, grid), device, grid)
+    return _pack(np.broadcast_to(on[grid.pixels][:, None, :, None], sides), device, grid)
 
 
-def _as_written(frame: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
-    """Packed frame as the layout has it: inverted, or as it is."""
-    if not grid.layout.invert:
-        return frame
-    return frame ^ np.packbits(np.ones((device.rows, device.columns), dtype=np.bool_), axis=1)
+def _pack(lit: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
+    """Packed frame of mirrors (down, height, across, width), inverted if the layout says so."""
+    mirrors = np.zeros((device.rows, device.columns), dtype=np.bool_)
+    mirrors[grid.window] = lit.reshape(grid.down * grid.height, grid.across * grid.width)
+    return np.packbits(mirrors ^ grid.layout.invert, axis=1)
 
 
 def unpack(frame: np.ndarray, device: Device) -> np.ndarray:
@@ -138,16 +115,17 @@ def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
     # In whole numbers, so that every machine finds the same. They are exact although sums may pass
     # 64 bits on the way: what is compared is small, and what wraps around comes back
     near = []
+    unit = 2**15  # potential of a mirror on itself in each direction
     for sides in (heights, widths):
         centre = (np.cumsum(sides) - sides / 2) / sides.sum()
         distance = np.abs(np.subtract.outer(centre, centre))
         # Length over which mirrors repel each other, in sides of a cell
-        near.append(np.rint(POTENTIAL_UNIT * np.exp(-distance / 0.3)).astype(np.int64))
+        near.append(np.rint(unit * np.exp(-distance / 0.3)).astype(np.int64))
     down, across = near
     free = np.outer(heights, widths)
     mirrors = int(free.sum())
     wanted = 2 * np.outer(down @ heights, across @ widths)
-    excess = np.full(free.shape, POTENTIAL_UNIT**2 * mirrors)
+    excess = np.full(free.shape, unit**2 * mirrors)
     chosen = np.empty(mirrors, dtype=np.intp)
     for place in range(mirrors):
         excess -= wanted
@@ -158,53 +136,6 @@ def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
         if not free[row, column]:
             excess[row, column] = 2**62  # beyond what any other reaches
     return chosen
-
-
-def _look_up(on: Iterable[np.ndarray], device: Device, grid: DmdGrid) -> Iterator[np.ndarray]:
-    """Frames put together from packed cells, one for each grey level."""
-    order = order_mirrors(grid.height, grid.width)
-    levels = np.arange(grid.mirrors + 1)[:, None, None]
-    tiles = np.concatenate(
-        [np.packbits(order < batch, axis=2) for batch in np.array_split(levels, 64)]
-    ).transpose(1, 0, 2)
-    rows_of_cells = np.ascontiguousarray(tiles).view(f"V{grid.width // 8}")[..., 0]
-    for counts in on:
-        frame = np.zeros(device.frame_shape, dtype=np.uint8)
-        rows = frame[grid.top : grid.top + grid.down * grid.height]
-        left = grid.left // 8
-        window = rows[:, left : left + grid.across * grid.width // 8]
-        cells = rows_of_cells[:, counts]
-        shape = grid.down, grid.height, grid.across * grid.width // 8
-        window.reshape(shape)[...] = cells.transpose(1, 0, 2).copy().view(np.uint8).reshape(shape)
-        yield frame
-
-
-def _compare(on: Iterable[np.ndarray], device: Device, grid: DmdGrid) -> Iterator[np.ndarray]:
-    """Frames from comparing each mirror's place in the order with its cell's count."""
-    order = order_mirrors(grid.height, grid.width)[None, :, None, :]
-    for counts in on:
-        lit = order < counts[:, None, :, None]
-        yield _pack(lit, device, grid)
-
-
-def _draw(
-    on: Iterable[np.ndarray], device: Device, grid: DmdGrid, rng: np.random.Generator
-) -> Iterator[np.ndarray]:
-    """Frames with mirrors drawn at random, as many as counted."""
-    places = np.arange(grid.mirrors, dtype=np.uint32)
-    for counts in on:
-        lit = places < counts.reshape(-1, 1)
-        grey = ((counts > 0) & (counts < grid.mirrors)).ravel()
-        lit[grey] = rng.permuted(lit[grey], axis=1)
-        cells = lit.reshape(grid.down, grid.across, grid.height, grid.width)
-        yield _pack(cells.transpose(0, 2, 1, 3), device, grid)
-
-
-def _pack(lit: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
-    """Packed frame of mirrors (down, height, across, width)."""
-    mirrors = np.zeros((device.rows, device.columns), dtype=np.bool_)
-    mirrors[grid.window] = lit.reshape(grid.down * grid.height, grid.across * grid.width)
-    return np.packbits(mirrors, axis=1)
 
 
 # Files -------------------------------------------------------------------------------------------
@@ -221,7 +152,7 @@ class _OneFile:
     header: bool
 
     def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
-        """Write a number of packed frames as they come."""
+        """Write packed frames one at a time."""
         with (folder / self.name).open("wb") as stream:
             if self.header:
                 stream.write(npy_header("|u1", (total, *device.frame_shape)))
@@ -229,7 +160,7 @@ class _OneFile:
                 stream.write(frame.data)
 
     def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """Read the packed frames back in their order."""
+        """Read the packed frames."""
         path = folder / self.name
         shape = device.frame_shape
         header = npy_header("|u1", (total, *shape)) if self.header else b""
@@ -253,7 +184,7 @@ class _Pictures:
     ending: Literal["png", "bmp"]
 
     def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
-        """Write a number of packed frames as they come."""
+        """Write packed frames one at a time."""
         from PIL import Image
 
         options = {"compress_level": 1} if self.ending == "png" else {}  # no larger
@@ -264,7 +195,7 @@ class _Pictures:
             _save_picture(picture, folder / name, **options)
 
     def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """Read the packed frames back in their order."""
+        """Read the packed frames."""
         for index in range(total):
             name, _ = self.location(index, total, device)
             content = _read_picture(folder / name, device, "1").tobytes()
@@ -284,7 +215,7 @@ class _Planes:
     """
 
     def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
-        """Write a number of packed frames as they come."""
+        """Write packed frames one at a time."""
         from PIL import Image
 
         (folder / "images").mkdir()
@@ -306,7 +237,7 @@ class _Planes:
                 picture = np.zeros_like(picture)
 
     def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """Read the packed frames back in their order."""
+        """Read the packed frames."""
         for index in range(total):
             name, bit = self.location(index, total, device)
             if bit == 0:

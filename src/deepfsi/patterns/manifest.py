@@ -27,10 +27,10 @@ from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.models import Amount, Count, Share, StrictModel
 from deepfsi.base.quantities import time_text
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.camera.device import DEVICE_SOURCES, DEVICES, Device
+from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdGrid, DmdLayout, find_grid
 from deepfsi.camera.names import LIGHT_LAWS, Readout, SummedReflectance
-from deepfsi.patterns.frames import Format, Selection
+from deepfsi.patterns.frames import Format
 
 MOST_FRAMES = 2**20
 """Largest number of frames of one pass, sentinels among them."""
@@ -132,8 +132,9 @@ class Manifest(StrictModel):
     readout: Readout = "difference"  # What the network reads of two rails
     # Where masks are chosen while the exposure runs; the frames' shares are then equal ones
     looks: LookPlan | None = None
-    selection: Selection  # Choice of the mirrors of a grey cell
-    seed: int = 0  # Of the random selection
+    # Choice of the mirrors of a grey cell; earlier versions also drew them at random
+    selection: Literal["ordered", "random"] = "ordered"
+    seed: int = 0  # Of earlier versions
     # How the cells lie on the device; of folders that do not say so they fill it
     layout: DmdLayout = DmdLayout(stretch=True)
     format: Format  # Files of the frames
@@ -302,17 +303,21 @@ class Manifest(StrictModel):
         """Raise `InputError` unless the device can show all of the frames."""
         device = self.device
         if device.patterns is not None and len(self.frames) > device.patterns:
-            raise InputError(self._too_many(device.patterns))
+            raise InputError(
+                f"{len(self.frames)} frames do not fit {device.name}, whose controller holds "
+                f"{device.patterns}: use fewer masks (of a scan: a smaller --size; of adaptive "
+                "masks: a smaller `dictionary`), or a device that holds more"
+            )
         if self.looks and self.looks.dictionary and device.video_us is not None:
             raise InputError(
                 f"masks of a dictionary are shown by their index, and {device.name} shows the "
                 "frames of a video in their order: use a device that stores frames, such as dlp7000"
             )
         if self.looks and not self.looks.dictionary and device.load_us is None:
-            able = ", ".join(other.name for other in DEVICES.values() if other.load_us)
             raise InputError(
                 f"adaptive masks are loaded while the run goes on, and {device.name} takes no "
-                f"frame then: use {able}, or a device file with its `load_us`"
+                "frame then: use a device that does, such as dlp7000, or a device file with its "
+                "`load_us`"
             )
         for index, frame in enumerate(self.frames):
             if not device.shortest_us <= frame.picture_us <= device.longest_us:
@@ -328,39 +333,10 @@ class Manifest(StrictModel):
                 "time: export the patterns for it again"
             )
 
-    def _too_many(self, held: int) -> str:
-        """Say that a controller holds fewer frames, and what to do."""
-        frames = len(self.frames)
-        larger = [
-            f"{other.name} ({other.patterns or 'as many as fit its memory'})"
-            for other in DEVICES.values()
-            if not other.video_us and (other.patterns is None or other.patterns >= frames)
-        ]
-        advice = "use fewer masks (of a scan: a smaller --size)"
-        if self.looks and self.looks.dictionary:
-            advice = f"learn the design with `dictionary` of {held - SENTINELS} at most"
-        return (
-            f"{frames} frames do not fit {self.device.name}, whose controller holds {held}: "
-            f"{advice}, or use a device that holds them, such as {', '.join(larger[:3])}"
-        )
-
-    @property
-    def departures(self) -> list[str]:
-        """Limits of the device that are wider than its documents say, one line each."""
-        device = self.device
-        documented = DEVICES.get(device.name)
-        if documented is None or device.shortest_us >= documented.shortest_us:
-            return []
-        source = DEVICE_SOURCES[device.name]["shortest_us"]
-        return [
-            f"shortest picture {device.shortest_us} µs, and {device.name} needs "
-            f"{documented.shortest_us} ({source}): export without --shortest unless you know why"
-        ]
-
 
 @dataclass(frozen=True)
 class GatePlan:
-    """Gates of the frames of a pass, as they are asked for, in seconds after each frame's start."""
+    """Gates of a pass, in seconds after each frame's start."""
 
     settle_s: float  # time before the first gate of each frame
     length_s: np.ndarray  # duration of a gate of each mask's frame, (f,): share times exposure

@@ -29,16 +29,13 @@ from deepfsi.patterns.manifest import (
 SMALLEST_STEP = float(np.finfo(np.float64).tiny)
 """Step between grey levels, as a share of a pixel's photons, below which a rail is dark."""
 
-FINEST_PASS_US = 10**9
-"""Time of the masks' frames of a pass without a device, µs: long, so that their ratios stay."""
-
 LEAST_DIMMED = 0.999
 """Share of a design's light that one device must show."""
 
 
 @dataclass(frozen=True)
 class DesignRails:
-    """Rails of a design that are to be shown."""
+    """Rails of a design, for a device to show."""
 
     rails: np.ndarray  # share of each pixel's photons, (2 or 1, m, N)
     light: LightLawName
@@ -138,7 +135,7 @@ class DesignRails:
         sentinel_us: int,
         **settings: Any,
     ) -> Manifest:
-        """Manifest of frames in their order, a pair of sentinels before and after; no hashes."""
+        """Manifest of frames between two pairs of sentinels, without hashes."""
         no_hash = "0" * 64
         ends = (
             Frame(role="on", picture_us=sentinel_us, sha256=no_hash),
@@ -181,13 +178,13 @@ class DesignRails:
                 f"one device shows a {self.light} design only dimmed, or not at all: give the "
                 "folder of its patterns in place of its file"
             )
+        pass_us = 10**9  # long, so that the ratios of whole microseconds are those of the shares
         down, across = self.image_shape if len(self.image_shape) == 2 else (1, *self.image_shape)
         return self.manifest(
             frames,
-            pictures_us=[max(1, round(share * FINEST_PASS_US)) for share in frames.shares.tolist()],
-            sentinel_us=math.ceil(FINEST_PASS_US * float(frames.shares.mean())),
+            pictures_us=[max(1, round(share * pass_us)) for share in frames.shares.tolist()],
+            sentinel_us=math.ceil(pass_us * float(frames.shares.mean())),
             device=Device(name="none", columns=across, rows=down, settle_us=0),
-            selection="ordered",
             format="npy",
         )
 
