@@ -32,7 +32,7 @@ KINDS = {
     "class": (Cnn, "shared.networks:Cnn"),
     "function": (linear, "shared.networks:linear"),
     "import path": ("shared.networks:Cnn", "shared.networks:Cnn"),
-    "partial": (functools.partial(Cnn, width=3), "shared.networks:Cnn"),
+    "partial": (functools.partial(Cnn, width=3), ""),
     "one number": (Tied, "shared.networks:Tied"),
     "lambda": (lambda inputs, classes: nn.Linear(inputs, classes), ""),
     "module": (nn.Linear(6, 10), ""),
@@ -68,7 +68,6 @@ def leaving(inputs, classes):
         ("shared.networks:Rnn", "has no Rnn"),
         ("no_such_module:Cnn", "No module named"),
         (leaving, "cannot be used: 7"),
-        (functools.partial(Cnn, 3), "give them as keywords"),
         (nn.Sequential(nn.Linear(6, 10)).requires_grad_(False), "no parameter that learns"),
     ],
 )

@@ -62,7 +62,7 @@ def test_a_setting_that_is_not_allowed_is_refused(digits, settings):
     [
         (np.ones((6, 64)), "shape"),
         (np.full((7, 64), np.nan), "finite"),
-        (np.zeros((7, 64)), "zero everywhere"),
+        (np.zeros((7, 64)), "not all zero"),
         (np.full((7, 64), 0.2), "breaks the column constraint"),
         (None, "a matrix goes with"),
     ],

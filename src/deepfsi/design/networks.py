@@ -7,7 +7,6 @@ imports it only where the user says so.
 """
 
 import copy
-import functools
 import inspect
 import itertools
 import json
@@ -24,7 +23,7 @@ from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.registry import UNNAMED_PLUGIN, load_plugin
-from deepfsi.jobs.training import MLP, Training, describe_classifier, find_classifier
+from deepfsi.jobs.training import MLP, Training, find_classifier, part_name
 
 
 class Classifier(nn.Module, ABC):
@@ -285,15 +284,15 @@ def make_custom(
     given: Given, arguments: Mapping[str, Any], inputs: int, classes: int, seed: int = 0
 ) -> OwnClassifier:
     """Classifier with these numbers of inputs and classes, tried on zeros."""
-    name, every = describe_classifier(given, arguments)
-    factory = given.func if isinstance(given, functools.partial) else given
-    factory = load_plugin(factory) if isinstance(factory, str) else factory
+    factory = load_plugin(given) if isinstance(given, str) else given
     with seeded(seed):
         try:
-            if isinstance(factory, nn.Module):
-                module = copy.deepcopy(factory)
+            if not isinstance(factory, nn.Module):
+                module = _called(factory, arguments, inputs, classes)
+            elif arguments:
+                raise InputError("arguments go with a factory: a module has its own already")
             else:
-                module = _called(factory, every, inputs, classes)
+                module = copy.deepcopy(factory)
             if not isinstance(module, nn.Module):
                 raise TypeError(f"{type(module).__name__} is no torch.nn.Module")
             first = next(iter(module.parameters()), torch.empty(0))
@@ -309,7 +308,8 @@ def make_custom(
                 f"the classifier cannot be used: {told or type(error).__name__}; give a module "
                 f"from (batch, {inputs}) features to (batch, {classes}) logits, or a factory of it"
             ) from error
-    return OwnClassifier(module, "" if name == UNNAMED_PLUGIN else name, every)
+    name = part_name(given)
+    return OwnClassifier(module, "" if name == UNNAMED_PLUGIN else name, arguments)
 
 
 def _called(factory: Factory, arguments: Mapping[str, Any], inputs: int, classes: int) -> nn.Module:

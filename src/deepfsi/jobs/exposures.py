@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
 from deepfsi.base.errors import InputError, as_input_error, closest_choice
-from deepfsi.base.models import Count, Positive, StrictModel, UserModel, of_kinds
+from deepfsi.base.models import Amount, Count, Positive, StrictModel, UserModel, of_kinds
 from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, find_noise
@@ -34,23 +34,16 @@ if TYPE_CHECKING:
 class Exposure(UserModel):
     """Settings of an exposure, which shows every mask once."""
 
-    training: ClassVar[dict[str, Any]] = {"start": "pca"}
-    """Defaults of the training."""
+    training: ClassVar[dict[str, Any]] = {"start": "pca"}  # defaults of the training
+    side_by_side: ClassVar[bool] = True  # jobs that differ in budget and seed train together
+    features: ClassVar[str] = ""  # parts of scenes that a classifier reads; "" for whole scenes
+    allow_bf16: ClassVar[bool] = True  # masks may be multiplied in bfloat16
 
-    side_by_side: ClassVar[bool] = True
-    """Whether jobs that differ in budget and seed train together."""
-
-    features: ClassVar[str] = ""
-    """Parts of scenes whose features a classifier reads; "" for whole scenes."""
-
+    # Import path of the training of its masks
     trained_by: ClassVar[str] = "deepfsi.exposure.training:fixed_training"
-    """Import path of the training of its masks."""
 
+    # Header entry, which only exposures of packages beside the core declare here
     entry_type: ClassVar[type["Entry"]]
-    """Header entry; only exposures of packages beside the core declare it here."""
-
-    allow_bf16: ClassVar[bool] = True
-    """Whether masks may be multiplied in bfloat16."""
 
     def allow_bf16_networks(self, device: str, wide: bool) -> bool:
         """True if networks are faster in bfloat16: wide ones, on a processor."""
@@ -94,14 +87,9 @@ class Exposure(UserModel):
 class Entry(StrictModel, strict=True):
     """Entry of a design file's header: no further fields, and no conversions."""
 
-    features: ClassVar[str] = ""
-    """As of `Exposure`."""
-
-    no_frames: ClassVar[str] = ""
-    """Why frames of a device cannot show the masks, where they cannot."""
-
-    restored_by: ClassVar[str] = "deepfsi.exposure.kind:MaskExposure"
-    """Import path of the exposure of the masks of a file."""
+    features: ClassVar[str] = ""  # as in `Exposure`
+    no_frames: ClassVar[str] = ""  # why frames of a device cannot show the masks
+    restored_by: ClassVar[str] = "deepfsi.exposure.kind:MaskExposure"  # import path
 
     def mask_shape(self, image_shape: tuple[int, ...]) -> tuple[int, ...]:
         """Shape of a mask."""
@@ -218,87 +206,32 @@ class SharedLight(Exposure):
             )
 
 
-DICTIONARY_SPREAD = 0.5
-"""Spread of a prior with a dictionary of masks: better than 0.7 on training images of MNIST.
-
-A look does not remember what earlier looks told of the scene's distance from the prior.
-"""
-
-
 class AdaptiveMasks(UserModel):
     """Settings of adaptive masks, each made from the counts so far."""
 
-    looks: int = Field(
-        default=16, ge=1, le=1024, strict=True, description="masks that are shown one after another"
-    )
-    growth: float = Field(
-        default=1.0,
-        ge=1e-3,
-        le=1e3,
-        description="share of the exposure that the last look takes, over that of the first",
-    )
-    until: float = Field(
-        default=1.0,
-        gt=0,
-        le=1,
-        description="probability of a class at which the exposure ends; 1 for never",
-    )
-    components: int = Field(
-        default=120,
-        ge=1,
-        strict=True,
-        description="principal components of the scenes that are kept",
-    )
-    spread: float = Field(
-        default=0.7,
-        ge=0,
-        allow_inf_nan=False,
-        description="how far scenes lie from those of the prior, over the distance of neighbours "
-        "in it; 0 if they are among them",
-    )
+    # Files have these names. Later fields are left out at their defaults, so that files keep bytes
+    looks: int = Field(default=16, ge=1, le=1024, strict=True)  # masks shown one after another
+    growth: float = Field(default=1.0, ge=1e-3, le=1e3)  # light of the last look over the first's
+    until: float = Field(default=1.0, gt=0, le=1)  # probability that ends an exposure; 1 for never
+    components: int = Field(default=120, ge=1, strict=True)  # principal components of scenes
 
-    clusters: int | None = Field(
-        default=None,
-        ge=1,
-        strict=True,
-        description="clusters of each class whose centres stand for its scenes; default: all "
-        "scenes",
-    )
+    # Distance of scenes from those of the prior, over that of neighbours in it
+    spread: Amount = 0.7
 
-    cap: float = Field(
-        default=1.0,
-        ge=1,
-        le=100,
-        exclude_if=lambda cap: cap == 1,  # here and below: earlier files keep their bytes
-        description="light of all looks over the budget, which is the mean of exposures that stop",
-    )
+    # Clusters of each class whose centres stand for its scenes; None for all scenes
+    clusters: int | None = Field(default=None, ge=1, strict=True)
 
-    price: float | None = Field(
-        default=None,
-        ge=0,
-        allow_inf_nan=False,
-        exclude_if=lambda price: price is None,
-        description="for a detector that clicks at most once a look: nats about the class that a "
-        "click must tell; none for detectors that count",
-    )
+    # Light of all looks over the budget, which is the mean of exposures that stop
+    cap: float = Field(default=1.0, ge=1, le=100, exclude_if=lambda cap: cap == 1)
 
-    light_price: float = Field(
-        default=0.0,
-        ge=0,
-        allow_inf_nan=False,
-        exclude_if=lambda price: price == 0,
-        description="for a detector that clicks at most once a look: price in clicks of a photon "
-        "on the device",
-    )
+    # For a detector that clicks at most once a look: nats about the class that a click must tell,
+    # and price in clicks of a photon on the device
+    price: Amount | None = Field(default=None, exclude_if=lambda price: price is None)
+    light_price: Amount = Field(default=0.0, exclude_if=lambda price: price == 0)
 
+    # Masks that stay on the device, of which each look shows one; None for masks made anew
     dictionary: int | None = Field(
-        default=None,
-        ge=1,
-        le=MOST_READY,
-        strict=True,
-        exclude_if=lambda count: count is None,
-        description="most masks that stay on the device, of which each look shows one; default: "
-        "masks are made anew",
+        default=None, ge=1, le=MOST_READY, strict=True, exclude_if=lambda count: count is None
     )
 
     @property
@@ -329,25 +262,21 @@ class AdaptiveMasks(UserModel):
             )
 
 
-EXPOSURE_KINDS: dict[str, type[Exposure]] = {"span": Range, "cap": SharedLight}
-"""Kind of exposure by the setting that asks for it; the first that is given counts."""
-
-NEUTRAL = {"span": "1", "cap": "1"}
-"""Values of these settings that ask for nothing."""
-
-
 @cache
 def exposure_kinds() -> dict[str, type[Exposure]]:
-    """Kind of exposure by the setting that asks for it, those of packages beside the core last."""
+    """Kind of exposure by the setting that asks for it; the first that is given counts."""
     schemes = installed().schemes.values()
-    return EXPOSURE_KINDS | {name: resolve_name(path) for names, path in schemes for name in names}
+    beside = {name: resolve_name(path) for names, path in schemes for name in names}
+    return {"span": Range, "cap": SharedLight} | beside
 
 
 def find_exposure(given: Any) -> Any:
     """Exposure of its settings: none for `Fixed`, ``{"span": 10}`` for `Range`, and so on."""
     if not isinstance(given, Mapping):
         return given
-    neutral = {names[0]: "0" for names, _ in installed().schemes.values()} | NEUTRAL
+    # Values with which a setting asks for nothing, as in an axis of a recipe
+    neutral = {"span": "1", "cap": "1"}
+    neutral |= {names[0]: "0" for names, _ in installed().schemes.values()}
     asked = {
         name: value
         for name, value in given.items()

@@ -18,13 +18,7 @@ from deepfsi.camera.camera import Camera, CameraSource
 from deepfsi.camera.light import PhotonBudget, check_budget
 from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light_law, find_noise, noise_name
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.jobs.designs import (
-    DESIGNS,
-    Code,
-    check_count,
-    check_design,
-    count_allowed,
-)
+from deepfsi.jobs.designs import DESIGNS, Code, check_count, check_design, count_allowed
 from deepfsi.jobs.exposures import (
     AdaptiveMasks,
     AnyExposure,
@@ -43,15 +37,11 @@ from deepfsi.jobs.training import (
     TUNED,
     Training,
     TrainingSource,
-    classifier_name,
-    loss_name,
+    part_name,
 )
 
 FEW_SCENES = 1000
-"""Training sets below this size are learned by heart, so folds of them calibrate a design.
-
-Larger sets are calibrated on their training scenes, or on scenes that the user holds out.
-"""
+"""Training sets below this size are learned by heart, so folds of them calibrate a design."""
 
 REVISION = 5
 """Raised when a change makes the same job end in another design, so that old records expire."""
@@ -209,104 +199,92 @@ class Job(UserModel):
             raise InputError("; ".join(faults))
 
     def faults(self, data: Dataset, matrix: np.ndarray | None = None) -> list[str]:
-        """Everything that the job asks and that cannot be had on this data, in words.
+        """Sentences on everything that the job asks and that cannot be had on this data.
 
         Whether a user's own matrix (m, N) breaks the light law is seen when it is shown.
         """
-        faults = [*self._classifier_faults(), *self.exposure.faults(self)]
+        faults = [*self._classifier_faults(), *self.exposure.faults(self), *self._noise_faults()]
         if self.training.counts is not None:
             faults += self._few_counts_faults(data.image_shape)
         if data.values:
             faults += self._value_faults()
             if self.code.of_classes:  # it has no masks of such data, whose number could be told
                 return faults
-        return [*faults, *self._other_faults(data, matrix), *self._matrix_faults(data, matrix)]
-
-    def _other_faults(self, data: Dataset, matrix: np.ndarray | None) -> Iterator[str]:
-        """Faults of the loss, of rails and noise, and of designs that are adaptive or custom."""
-        if self.training.balance and self.training.loss is not None:
-            yield "`balance` weighs the usual loss: leave it out, or `loss`"
-        if self.code.rails == "dual" and self.camera.rails == "single":
-            yield f"{self.design} is signed: use dual rails, or the s-matrix"
-        noises = [find_noise(noise) for noise in (self.noise, self.mask_job().noise)]
-        if any(noise.read_noise_alone for noise in noises) and not self.camera.sigma:
-            yield "gaussian noise is read noise: give `sigma` above 0"
-        if self.exposure.most_light > 1:
-            yield from self._sharing_faults(data)
         if self.code.adaptive:
-            yield from self._adaptive_faults(data)
+            faults += self._adaptive_faults(data)
+        try:
+            self._check_masks(data, matrix)
+        except InputError as error:
+            faults.append(str(error))
+        return faults
+
+    def _check_masks(self, data: Dataset, matrix: np.ndarray | None) -> None:
+        """Raise `InputError` for masks that the camera does not show, or this data has not."""
+        camera = self.optics
+        check_light_law(camera.light, camera.rails)
+        scene = self.exposure.scene(data)
+        camera.mask_levels(scene.image_shape)
+        if self.code.adaptive:
+            AdaptiveMasks.check_camera(camera)
         if (matrix is not None) != self.code.is_custom:
-            yield (
+            raise InputError(
                 'a matrix goes with the custom design alone: give `design="custom"` and `matrix`, '
                 "or neither"
             )
-
-    def _matrix_faults(self, data: Dataset, matrix: np.ndarray | None) -> list[str]:
-        camera = self.optics
-        try:
-            check_light_law(camera.light, camera.rails)
-            scene = self.exposure.scene(data)
-            camera.mask_levels(scene.image_shape)
-            if self.code.adaptive:
-                AdaptiveMasks.check_camera(camera)
-                if self.training.dictionary:
-                    _check_dictionary_camera(camera)
-            if matrix is None:
-                check_count(self.design, self.masks, scene, camera.detector_map(scene.image_shape))
-            else:
-                _check_matrix(np.asarray(matrix), (self.masks, data.pixels))
-        except InputError as error:
-            return [str(error)]
-        return []
+        if matrix is None:
+            check_count(self.design, self.masks, scene, camera.detector_map(scene.image_shape))
+        else:
+            _check_matrix(np.asarray(matrix), (self.masks, data.pixels))
 
     def _classifier_faults(self) -> Iterator[str]:
-        mine = self.training
-        facts = mine.classifier_facts
+        training = self.training
+        facts = training.classifier_facts
         usual = Training()
         others = [name for name in MLP_FACTS.settings if name not in facts.settings]
-        if any(getattr(mine, name) != getattr(usual, name) for name in others):
+        if any(getattr(training, name) != getattr(usual, name) for name in others):
             yield (
                 "`hidden` and `dropout` are of the usual classifier: give them to a classifier of "
                 "your own as its arguments"
             )
         if facts.features != self.exposure.features:
             yield (
-                f"{classifier_name(mine.classifier)} reads features of "
+                f"{part_name(training.classifier)} reads features of "
                 f"{facts.features or 'whole scenes'}, and the exposure gives those of "
                 f"{self.exposure.features or 'whole scenes'}: give another classifier"
             )
-        if mine.is_custom:
+        if training.balance and training.loss is not None:
+            yield "`balance` weighs the usual loss: leave it out, or `loss`"
+        if training.is_custom:
             return
-        sizes = mine.classifier_arguments.items()
-        if facts.sizes and any(
-            name not in facts.sizes or type(size) is not int or size < 1 for name, size in sizes
+        sizes = training.classifier_arguments
+        if any(sizes.keys() - facts.sizes) or any(
+            type(n) is not int or n < 1 for n in sizes.values()
         ):
             yield (
-                f"{mine.classifier} cannot have {mine.classifier_arguments}: give whole numbers of "
-                f"{', '.join(facts.sizes)}"
+                f"{training.classifier} cannot have the arguments {sizes}: give whole numbers of "
+                f"{', '.join(facts.sizes) or 'none'}, or a `classifier` of your own"
             )
-        if mine.classifier_arguments and not facts.sizes:
-            yield "arguments go with your own `classifier`: give one"
+
+    def _noise_faults(self) -> Iterator[str]:
+        if self.code.rails == "dual" and self.camera.rails == "single":
+            yield f"{self.design} is signed: use dual rails, or the s-matrix"
+        noises = [find_noise(noise) for noise in (self.noise, self.mask_job().noise)]
+        if any(noise.read_noise_alone for noise in noises) and not self.camera.sigma:
+            yield "gaussian noise is read noise: give `sigma` above 0"
 
     def _few_counts_faults(self, image_shape: tuple[int, ...]) -> Iterator[str]:
         """Everything in a job of few counts within its budget that cannot be had."""
         camera = self.optics
         counts = self.training.counts or 0.0
+        noise = find_noise(self.noise)
         if self.code.adaptive and self.camera.clicks is not None:
             return  # fewer than any number: exposures end where a click is not worth its price
-        if not self.code.learned or not isinstance(self.exposure, Fixed):
-            yield (
-                "counts within a budget are of learned masks that are shown once each, or of "
-                "adaptive masks for clicks: leave `counts` or `photons` out, or give "
-                '`design="deepfsi"` without span, or `noise="click"`'
-            )
-            return
-        noise = find_noise(self.noise)
-        if not noise.counting:
+        if not (self.code.learned and isinstance(self.exposure, Fixed) and noise.counting):
             counting = ", ".join(name for name, facts in NOISES.items() if facts.counting)
             yield (
-                f"counts within a budget are trained on counts, not under {self.noise} noise: give "
-                f"one of {counting}"
+                "counts within a budget are of learned masks that are shown once each, trained "
+                f"under {counting} noise, or of adaptive masks for clicks: leave `counts` or "
+                '`photons` out, or give `design="deepfsi"` without span, or `noise="click"`'
             )
             return
         most = self.photons
@@ -328,26 +306,12 @@ class Job(UserModel):
         if self.training.balance:
             yield "`balance` is of classes, and these scenes have values: leave it out"
 
-    def _sharing_faults(self, data: Dataset) -> Iterator[str]:
-        """Why no threshold can be found at which exposures take the budget in the mean."""
-        if data.values:
-            yield "`cap` needs classes, and these scenes have values: leave it out"
-            return
-        cap = self.exposure.most_light
-        if self.masks < cap:
-            yield (
-                f"the first of {self.masks} looks takes {cap / self.masks:.3g} of the budget, "
-                "which is the mean of all: give more looks, or a lower `cap`"
-            )
-        if (scenes := len(data.x_train)) < 50:
-            yield (
-                f"{scenes} training scenes say too little of the mean light of exposures that "
-                "stop: give 50 or more, or leave `cap` out"
-            )
-
     def _adaptive_faults(self, data: Dataset) -> Iterator[str]:
         """Everything in a job of adaptive masks that cannot be had."""
+        scenes = len(data.x_train)
         fewest = int(np.bincount(data.y_train, minlength=len(data.classes)).min())
+        clicks = self.camera.clicks is not None
+        cap = self.exposure.most_light
         if (self.training.clusters or 0) > fewest // 2:
             yield (
                 f"{self.training.clusters} clusters of each class are too many where one has "
@@ -355,48 +319,46 @@ class Job(UserModel):
             )
         if not isinstance(self.exposure, Fixed | SharedLight):
             yield "adaptive masks have a look each: give no span"
-        most = self.exposure.most_light
-        if self.camera.clicks is not None:
-            if len(data.x_train) < FEW_SCENES:
-                yield (
-                    f"{len(data.x_train)} training scenes say too little of what a click is worth: "
-                    f'give {FEW_SCENES} or more, or a detector that counts, `noise="poisson"`'
-                )
-            if most > 1:
-                yield "exposures of adaptive masks for clicks end by themselves: leave `cap` out"
+        if self.masks < cap:
+            yield (
+                f"the first of {self.masks} looks takes {cap / self.masks:.3g} of the budget, "
+                "which is the mean of all: give more looks, or a lower `cap`"
+            )
+        if cap > 1 and scenes < 50:
+            yield (
+                f"{scenes} training scenes say too little of the mean light of exposures that "
+                "stop: give 50 or more, or leave `cap` out"
+            )
+        if clicks and scenes < FEW_SCENES:
+            yield (
+                f"{scenes} training scenes say too little of what a click is worth: give "
+                f'{FEW_SCENES} or more, or a detector that counts, `noise="poisson"`'
+            )
+        if clicks and cap > 1:
+            yield "exposures of adaptive masks for clicks end by themselves: leave `cap` out"
+        several = LIGHT_LAWS[self.optics.light].arms > 1 or not self.optics.one_detector
+        if self.training.dictionary and (clicks or several):
+            yield (
+                "masks of a dictionary are chosen for one detector that counts and one arm: leave "
+                "`dictionary` out, or give such a camera"
+            )
         if self.training.classifier != MLP:
             yield "adaptive masks are read by their posterior: leave `classifier` out"
         shortest = self.camera.shortest_share
-        if shortest * self.masks > most:
+        if shortest * self.masks > cap:
             yield (
                 f"{self.masks} looks are shorter than {shortest:.3g} of the exposure, the shortest "
-                f"picture of the camera: give at most {int(most / shortest)} masks"
+                f"picture of the camera: give at most {int(cap / shortest)} masks"
             )
 
 
 def _check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
     """Raise `InputError` unless a user's matrix has a shape, finite real numbers and any light."""
-    if matrix.shape != shape:
+    real = matrix.dtype.kind in "biuf"
+    if matrix.shape != shape or not (real and 0 < np.abs(matrix, dtype=float).max() < 1e30):
         raise InputError(
-            f"a matrix of shape {matrix.shape} does not fit: give ({shape[0]}, {shape[1]})"
-        )
-    if matrix.dtype.kind not in "biuf" or not np.abs(matrix, dtype=float).max() < 1e30:
-        raise InputError("the matrix holds something else than finite real numbers")
-    if not matrix.any():
-        raise InputError("the matrix is zero everywhere: give at least one lit entry")
-
-
-def _check_dictionary_camera(camera: Camera) -> None:
-    """Raise `InputError` where a camera has no single readout that counts, for a dictionary."""
-    if camera.clicks is not None:
-        raise InputError(
-            "masks of a dictionary are for photon counts: leave `dictionary` out, or give "
-            '`noise="poisson"`'
-        )
-    if LIGHT_LAWS[camera.light].arms > 1 or not camera.one_detector:
-        raise InputError(
-            "masks of a dictionary are chosen for one detector and one arm: leave `dictionary` or "
-            '`detectors` out, and give `light="free-dwell"`'
+            f"a matrix of shape {matrix.shape} and type {matrix.dtype} does not fit: give "
+            f"({shape[0]}, {shape[1]}) finite real numbers that are not all zero"
         )
 
 
@@ -437,7 +399,7 @@ def job_of(
     counts: float | None = None,
     matrix: np.ndarray | None = None,
 ) -> Job:
-    """Job that a user asks for: counts are those of `learn`, and a matrix (m, N) is the user's."""
+    """Job that a user asks for, with the counts and the matrix (m, N) of `learn`."""
     given = {name: value for name, value in settings.items() if value is not None}
     if matrix is not None:
         given = {"design": "custom", "masks": len(matrix), **given}
@@ -488,6 +450,6 @@ def _training_of(settings: Mapping[str, Any]) -> Any:
 
 def custom_parts(job: Job, *noises: str) -> list[str]:
     """Import paths of a user's own parts in a job and in further noises, or `UNNAMED_PLUGIN`."""
-    parts = classifier_name(job.training.classifier), loss_name(job.training.loss) or ""
+    parts = part_name(job.training.classifier), part_name(job.training.loss) or ""
     names = {job.noise, *noises, *parts}
     return sorted(name for name in names if ":" in name or name == UNNAMED_PLUGIN)

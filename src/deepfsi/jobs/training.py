@@ -4,10 +4,8 @@ A classifier and a loss of a user's own are a name, an import path, or the objec
 """
 
 import re
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal
 
@@ -17,11 +15,10 @@ from pydantic import (
     Field,
     PlainSerializer,
     WithJsonSchema,
-    model_validator,
 )
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models import Count, Positive, StrictModel, UserModel
+from deepfsi.base.models import Amount, Count, Positive, StrictModel, UserModel
 from deepfsi.base.registry import IMPORT_PATH, UNNAMED_PLUGIN, import_path, installed
 from deepfsi.camera.names import NoiseSetting
 from deepfsi.jobs.designs import DESIGNS, check_design
@@ -30,7 +27,7 @@ MOST_READY = 2**16
 """Masks of a dictionary, at most: tables of them are held for each scene."""
 
 MLP = "mlp"
-"""Name of the paper's classifier in settings, which is the usual one."""
+"""The paper's classifier, which is the usual one."""
 
 
 @dataclass(frozen=True)
@@ -39,21 +36,18 @@ class ClassifierFacts:
 
     settings: tuple[str, ...] = ()  # settings of `Training` that are of this classifier
     sizes: tuple[str, ...] = ()  # its arguments, whole numbers of 1 or more
-    features: str = ""  # what it reads features of, as of `Exposure`
+    features: str = ""  # parts of scenes that it reads, as in `Exposure`
     # Of one that a package beside the core has: its entry in a header, and import path of its class
     entry: type[StrictModel] | None = None
     network: str = ""
 
 
 MLP_FACTS = ClassifierFacts(settings=("hidden", "dropout"))
-"""Facts of the paper's."""
-
 CUSTOM_CLASSIFIER = ClassifierFacts(settings=("classifier_arguments",))
-"""A user's own."""
 
 
 def find_classifier(name: str) -> ClassifierFacts:
-    """Facts of a classifier that settings or a design file name; those of a user's own, else."""
+    """Facts of a classifier that settings or a design file name."""
     if name == MLP:
         return MLP_FACTS
     path = installed().parts["classifier"].get(name)
@@ -62,7 +56,6 @@ def find_classifier(name: str) -> ClassifierFacts:
 
 MOST_LAYERS = 64
 """Hidden layers of a network at most."""
-
 
 Widths = Annotated[tuple[Count, ...], Field(max_length=MOST_LAYERS)]
 """Widths of the hidden layers of a network."""
@@ -74,69 +67,35 @@ Precision = Literal["auto", "float32", "bfloat16"]
 """Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
 
 
-def describe_classifier(
-    given: Any, arguments: Mapping[str, Any] | None = None
-) -> tuple[str, dict[str, Any]]:
-    """Name of a classifier in settings and in design files, and its factory's arguments."""
-    every = dict(arguments or {})
-    if isinstance(given, partial):
-        if given.args:
-            raise InputError("a partial of positional arguments was given: give them as keywords")
-        return import_path(given.func) or UNNAMED_PLUGIN, {**given.keywords, **every}
-    if isinstance(given, str):
-        return given, every
-    torch = sys.modules.get("torch")  # whoever gives a module has loaded it
-    if torch is not None and isinstance(given, torch.nn.Module):
-        if every:
-            raise InputError("arguments go with a factory: a module has its own already")
-        return UNNAMED_PLUGIN, {}
-    return import_path(given) or UNNAMED_PLUGIN, every
+def part_name(given: Any) -> Any:
+    """Name or import path of a classifier or a loss, `UNNAMED_PLUGIN` of one that has none."""
+    if given is None or isinstance(given, str):
+        return given
+    return import_path(given) or UNNAMED_PLUGIN
 
 
-def classifier_name(given: Any) -> str:
-    """Name or import path of a classifier that is given by name, as a module or as a factory."""
-    return describe_classifier(given)[0]
-
-
-def loss_name(given: Any) -> str | None:
-    """Import path of a loss, `UNNAMED_PLUGIN` of one that has none; None where none is given."""
-    return (
-        given if given is None or isinstance(given, str) else import_path(given) or UNNAMED_PLUGIN
-    )
+def _own(given: Any, advice: str) -> Any:
+    """A part of a user's own or its import path; else an error that says what to give."""
+    named = isinstance(given, str) and re.fullmatch(f"{IMPORT_PATH}|{UNNAMED_PLUGIN}", given)
+    if not (named or callable(given)):
+        raise ValueError(advice)
+    return given
 
 
 def _classifier(given: Any) -> Any:
-    if not (isinstance(given, str) or callable(given)):
-        raise ValueError(f"give {MLP}, or a module or factory of your own")
-    name = classifier_name(given)
-    own = name == UNNAMED_PLUGIN or re.fullmatch(IMPORT_PATH, name)
-    if not own and find_classifier(name) is CUSTOM_CLASSIFIER:
-        raise ValueError(f"give {MLP}, or module:factory of your own")
-    return given
+    known = isinstance(given, str) and find_classifier(given) is not CUSTOM_CLASSIFIER
+    return given if known else _own(given, f"give {MLP}, or module:factory of your own")
 
 
 def _loss(given: Any) -> Any:
-    named = isinstance(given, str) and re.fullmatch(f"{IMPORT_PATH}|{UNNAMED_PLUGIN}", given)
-    if not (given is None or callable(given) or named):
-        raise ValueError("give module:function, or a function of outputs and truth")
-    return given
+    advice = "give module:function, or a function of outputs and truth"
+    return given if given is None else _own(given, advice)
 
 
-ClassifierSetting = Annotated[
-    Any,
-    AfterValidator(_classifier),
-    PlainSerializer(classifier_name, return_type=str),
-    WithJsonSchema({"type": "string"}),
+OwnPart = Annotated[
+    Any, PlainSerializer(part_name, return_type=str | None), WithJsonSchema({"type": "string"})
 ]
-"""Name of a classifier, import path of a factory of one's own, a module or a factory."""
-
-Loss = Annotated[
-    Any,
-    AfterValidator(_loss),
-    PlainSerializer(loss_name, return_type=str | None),
-    WithJsonSchema({"type": "string"}),
-]
-"""Import path of a loss of one's own, or its function; None for the usual one."""
+"""Name or import path of a part, or the part itself."""
 
 
 def _start(name: str) -> str:
@@ -186,7 +145,7 @@ class Training(UserModel):
     dropout: float = Field(
         default=0.0, ge=0, lt=1, description="share of hidden units left out in a step"
     )
-    classifier: ClassifierSetting = Field(
+    classifier: Annotated[OwnPart, AfterValidator(_classifier)] = Field(
         default=MLP, description="mlp, or module:factory of a torch module of your own"
     )
     classifier_arguments: dict[str, Any] = Field(
@@ -195,20 +154,13 @@ class Training(UserModel):
     scale: Scale = Field(
         default="common", description="standard deviation of features: each, or common"
     )
-    decay: float = Field(
-        default=0.0,
-        ge=0,
-        allow_inf_nan=False,
-        description="decoupled weight decay of the classifier",
-    )
+    decay: Amount = Field(default=0.0, description="decoupled weight decay of the classifier")
     balance: bool = Field(
         default=False,
         description="weigh training scenes so that all classes count alike in the loss",
     )
-    counts: float | None = Field(
+    counts: Positive | None = Field(
         default=None,
-        gt=0,
-        allow_inf_nan=False,
         description="mean counts of an exposure: with photons, masks learn to count no more of "
         "them; without, the budget at which a design counts so many is found",
     )
@@ -222,9 +174,8 @@ class Training(UserModel):
         description="of few counts: masks start at this multiple of the counts asked for, unless "
         "nine tenths of all gates would click",
     )
-    clusters: int | None = Field(
+    clusters: Count | None = Field(
         default=None,
-        ge=1,
         description="of adaptive masks: the prior has the centres of this many clusters of each "
         "class; default: all training scenes",
     )
@@ -241,7 +192,7 @@ class Training(UserModel):
         description="number type of the products of learned masks and of wide networks: float32, "
         "bfloat16, or auto (bfloat16 where its rounding is below the noise)",
     )
-    loss: Loss = Field(
+    loss: Annotated[OwnPart, AfterValidator(_loss)] = Field(
         default=None,
         description="module:function of a loss of your own, of outputs (n, C) and truth (n,) of "
         "classes or (n, q) of values; default: cross entropy, or the squared error of values",
@@ -252,18 +203,6 @@ class Training(UserModel):
         "gaussian, camera or none; default: ml_gauss stands for photon noise",
     )
 
-    @model_validator(mode="before")
-    @classmethod
-    def _arguments(cls, given: Any) -> Any:
-        """The settings, with the keywords of a partial among the arguments of its function."""
-        classifier = given.get("classifier", MLP) if isinstance(given, Mapping) else MLP
-        if isinstance(classifier, str) or not callable(classifier):
-            return given
-        _, arguments = describe_classifier(classifier, given.get("classifier_arguments"))
-        if isinstance(classifier, partial):
-            classifier = classifier.func
-        return {**given, "classifier": classifier, "classifier_arguments": arguments}
-
     @property
     def is_custom(self) -> bool:
         """True if the classifier is a user's own."""
@@ -272,7 +211,7 @@ class Training(UserModel):
     @property
     def classifier_facts(self) -> ClassifierFacts:
         """Facts of the classifier."""
-        return find_classifier(classifier_name(self.classifier))
+        return find_classifier(part_name(self.classifier))
 
 
 TrainingSource = Training | Mapping[str, Any]

@@ -32,7 +32,7 @@ from deepfsi.design.design import Design
 from deepfsi.design.networks import Classifier
 from deepfsi.exposure.training import ExposureTraining, JobGroup, matrix_seeds
 from deepfsi.exposure.training_set import TrainingSet, network_dtype, product_dtype
-from deepfsi.jobs.exposures import DICTIONARY_SPREAD, AdaptiveMasks, ExposureSource
+from deepfsi.jobs.exposures import AdaptiveMasks, ExposureSource
 from deepfsi.jobs.job import Job, job_of
 from deepfsi.jobs.training import TrainingSource
 from deepfsi.physics.surroundings import library_defaults
@@ -311,9 +311,9 @@ def _adaptive_designs(
         clusters=first.training.clusters,
         cap=first.exposure.most_light,
         dictionary=first.training.dictionary,
+        # Looks of a dictionary do not remember the scene's distance from the prior
+        spread=0.5 if first.training.dictionary else 0.7,
     )
-    if settings.dictionary:
-        settings = settings.model_copy(update={"spread": DICTIONARY_SPREAD})
     clicks = first.optics.clicks is not None
     training = training_of(clicks)(data, settings)
     designs: list[Design] = []
