@@ -94,16 +94,6 @@ def test_of_scenes_by_name_it_is_not_known(done, pictures, file, patterns, tmp_p
     assert "whether the design was trained on them is not known" in printed
 
 
-def test_pictures_that_cannot_be_read_are_left_out_and_named(done, refuse, pictures, file):
-    (pictures / "ash" / "bad.png").write_text("no picture")
-    words = ["design", "--design", "pca", "--data", pictures, *TRAINED, "-o", file]
-    assert re.search(r"bad\.png.*--skip-bad", refuse(*words))
-    out = done(*words, "--skip-bad").splitlines()
-    [line] = [line for line in out if line.startswith("data:")]
-    assert "bad.png" in line
-    assert "90 images" in line
-
-
 def test_a_design_remembers_its_data_size_and_camera(done, pictures, file, tmp_path, monkeypatch):
     """Every later command takes them from the design, and the light of the camera."""
     lab, shown, run = (tmp_path / name for name in ("lab.toml", "shown", "run"))

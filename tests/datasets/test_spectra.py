@@ -1,6 +1,5 @@
 """Hyperspectral images of any file become scenes with honest splits."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +7,7 @@ import pytest
 from dataset_samples import CUBE, IMAGE, LABELS, fields, not_loaded, numbered, refused
 from scipy.io import savemat
 from scipy.ndimage import distance_transform_cdt
-from spectral.io import envi
 
-from deepfsi.datasets import spectra
 from deepfsi.datasets.load import load_dataset
 from deepfsi.datasets.spectra import SpectralImage
 
@@ -73,16 +70,10 @@ def test_a_class_in_one_block_is_trained_on():
         assert (labels[train] == 5).any()
 
 
-def test_classes_and_wavelengths():
-    wavelengths = np.arange(400.0, 900, 100)
+def test_names_of_classes():
     names = ("oak", "ash", "elm", "yew", "fir")
-    data = SpectralImage("farm", CUBE, LABELS, names, wavelengths).dataset(bands=8)
+    data = SpectralImage("farm", CUBE, LABELS, names).dataset(bands=8)
     assert data.classes == names[:4], "fir has no pixel"
-    assert data.wavelengths is not None
-    assert data.wavelengths[:5].tolist() == wavelengths.tolist()
-    assert np.isnan(data.wavelengths[5:]).all()
-    assert data.hold_out().wavelengths is data.wavelengths
-    assert IMAGE.dataset().wavelengths is None
     gaps = np.where(LABELS == 2, 9, LABELS)
     assert SpectralImage("farm", CUBE, gaps).class_names == ("1", "3", "4", "9")
 
@@ -113,7 +104,6 @@ ONE_BLOCK = zeros(np.s_[:4, :2], np.s_[:4, 2:4])
         (lambda: image(classes=("a", "b")), ("from 1 to 4 for 2 class names",)),
         (lambda: IMAGE.parts("block"), ("unknown split 'block'", "'blocks'")),
         (lambda: IMAGE.parts("random", -1), ("seed -1",)),
-        (lambda: IMAGE.scenes(4), ("5 bands cannot be padded to 4",)),
         (lambda: image(labels=SMALL).parts(), ("class '1' has 4 pixels", "5 or more")),
         (lambda: image(labels=ONE_BLOCK).parts("blocks"), ("fewer than 5 blocks", "at random")),
         (lambda: image(cube=np.full((60, 60, 3), 7)).scenes(), ("every value of the cube is 7",)),
@@ -135,47 +125,6 @@ def test_files_side_by_side(tmp_path):
         assert data.hash == IMAGE.dataset("blocks", 2).hash
         assert data.name == Path(name).stem
         assert load_dataset(tmp_path / name).hash == IMAGE.dataset().hash
-    mixed = spectra.read_cube(tmp_path / "PLOT.NPY", tmp_path / "farm_gt.mat", name="mixed")
-    assert mixed.dataset().hash == IMAGE.dataset().hash
-
-
-@pytest.fixture
-def farm(tmp_path):
-    """Write a cube and its label map as ENVI files; gives the header."""
-
-    def write(cube=CUBE, **metadata):
-        header = tmp_path / "farm.hdr"
-        fields = {name.replace("_", " "): value for name, value in metadata.items()}
-        interleave = fields.pop("interleave", "bsq")
-        envi.save_image(str(header), cube, metadata=fields, interleave=interleave)
-        names = ["none", "oak", "ash", "elm", "yew"]
-        envi.save_classification(str(tmp_path / "farm_gt.hdr"), LABELS, class_names=names)
-        return header
-
-    return write
-
-
-@pytest.mark.parametrize("interleave", ["bsq", "bil", "bip"])
-def test_envi(farm, interleave):
-    micrometres = [0.4, 0.5, 0.6, 0.7, 0.8]
-    units = "Micrometers"
-    header = farm(interleave=interleave, wavelength=micrometres, wavelength_units=units)
-    image = spectra.read_cube(header)
-    assert image.class_names == ("oak", "ash", "elm", "yew")
-    assert image.wavelengths == pytest.approx([400, 500, 600, 700, 800])
-    assert np.array_equal(image.cube, CUBE)
-    assert np.array_equal(load_dataset(header).x_test, IMAGE.dataset().x_test)
-    data_file = header.with_suffix(".img")
-    data_file.write_bytes(data_file.read_bytes()[:-10])
-    not_loaded(header, "farm.hdr as ENVI")
-    header.write_text("not ENVI")
-    not_loaded(header, "farm.hdr as ENVI")
-
-
-def test_envi_without_its_package(farm, monkeypatch):
-    header = farm()
-    monkeypatch.setitem(sys.modules, "spectral.io", None)
-    not_loaded(header, "pip install spectral")
 
 
 @pytest.mark.parametrize(
@@ -186,65 +135,14 @@ def test_envi_without_its_package(farm, monkeypatch):
             {"a": LABELS, "word": "cube", "cell": np.array([CUBE], object)},
             ("in 3 dimensions", "but none"),
         ),
-        ({"a": np.zeros((60, 60, 6))}, ("(60, 60, 6)", "or fewer")),
     ],
 )
-def test_files_that_do_not_serve(tmp_path, monkeypatch, variables, parts):
+def test_files_that_do_not_serve(tmp_path, variables, parts):
     savemat(tmp_path / "a.mat", {"a": CUBE})
-    not_loaded(tmp_path / "a.mat", "no label map beside it", "a_gt", ".mat or .npy or .hdr")
+    not_loaded(tmp_path / "a.mat", "no label map beside it", "a_gt", ".mat or .npy")
     np.save(tmp_path / "a_gt.npy", LABELS)
-    monkeypatch.setattr(spectra, "MAX_VALUES", CUBE.size)
     load_dataset(tmp_path / "a.mat")
     savemat(tmp_path / "a.mat", variables)
     not_loaded(tmp_path / "a.mat", *parts)
     np.save(tmp_path / "a.npy", CUBE[..., 0])
     not_loaded(tmp_path / "a.npy", "(60, 60)", "(height, width, bands)")
-
-
-def test_a_header_says_how_its_data_are_read(farm):
-    image = spectra.read_cube(
-        farm(
-            bbl=[1, 0, 1, 1, 1],
-            reflectance_scale_factor=100,
-            wavelength=[400, 500, 600, 700, 800],
-            wavelength_units="Nanometers",
-        )
-    )
-    assert image.cube == pytest.approx(CUBE[..., [0, 2, 3, 4]] / 100)
-    assert image.wavelengths.tolist() == [400, 600, 700, 800]
-
-
-@pytest.mark.parametrize(
-    ("header", "said"),
-    [
-        ({"bbl": [1] * 3}, "farm.hdr as ENVI"),
-        ({"data_gain_values": [2] * 5}, "which are not applied"),
-        ({"reflectance_scale_factor": 0}, "infinite"),
-        ({"data_ignore_value": 30}, "farm.hdr as ENVI"),  # of every pixel
-    ],
-)
-@pytest.mark.filterwarnings("ignore:divide by zero")
-@pytest.mark.filterwarnings("ignore:invalid value")
-def test_a_header_that_does_not_fit_its_cube_is_refused(farm, header, said):
-    not_loaded(farm(**header), said)
-
-
-def test_no_data_of_an_envi_file_is_left_out_of_the_data_set(farm):
-    cube = CUBE.astype(np.float32)
-    cube[:2] = -9999
-    image = spectra.read_cube(farm(cube, data_ignore_value=-9999))
-    assert not image.labels[:2].any()
-    assert np.array_equal(image.labels[2:], LABELS[2:])
-    assert np.array_equal(image.cube[2:], CUBE[2:])
-    assert image.reach == (CUBE[2:].min(), CUBE[2:].max())
-
-
-def test_the_size_of_an_envi_file_is_checked_before_it_is_read(farm, monkeypatch):
-    header = farm()
-    with monkeypatch.context() as patch:
-        patch.setattr(spectra, "MAX_VALUES", CUBE.size - 1)
-        not_loaded(header, "farm.hdr has the shape (60, 60, 5)", "or fewer")
-    monkeypatch.setattr("deepfsi.base.arrays.free_memory", lambda: 100.0)
-    np.save(header.with_suffix(".npy"), CUBE)
-    for path in (header, header.with_suffix(".npy")):
-        not_loaded(path, "the values of", path.name, "GB of memory")

@@ -114,11 +114,6 @@ def changed_toml(rng: random.Random, content: bytes) -> bytes:
     return "\n".join(lines).encode()
 
 
-def changed_envi(rng: random.Random, content: bytes) -> bytes:
-    """An ENVI header of which a field is another."""
-    return changed_toml(rng, content).replace(b"'", b"")
-
-
 CELLS = [b"", b"-1", b"nan", b"inf", b"1e400", b'"', b"x", b"\0", b"\xff", b"1,1", b"9" * 400]
 
 

@@ -3,7 +3,6 @@
 import json
 import random
 import shutil
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +11,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import polars
-from PIL import Image
 from scipy.io import savemat
-from spectral.io import envi
 
 from deepfsi import Design, from_arrays, load_dataset, load_design
 from deepfsi.base.tables import read_table
@@ -37,7 +34,6 @@ from deepfsi.sweeps.recipe import only
 from deepfsi.sweeps.results import read_results
 from fuzz.mutations import (
     Mutation,
-    changed_envi,
     changed_json,
     changed_lines,
     changed_table,
@@ -176,16 +172,12 @@ READERS = {
     "report's design": Reader("out/designs/key.safetensors",
                               lambda path: build_report(path.parents[1]), (changed_tensors,), 0.4),
     "npz": Reader("data.npz", load_dataset, (changed_zip, changed_zip, mangled), 8),
-    "zip": Reader("pictures.zip", load_small, ZIP, 5),
-    "zip of images": Reader("pictures.zip", load_dataset, (changed_zip,), 2),
     "png": Reader("folder/a/0000.png", load_small, (mangled,), 3),
     "cube": Reader("cube.mat", load_dataset, (mangled,), 3),
-    "envi cube": Reader("envi/cube.hdr", load_dataset, (changed_envi, mangled), 2),
     "npy cube": Reader("plain.npy", load_dataset, (mangled,), 1),
     "npy masks": Reader("masks.npy", load_masks, (mangled,)),
     "mat masks": Reader("masks.mat", load_masks, (mangled,), 5),
     "old mat masks": Reader("old.mat", load_masks, (mangled,), 3),
-    "tiff masks": Reader("masks.tif", load_masks, (mangled,)),
     "csv": Reader("table.csv", load_table, TABLE, 8),
     "parquet": Reader("table.parquet", load_table, (mangled,)),
     "labels": Reader("folder/labels.csv", load_small, TABLE, 2),
@@ -279,13 +271,8 @@ def _pictures(folder: Path, x: np.ndarray) -> None:
         for label in "ab":
             save_images(folder / "folder" / label, x[place::5][:2], f"{place}.{kind}")
     names = sorted((folder / "folder").glob("*/*.*"))
-    with zipfile.ZipFile(folder / "pictures.zip", "w") as archive:
-        for path in names:
-            archive.write(path, path.relative_to(folder / "folder"))
     lines = [f"{path.parent.name}/{path.name},{path.parent.name}" for path in names]
     (folder / "folder" / "labels.csv").write_text("\n".join(lines))
-    pages = [Image.fromarray(scene) for scene in x[:3]]
-    pages[0].save(folder / "masks.tif", save_all=True, append_images=pages[1:])
 
 
 def _arrays(folder: Path, rng: np.random.Generator) -> None:
@@ -297,10 +284,6 @@ def _arrays(folder: Path, rng: np.random.Generator) -> None:
     cube, labels = rng.random((12, 12, 3)), rng.integers(0, 3, (12, 12))
     savemat(folder / "cube.mat", {"cube": cube})
     savemat(folder / "cube_gt.mat", {"labels": labels})
-    (folder / "envi").mkdir()
-    for name, values in (("cube", cube), ("cube_gt", labels[..., None])):
-        header = str(folder / "envi" / f"{name}.hdr")
-        envi.save_image(header, values.astype("<f4"), interleave="bip")
     np.save(folder / "plain.npy", cube)
     np.save(folder / "plain_gt.npy", labels)
     frame = polars.DataFrame(table, schema=[f"mask{k}" for k in range(6)], orient="row")

@@ -163,12 +163,11 @@ def test_arrays_whose_header_lies(kind, tmp_path):
         refused("npy masks", tmp_path / "x.npy", "cannot read")
 
 
-@pytest.mark.parametrize("reader", ["npz", "zip"])
-def test_a_bomb(reader, tmp_path):
+def test_a_bomb(tmp_path):
     zeros = np.zeros((100, 1000, 1000), np.uint8)
-    path = zipped(tmp_path / f"x.{reader}", zipfile.ZIP_DEFLATED, x=zeros)
+    path = zipped(tmp_path / "x.npz", zipfile.ZIP_DEFLATED, x=zeros)
     assert path.stat().st_size < 1e6
-    refused(reader, path, "would unpack")
+    refused("npz", path, "would unpack")
 
 
 def huge_png() -> bytes:
@@ -181,25 +180,11 @@ def huge_png() -> bytes:
     return out.getvalue()
 
 
-@pytest.mark.parametrize(
-    ("content", "size", "match"),
-    [
-        (bytes(300 * 2**20), None, "would unpack"),
-        (bytes(300 * 2**20), 1000, "cannot read"),
-        (huge_png(), None, "bomb"),
-    ],
-    ids=["declared", "of another size", "pixels"],
-)
-def test_a_bomb_among_pictures_costs_no_memory(content, size, match, sample):
-    """An entry that says what it unpacks to, or something else; a picture of very many pixels."""
-    path = sample("zip")
-    assert not fault_of("zip", path)
-    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
-        file.writestr("a/bomb.png", content)
-    if size:
-        words = [number.to_bytes(4, "little") for number in (len(content), size)]
-        path.write_bytes(path.read_bytes().replace(*words))
-    refused("zip", path, match, 40e6)
+def test_a_picture_of_very_many_pixels_costs_no_memory(sample):
+    path = sample("png")
+    assert not fault_of("png", path)
+    path.write_bytes(huge_png())
+    refused("png", path, "bomb", 40e6)
 
 
 def test_a_picture_of_few_bytes_and_many_pixels(tmp_path):
@@ -207,7 +192,6 @@ def test_a_picture_of_few_bytes_and_many_pixels(tmp_path):
         (tmp_path / label).mkdir()
         Image.new("L", (9000, 9000)).save(tmp_path / label / "0.png")
     refused("png", tmp_path / "a" / "0.png", "would unpack")
-    refused("tiff masks", tmp_path / "a" / "0.png", "would unpack")
 
 
 @pytest.mark.parametrize("deflated", [False, True])

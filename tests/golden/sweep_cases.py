@@ -56,7 +56,7 @@ def _read(path: Path | str) -> Any:
 
 def _without_left(content: Any) -> Any:
     """Without fields of recipes that left."""
-    for name in ("normal", "tuned"):
+    for name in ("normal", "skip_bad", "tuned"):
         content.get("recipe", {}).pop(name, None)
     return content
 

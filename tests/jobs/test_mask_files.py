@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from PIL import Image
 from scipy.io import savemat
 
 from deepfsi.base.errors import InputError
 from deepfsi.jobs.mask_files import read_matrix
-from shared.pictures import save_images
 
 SIGNED = np.linspace(-0.1, 0.2, 24).reshape(3, 8)
 GREY = np.random.default_rng(0).integers(0, 256, (3, 2, 4), dtype=np.uint8)
@@ -41,18 +39,6 @@ def test_arrays(tmp_path, given, wanted, end):
     np.testing.assert_allclose(read_matrix(f"{tmp_path}/m.{end}"), wanted, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("stack", "wanted"), [(GREY, AS_GREY), (WIDE, AS_WIDE)])
-def test_images(tmp_path, stack, wanted):
-    """A page each, or a file each in the order of their names."""
-    pages = [Image.fromarray(page) for page in stack]
-    pages[0].save(tmp_path / "m.tif", save_all=True, append_images=pages[1:])
-    folder = tmp_path / "masks"
-    save_images(folder, stack)
-    (folder / "notes.txt").write_text("of ours")
-    for source in (tmp_path / "m.tif", folder):
-        np.testing.assert_allclose(read_matrix(str(source)), wanted, rtol=1e-12)
-
-
 def save(path, content):
     {".npy": np.save, ".npz": np.savez, ".mat": savemat}[path.suffix](path, content)
 
@@ -75,18 +61,6 @@ BAD = {
     "complex.mat": (lambda path: save(path, {"a": np.eye(2) * 1j}), "complex"),
     "cut.mat": (lambda path: save_cut(path, TWO, 150), "save it again"),
     "new.mat": (lambda path: path.write_bytes(NEW), "-v7"),
-    "junk.png": (lambda path: path.write_bytes(b"no image"), "cannot read the image"),
-    # decoding it would start another program
-    "postscript.png": (
-        lambda path: Image.new("L", (8, 6)).save(path, format="EPS"),
-        "identify",
-    ),
-    "deep.tif": (lambda path: Image.new("I", (2, 2)).save(path), "32 bits"),
-    "empty": (lambda path: path.mkdir(), "no images in"),
-    "mixed": (
-        lambda path: save_images(path, [np.zeros((side, 2), np.uint8) for side in (2, 3)]),
-        "2x2 pixels of uint8",
-    ),
 }
 
 
@@ -101,10 +75,7 @@ def test_what_holds_no_masks_is_refused_in_one_line(tmp_path, source):
 
 
 def test_a_small_file_of_a_large_matrix_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("deepfsi.jobs.mask_files.LARGEST", 20)
+    monkeypatch.setattr("deepfsi.base.arrays.free_memory", lambda: 20.0)
     savemat(tmp_path / "m.mat", {"own": SIGNED})
-    pages = [Image.fromarray(page) for page in GREY]
-    pages[0].save(tmp_path / "m.tif", save_all=True, append_images=pages[1:])
-    for name in ("m.mat", "m.tif"):
-        with pytest.raises(InputError, match="20"):
-            read_matrix(f"{tmp_path}/{name}")
+    with pytest.raises(InputError, match="GB of memory"):
+        read_matrix(f"{tmp_path}/m.mat")

@@ -31,7 +31,7 @@ def make_home(root, patch):
     cube = np.random.default_rng(0).integers(955, 2000, (145, 145, 200)).astype(np.uint16)
     cube += (label_map()[..., None] * (100 + np.arange(200))).astype(np.uint16)
     scene = catalog.DATASETS["indian-pines"]
-    for stem, values in ((scene.CUBE, cube), (scene.LABELS, label_map())):
+    for stem, values in ((scene.CUBE, cube), ("Indian_pines_gt", label_map())):
         np.save(folder / f"{stem}.npy", values)
 
 

@@ -6,8 +6,7 @@ import struct
 import warnings
 import zipfile
 import zlib
-from collections.abc import Container, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Container, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +61,13 @@ def read_npz(
     path: Path, advice: str = "write plain arrays of numbers or strings with numpy.savez"
 ) -> dict[str, npt.NDArray[Any]]:
     """Arrays of a ``.npz`` file by their names, all of them in memory."""
-    with open_zip(path, advice) as archive:
-        size = sum(entry.file_size for entry in archive.infolist())
+    with open_regular(path, LARGEST_ARRAY_FILE, advice) as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                size = sum(entry.file_size for entry in archive.infolist())
+        except Exception as error:  # zipfile raises almost anything on a damaged directory
+            raise InputError(f"cannot read {path} as a zip file ({error}); {advice}") from None
+    check_unpacked(size, path.stat().st_size, str(path), advice)
     check_memory(size, free_memory(), f"the arrays of {path}", "give fewer or smaller ones")
     try:
         with np.load(path) as arrays:
@@ -152,20 +156,6 @@ def _check_parts(variable: bytes, order: str) -> None:
         start += 8
         if kind < 1 << 16:  # else the values are in the tag
             start += -(-length // 8) * 8
-
-
-@contextmanager
-def open_zip(path: Path, advice: str) -> Iterator[zipfile.ZipFile]:
-    """Open a zip file, or raise `InputError` if it is none or a bomb."""
-    with open_regular(path, LARGEST_ARRAY_FILE, advice) as file:
-        try:
-            archive = zipfile.ZipFile(file)
-        except Exception as error:  # zipfile raises almost anything on a damaged directory
-            raise InputError(f"cannot read {path} as a zip file ({error}); {advice}") from None
-        with archive:
-            size = sum(info.file_size for info in archive.infolist())
-            check_unpacked(size, path.stat().st_size, str(path), advice)
-            yield archive
 
 
 LARGEST_TENSORS = 2**33

@@ -39,7 +39,6 @@ class LearnDesign(Command):
     )
     data: fields.TrainingData = "digits"
     size: fields.Size = None
-    skip_bad: fields.SkipBad = False
     matrix: fields.Matrix = None
     counts: float | None = fields.option(str(Training.model_fields["counts"].description))
     view: fields.View = None
@@ -51,7 +50,7 @@ class LearnDesign(Command):
         from deepfsi.lab.design_data import view_dataset
 
         matrix = None if self.matrix is None else read_matrix(self.matrix)
-        scenes = load_dataset(self.data, size=self.size, skip_bad=self.skip_bad)
+        scenes = load_dataset(self.data, size=self.size)
         if self.view is not None:
             scenes = view_dataset(scenes, self.view)
         job = job_of(_job_settings(self.settings), scenes, counts=self.counts, matrix=matrix)

@@ -116,7 +116,6 @@ class PredictClasses(Command):
     out: Annotated[Path | None, fields.Output((".csv",))] = fields.option(
         "table with a line for each picture, .csv"
     )
-    skip_bad: fields.SkipBad = False
     seed: fields.NoiseSeed = 0
     trust: fields.Trust = False
     device: fields.TorchDevice = "auto"
@@ -137,7 +136,6 @@ class PredictClasses(Command):
                 self.pictures,
                 self.photons,
                 seed=self.seed,
-                skip_bad=self.skip_bad,
                 **self.settings,
             )
         if self.out is not None:

@@ -169,16 +169,13 @@ DataSource = Annotated[str, AfterValidator(check_source)]
 TrainingData = Annotated[
     DataSource,
     Field(
-        description="name (deepfsi data list), folder or .zip of images, .csv of file names and "
+        description="name (deepfsi data list), folder of images, .csv of file names and "
         "labels or values, cube, or .npz"
     ),
 ]
 TestData = Annotated[
     DataSource | None,
     Field(description="name or path, as for `design`; default: the design's own"),
-]
-SkipBad = Annotated[
-    bool, Field(description="leave pictures that cannot be read out, and name them")
 ]
 View = Annotated[
     ExistingPath | None,

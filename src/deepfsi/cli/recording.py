@@ -162,7 +162,7 @@ class RecordRun(_DeviceRun):
     """
 
     scene: Path = fields.option(
-        "picture, folder or .zip of the scenes; with real devices also a text file with NAME or "
+        "picture or folder of the scenes; with real devices also a text file with NAME or "
         "NAME,LABEL on each line",
         ...,
     )

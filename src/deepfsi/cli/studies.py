@@ -83,7 +83,6 @@ class CompareDesigns(_Study):
     out: Annotated[Path, fields.Output()] = fields.option("output folder", Path("runs/compare"))
     data: fields.TrainingData = "digits"
     size: fields.Size = None
-    skip_bad: fields.SkipBad = False
     designs: fields.Names | None = fields.option("names, separated by commas")
     ratios: fields.Ratios = None
     trials: Count | None = fields.option("training seeds for each point")
@@ -97,7 +96,7 @@ class CompareDesigns(_Study):
         """Results, a page of them and the verdict."""
         check_report()
         matrix = None if self.matrix is None else read_matrix(self.matrix)
-        chosen = {"data": self.data, **self.explicit(("size", "skip_bad", "designs", "folds"))}
+        chosen = {"data": self.data, **self.explicit(("size", "designs", "folds"))}
         options = dict(self.settings)
         if "masks" in options and self.ratios:
             raise InputError("--masks and --ratios say one thing in two ways: give one, not both")
@@ -208,7 +207,7 @@ def _checked(
     from deepfsi.sweeps.plan import check_settings
 
     def load(recipe: "Recipe") -> Dataset:
-        names = ("size", "split", "images", "skip_bad")
+        names = ("size", "split", "images")
         return load_dataset(recipe.data, **{name: getattr(recipe, name) for name in names})
 
     return check_settings(settings, load, matrix)

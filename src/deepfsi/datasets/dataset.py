@@ -37,8 +37,9 @@ class Origin(BaseModel):
     images: int | None = None
     split: str | None = None
     white: float | None = None
+    # Files of earlier versions have these two, of options that left
     skip_bad: bool = False
-    normal: None = None  # design files have it, of classes against anomalies, which left
+    normal: None = None
     # Absolute path of the calibration folder of the camera that sees the scenes
     view: str | None = None
     # Which of how many folds its test part is, from 0; None, and left out of files, for none
@@ -76,9 +77,6 @@ class Dataset:
         The C class names, in the order of the labels; none where scenes have values.
     preprocessing : str
         Changes made to the source's values, in one sentence.
-    wavelengths : array, shape (N,), float64, or None
-        For spectra whose bands are known: centre of each band in nm, NaN for the dark bands of a
-        padding. It describes and is not part of the hash.
     white : float or None
         Value of the source that became reflectance 1, where its type alone does not say it.
     origin : Origin or None
@@ -86,7 +84,7 @@ class Dataset:
     held_out : int
         Training scenes that `hold_out` left out.
     values : tuple of str
-        Names of the q values of a scene, such as its position; none where scenes have classes.
+        Names of the q values of a scene, such as its position; empty if scenes have classes.
     drawn : bool
         Whether the test part was drawn from the scenes at random, so that `folds` may draw others.
 
@@ -108,7 +106,6 @@ class Dataset:
     image_shape: tuple[int, ...]
     classes: tuple[str, ...]
     preprocessing: str
-    wavelengths: npt.NDArray[np.float64] | None = None
     white: float | None = None
     origin: Origin | None = None
     held_out: int = 0
@@ -135,7 +132,7 @@ class Dataset:
 
     @property
     def groups(self) -> Labels:
-        """Class of each training scene (n,); where scenes have values all are of one."""
+        """Class of each training scene (n,); scenes with values share one."""
         return self.y_train if self.classes else np.zeros(len(self.y_train), dtype=np.int64)
 
     @property
@@ -193,7 +190,7 @@ class Dataset:
         )
 
     def folds(self, count: int, seed: int = 0) -> list["Dataset"]:
-        """Data sets of the same scenes, each of which is in the test part of one of them.
+        """Divide the scenes anew: each is a test scene of one of the data sets.
 
         Parameters
         ----------

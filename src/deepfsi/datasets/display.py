@@ -18,25 +18,22 @@ from deepfsi.base.tables import LABEL_HEADS, normal_name, read_cells
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.levels import WRITTEN, PictureSize, ValueRange, measure_levels, reflectance
 from deepfsi.datasets.pictures import (
+    Picture,
     decode_pictures,
     is_image,
-    open_listing,
-    picture_file,
+    list_pictures,
     sized_text,
 )
 
-NAME_HEADS = ("name", "scene")
-"""First words of a line that names the columns of a list of scenes, in lower case."""
-
 
 class Display(NamedTuple):
-    """Pictures to be shown one after another."""
+    """Pictures that are shown one after another."""
 
     names: tuple[str, ...]  # names of their files
     labels: tuple[str, ...] | None  # class of each, if there is a folder for each class
     x: Reflectance  # (S, H, W), reflectance in [0, 1]
     levels: ValueRange  # range of the values, and their white
-    preprocessing: str  # changes made to the pictures, in words
+    preprocessing: str  # sentence on the changes made to the pictures
     written: int  # those that `write_pictures` wrote
 
 
@@ -56,7 +53,6 @@ def read_display(
     white: float | None = None,
     shape: PictureSize | None = None,
     bilinear: bool = False,
-    skip_bad: bool | None = None,
 ) -> Display:
     """Read a picture, a folder or ``.csv`` file of some, or a folder with one for each class.
 
@@ -71,27 +67,23 @@ def read_display(
         Height and width to which they are brought.
     bilinear : bool
         Bring them to it bilinearly, and not by averaging over areas.
-    skip_bad : bool, optional
-        Leave damaged ones out. Unless given, the message offers no way to leave them out.
     """
     source = Path(path)
     if source.is_file() and source.suffix.lower() != ".csv":
-        pictures = [picture_file(source)]
+        pictures = [Picture(source)]
     elif not (source.is_file() or source.is_dir()):
         raise InputError(f"no picture at {source}: give an image file, or a folder of some")
     elif source.is_dir() and any(is_image(file.name) for file in source.iterdir()):
-        pictures = [picture_file(file) for file in sorted(source.iterdir()) if is_image(file.name)]
+        pictures = [Picture(file) for file in sorted(source.iterdir()) if is_image(file.name)]
     else:
-        with open_listing(source) as listing:
-            pictures = [picture for part in listing.parts for picture in part]
+        pictures = [picture for part in list_pictures(source).parts for picture in part]
     folder = source.parent if source.is_file() else source
-    pixels, tally = decode_pictures(pictures, shape, bilinear, skip_bad)
-    kept = [pictures[index] for index in tally.kept]
-    names = [Path(picture.where).relative_to(folder).as_posix() for picture in kept]
+    pixels, tally = decode_pictures(pictures, shape, bilinear)
+    names = [picture.path.relative_to(folder).as_posix() for picture in pictures]
     levels = tally.levels(white)
     return Display(
         names=tuple(map(readable_name, names)),
-        labels=tuple(p.label for p in kept if p.label and isinstance(p.label, str)) or None,
+        labels=tuple(p.label for p in pictures if p.label and isinstance(p.label, str)) or None,
         x=reflectance(pixels, levels),
         levels=levels,
         preprocessing=f"{tally.words}{sized_text(shape, bilinear, tally.sizes)}; {levels.words}",
@@ -109,7 +101,7 @@ def read_scene_list(path: Path) -> list[tuple[str, str | None]]:
     cells = read_cells(path, advice)
     if cells.height:
         heads = [(head or "").lower() for head in cells.row(0)]
-        if heads[0] in NAME_HEADS or (len(heads) == 2 and heads[1] in LABEL_HEADS):
+        if heads[0] in ("name", "scene") or (len(heads) == 2 and heads[1] in LABEL_HEADS):
             cells = cells[1:]
     if not cells.height:
         raise InputError(f"{path} has no scenes: {advice}")

@@ -10,7 +10,6 @@ divided by the same.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -22,31 +21,13 @@ from deepfsi.base.quantities import plural
 if TYPE_CHECKING:
     from PIL.Image import Image as PillowImage
 
-LUMA = (0.299, 0.587, 0.114)
-"""Weights of red, green and blue in a grey level (ITU-R BT.601, those of Pillow)."""
-
 BITS = (1, 8, 10, 12, 14, 16, 24, 32)
 """Depths of integers in files of cameras."""
 
-LARGEST_ROUNDING = 1e-6
-"""Distance of a float from [0, 1] at most, after scaling done elsewhere."""
-
-GREY_AT_ONCE = 4096
-"""Scenes whose colours are turned to grey at once."""
-
 PictureSize = tuple[int, int]
-
-PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
-"""Formats that are decoded, by Pillow's names: those of others may start programs, as EPS does."""
-
-GREY_MODES = ("1", "L", "LA", "I", "F")
-"""Pillow's modes of grey images, besides those that begin with I;16."""
 
 WRITTEN = "deepfsi"
 """Word in the head of a PNG file that holds reflectance as a data set had it."""
-
-DEPTHS: dict[str, str] = {"byte": "8 bits", "integer": "more than 8 bits", "float": "floats"}
-"""For messages."""
 
 AnyArray = npt.NDArray[Any]
 
@@ -61,16 +42,16 @@ class ValueRange(NamedTuple):
     low: float
     high: float
     white: float  # value that is reflectance 1
-    chosen: bool  # True if `white` is no property of the type: other scenes need to be told it
+    chosen: bool  # whether `white` was measured or given, so that other scenes need it
 
     @property
     def chosen_white(self) -> float | None:
-        """White, where other scenes need to be told it."""
+        """White, if other scenes need it."""
         return self.white if self.chosen else None
 
     @property
     def words(self) -> str:
-        """Type, range and division, as a part of a sentence."""
+        """Type, range and division, for a sentence."""
         bits = (int(self.white) + 1).bit_length() - 1
         depth = f" ({bits} bits)" if self.chosen and self.white == 2**bits - 1 else ""
         done = "as given" if self.white == 1 else f"divided by {self.white:.10g}{depth}"
@@ -95,7 +76,7 @@ def _levels_of(
     for what, (low, high) in reach.items():
         if not (np.isfinite(low) and np.isfinite(high)):
             raise InputError(f"{what} holds NaN or infinite values; remove those scenes")
-        if family == "float" and (low < -LARGEST_ROUNDING or high > 1 + LARGEST_ROUNDING):
+        if family == "float" and (low < -1e-6 or high > 1 + 1e-6):  # but for rounding
             raise InputError(
                 f"{what} reaches from {low:.4g} to {high:.4g}; reflectance lies in [0, 1]: rescale "
                 "it"
@@ -136,13 +117,6 @@ def reflectance(values: AnyArray, levels: ValueRange) -> npt.NDArray[np.float32]
     return np.divide(values, levels.white, dtype=np.float32)
 
 
-def mapped(x: npt.NDArray[np.float32], low: float, high: float) -> npt.NDArray[np.float32]:
-    """Reflectance but for rounding, mapped in place from [0, 1] to low and high."""
-    x *= high - low
-    x += low
-    return np.clip(x, low, high, out=x)
-
-
 def grey(values: AnyArray, what: str) -> AnyArray:
     """Grey levels (n, H, W) of colours (n, H, W, 3), or (n, H, W, 4) whose last is left out.
 
@@ -152,9 +126,9 @@ def grey(values: AnyArray, what: str) -> AnyArray:
     if values.shape[3] == 1:
         return values[..., 0]
     out = np.empty(values.shape[:3], np.float32 if family == "truth" else values.dtype)
-    for first in range(0, len(values), GREY_AT_ONCE):
-        part = slice(first, first + GREY_AT_ONCE)
-        mixed = values[part, ..., :3] @ np.array(LUMA)
+    for first in range(0, len(values), 4096):
+        part = slice(first, first + 4096)
+        mixed = values[part, ..., :3] @ np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, as Pillow
         out[part] = np.rint(mixed) if family in ("byte", "integer") else mixed
     return out
 
@@ -170,8 +144,6 @@ class Tally:
     sizes: set[PictureSize] = field(default_factory=set)  # heights and widths
     family: Family | None = None  # type of the values
     first: str = ""  # name of the first, for messages
-    bad: tuple[str, ...] = ()  # names of those that could not be read, and were left out
-    kept: list[int] = field(default_factory=list)  # which of all pictures were read
     low: float = math.inf
     high: float = -math.inf
 
@@ -179,19 +151,20 @@ class Tally:
         """Count an image and give it in grey: mode L of 8 bits, else F in its own values."""
         from PIL import Image, ImageOps
 
-        check_depth(image, where)
+        _check_depth(image, where)
         ImageOps.exif_transpose(image, in_place=True)
         values = _values(image)
         family = _family_of(values.dtype, where)
         if self.family not in (None, family):
+            depth = {"byte": "8 bits", "integer": "more than 8 bits", "float": "floats"}
             raise InputError(
-                f"images differ in depth: {self.first} has {DEPTHS[self.family]}, {where} has "
-                f"{DEPTHS[family]}; save all with one depth"
+                f"images differ in depth: {self.first} has {depth[self.family]}, {where} has "
+                f"{depth[family]}; save all with one depth"
             )
         self.family = family
         self.first = self.first or where
         self.count += 1
-        self.coloured += image.mode not in GREY_MODES and not image.mode.startswith("I;16")
+        self.coloured += image.mode not in ("1", "L", "LA", "I", "F") and image.mode[:4] != "I;16"
         self.written += WRITTEN in image.info
         self.low = min(self.low, float(values.min()))
         self.high = max(self.high, float(values.max()))
@@ -215,9 +188,6 @@ class Tally:
         parts = [f"{plural(self.count, 'image')} of {size}"]
         if self.coloured:
             parts.append(f"{self.coloured} in colour, turned to grey")
-        if self.bad:
-            named = ", ".join(f"{Path(name).parent.name}/{Path(name).name}" for name in self.bad)
-            parts.append(f"{len(self.bad)} that cannot be read left out ({named})")
         return ", ".join(parts)
 
 
@@ -230,7 +200,7 @@ def _values(image: "PillowImage") -> npt.NDArray[Any]:
     return np.asarray(image.convert("L"))
 
 
-def check_depth(image: Any, where: str) -> None:
+def _check_depth(image: Any, where: str) -> None:
     """Raise `InputError` for an image whose values Pillow would give wrongly.
 
     It drops the lower bytes of deep colours, and turns a TIFF whose 0 is white only in 8 bits.

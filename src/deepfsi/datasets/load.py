@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from deepfsi.base.errors import InputError, as_input_error, closest_choice
 from deepfsi.base.files import readable_name
-from deepfsi.datasets.arrays import load_arrays
+from deepfsi.datasets.arrays import from_arrays, load_arrays
 from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.dataset import Dataset, Ends, Origin
 from deepfsi.datasets.display import Display, array_display, read_display
@@ -22,7 +22,7 @@ class _FileKind(NamedTuple):
     """Files of one kind that hold a data set."""
 
     what: str
-    endings: tuple[str, ...]  # of their names, in small letters
+    endings: tuple[str, ...]  # of their names, in small letters; "/" of a folder
     options: tuple[str, ...]  # options of `load_dataset` that they take, and not every source does
     load: Callable[[Path, Origin], Dataset]
 
@@ -31,19 +31,14 @@ def _load_cube(path: Path, options: Origin) -> Dataset:
     return read_cube(path).dataset(options.split, options.seed, rescale=options.rescale)
 
 
-FOLDER = "/"
-"""What stands for the ending of a folder."""
-
 FILE_KINDS = (
     _FileKind(
-        "a folder or .zip of images with a folder for each class",
-        (FOLDER, ".zip"),
-        ("size", "images", "white", "skip_bad"),
+        "a folder of images with a folder for each class",
+        ("/",),
+        ("size", "images", "white"),
         load_pictures,
     ),
-    _FileKind(
-        "a .csv of their names and labels", (".csv",), ("size", "white", "skip_bad"), load_pictures
-    ),
+    _FileKind("a .csv of their names and labels", (".csv",), ("size", "white"), load_pictures),
     _FileKind(f"a cube ({', '.join(CUBE_ENDINGS)})", CUBE_ENDINGS, ("split",), _load_cube),
     _FileKind("an .npz file of arrays x and y", (".npz",), ("white",), load_arrays),
 )
@@ -51,9 +46,6 @@ FILE_KINDS = (
 
 SOURCES_OF_PATHS = ", ".join(kind.what for kind in FILE_KINDS)
 """Sources of data sets besides names, for messages."""
-
-SOME_TAKE = ("size", "images", "split", "white", "skip_bad")
-"""Options that only some sources take."""
 
 Source: TypeAlias = Dataset | str | os.PathLike[str] | tuple[Any, ...]
 """A data set, or what `load_dataset` makes one of."""
@@ -68,7 +60,6 @@ def load_dataset(
     images: int | None = None,
     split: str | None = None,
     white: float | None = None,
-    skip_bad: bool = False,
 ) -> Dataset:
     """Load a data set by its name, from a path, or from arrays.
 
@@ -81,19 +72,19 @@ def load_dataset(
 
         - a name that `list_datasets` gives; their module, `deepfsi.datasets.catalog`, says what
           each is and where its files are found. ``./mnist`` is a folder of that name;
-        - a folder or ``.zip`` file with a sub-folder of images for each class, or with such folders
-          within its own ``train/`` and ``test/``. Images of one depth; colours turn grey;
+        - a folder with a sub-folder of images for each class, or with such folders within its own
+          ``train/`` and ``test/``. Images of one depth; colours turn grey;
         - a ``.csv`` file with the file name and the label of an image in each line, whose names
           begin in the folder of its own name beside it, ``pets/`` of ``pets.csv``, or in its own.
           Numbers in place of the label are values where a line has several, or where any has a
           decimal point or an exponent; a heading names them;
-        - a hyperspectral cube (``.mat``, ``.npy`` or ENVI's ``.hdr``), whose label map lies beside
-          it under the same name with ``_gt`` added, as in `spectra.read_cube`;
+        - a hyperspectral cube (``.mat``, ``.npy``), whose label map lies beside it under the same
+          name with ``_gt`` added, as in `spectra.read_cube`;
         - an ``.npz`` file with `x`, `y` and, if it has its own test part, `x_test`, `y_test`, or
           a tuple of these arrays, as in `from_arrays`. A `y` of floats is of values, whose names a
           file may hold as `values`.
     size : int or (int, int), optional
-        Side or (H, W) in pixels to which images are brought: those of a folder or zip file by
+        Side or (H, W) in pixels to which images are brought: those of a folder by
         averaging over areas, CIFAR-10's bilinearly. Needed where they differ in size.
     seed : int
         Draws the test part where the source has none, the order of the training scenes and the
@@ -102,15 +93,13 @@ def load_dataset(
         Low and high, to which [0, 1] is mapped; (0, 1) is no change. By default (0.3, 1) for
         digits, MNIST and Fashion-MNIST, no change for others.
     images : int, optional
-        Training images to keep of CIFAR-10, MNIST, Fashion-MNIST, or a folder or zip file with its
-        own test part, drawn with the seed, of each class its share; all by default.
+        Training images to keep of CIFAR-10, MNIST, Fashion-MNIST, or a folder with its own
+        test part, drawn with the seed, of each class its share; all by default.
     split : {"random", "blocks"}, optional
         Of hyperspectral images, as in `SpectralImage.parts`.
     white : float, optional
-        Value that is reflectance 1, of images and arrays of integers wider than a byte; by default
-        that of the fewest bits that hold the largest value, as `deepfsi.datasets.levels` says.
-    skip_bad : bool
-        Leave images that cannot be read out, which `Dataset.preprocessing` then names.
+        Value that is reflectance 1, of images and ``.npz`` files of integers wider than a byte; by
+        default that of the fewest bits that hold the largest value (`deepfsi.datasets.levels`).
 
     Examples
     --------
@@ -124,6 +113,10 @@ def load_dataset(
             "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays; scenes "
             "and labels of a torch data set make two such arrays"
         )
+    if isinstance(source, tuple) and len(source) not in (2, 4):
+        raise InputError(
+            f"a tuple of {len(source)} arrays was given; give (x, y) or (x, y, x_test, y_test)"
+        )
     name = "arrays" if isinstance(source, tuple) else absolute_source(os.fspath(source))
     with as_input_error():
         options = Origin(
@@ -134,11 +127,10 @@ def load_dataset(
             images=images,
             split=split,
             white=white,
-            skip_bad=skip_bad,
         )
     if isinstance(source, tuple):
-        _refuse(options, name, ("white",))
-        return load_arrays(source, options)
+        _refuse(options, name, ())
+        return from_arrays(*source, seed=seed, rescale=rescale)
     _refuse(options, Path(name).name, options_of(os.fspath(source)))
     if name in DATASETS:
         data = DATASETS[name].load(options)
@@ -150,7 +142,7 @@ def load_dataset(
 
 def _kind_of(path: Path) -> _FileKind:
     """Kind of a file or folder that is there, or `InputError` where it holds no data set."""
-    ending = FOLDER if path.is_dir() else path.suffix.lower()
+    ending = "/" if path.is_dir() else path.suffix.lower()
     for kind in FILE_KINDS:
         if ending in kind.endings:
             return kind
@@ -159,8 +151,8 @@ def _kind_of(path: Path) -> _FileKind:
 
 def _refuse(options: Origin, name: str, allowed: tuple[str, ...]) -> None:
     """Raise `InputError` for an option that is given but not among those that a source takes."""
-    for option in SOME_TAKE:
-        if option not in allowed and getattr(options, option) not in (None, False):
+    for option in ("size", "images", "split", "white"):
+        if option not in allowed and getattr(options, option) is not None:
             raise InputError(f"{name} takes no `{option}`: leave it out")
 
 
@@ -187,7 +179,7 @@ def as_dataset(data: Source) -> Dataset:
 
 
 def check_source(source: str) -> str:
-    """A name that is known, or a path where there is something; else `InputError`."""
+    """Known name or existing path; else `InputError`."""
     if source not in DATASETS:
         _existing(source)
     return source
@@ -205,10 +197,8 @@ def _existing(name: str) -> Path:
     )
 
 
-def prepare_display(
-    pictures: Path | npt.NDArray[Any], origin: Origin, skip_bad: bool = False
-) -> Display:
-    """Pictures made scenes as those of a data set were, but for the view of a camera.
+def prepare_display(pictures: Path | npt.NDArray[Any], origin: Origin) -> Display:
+    """Make scenes of pictures like those of a data set, without the view of a camera.
 
     Pictures that `write_pictures` wrote are mapped already.
     """
@@ -216,7 +206,7 @@ def prepare_display(
     if isinstance(pictures, Path):
         shape = origin.size or (named.shape if named else None)
         bilinear = named is not None and named.bilinear
-        display = read_display(pictures, origin.white, shape, bilinear, skip_bad=skip_bad)
+        display = read_display(pictures, origin.white, shape, bilinear)
     else:
         display = array_display(pictures, origin.white)
     if named:

@@ -1,69 +1,51 @@
-"""Images in folders and zip files, and those that a ``.csv`` file names.
+"""Images in folders, and those that a ``.csv`` file names.
 
-Folders and zip files hold one folder for each class, or such folders within their own ``train/``
-and ``test/``. A ``.csv`` file has the name and the label, or the values, of an image in each line.
-A zip file is read in place, never unpacked. It may come from anywhere, so that the
-sizes it declares and the images' own sizes are checked before memory is spent on them.
+A folder holds one folder for each class, or such folders within its own ``train/`` and ``test/``. A
+``.csv`` file has the name and the label, or the values, of an image in each line. Images may come
+from anywhere, so that their sizes are checked before memory is spent on them.
 """
 
 import io
-import os
 import re
 import warnings
-import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from functools import partial
-from operator import itemgetter
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import IO, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.arrays import check_memory, free_memory, open_zip
+from deepfsi.base.arrays import check_memory, free_memory
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_unpacked, read_regular, readable_name
 from deepfsi.base.tables import LABEL_HEADS, normal_name, read_cells
 from deepfsi.datasets.arrays import draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, Origin
-from deepfsi.datasets.levels import PICTURE_FORMATS, PictureSize, Tally
+from deepfsi.datasets.levels import PictureSize, Tally
 
 Label: TypeAlias = str | tuple[float, ...]
 """Class of an image, or its values."""
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".gif", ".pgm", ".tif", ".tiff", ".webp")
+IMAGE_SUFFIXES = (
+    *(".png", ".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".gif", ".tif", ".tiff", ".webp"),
+    *(".pgm", ".ppm", ".pbm", ".pnm"),
+    *(".jp2", ".heic", ".avif"),  # refused when they are read: a class would lack them in silence
+)
 """Ends of the names of image files."""
-
-MAX_FILE = 2**28
-"""Bytes at most of one image, and of a list of images."""
-
-MOST_NAMES = 20
-"""Images that one line names at most."""
-
-PART_NAMES = ("train", "test")
-"""Names of folders, in lower case, that are parts of a data set and no classes."""
 
 OF_SYSTEMS = ("__MACOSX", "@eaDir", "$RECYCLE.BIN", "System Volume Information", "lost+found")
 """Folders that operating systems and servers put beside those of a user, as do hidden ones."""
-
-UTF8_FLAG = 0x800
-"""Bit of an entry of a zip file whose name is in UTF-8; otherwise it is in code page 437."""
-
-DEEPEST = 4
-"""Folders below each other that are looked into."""
 
 LIST_ADVICE = "give a line of text for each image, its file name and its label, or its values"
 """What to do about a list of images that cannot be used."""
 
 
 class Picture(NamedTuple):
-    """An image that is not yet read."""
+    """Image that is not yet read."""
 
-    label: Label
-    where: str  # for messages
-    open: Callable[[], IO[bytes]]
+    path: Path
+    label: Label = ""
 
 
 class Listing(NamedTuple):
@@ -73,23 +55,13 @@ class Listing(NamedTuple):
     values: tuple[str, ...] = ()
 
 
-_Entry = tuple[tuple[str, ...], Picture | None]
-"""Folders and name of a file with its picture, or of a folder with None."""
-
-
-def load_pictures(path: Path, options: Origin) -> Dataset:
-    """Load the images of a folder, a zip file or a ``.csv`` file."""
-    name = path.resolve().stem if path.is_file() else path.resolve().name
-    with open_listing(path) as listing:
-        return dataset_of_pictures(listing, name, options)
-
-
-def dataset_of_pictures(
-    listing: Listing, name: str, options: Origin, bilinear: bool = False
-) -> Dataset:
-    """Data set of listed images."""
+def load_pictures(path: Path, options: Origin, name: str = "", bilinear: bool = False) -> Dataset:
+    """Data set of the images of a folder or of a ``.csv`` file, which gives the name, too."""
+    whole = path.resolve()
+    name = name or (whole.stem if path.is_file() else whole.name)
     shape = options.size
     images = options.images
+    listing = list_pictures(path)
     train, *test = listing.parts
     if images is not None:
         if not test:
@@ -100,14 +72,14 @@ def dataset_of_pictures(
         kept = draw_stratified([p.label for p in train], images, options.seed, name)
         train = [train[i] for i in kept]
     pictures = [*train, *(test[0] if test else [])]
-    pixels, tally = decode_pictures(pictures, shape, bilinear, options.skip_bad)
+    pixels, tally = decode_pictures(pictures, shape, bilinear)
     levels = tally.levels(options.white)
-    labels = np.array([pictures[index].label for index in tally.kept])
-    n = sum(index < len(train) for index in tally.kept)
+    labels = np.array([picture.label for picture in pictures])
+    n = len(train)
     drawn = "" if images is None else f"{images} training images drawn by class; "
     return split_arrays(
         (pixels[:n], labels[:n]),
-        (pixels[n:], labels[n:]) if test else (None, None),
+        (pixels[n:], labels[n:]) if test else None,
         values=listing.values or None,
         name=name,
         seed=options.seed,
@@ -166,13 +138,14 @@ def _list_named(path: Path) -> Listing:
     if twice := [str(file) for file, count in Counter(paths).items() if count > 1]:
         raise InputError(f"{path} names {_names_text(twice)} twice: give each image one line")
     named = values and (len(columns) > 1 or (heads and heads[0].lower() not in LABEL_HEADS))
-    return Listing([list(map(picture_file, paths, labels))], heads if named else ())
+    return Listing([list(map(Picture, paths, labels))], heads if named else ())
 
 
 def _values_of(columns: list[list[str]], path: Path) -> list[tuple[float, ...]]:
     """Values of images, or none where their cells are labels: words, or one whole number each."""
     try:
-        numbers = [list(map(float, column)) for column in columns]
+        # Python takes 1_0 for 10
+        numbers = [[float(cell.replace("_", "?")) for cell in column] for column in columns]
     except ValueError:
         if len(columns) > 1:
             raise InputError(
@@ -190,129 +163,69 @@ def is_image(name: str) -> bool:
     return name.lower().endswith(IMAGE_SUFFIXES) and not name.startswith(".")
 
 
-def _names_text(names: Sequence[str]) -> str:
-    """Names for a message, the first of many."""
-    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return ", ".join(names[:MOST_NAMES]) + more
+def _names_text(names: Sequence[str | Path]) -> str:
+    """Twenty of many names, for a message."""
+    more = f" and {len(names) - 20} more" if len(names) > 20 else ""
+    return ", ".join(readable_name(str(name)) for name in names[:20]) + more
 
 
-# ---------------------------------------------------------------- folders and zip files
+# ---------------------------------------------------------------- folders
 
 
-@contextmanager
-def open_listing(path: Path) -> Iterator[Listing]:
-    """Images of a folder, a zip file or a ``.csv`` file, which can be read within the block."""
-    if path.is_dir():
-        yield _listing(_walk(path), str(path))
-    elif path.suffix.lower() == ".csv":
-        yield _list_named(path)
-    else:
-        with open_zip(path, "pack it again") as archive:
-            yield _listing(_zip_entries(archive, path), str(path))
-
-
-def _walk(folder: Path, above: tuple[str, ...] = ()) -> Iterator[_Entry]:
-    with os.scandir(folder) as entries:
-        inside = [  # a folder among images that is called like one is refused as an image
-            (entry, entry.is_dir() and not (above and is_image(entry.name)))
-            for entry in entries
-            if not _is_of_system(entry.name)
-        ]
-    for entry, is_dir in inside:
-        names = (*above, readable_name(entry.name))
-        yield names, None if is_dir else picture_file(Path(entry.path))
-        if is_dir and len(names) < DEEPEST:
-            yield from _walk(Path(entry.path), names)
-
-
-def picture_file(path: Path, label: Label = "") -> Picture:
-    """Picture of a file."""
-
-    def read() -> IO[bytes]:
-        return io.BytesIO(read_regular(path, MAX_FILE, "replace or remove it"))
-
-    return Picture(label, str(path), read)
-
-
-def _zip_entries(archive: zipfile.ZipFile, path: Path) -> Iterable[_Entry]:
-    def read(info: zipfile.ZipInfo) -> IO[bytes]:
-        with archive.open(info) as entry:
-            # asked for no more than is declared, zipfile unpacks no more
-            return io.BytesIO(entry.read(info.file_size + 1))
-
-    for info in archive.infolist():
-        name = info.filename
-        if not info.flag_bits & UTF8_FLAG:  # macOS writes UTF-8 without the flag that says so
-            with suppress(UnicodeError):
-                name = name.encode("cp437").decode("utf-8")
-        names = tuple(word for word in name.replace("\\", "/").split("/") if word)
-        if names and not any(map(_is_of_system, names)):
-            where = f"{path}/{'/'.join(names)}"
-            yield names, None if info.is_dir() else Picture("", where, partial(read, info))
-
-
-def _is_of_system(name: str) -> bool:
-    return name.startswith(".") or name in OF_SYSTEMS
-
-
-def _listing(entries: Iterable[_Entry], where: str) -> Listing:
-    """Images of one part, or of a training and a test part, whose folders are so called."""
-    files = list(entries)
-    while len({names[0] for names, _ in files}) == 1 and any(len(names) > 2 for names, _ in files):
-        files = [(names[1:], picture) for names, picture in files if len(names) > 1]
-    inside: dict[str, list[_Entry]] = {part: [] for part in PART_NAMES}
-    for names, picture in files:
-        if len(names) > 2 and names[0].lower() in PART_NAMES:
-            inside[names[0].lower()].append((names[1:], picture))
-    if all(inside.values()):
-        other = [
-            "/".join(names)
-            for names, picture in files
-            if names[0].lower() not in PART_NAMES and picture and is_image(names[-1])
-        ]
-        if other:
-            raise InputError(
-                f"{where} holds images outside of train and test ({_names_text(other)}): move "
-                "them into one of the two, or away"
-            )
-        parts = [_by_class(entries, f"{where}/{part}") for part, entries in inside.items()]
-        return Listing(parts)
-    return Listing([_by_class(files, where)])
-
-
-def _by_class(entries: Iterable[_Entry], where: str) -> list[Picture]:
-    """Images of all class folders, in the order of their names; other files there are ignored.
-
-    The names of the entries are from `where` on.
-    """
-    classes: dict[str, list[tuple[str, Picture]]] = {}
-    astray = []
-    for names, picture in entries:
-        label = normal_name(names[0])
-        if len(names) > 1 or not picture:
-            classes.setdefault(label, [])
-        if picture and is_image(names[-1]):
-            if len(names) == 2:
-                classes[label].append((names[1], picture._replace(label=label)))
-            else:
-                astray.append("/".join(names))
-    if not classes:
+def list_pictures(path: Path) -> Listing:
+    """Images of a folder or of a ``.csv`` file."""
+    if not path.is_dir():
+        return _list_named(path)
+    entries = _entries(path)
+    folders = {each.name.lower(): each for each in entries if each.is_dir()}
+    if not {"train", "test"} <= folders.keys():
+        return Listing([_by_class(path)])
+    parts = [folders.pop("train"), folders.pop("test")]
+    other = [each for each in entries if is_image(each.name)] + _images_below(folders.values())
+    if other:
         raise InputError(
-            f"{where} has no sub-folders; put the images of each class into its own, or give a "
+            f"{path} holds images outside of train and test ({_names_text(other)}): move them into "
+            "one of the two, or away"
+        )
+    return Listing(list(map(_by_class, parts)))
+
+
+def _entries(folder: Path) -> list[Path]:
+    """Files and folders of the user."""
+    every = folder.iterdir()
+    return [each for each in every if each.name[0] != "." and each.name not in OF_SYSTEMS]
+
+
+def _images_below(folders: Iterable[Path]) -> list[Path]:
+    return [file for each in folders for file in each.rglob("*") if is_image(file.name)]
+
+
+def _by_class(folder: Path) -> list[Picture]:
+    """Images of all class folders, by class and name; other files there are ignored."""
+    entries = _entries(folder)
+    folders = [each for each in entries if each.is_dir()]
+    if not folders:
+        raise InputError(
+            f"{folder} has no sub-folders; put the images of each class into its own, or give a "
             ".csv file of file names and labels"
         )
+    astray = [each for each in entries if is_image(each.name) and each not in folders]
+    pictures: list[Picture] = []
+    for each in folders:
+        inside = _entries(each)
+        # A folder that is called like an image is refused when it is read
+        images = [file for file in inside if is_image(file.name)]
+        astray += _images_below(other for other in inside if not is_image(other.name))
+        if not (images or astray):
+            raise InputError(f"the class folder {each} holds no images; add some or remove it")
+        label = normal_name(readable_name(each.name))
+        pictures += [Picture(file, label) for file in images]
     if astray:
         raise InputError(
-            f"{where} holds images that lie in no folder of a class, or in folders within one "
+            f"{folder} holds images that lie in no folder of a class, or in folders within one "
             f"({_names_text(astray)}): move them into the folder of their class, or away"
         )
-    if empty := [label for label, images in classes.items() if not images]:
-        raise InputError(
-            f"the class folder {where}/{empty[0]} holds no images; add some "
-            f"({' '.join(IMAGE_SUFFIXES)}) or remove it"
-        )
-    in_order = (sorted(classes[label], key=itemgetter(0)) for label in sorted(classes))
-    return [picture for images in in_order for _, picture in images]
+    return sorted(pictures, key=lambda each: (each.label, readable_name(each.path.name)))
 
 
 # ---------------------------------------------------------------- reading
@@ -323,26 +236,23 @@ class _Unreadable(InputError):
 
 
 def decode_pictures(
-    pictures: list[Picture],
-    shape: PictureSize | None,
-    bilinear: bool = False,
-    skip_bad: bool | None = None,
+    pictures: list[Picture], shape: PictureSize | None, bilinear: bool = False
 ) -> tuple[npt.NDArray[Any], Tally]:
     """Grey images (n, H, W), all of one shape, and a tally of what they were."""
     from PIL import Image
 
     tally = Tally()
-    bad: list[tuple[str, str]] = []
+    bad: list[str] = []
     grey: npt.NDArray[Any] = np.empty(0)
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         for index, picture in enumerate(pictures):
             try:
-                image = _read(picture, tally, shape, bilinear)
+                image = _read(picture.path, tally, shape, bilinear)
             except _Unreadable as error:
-                bad.append((picture.where, str(error)))
+                bad.append(f"{picture.path} ({error})")
                 continue
-            if not tally.kept:
+            if tally.count == 1:
                 check_memory(
                     len(pictures) * image.nbytes,
                     free_memory(),
@@ -353,47 +263,35 @@ def decode_pictures(
             if image.shape != grey.shape[1:]:
                 raise InputError(
                     f"images differ in size: {tally.first} is {grey.shape[1]}x{grey.shape[2]}, "
-                    f"{picture.where} is {image.shape[0]}x{image.shape[1]}; give a size to bring "
+                    f"{picture.path} is {image.shape[0]}x{image.shape[1]}; give a size to bring "
                     "them to one"
                 )
-            grey[len(tally.kept)] = image
-            tally.kept.append(index)
-            filled = len(tally.kept) * image.size
+            grey[index] = image
+            filled = tally.count * image.size
             check_unpacked(filled, tally.packed, "these images", "give a smaller size, or fewer")
-    if bad and not (skip_bad and tally.kept):
-        raise InputError(_bad_text(bad, skip_bad is False))
-    tally.bad = tuple(where for where, _ in bad)
-    return grey[: len(tally.kept)], tally
+    if bad:
+        raise InputError(f"cannot read {_names_text(bad)}; replace or remove what is damaged")
+    return grey, tally
 
 
-def _bad_text(bad: list[tuple[str, str]], may_skip: bool) -> str:
-    """Name damaged images, each with what is wrong, and say what to do."""
-    named = _names_text([f"{where} ({reason})" for where, reason in bad])
-    what = "the image" if len(bad) == 1 else f"{len(bad)} images:"
-    them = "it" if len(bad) == 1 else "them"
-    skip = f", or leave {them} out with `skip_bad`" if may_skip else ""
-    return f"cannot read {what} {named}; replace or remove {them}{skip}"
-
-
-def _read(
-    picture: Picture, tally: Tally, shape: PictureSize | None, bilinear: bool
-) -> npt.NDArray[Any]:
+def _read(path: Path, tally: Tally, shape: PictureSize | None, bilinear: bool) -> npt.NDArray[Any]:
     from PIL import Image, UnidentifiedImageError
 
+    # Pillow's decoders of other formats may start programs, as that of EPS does
+    formats = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
+    content = read_regular(path, 2**28, "replace or remove it")
     try:
-        with picture.open() as stream:
-            size = stream.seek(0, io.SEEK_END)
-            with Image.open(stream, formats=PICTURE_FORMATS) as image:
-                pixels = image.width * image.height
-                check_unpacked(pixels, size, picture.where, "replace or remove it")
-                grey = tally.grey(image, picture.where)
-        tally.packed += size
+        with Image.open(io.BytesIO(content), formats=formats) as image:
+            pixels = image.width * image.height
+            check_unpacked(pixels, len(content), str(path), "replace or remove it")
+            grey = tally.grey(image, str(path))
     except InputError:
         raise
     except UnidentifiedImageError:
         raise _Unreadable("no image of a kind that is read") from None
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
         raise _Unreadable(str(error)) from error
+    tally.packed += len(content)
     if shape is not None:
         how = Image.Resampling.BILINEAR if bilinear else Image.Resampling.BOX
         grey = grey.resize(shape[::-1], how)

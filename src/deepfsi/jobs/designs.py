@@ -7,10 +7,10 @@ has masks of its own, the design of that part, all at once.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,35 +19,11 @@ from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.camera.names import RailsKind
 from deepfsi.datasets.dataset import Dataset
 
-if TYPE_CHECKING:
-    from scipy.sparse.linalg import LinearOperator
-
-
 FULL_BASIS_PIXELS = 2048
-"""Pixels up to which all principal components are computed at once, which takes their cube; of
-larger scenes only those that are asked for."""
-
+"""Pixels up to which all principal components are computed at once, which takes their cube."""
 
 Shape = tuple[int, ...]
-"""Of a scene: (H, W) of an image, (B,) of a spectrum."""
-
-Make = Callable[[Dataset, int, int], np.ndarray]
-"""Sensing matrix (m, N), float64, of data, a number of masks m and a seed."""
-
-Most = Callable[[Shape, int], int]
-"""Largest number of masks, of a scene's shape and the number of classes."""
-
-
-def _pixels(shape: Shape, classes: int) -> int:
-    return int(np.prod(shape))
-
-
-def _padded_pixels(shape: Shape, classes: int) -> int:
-    return int(np.prod(padded_shape(shape)))
-
-
-def _residues(shape: Shape, classes: int) -> int:
-    return s_matrix_order(int(np.prod(shape)))
+"""(H, W) of an image, (B,) of a spectrum."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +32,10 @@ class Code:
 
     label: str
     title: str
-    make: Make | None = None
-    most: Most = _pixels  # largest number of masks, of a scene's shape and the number of classes
+    # Sensing matrix (m, N), float64, of data, a number of masks m and a seed
+    make: Callable[[Dataset, int, int], np.ndarray] | None = None
+    # Largest number of masks, of a scene's shape and the number of classes
+    most: Callable[[Shape, int], int] = lambda shape, classes: math.prod(shape)
     complete: bool = False  # it has the largest number of masks, and no other
     rails: RailsKind | None = None
     every_pixel: bool = False  # it has a detector for each pixel: light law `column`, and no device
@@ -77,7 +55,7 @@ class Code:
         return self.learned or self.learned_under is not None
 
     def is_made_whole(self, pixels: int) -> bool:
-        """True if all masks are made at once, of which a training takes the first."""
+        """True if all masks are made at once, and a training takes the first."""
         return self.first_of_many and pixels <= FULL_BASIS_PIXELS
 
     def counts(self, image_shape: Shape, classes: int) -> tuple[int, int]:
@@ -88,6 +66,14 @@ class Code:
 
 def _random(data: Dataset, masks: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).choice([-1.0, 1.0], size=(masks, data.pixels))
+
+
+def _hadamard(data: Dataset, masks: int, seed: int) -> np.ndarray:
+    return hadamard_masks(data.image_shape, masks)
+
+
+def _padded_pixels(shape: Shape, classes: int) -> int:
+    return math.prod(padded_shape(shape))
 
 
 DESIGNS: dict[str, Code] = {
@@ -110,17 +96,12 @@ DESIGNS: dict[str, Code] = {
     "hadamard": Code(
         "HB",
         "Hadamard basis",
-        lambda data, masks, seed: hadamard_masks(data.image_shape, masks),
+        _hadamard,
         most=_padded_pixels,
         complete=True,
         rails="dual",
     ),
-    "truncated-hadamard": Code(
-        "TH",
-        "truncated Hadamard",
-        lambda data, masks, seed: hadamard_masks(data.image_shape, masks),
-        most=_padded_pixels,
-    ),
+    "truncated-hadamard": Code("TH", "truncated Hadamard", _hadamard, most=_padded_pixels),
     "pca": Code(
         "FSI",
         "PCA",
@@ -135,7 +116,7 @@ DESIGNS: dict[str, Code] = {
         "LDA",
         "linear discriminants",
         lambda data, masks, seed: _discriminants(np.asarray(data.x_train), data.y_train, masks),
-        most=lambda shape, classes: min(classes - 1, int(np.prod(shape))),
+        most=lambda shape, classes: min(classes - 1, math.prod(shape)),
         specific=True,
         of_classes=True,
     ),
@@ -150,7 +131,7 @@ DESIGNS: dict[str, Code] = {
         "S",
         "S-matrix",
         lambda data, masks, seed: s_matrix(data.pixels),
-        most=_residues,
+        most=lambda shape, classes: s_matrix_order(math.prod(shape)),
         complete=True,
         rails="single",
     ),
@@ -160,11 +141,11 @@ DESIGNS: dict[str, Code] = {
 """The named designs."""
 
 EVERY_PIXEL = {name for name, code in DESIGNS.items() if code.every_pixel}
-"""Those that have a detector for each pixel: no camera of one device, whatever is compared."""
+"""Designs with a detector for each pixel, which no camera of one device has."""
 
 
 ADAPTIVE = {name for name, code in DESIGNS.items() if code.adaptive}
-"""Those whose masks are made while they look, and that hold none before."""
+"""Designs whose masks are made during the exposure."""
 
 
 def check_design(name: str) -> str:
@@ -223,10 +204,9 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     lit = x[:, varying]
     mean = lit.mean(axis=0, dtype=np.float64)
     if few:
-        power, directions = _leading(_scatter_operator(lit, mean), masks)
+        power, directions = _leading(lit, mean, masks)
     else:
-        parts = np.array_split(lit, -(-len(lit) // 8192))
-        power, directions = scipy.linalg.eigh(_scatter(parts, mean))
+        power, directions = scipy.linalg.eigh(_scatter(lit, mean))
     known = power > pixels * np.finfo(np.float64).eps * power.max(initial=0)
     rows = np.zeros((min(masks, int(known.sum())), pixels))
     rows[:, varying] = directions[:, known].T[::-1][:masks]
@@ -240,40 +220,33 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     return np.concatenate([rows, rest])
 
 
-def _scatter(parts: Sequence[np.ndarray], mean: np.ndarray) -> np.ndarray:
-    """Scatter matrix (N, N) of scenes, parts of which are (n, N), about their mean."""
-    # products have the type of the mean, sums are of float64
+def _scatter(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Scatter matrix (N, N) of scenes (n, N) about their mean."""
     scatter = np.zeros((len(mean), len(mean)))
-    for part in parts:
+    for part in np.array_split(x, -(-len(x) // 8192)):
         centred = part - mean
         scatter += centred.T @ centred
     return scatter
 
 
-def _scatter_operator(x: np.ndarray, mean: np.ndarray) -> "LinearOperator":
-    """Scatter matrix (N, N) of scenes (n, N) about their mean, which is applied and not made."""
-    from scipy.sparse.linalg import LinearOperator
+def _leading(x: np.ndarray, mean: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Largest eigenvalues of the scatter matrix of scenes (n, N), rising; vectors (N, count)."""
+    from scipy.sparse.linalg import LinearOperator, eigsh
 
     centred = x - mean.astype(x.dtype)
-    return LinearOperator(
+    scatter = LinearOperator(  # applied and not made
         (x.shape[1], x.shape[1]),
         matvec=lambda vector: centred.T @ (centred @ vector.ravel()),
         dtype=x.dtype,
     )
-
-
-def _leading(scatter: "LinearOperator", count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Largest eigenvalues of a scatter matrix (N, N), rising, and their vectors (N, count)."""
-    from scipy.sparse.linalg import eigsh
-
-    start = np.random.default_rng(0).standard_normal(scatter.shape[0], dtype=np.float32)
+    start = np.random.default_rng(0).standard_normal(x.shape[1], dtype=np.float32)
     power, directions = eigsh(scatter, k=count, v0=start)
     return power.astype(np.float64), directions.astype(np.float64)
 
 
 def _discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     """Linear discriminant directions, the supervised linear baseline that PCA is not."""
-    # Parameters as for `_class_pairs`; unit rows, at most one fewer than there are classes
+    # Unit rows, at most one fewer than there are classes
     from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
     model = LinearDiscriminantAnalysis(solver="eigen", shrinkage="auto").fit(x, y)
@@ -323,12 +296,12 @@ def s_matrix(pixels: int) -> np.ndarray:
 class _Tile(NamedTuple):
     """Pixels of a scene that a detector sees: a rectangle with its shape, any other as a row."""
 
-    pixels: np.ndarray  # (n,): places among those of the scene
+    pixels: np.ndarray  # (n,), indices into the scene
     shape: tuple[int, ...]
 
 
 def _divide_scene(image_shape: tuple[int, ...], detectors: DetectorMap) -> Iterator[_Tile]:
-    """Tile of each detector, in their order."""
+    """Tile of each detector."""
     labels = detectors.labels
     if labels is None:
         yield _Tile(np.arange(math.prod(image_shape)), image_shape)
@@ -342,7 +315,7 @@ def _divide_scene(image_shape: tuple[int, ...], detectors: DetectorMap) -> Itera
 def count_allowed(
     name: str, data: Dataset, detectors: DetectorMap = ONE_DETECTOR
 ) -> tuple[int, int]:
-    """Smallest and largest number of masks that a design can have, that of the largest tile."""
+    """Smallest and largest number of masks of a design, for its largest tile."""
     shapes = {tile.shape for tile in _divide_scene(data.image_shape, detectors)}
     ranges = [DESIGNS[name].counts(shape, len(data.classes)) for shape in shapes]
     return max(low for low, _ in ranges), max(high for _, high in ranges)
@@ -380,7 +353,6 @@ def sensing_matrix(
             x_train=data.x_train[:, tile.pixels],
             x_test=data.x_test[:, tile.pixels],
             image_shape=tile.shape,
-            wavelengths=None,
         )
         low, high = code.counts(tile.shape, len(data.classes))
         count = min(max(masks, low), high)

@@ -127,14 +127,14 @@ def _asked(
     same = [
         "rescale",
         "view",
-        *(option for option in ("size", "white", "skip_bad") if option in allowed),
+        *(option for option in ("size", "white") if option in allowed),
     ]
     kept = {option: getattr(known, option) for option in same}
     return Origin(data=name).model_copy(update=kept | told)
 
 
 def _load(origin: Origin) -> Dataset:
-    options = origin.model_dump(exclude={"data", "normal", "view", "fold"})
+    options = origin.model_dump(exclude={"data", "normal", "skip_bad", "view", "fold"})
     scenes = load_dataset(origin.data, **options)
     if origin.fold is not None:
         place, count = origin.fold
@@ -157,7 +157,6 @@ def design_scenes(
     info: Mapping[str, Any],
     image_shape: tuple[int, ...],
     pictures: Path | np.ndarray,
-    skip_bad: bool = False,
 ) -> "Display":
     """Pictures as a design with that provenance sees them, prepared as the data that it knows."""
     known = trained_on(info)
@@ -168,7 +167,7 @@ def design_scenes(
         if pictures.dtype.kind == "f":  # reflectance, as a data set has it
             origin = None
     if origin is not None:
-        shown = prepare_display(pictures, origin, skip_bad)
+        shown = prepare_display(pictures, origin)
     elif not isinstance(pictures, Path):
         shown = array_display(pictures)
     else:

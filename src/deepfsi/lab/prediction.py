@@ -92,7 +92,6 @@ def predict(
     *,
     camera: CameraSource = None,
     seed: int = 0,
-    skip_bad: bool = False,
     **settings: Any,
 ) -> Predictions:
     """Classes of new pictures, each from one simulated exposure under the camera's noise.
@@ -113,8 +112,6 @@ def predict(
         Camera whose noise, dark counts and read noise hold. Default: the design's.
     seed : int
         Seed of the noise.
-    skip_bad : bool
-        Leave pictures that cannot be read out, which `preprocessing` then names.
     **settings
         Fields that replace the camera's, such as ``noise="none"``.
 
@@ -160,7 +157,7 @@ def predict(
     with library_defaults(grad=False):
         tested = camera_for(design, camera=camera, **settings)
         budget = check_budget(_budget(design, tested) if photons is None else photons)
-        shown = design_scenes(design.info, design.image_shape, source, skip_bad)
+        shown = design_scenes(design.info, design.image_shape, source)
         generator = torch.Generator(design.exposure.device).manual_seed(seed)
         scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
         chances = []

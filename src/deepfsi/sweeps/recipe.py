@@ -135,9 +135,6 @@ class Recipe(UserModel):
 
     data: str = Field(default="digits", description="name, folder of images or .npz file")
     size: tuple[int, int] | None = Field(default=None, description="height, width of folder images")
-    skip_bad: bool = Field(
-        default=False, description="leave images that cannot be read out, and name them"
-    )
     images: int | None = Field(
         default=None, ge=1, description="training images that are taken; default: all"
     )
