@@ -25,7 +25,7 @@ LINES = {
     "designfile": 1376,
     "evaluation": 1570,
     "exposure": 1092,
-    "jobs": 1383,
+    "jobs": 1372,
     "lab": 3928,
     "patterns": 1362,
     "physics": 1856,

@@ -30,10 +30,8 @@ from deepfsi.jobs.exposures import (
     find_exposure,
 )
 from deepfsi.jobs.training import (
-    FEW_COUNTS,
     MLP,
     MLP_FACTS,
-    PRIOR_SETTINGS,
     TUNED,
     Training,
     TrainingSource,
@@ -131,7 +129,7 @@ class Job(UserModel):
             if name not in Training.model_fields:
                 near = closest_choice(name, Training.model_fields)
                 raise InputError(f"a training has no setting {name!r}: {near}")
-        few = FEW_COUNTS if training.get("counts") is not None else {}
+        few = {"start": "random"} if training.get("counts") is not None else {}
         usual = {**exposure.training, **TUNED.get(given.get("design", "deepfsi"), {}), **few}
         return {**given, "exposure": exposure, "training": {**usual, **training}}
 
@@ -240,8 +238,8 @@ class Job(UserModel):
         training = self.training
         facts = training.classifier_facts
         usual = Training()
-        others = [name for name in MLP_FACTS.settings if name not in facts.settings]
-        if any(getattr(training, name) != getattr(usual, name) for name in others):
+        unusual = training.hidden != usual.hidden or training.dropout != usual.dropout
+        if facts is not MLP_FACTS and unusual:
             yield (
                 "`hidden` and `dropout` are of the usual classifier: give them to a classifier of "
                 "your own as its arguments"
@@ -431,9 +429,9 @@ def job_of(
 def _unused(code: Code, setting: str) -> str:
     """Why a design has no use for a setting of the training; empty if it has one."""
     if code.adaptive:
-        taken = setting in (*PRIOR_SETTINGS, "counts")
+        taken = setting in ("clusters", "dictionary", "counts")
         return "" if taken else "adaptive masks learn by no steps"
-    if setting in PRIOR_SETTINGS:
+    if setting in ("clusters", "dictionary"):
         return f"{code.title} has no adaptive masks"
     if setting in ("start", "start_counts") and not code.learns_masks:
         return f"no masks of {code.title} learn"

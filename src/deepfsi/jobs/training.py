@@ -32,9 +32,8 @@ MLP = "mlp"
 
 @dataclass(frozen=True)
 class ClassifierFacts:
-    """Facts of a classifier: the settings of a training that are its own, and its inputs."""
+    """Facts of a classifier."""
 
-    settings: tuple[str, ...] = ()  # settings of `Training` that are of this classifier
     sizes: tuple[str, ...] = ()  # its arguments, whole numbers of 1 or more
     features: str = ""  # parts of scenes that it reads, as in `Exposure`
     # Of one that a package beside the core has: its entry in a header, and import path of its class
@@ -42,8 +41,7 @@ class ClassifierFacts:
     network: str = ""
 
 
-MLP_FACTS = ClassifierFacts(settings=("hidden", "dropout"))
-CUSTOM_CLASSIFIER = ClassifierFacts(settings=("classifier_arguments",))
+MLP_FACTS, CUSTOM_CLASSIFIER = ClassifierFacts(), ClassifierFacts()
 
 
 def find_classifier(name: str) -> ClassifierFacts:
@@ -110,9 +108,6 @@ def _widths(given: Any) -> Any:
 
 MASK_SETTINGS = ("start", "start_counts", "mask_lr")
 """Settings of the training that only learned masks have."""
-
-PRIOR_SETTINGS = ("clusters", "dictionary")
-"""Settings of the training that only adaptive masks have, which learn by no steps."""
 
 
 class Training(UserModel):
@@ -229,7 +224,3 @@ Chosen on the last 10 000 training images of MNIST at 1e3, 1e4 and 1e5 photons, 
 the same grid: lr 2e-3, 5e-3, 1e-2; scale each, common; dropout 0, 0.1 (for those of a thousand
 readouts at one setting at most). Designs not named here, but for learned ones and PCA, are untuned.
 """
-
-
-FEW_COUNTS: dict[str, Any] = {"start": "random"}
-"""Settings of a training for few counts, where none are given."""
