@@ -225,7 +225,7 @@ def _read_classes(
 def _check_sizes(truth: Labels, classes: Sequence[str], name: str, drawn: bool) -> None:
     """Raise `InputError` for a class with too few training scenes, or to draw a fifth of."""
     sizes = np.bincount(truth, minlength=len(classes))
-    fewest = classes[sizes.argmin()]
+    fewest = classes[int(sizes.argmin())]
     if drawn and sizes.min() < TEST_SHARE:  # a fifth of fewer may be none
         raise InputError(
             f"{name}: class '{fewest}' has {sizes.min()} scenes; to draw a test part give "

@@ -76,6 +76,10 @@ def _padded_pixels(shape: Shape, classes: int) -> int:
     return math.prod(padded_shape(shape))
 
 
+def _residues(shape: Shape, classes: int) -> int:
+    return s_matrix_order(math.prod(shape))
+
+
 DESIGNS: dict[str, Code] = {
     "impulse": Code(
         "II",
@@ -131,7 +135,7 @@ DESIGNS: dict[str, Code] = {
         "S",
         "S-matrix",
         lambda data, masks, seed: s_matrix(data.pixels),
-        most=lambda shape, classes: s_matrix_order(math.prod(shape)),
+        most=_residues,
         complete=True,
         rails="single",
     ),

@@ -266,8 +266,8 @@ class AdaptiveMasks(UserModel):
 def exposure_kinds() -> dict[str, type[Exposure]]:
     """Kind of exposure by the setting that asks for it; the first that is given counts."""
     schemes = installed().schemes.values()
-    beside = {name: resolve_name(path) for names, path in schemes for name in names}
-    return {"span": Range, "cap": SharedLight} | beside
+    core: dict[str, type[Exposure]] = {"span": Range, "cap": SharedLight}
+    return core | {name: resolve_name(path) for names, path in schemes for name in names}
 
 
 def find_exposure(given: Any) -> Any:
