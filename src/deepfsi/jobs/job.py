@@ -337,7 +337,7 @@ class Job(UserModel):
         several = LIGHT_LAWS[self.optics.light].arms > 1 or not self.optics.one_detector
         if self.training.dictionary and (clicks or several):
             yield (
-                "masks of a dictionary are chosen for one detector that counts and one arm: leave "
+                "masks of a dictionary are chosen for one detector and one arm, which count: leave "
                 "`dictionary` out, or give such a camera"
             )
         if self.training.classifier != MLP:
