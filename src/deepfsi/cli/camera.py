@@ -1,7 +1,7 @@
 """Commands of a camera, of the patterns on its device, and of scenes to show to it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -18,9 +18,10 @@ from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets.catalog import list_datasets
 from deepfsi.datasets.display import write_display
 from deepfsi.datasets.load import load_dataset
-
-if TYPE_CHECKING:
-    from deepfsi.patterns.folder import Patterns
+from deepfsi.lab.calibration import SCAN_NAMES, calibrate, scan_rails, write_spots
+from deepfsi.lab.design_data import camera_of, data_of_file, design_rails
+from deepfsi.lab.registration import check_view, write_reference
+from deepfsi.patterns.folder import Patterns
 
 
 class DescribeCamera(Command):
@@ -42,8 +43,6 @@ class DescribeCamera(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The camera, or a file to describe one in."""
-        from deepfsi.lab.design_data import camera_of
-
         if self.template is not None:
             write_atomically(self.template, Camera.template().encode())
             return Outcome(
@@ -84,8 +83,6 @@ class CalibrateCamera(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """View of the camera, in its file."""
-        from deepfsi.lab.calibration import calibrate
-
         fields.Output((".json",)).check(self.out / "calibration.json", self.force)
         calibration, file, detectors = calibrate(self.folder, self.spots, self.out)
         if not terminal.as_json:
@@ -118,8 +115,6 @@ class CheckView(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Place of the scenes on the device."""
-        from deepfsi.lab.registration import check_view
-
         with terminal.progress("reference") as report:
             fit = check_view(self.folder, report)
         return Outcome(fit.as_dict(), fit.lines(), failed=not fit.fits)
@@ -179,11 +174,6 @@ class ExportPatterns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns that were written, on which device and for how long."""
-        from deepfsi.lab.calibration import SCAN_NAMES, scan_rails, write_spots
-        from deepfsi.lab.design_data import camera_of, design_rails
-        from deepfsi.lab.registration import write_reference
-        from deepfsi.patterns.folder import Patterns
-
         if str(self.file) in SCAN_NAMES:
             source = self.file
             rails = scan_rails(str(source), self.size or (32, 32), self.detectors or 1)
@@ -226,14 +216,12 @@ class CheckPatterns(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Patterns of the folder; each frame is as it was exported."""
-        from deepfsi.patterns.folder import Patterns
-
         with terminal.progress("frames") as report:
             patterns = Patterns.read(self.folder).check(report)
         return _patterns_in(self.folder, patterns)
 
 
-def _patterns_in(folder: Path, patterns: "Patterns") -> Outcome:
+def _patterns_in(folder: Path, patterns: Patterns) -> Outcome:
     return Outcome(
         {"patterns": str(folder), **patterns.as_dict()}, [*patterns.lines(), f"patterns: {folder}"]
     )
@@ -279,8 +267,6 @@ class DataExport(Command):
     def run(self, terminal: Terminal) -> Outcome:
         """Pictures that were written."""
         if self.name.endswith(".safetensors"):
-            from deepfsi.lab.design_data import data_of_file
-
             scenes = data_of_file(fields.check_design_file(Path(self.name)), self.size)
         else:
             scenes = load_dataset(self.name, size=self.size)

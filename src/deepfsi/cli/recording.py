@@ -3,7 +3,7 @@
 from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.models import Seconds, WholeNumber
@@ -13,12 +13,18 @@ from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal, option_name
-
-if TYPE_CHECKING:
-    from deepfsi.counting.acquisition import Acquisition
-    from deepfsi.datasets.display import Display
-    from deepfsi.lab.devices import Setup
-    from deepfsi.patterns.folder import Patterns
+from deepfsi.counting.acquisition import Acquisition
+from deepfsi.counting.events import read_events, write_ptu
+from deepfsi.counting.flux import name_inputs
+from deepfsi.counting.reader import summarise
+from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.datasets.display import Display
+from deepfsi.lab.design_data import camera_of, listed_scenes, shown_scenes
+from deepfsi.lab.devices import Setup, virtual_setup
+from deepfsi.lab.live import LiveRun, record_run
+from deepfsi.lab.results import LiveAnswers
+from deepfsi.lab.virtual_optics import record_scenes, virtual_camera
+from deepfsi.patterns.folder import Patterns
 
 
 class _Run(Command):
@@ -44,8 +50,6 @@ class _Run(Command):
 
     def of_virtual(self, camera: Camera, **changes: Any) -> dict[str, Any]:
         """Settings of an acquisition with the virtual camera, which needs light."""
-        from deepfsi.lab.virtual_optics import virtual_camera
-
         if camera.flux is None:
             raise InputError(
                 "a virtual camera needs its light: give `flux`, such as 1e6, or a camera"
@@ -68,11 +72,6 @@ class SimulateRun(_Run):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Run as it was recorded."""
-        from deepfsi.counting.acquisition import Acquisition
-        from deepfsi.lab.design_data import camera_of, shown_scenes
-        from deepfsi.lab.virtual_optics import record_scenes
-        from deepfsi.patterns.folder import Patterns
-
         patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
         gates = {} if self.virtual else {"gates": camera_of(self.patterns).clicks}
@@ -132,15 +131,13 @@ class _DeviceRun(_Run):
     def setup(
         self,
         projector: Any,
-        patterns: "Patterns",
-        images: "Display | None",
-        acquisition: "Acquisition",
+        patterns: Patterns,
+        images: Display | None,
+        acquisition: Acquisition,
         terminal: Terminal,
         decision_s: float | None = None,
-    ) -> "Setup[Any]":
+    ) -> Setup[Any]:
         """Devices of a run; to real ones someone shows the scenes, whose names are asked for."""
-        from deepfsi.lab.devices import Setup, virtual_setup
-
         if images is not None and projector is None:
             with terminal.progress("light of the scenes") as report:
                 return virtual_setup(patterns, images.x, acquisition, report, decision_s)
@@ -171,12 +168,6 @@ class RecordRun(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the run."""
-        from deepfsi.counting.acquisition import Acquisition
-        from deepfsi.counting.recording import CountSettings, Recording
-        from deepfsi.lab.design_data import camera_of, listed_scenes, shown_scenes
-        from deepfsi.lab.live import record_run
-        from deepfsi.patterns.folder import Patterns
-
         projector = self.open_projector("projector")
         patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
@@ -228,11 +219,6 @@ class RunLive(_DeviceRun):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the scenes, each said as it is decided."""
-        from deepfsi.lab.design_data import camera_of, shown_scenes
-        from deepfsi.lab.live import LiveRun
-        from deepfsi.lab.results import LiveAnswers
-        from deepfsi.patterns.folder import Patterns
-
         projector = self.open_projector("list projector")
         camera = camera_of(self.patterns, self.settings)
         exposure_s = camera.exposure
@@ -324,11 +310,6 @@ class ImportRecording(Command):
         if self.patterns is None:
             fields.Output((".ptu",)).check(self.out, self.force)
             return self._write_photons(self.out)
-        from deepfsi.counting.acquisition import Acquisition
-        from deepfsi.counting.flux import name_inputs
-        from deepfsi.counting.recording import Recording
-        from deepfsi.lab.design_data import camera_of, listed_scenes
-        from deepfsi.patterns.folder import Patterns
 
         fields.Output(new=True).check(self.out, self.force)
         if self.scenes is None:
@@ -360,9 +341,6 @@ class ImportRecording(Command):
 
     def _write_photons(self, out: Path) -> Outcome:
         """Write the photon file of time stamps, and say what it holds."""
-        from deepfsi.counting.events import read_events, write_ptu
-        from deepfsi.counting.reader import summarise
-
         if self.unit is None:
             raise InputError(f"{self.events} has time stamps: give their --unit, such as 1ps")
         times, numbers = read_events(self.events)

@@ -9,6 +9,12 @@ from deepfsi.base.tables import TABLE_ENDINGS, is_table
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal, option_name
+from deepfsi.counting.reader import summarise
+from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.counting.tables import TableSettings
+from deepfsi.lab.calibration import find_gains
+from deepfsi.lab.classify import classify_run, classify_table
+from deepfsi.lab.design_data import camera_of
 
 
 class InspectPhotons(Command):
@@ -23,8 +29,6 @@ class InspectPhotons(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Contents of the file."""
-        from deepfsi.counting.reader import summarise
-
         with terminal.progress("records") as report:
             contents = summarise(self.file, report)
         problems = "; ".join(contents.problems)
@@ -74,10 +78,6 @@ class CountRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Counts of the run."""
-        from deepfsi.counting.recording import CountSettings, Recording
-        from deepfsi.lab.calibration import find_gains
-        from deepfsi.lab.design_data import camera_of
-
         options = self.model_dump(exclude={"folder", "settings", "flat"}, exclude_unset=True)
         with terminal.progress("counting") as report:
             settings = CountSettings(
@@ -126,9 +126,6 @@ class ClassifyRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the exposures."""
-        from deepfsi.counting.tables import TableSettings
-        from deepfsi.lab.classify import classify_run, classify_table
-
         if self.counted.is_dir():
             of_tables = ("background", "settle_s", "repeats")
             for name in (*self.explicit(of_tables), *self.settings):

@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from importlib.resources import as_file, files
+from importlib.resources.abc import Traversable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -23,13 +24,12 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.jobs.job import find_table
 from deepfsi.jobs.mask_files import read_matrix
-
-if TYPE_CHECKING:
-    from importlib.resources.abc import Traversable
-
-    from deepfsi.sweeps.recipe import Recipe
-    from deepfsi.sweeps.records import Record
-    from deepfsi.sweeps.results import Results
+from deepfsi.sweeps.plan import check_settings, with_adaptive
+from deepfsi.sweeps.recipe import Recipe, only
+from deepfsi.sweeps.records import Record, write_table
+from deepfsi.sweeps.results import Results, write_results
+from deepfsi.sweeps.run import compare
+from deepfsi.sweeps.summary import check_target, needs_of, needs_table
 
 
 class _Study(Command):
@@ -42,14 +42,12 @@ class _Study(Command):
     def train(
         self,
         terminal: Terminal,
-        recipe: "Recipe",
+        recipe: Recipe,
         scenes: Dataset,
         matrix: np.ndarray | None = None,
         ray: str | None = None,
-    ) -> "tuple[Results, list[Record]]":
+    ) -> tuple[Results, list[Record]]:
         """Results and records of the trials."""
-        from deepfsi.sweeps.run import compare
-
         with terminal.progress("trials") as report:
             return compare(
                 recipe,
@@ -105,9 +103,6 @@ class CompareDesigns(_Study):
             options = {"epochs": "30", **options}
         chosen |= self.explicit(("ratios", "trials"))
         recipe, scenes = _checked(chosen | _recipe_settings(options), matrix)
-        from deepfsi.sweeps.plan import with_adaptive
-        from deepfsi.sweeps.summary import check_target
-
         if not (self.designs or self.matrix):
             recipe = with_adaptive(recipe, scenes)
         if self.target is not None:
@@ -144,9 +139,6 @@ class SweepRecipe(_Study):
         """Results and a page of them."""
         check_report()
         file = read_recipe(self.recipe)
-        from deepfsi.sweeps.recipe import only
-        from deepfsi.sweeps.records import write_table
-
         recipe, scenes = _checked(
             {**only(file, self.part_name, self.quick), **self.explicit(("camera", "folds"))}
         )
@@ -161,7 +153,7 @@ class SweepRecipe(_Study):
 # recipes
 
 
-def _shipped_recipes() -> "dict[str, Traversable]":
+def _shipped_recipes() -> dict[str, Traversable]:
     """Recipes that come with the package and with the paper's experiments, by name."""
     folders = [files("deepfsi") / "sweeps" / "recipes"]
     if find_spec("deepfsi_paper") is not None:
@@ -202,11 +194,10 @@ def _recipe_settings(options: Mapping[str, str]) -> dict[str, Any]:
 
 def _checked(
     settings: Mapping[str, Any], matrix: np.ndarray | None = None
-) -> "tuple[Recipe, Dataset]":
+) -> tuple[Recipe, Dataset]:
     """Recipe of settings and its data, or `InputError` that names every mistake."""
-    from deepfsi.sweeps.plan import check_settings
 
-    def load(recipe: "Recipe") -> Dataset:
+    def load(recipe: Recipe) -> Dataset:
         names = ("size", "split", "images")
         return load_dataset(recipe.data, **{name: getattr(recipe, name) for name in names})
 
@@ -216,7 +207,7 @@ def _checked(
 # results
 
 
-def _results_outcome(results: "Results", folder: Path, target: float | None = None) -> Outcome:
+def _results_outcome(results: Results, folder: Path, target: float | None = None) -> Outcome:
     """Write the results of trials and their page, and say them, with what a target needs."""
     from deepfsi.report.comparison_page import (
         comparison_lines,
@@ -225,8 +216,6 @@ def _results_outcome(results: "Results", folder: Path, target: float | None = No
         verdict_of,
         write_report,
     )
-    from deepfsi.sweeps.results import write_results
-    from deepfsi.sweeps.summary import needs_of, needs_table
 
     write_results(folder / "results.json", results)
     page = write_report(folder)
