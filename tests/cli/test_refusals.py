@@ -68,7 +68,7 @@ REFUSED = {
         0.5 --photons 1e3 | give two budgets of --photons or more
     """,
     "design --photons 1e4 --masks 3 --light free-dwell --rails single --detectors": """
-        9x9 | do not divide scenes of 8x8: give ROWSxCOLUMNS from 1x1 to 8x8
+        9x9 | do not divide scenes of 8x8: give ROWSxCOLUMNS up to 8x8
         four | give ROWSxCOLUMNS such as 2x2, a number of bands, or
         none.npy | none.npy
         bright.npy | the detector of each pixel as a whole number

@@ -59,20 +59,15 @@ def _divided(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
     """Detector of each pixel (N,) where each side is divided as evenly as it can be."""
     if name == "1x1":
         return np.zeros(math.prod(image_shape), dtype=np.int64)
-    numbers = name.lower().split("x")
-    whole = all(number.isdecimal() for number in numbers) and len(numbers) == len(image_shape)
-    if not whole or not all(
-        1 <= int(number) <= side for number, side in zip(numbers, image_shape, strict=True)
-    ):
+    numbers = [int(number) for number in name.split("x")]
+    if len(numbers) != len(image_shape) or (np.array(numbers) > image_shape).any():
         form = "ROWSxCOLUMNS" if len(image_shape) == 2 else "a number of bands"
-        shape = _text(image_shape)
         raise InputError(
-            f"detectors {name!r} do not divide scenes of {shape}: give {form} from "
-            f"{'x'.join('1' for _ in image_shape)} to {shape}, or a map of each pixel's "
-            "detector, a .npy file"
+            f"detectors {name!r} do not divide scenes of {_text(image_shape)}: give {form} up to "
+            f"{_text(image_shape)}, or a map of each pixel's detector, a .npy file"
         )
     labels: np.ndarray = np.zeros((), dtype=np.int64)
-    for number, side in zip(map(int, numbers), image_shape, strict=True):
+    for number, side in zip(numbers, image_shape, strict=True):
         labels = labels[..., None] * number + np.arange(side) * number // side
     return labels.ravel()
 
@@ -80,10 +75,10 @@ def _divided(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
 def _listed(labels: np.ndarray, image_shape: tuple[int, ...]) -> np.ndarray:
     """Detector of each pixel (N,), as it was given one by one."""
     pixels = math.prod(image_shape)
-    if labels.dtype.kind not in "iu" or labels.size != pixels:
+    if labels.size != pixels:
         raise InputError(
-            f"a map of detectors of shape {labels.shape} and type {labels.dtype} does not fit "
-            f"scenes of {_text(image_shape)}: give {pixels} whole numbers"
+            f"a map of {labels.size} detectors does not fit scenes of {_text(image_shape)}: give "
+            f"{pixels} whole numbers"
         )
     numbers = np.unique(labels)
     if not np.array_equal(numbers, np.arange(len(numbers))):
