@@ -217,12 +217,11 @@ class WritePage(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """The page, with its measured accuracy."""
-        from deepfsi.evaluation.page_data import check_playable, playable
+        from deepfsi.evaluation.page_data import playable
         from deepfsi.lab.design_data import data_of, open_design
         from deepfsi.report.demo import write_page
 
         design = open_design(self.file)
-        check_playable(design)
         scenes, notes = data_of(design, self.data, self.size)
         with terminal.progress("page") as report:
             payload = playable(design, scenes, seed=self.seed, report=report)

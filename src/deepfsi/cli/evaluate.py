@@ -56,22 +56,18 @@ class EvaluateDesign(Command):
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
         camera = camera_for(design, **self.settings)
         _check_sigma(self.settings, camera)
-        if self.ideal:
-            if not camera.noise_facts.exact:
-                steady = camera.noise_facts.steady
-                other = camera.noise_name if steady else "light that fluctuates"
-                raise InputError(
-                    f"the ideal observer is of photon noise, not {other}: leave --ideal out"
-                )
-            design.exposure.check("ideal observer")
+        if self.ideal and not camera.noise_facts.exact:
+            raise InputError(
+                "the ideal observer is of photon noise in steady light: leave --ideal out"
+            )
         scenes, notes = data_of(design, self.data, self.size, self.view)
         how: dict[str, Any] = {"draws": self.draws, "seed": self.seed}
-        with terminal.progress("evaluate") as report:
-            results = evaluate(design, scenes, self.photons, camera=camera, report=report, **how)
         bounds: list[Result] = []
         if self.ideal:
             with terminal.progress("ideal observer") as report:
                 bounds = ideal_observer(design, scenes, self.photons, report=report, **how)
+        with terminal.progress("evaluate") as report:
+            results = evaluate(design, scenes, self.photons, camera=camera, report=report, **how)
         return Outcome(
             {
                 "design": str(self.file),
