@@ -19,7 +19,9 @@ REAL = "camera live looks --scene few --exposure 10ms --projector vialux --count
 REFUSED = {
     "design": """
         --masks 3 | photons
-        --masks 3 --photons 0 | above 0, or LOW:HIGH
+        --masks 3 --photons 0 | photons = '0'
+        --masks 3 --photons 1e4:x | LOW:HIGH
+        --masks 3 --photons 1e4:1e3 | span = 0.1
         --masks 0 --photons 1e3 | masks = '0': give 1 or more
         --masks 2 --photons 1e3 --counts 1000 | 1000 counts are not fewer than 1000
         --masks 2 --photons 1e3 --design adaptive --clusters 400 | 400 clusters of each class are

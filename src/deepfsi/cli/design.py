@@ -99,18 +99,12 @@ class LearnDesign(Command):
 def _job_settings(options: Mapping[str, str]) -> dict[str, Any]:
     """Fields of the job of options; a range of budgets is LOW:HIGH."""
     settings: dict[str, Any] = dict(options)
-    if text := settings.get("photons"):
-        low, _, high = text.partition(":")
+    low, colon, high = options.get("photons", "").partition(":")
+    if colon:
         try:
-            ends = float(low), float(high or low)
-        except ValueError:
-            ends = 0.0, 0.0
-        if not 0 < ends[0] <= ends[1]:
-            raise InputError(
-                f"--photons {text!r} is not allowed: give a number above 0, or LOW:HIGH such as "
-                "1e3:1e6"
-            )
-        settings |= {"photons": ends[0], "span": ends[1] / ends[0]}
+            settings |= {"photons": low, "span": float(high) / float(low)}
+        except (ValueError, ZeroDivisionError):
+            raise InputError("--photons is a number, or LOW:HIGH such as 1e3:1e6") from None
     return sorted_settings(settings)
 
 
