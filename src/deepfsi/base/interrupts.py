@@ -4,8 +4,8 @@ The exit code is 130 after Ctrl-C and 143 after SIGTERM, as shells have them. Py
 into `KeyboardInterrupt`, which does harm where it comes at a bad moment: within the import of a
 compiled module (a fatal error of Python), in a worker process that just starts (a traceback), in a
 callback (ignored), or late (a long product of matrices). So it is raised only where no import runs,
-workers are started with it blocked, and a thread ends the process that is still there
-`GRACE_SECONDS` after. SIGTERM goes the same way: a worker whose parent ends while it starts prints
+workers are started with it blocked, and a thread ends the process that is still there after a
+second. SIGTERM goes the same way: a worker whose parent ends while it starts prints
 a traceback. Files are drafts until they are whole, and claims end with their process, so that
 ending at any moment leaves nothing half done.
 """
@@ -25,9 +25,6 @@ STOPPED_EXIT_CODE = 130
 
 STOP_SIGNALS = signal.SIGINT, signal.SIGTERM
 """What stops a command."""
-
-GRACE_SECONDS = 1.2
-"""Time from Ctrl-C until the process is ended."""
 
 _said = threading.Event()
 _came = signal.SIGINT
@@ -151,5 +148,5 @@ def _end_in_time(reading: int) -> None:
         pass
     _came = signal.Signals(number)
     ray = any(word.split("=")[0] == "--ray" for word in sys.argv)  # its cluster has to be told
-    time.sleep(20.0 if ray else GRACE_SECONDS)
+    time.sleep(20.0 if ray else 1.2)
     end_process()

@@ -27,21 +27,15 @@ UNNAMED_PLUGIN = "own"
 
 
 TORCH_MISSING = (
-    'torch is not installed, and learning, testing and classifying need it: pip install "deepfsi'
-    "[design]\"; a camera's computer needs none to show patterns and count"
+    "torch is not installed, and learning, testing and classifying need it: "
+    'pip install "deepfsi[design]"; a camera\'s computer needs none to show patterns and count'
 )
-"""Message where torch is missing."""
-
 REPORT_MISSING = (
-    'pages and figures need matplotlib and jinja2, which are not both installed: pip install "deepf'
-    'si[report]"'
+    "pages and figures need matplotlib and jinja2, which are not both installed: "
+    'pip install "deepfsi[report]"'
 )
-"""Message where what draws is missing."""
-
 _REPORT_PACKAGES = ("jinja2", "markupsafe", "matplotlib")
-
 _MISSING = {"torch": TORCH_MISSING, **dict.fromkeys(_REPORT_PACKAGES, REPORT_MISSING)}
-"""Messages by the package that is missing."""
 
 
 @contextlib.contextmanager

@@ -20,14 +20,11 @@ from deepfsi.base.errors import InputError, one_line
 from deepfsi.base.interrupts import STOPPED_EXIT_CODE, say_stopped
 from deepfsi.base.registry import installed, require_extras
 
-COMMANDS = Path(__file__).with_name("commands.toml")
-"""File of the commands of the core."""
-
 
 @functools.cache
 def _entries() -> dict[str, dict[str, Any]]:
     """Commands and groups by name, under headings; other packages come last."""
-    core = tomllib.loads(COMMANDS.read_text(encoding="utf-8"))
+    core = tomllib.loads(Path(__file__).with_name("commands.toml").read_text(encoding="utf-8"))
     return {**core, "Beside the core": installed().commands}
 
 

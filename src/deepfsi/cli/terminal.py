@@ -12,9 +12,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress, progress_bar
 from deepfsi.base.quantities import Table
 
-JSON_SCHEMA = 1
-"""Version of what every command prints with --json; raised where a field changes or goes."""
-
 
 @dataclass(frozen=True)
 class Outcome:
@@ -87,7 +84,7 @@ def option_name(setting: str) -> str:
 
 def print_json(schema: str, content: Mapping[str, Any]) -> None:
     """Print what a command found for scripts."""
-    first = {"schema": f"deepfsi.{schema}/{JSON_SCHEMA}"}
+    first = {"schema": f"deepfsi.{schema}/1"}  # raised where a field changes or goes
     text = json.dumps({**first, **content, **first}, ensure_ascii=False)
     # bytes of a path that are no UTF-8, which no reader of JSON takes
     text = re.sub("[\udc80-\udcff]", lambda byte: f"\\\\x{ord(byte[0]) - 0xDC00:02x}", text)
