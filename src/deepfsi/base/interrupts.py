@@ -5,9 +5,9 @@ into `KeyboardInterrupt`, which does harm where it comes at a bad moment: within
 compiled module (a fatal error of Python), in a worker process that just starts (a traceback), in a
 callback (ignored), or late (a long product of matrices). So it is raised only where no import runs,
 workers are started with it blocked, and a thread ends the process that is still there after a
-second. SIGTERM goes the same way: a worker whose parent ends while it starts prints
-a traceback. Files are drafts until they are whole, and claims end with their process, so that
-ending at any moment leaves nothing half done.
+second. SIGTERM goes the same way: a worker whose parent ends while it starts prints a traceback.
+Files are drafts until they are whole, and locks end with their process, so that a stop at any
+moment leaves nothing half done.
 """
 
 import contextlib
