@@ -48,11 +48,6 @@ class NumberTable:
     words: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
 
-def is_table(source: str | Path) -> bool:
-    """True if a path, or FILE:VARIABLE, ends like the name of a file that holds a table."""
-    return split_variable(str(source))[0].suffix.lower() in TABLE_ENDINGS
-
-
 def read_table(source: str | Path, words: Sequence[str] = ()) -> NumberTable:
     """Read a table."""
     import polars as pl

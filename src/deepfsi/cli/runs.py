@@ -5,7 +5,6 @@ from typing import Annotated, Any
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.models import Count, Seconds
-from deepfsi.base.tables import TABLE_ENDINGS, is_table
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal, option_name
@@ -137,11 +136,6 @@ class ClassifyRun(Command):
                 self.file, self.counted, photons=self.photons, force=self.force, trust=self.trust
             )
             return Outcome(answers.as_dict(), answers.lines())
-        if not is_table(self.counted):
-            raise InputError(
-                f"{self.counted} is nothing that was counted: give an acquisition folder, with "
-                f"photons.ptu in it, or a table ending in {', '.join(TABLE_ENDINGS)}"
-            )
         table = classify_table(
             self.file,
             self.counted,
