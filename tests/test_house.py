@@ -16,9 +16,9 @@ SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
     "adaptive": 1446,
-    "base": 1802,
-    "camera": 1228,
-    "cli": 2300,
+    "base": 1788,
+    "camera": 1223,
+    "cli": 2216,
     "counting": 4048,
     "datasets": 2166,
     "design": 1133,
@@ -26,11 +26,11 @@ LINES = {
     "evaluation": 1570,
     "exposure": 1092,
     "jobs": 1376,
-    "lab": 3928,
+    "lab": 3921,
     "patterns": 1362,
     "physics": 1856,
     "report": 1290,
-    "sweeps": 2244,
+    "sweeps": 2241,
     "training": 1569,
 }
 """Lines of each room, which may only fall: lower the number with them."""
