@@ -26,7 +26,7 @@ LINES = {
     "evaluation": 1570,
     "exposure": 1092,
     "jobs": 1376,
-    "lab": 3921,
+    "lab": 3791,
     "patterns": 1362,
     "physics": 1856,
     "report": 1290,

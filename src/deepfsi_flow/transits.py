@@ -44,27 +44,24 @@ class _Threshold:
     false_alarms: float  # expected ones in the record
 
 
-def false_alarms(level: int, background: float, window: float, duration: float) -> float:
+def false_alarms(
+    level: int | np.ndarray, background: float, window: float, duration: float
+) -> np.ndarray:
     """Expected number of windows that background alone fills to a level in a record."""
     from scipy.stats import poisson
 
     mean = background * window
     rises = background * duration * poisson.pmf(level - 1, mean)
-    return float(rises + poisson.sf(level - 1, mean))
+    return np.asarray(rises + poisson.sf(level - 1, mean))
 
 
 def find_threshold(background: float, window: float, duration: float, allowed: float) -> _Threshold:
     """Least level, above the mean, whose false alarms in a record are allowed."""
-    level = max(int(background * window) + 1, 2)  # below the mean rises are rare, too
-    while false_alarms(level, background, window, duration) > allowed:
-        level += max(1, int(math.sqrt(level) / 8))
-    while (
-        level > 2
-        and level > background * window + 1
-        and false_alarms(level - 1, background, window, duration) <= allowed
-    ):
-        level -= 1
-    return _Threshold(level, false_alarms(level, background, window, duration))
+    least = max(int(background * window) + 1, 2)  # below the mean rises are rare, too
+    levels = least + np.arange(100 + int(60 * math.sqrt(least)))  # none is left at the last
+    alarms = false_alarms(levels, background, window, duration)
+    first = int(np.argmax(alarms <= allowed))
+    return _Threshold(int(levels[first]), float(alarms[first]))
 
 
 def find_transits(times: np.ndarray, window: float, level: int) -> np.ndarray:

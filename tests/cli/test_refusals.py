@@ -144,7 +144,6 @@ REFUSED = {
         --scene nosuch | no picture at nosuch
         --scene few --virtual eye | unknown camera 'eye'
     """,
-    f"camera record clicks --scene few {FAST} --virtual gated.toml": "| leave gates out",
 }
 """Command line, what follows it, and what the refusal names."""
 
@@ -174,7 +173,6 @@ def folder(tmp_path_factory):
         "key": 'lihgt = "column"\n',
         "unit": 'exposure = "10 parsec"\n',
         "broken": "columns = 40\nrows = ",
-        "gated": "gates = 2\n",
         "split": 'data = "digits"\nsplit = "blocks"\n',
         "halves": 'data = "digits"\nsplit = "halves"\n',
         "capped": 'designs = "deepfsi"\nmasks = 3\nphotons = 1e3\n[exposure]\ncap = 2\n',

@@ -171,7 +171,6 @@ SIMULATED = {
     "two arms": ("arms", "--virtual ideal --flux 2e5 --exposure 5ms --dark 2e3"),
     "detectors": ("quad", "--virtual gains.toml --flux 6e5 --dead-time 1us"),
     "parts of an image": ("image", "--virtual halves.toml --flux 4e5 --input 2 --input 1"),
-    "clicks": ("click", "--flux 5e4"),
     "paralysable": ("single", "--virtual slow.toml --flux 6e5 --seed 4"),
     "view": ("single", "--virtual mirrored.toml --flux 4e5"),
     "ambient": ("single", "--virtual ambient.toml --flux 4e5 --settle 20us"),
@@ -192,7 +191,8 @@ def _made(command: str, design: str, words: str) -> dict[str, Any]:
     shown = ["--scene", INPUTS / "few", "--exposure", "10ms", *options, "-o", "run"]
     out = {"said": answer("camera", command, patterns_of(design), *shown)}
     if Path("run").exists():
-        out["files"] = files("run", "manifest.json")
+        out["settings"] = json.loads(Path("run", "acquisition.json").read_text())
+        out["files"] = files("run", "manifest.json", "acquisition.json", "counts.npz")
         if command != "live":
             out["counted"] = answer("camera", "count", "run")
     return out

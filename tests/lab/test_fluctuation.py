@@ -5,39 +5,21 @@ import pytest
 from virtual_samples import patterns, record, scenes
 
 from deepfsi.counting.recording import Recording
-from deepfsi.lab import virtual_detector as detector
 from deepfsi.lab.virtual_optics import VirtualCamera
 
 PICTURES = 20_000
 
 
-def light(relative: float, seconds: float = 0.0) -> np.ndarray:
-    rng = np.random.default_rng(1)
-    fluctuation = detector.LightLevels(relative, seconds, rng)
-    first = fluctuation.factors(np.arange(PICTURES // 2) * 1e-3)
-    last = fluctuation.factors(np.arange(PICTURES // 2, PICTURES) * 1e-3)
-    return np.concatenate([first, last])
-
-
 @pytest.mark.parametrize("relative", [0.02, 0.2])
-def test_law_factors_have_the_mean_1_and_the_deviation_that_is_asked_for(relative):
-    drawn = light(relative)
+def test_law_levels_have_the_mean_1_and_the_deviation_that_is_asked_for(relative):
+    camera = VirtualCamera(fluctuation=relative)
+    drawn = camera.fluctuate(np.ones((PICTURES, 1)), np.random.default_rng(1))[:, 0]
     assert (drawn > 0).all()
     assert abs(drawn.mean() - 1) <= 5 * relative / PICTURES**0.5
     # relative error of a variance: (kurtosis + 2) / n, and of this log-normal kurtosis < 16 f²
     error = relative**2 * np.sqrt((2 + 16 * relative**2) / PICTURES)
     assert abs(drawn.var() - relative**2) <= 5 * error
     assert abs(np.corrcoef(drawn[1:], drawn[:-1])[0, 1]) <= 5 / PICTURES**0.5
-
-
-def test_law_factors_are_correlated_over_their_time():
-    relative, seconds = 0.05, 5e-3
-    drawn = np.log(light(relative, seconds))
-    for lag in (1, 5):
-        found = np.corrcoef(drawn[lag:], drawn[:-lag])[0, 1]
-        # (1 + 2 Σ ρ²) as many pictures are worth one
-        error = np.sqrt(seconds / 1e-3 / PICTURES)
-        assert abs(found - np.exp(-lag * 1e-3 / seconds)) <= 5 * error
 
 
 def test_law_counts_of_a_file_have_the_excess_of_the_light(tmp_path):
@@ -65,7 +47,7 @@ def test_dark_counts_do_not_fluctuate():
     camera = VirtualCamera(fluctuation=0.5, dark=100.0)
     rng = np.random.default_rng(2)
     rates = np.full((50, 2), 100.0)
-    assert np.allclose(camera.fluctuate(rates, np.arange(50.0), camera.light(rng)), 100.0)
-    bright = camera.fluctuate(rates + 1000, np.arange(50.0), camera.light(rng))
+    assert np.allclose(camera.fluctuate(rates, rng), 100.0)
+    bright = camera.fluctuate(rates + 1000, rng)
     assert np.ptp(bright[:, 0]) > 100
     assert np.array_equal(bright[:, 0], bright[:, 1])  # one light for all detectors

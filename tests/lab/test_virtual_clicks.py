@@ -1,32 +1,54 @@
 """Clicks of recordings: by the closed form, and the same of a gated and of a free detector."""
 
 import numpy as np
+import ptufile
 import pytest
 from virtual_samples import SUMMED_REFLECTANCE, every_optics, expected, patterns, record, scenes
 
 from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import DeadTime
+from deepfsi.counting.events import PtuWriter
 from deepfsi.counting.recording import CountSettings, Recording
 from deepfsi.lab.calibration import find_gains
 from deepfsi.lab.registration import check_view
-from deepfsi.lab.virtual_optics import VirtualCamera
+from deepfsi.lab.virtual_optics import CAMERAS
 
 GATES = 4
 EXPOSURE = 4e-3
 FLUX = 1.5e4
 """Photons/s: about one in a gate."""
 
-LIGHT = {"flux": FLUX, "exposure_s": EXPOSURE}
+LIGHT = {"flux": FLUX, "exposure_s": EXPOSURE, "camera": CAMERAS["ideal"]}
+
+
+def gate(run, gates):
+    """Leave in a photon file the first photon of each gate, as a gated detector records."""
+    recording = Recording.read(run)
+    plan = recording.acquisition.gates(recording.manifest).with_clicks(recording.manifest, gates)
+    with ptufile.PtuFile(run / "photons.ptu") as file:
+        events = file.decode_records()
+    events = events[(events["channel"] >= 0) | (events["marker"] > 0)]
+    times, marked = events["time"].astype(np.int64), events["marker"] > 0
+    frame = np.cumsum(marked) - 1
+    place = frame % len(recording.manifest.frames)
+    since = times - times[marked][frame] - plan.settle_s * 1e12 + 0.5  # edges are whole ticks
+    number = np.floor(since * 1e-12 / plan.click_width_s[place]).astype(int)
+    open_ = (number >= 0) & (number < (plan.clicks * plan.click_exposures)[place]) & ~marked
+    gates_of = np.stack([frame, number, events["channel"]])[:, open_]
+    kept = marked.copy()
+    kept[np.flatnonzero(open_)[np.unique(gates_of, axis=1, return_index=True)[1]]] = True
+    with PtuWriter(run / "photons.ptu") as writer:
+        writer.write(times[kept], np.where(marked, -1, events["channel"])[kept])
 
 
 @every_optics
 def test_clicks_of_each_readout_are_binomial(tmp_path, light, rails):
     """Mean and variance of all exposures of two scenes, to five standard errors."""
     shown, x = patterns(tmp_path / "p", light, rails), scenes(2)
-    gated = record(tmp_path, x.repeat(150, axis=0), camera=VirtualCamera(gates=GATES), **LIGHT)
-    counts = Recording.read(gated).count(CountSettings(clicks=GATES))
+    run = record(tmp_path, x.repeat(150, axis=0), **LIGHT)
+    counts = Recording.read(run).count(CountSettings(clicks=GATES))
     assert counts.valid.all()
-    assert counts.gates == Recording.read(gated).read_counts().gates == GATES
+    assert counts.gates == Recording.read(run).read_counts().gates == GATES
     found = counts.signal().reshape(2, -1, *counts.counts.shape[2:])
     n, p = found.shape[1], -np.expm1(-expected(shown, x, FLUX * EXPOSURE) / GATES)
     assert (found[:, :, p[0] == 0] == 0).all()
@@ -42,15 +64,15 @@ def test_clicks_of_each_readout_are_binomial(tmp_path, light, rails):
 
 @every_optics
 def test_a_gated_and_a_free_detector_give_the_same_clicks(tmp_path, light, rails):
-    """Of one seed, photon by photon; a second count of gated photons changes nothing."""
+    """Photon by photon; a second count of gated photons changes nothing."""
     patterns(tmp_path / "p", light, rails)
-    settings = {"seed": 3, "repeats": 1, **LIGHT}
-    runs = [
-        record(tmp_path, scenes(20), name, camera=VirtualCamera(gates=gates), **settings)
-        for name, gates in (("gated", GATES), ("free", None))
-    ]
-    gated, free = (Recording.read(run).count(CountSettings(clicks=GATES)) for run in runs)
-    photons = Recording.read(runs[1]).count()
+    run = record(tmp_path, scenes(20), repeats=1, seed=3, **LIGHT)
+    free, photons = (
+        Recording.read(run).count(CountSettings(clicks=GATES)),
+        Recording.read(run).count(),
+    )
+    gate(run, GATES)
+    gated = Recording.read(run).count(CountSettings(clicks=GATES))
     assert np.array_equal(gated.counts, free.counts)
     assert gated.counts.max() == GATES
     assert photons.counts.max() > GATES
@@ -63,12 +85,11 @@ def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, 
     """Clicks where gates hold few photons, and the photons of a free detector where many."""
     patterns(tmp_path / "p")
     x = scenes(1).repeat(40, axis=0)
-    camera = VirtualCamera(gates=gates)
-    run = record(tmp_path, x, camera=camera, flux=flux, exposure_s=EXPOSURE, repeats=1)
-    counts, number = (
-        Recording.read(run).count(CountSettings(clicks=gates or GATES)),
-        80 * (gates or GATES),
-    )
+    run = record(tmp_path, x, repeats=1, **(LIGHT | {"flux": flux}))
+    if gates:
+        gate(run, gates)
+    counts = Recording.read(run).count(CountSettings(clicks=gates or GATES))
+    number = 80 * (gates or GATES)
     wanted = flux * float(x[0].sum()) / SUMMED_REFLECTANCE
     mean = wanted * 2e-3 / (gates or GATES)  # photons in a gate, about
     variance = mean if mean > 1 else np.expm1(mean)
@@ -79,14 +100,12 @@ def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, 
 
 def test_what_is_of_photons_refuses_clicks(tmp_path):
     patterns(tmp_path / "p")
-    gated = record(tmp_path, scenes(), camera=VirtualCamera(gates=GATES), **LIGHT, repeats=1)
+    run = record(tmp_path, scenes(), repeats=1, **LIGHT)
     dead = DeadTime(seconds=2e-8)
     with pytest.raises(InputError, match="dead time is of photon counts"):
-        Recording.read(gated).count(CountSettings(clicks=GATES, dead_time=dead))
-    with pytest.raises(InputError, match="first photons alone of 4 gates"):
-        Recording.read(gated).count(CountSettings(clicks=2))
-    assert not (gated / "counts.npz").exists()
-    Recording.read(gated).count(CountSettings(clicks=GATES))
+        Recording.read(run).count(CountSettings(clicks=GATES, dead_time=dead))
+    assert not (run / "counts.npz").exists()
+    Recording.read(run).count(CountSettings(clicks=GATES))
     for use in (check_view, find_gains):
         with pytest.raises(InputError, match="was counted in clicks, which are not in proportion"):
-            use(gated)
+            use(run)

@@ -5,7 +5,6 @@ import pytest
 
 from deepfsi.lab import virtual_detector as module
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Detector, Stream, divide
-from deepfsi.patterns.manifest import GatePlan
 
 TAU = 5e-8
 DEAD = round(TAU / DETECTOR_TICK_S)
@@ -17,11 +16,9 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def record(
-    detector: Detector, durations: np.ndarray, rates: np.ndarray, seed=0, shutter=None
-) -> np.ndarray:
+def record(detector: Detector, durations: np.ndarray, rates: np.ndarray) -> np.ndarray:
     """All events of a course of rates, sorted."""
-    stream, start, events = Stream(detector, rng(seed), shutter), 0, []
+    stream, start, events = Stream(detector, rng()), 0, []
     for pieces, flow in divide(durations, rates[:, None]):
         events.append(stream.events(start, pieces, flow[:, 0]))
         start += int(pieces.sum())
@@ -85,36 +82,3 @@ def test_dead_time_is_carried_from_chunk_to_chunk(monkeypatch, detector):
     expected = detector.registered(rate) * pieces * 4 * TAU
     assert np.diff(events).min() >= DEAD
     assert abs(len(events) - expected) <= 5 * np.sqrt(expected)
-
-
-# A gated detector
-
-GATES = GatePlan(
-    settle_s=1e-6,
-    length_s=np.array([8e-6]),
-    repeats=2,
-    clicks=4,
-    click_width_s=np.array([2e-6, 0.5e-6]),
-    click_exposures=np.array([2, 1]),
-)
-"""Four gates in each of two exposures of a frame, and in one of another."""
-
-
-def test_a_gated_detector_registers_the_first_arrival_of_each_gate_alone(monkeypatch):
-    """Whatever chunks they come in; gate by gate from the arrivals of a free one."""
-    monkeypatch.setattr(module, "EVENTS_AT_ONCE", 50)
-    lengths = np.tile(np.array([20e-6, 4e-6]), 100)
-    durations = np.rint(lengths / DETECTOR_TICK_S).astype(np.int64)
-    starts, rates = np.cumsum(durations) - durations, np.tile([4e5, 1e6], 100)
-    wanted, free = [], record(Detector(), durations, rates)
-    for place, start in enumerate(starts):
-        width, number = (
-            GATES.click_width_s[place % 2] / DETECTOR_TICK_S,
-            4 * GATES.click_exposures[place % 2],
-        )
-        for gate in range(number):
-            opens = start + 1e-6 / DETECTOR_TICK_S + gate * width
-            wanted += free[(free >= opens) & (free < opens + width)][:1].tolist()
-    assert 200 < len(wanted) < len(free) / 2
-    fired = record(Detector(gates=4), durations, rates, shutter=module.Shutter(starts, GATES))
-    assert fired.tolist() == wanted

@@ -48,21 +48,21 @@ class _Run(Command):
         "seed of the random numbers: the same one repeats the run exactly", 0
     )
 
-    def of_virtual(self, camera: Camera, **changes: Any) -> dict[str, Any]:
+    def of_virtual(self, camera: Camera) -> dict[str, Any]:
         """Settings of an acquisition with the virtual camera, which needs light."""
         if camera.flux is None:
             raise InputError(
                 "a virtual camera needs its light: give `flux`, such as 1e6, or a camera"
             )
         virtual = virtual_camera(self.virtual, self.patterns, self.settings)
-        shown = virtual.model_copy(update=changes).model_dump(mode="json")
+        shown = virtual.model_dump(mode="json")
         return {"flux": camera.flux, "seed": self.seed, "camera": shown}
 
 
 class SimulateRun(_Run):
     """`deepfsi camera simulate`.
 
-    Without options, the design's camera gives exposure, flux, dark counts, dead time and gates.
+    Without options, the design's camera gives exposure, flux, dark counts and dead time.
 
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
@@ -74,8 +74,7 @@ class SimulateRun(_Run):
         """Run as it was recorded."""
         patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
-        gates = {} if self.virtual else {"gates": camera_of(self.patterns).clicks}
-        virtual = self.of_virtual(camera, **gates)
+        virtual = self.of_virtual(camera)
         images, scenes = shown_scenes(self.scene, patterns)
         acquisition = Acquisition.plan(
             patterns.manifest,

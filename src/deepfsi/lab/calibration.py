@@ -113,8 +113,8 @@ def calibrate_run(shown: Display, run: Recording, counts: Counts) -> Calibration
     if BLACK in names:
         place = names.index(BLACK)
         exposures = counts.signal()[place][counts.valid[place]]
-        lit = expected_background(run.patterns, counts.exposure_s, dark=0.0, ambient=1.0)
-        ambient = max(0.0, float(exposures.sum() / len(exposures) / lit.sum()))
+        lit_s = float(run.patterns.rails.mean(axis=-1).sum()) * counts.exposure_s
+        ambient = max(0.0, float(exposures.sum() / len(exposures) / lit_s))
     scenes = dict(zip(shown.names, shown.x, strict=True))
     measured = dict(zip(names, reconstruct(run, counts), strict=True))
     spots = [name for name in names if name not in (WHITE, BLACK)]
@@ -360,28 +360,6 @@ def _corner_error(
         slopes *= spots.cells[::-1, None]
         worst = max(worst, float(np.trace(slopes @ spread @ slopes.T)))
     return float(np.sqrt(worst))
-
-
-def expected_background(
-    patterns: Patterns,
-    exposure_s: float,
-    dark: float | np.ndarray,
-    ambient: float | np.ndarray = 0.0,
-) -> np.ndarray:
-    """Expected counts of each readout, (rails, m), that do not come from the scene.
-
-    The dark rate counts during every gate; ambient light as far as the frame's mirrors are ON,
-    spread evenly over the cells.
-    """
-    manifest = patterns.manifest
-    dark, ambient = (np.broadcast_to(rate, manifest.rails) for rate in (dark, ambient))
-    opened = patterns.fractions.mean(axis=1)
-    lit = np.stack([opened, 1 - opened])
-    gates = manifest.shares * exposure_s
-    rail, mask, column, arm = manifest.read
-    out = np.zeros((manifest.rails, manifest.masks))
-    out[rail, mask] = gates[column] * (dark[rail] + ambient[rail] * lit[arm, column])
-    return out
 
 
 SCAN_NAMES = ("raster", "hadamard")

@@ -92,7 +92,7 @@ def classify_run(
         check_budget(photons)
     counts = recorded.read_counts()
     return _classify_counts(
-        _opened(design, recorded.patterns, trust),
+        open_design(Path(design), recorded.patterns, trust=trust, static=True),
         counts,
         recorded.acquisition.scenes,
         source=str(folder),
@@ -170,7 +170,7 @@ def classify_table(
     (5, 10000.0)
     """
     patterns = Patterns.read(design) if Path(design).is_dir() else None
-    made = _opened(design, patterns, trust)
+    made = open_design(Path(design), patterns, trust=trust, static=True)
     settings = (settings or TableSettings()).model_copy(update={"clicks": made.gates})
     if camera:
         dead_time = Camera.of_run(made.camera, **camera).counter_dead_time
@@ -192,16 +192,6 @@ def classify_table(
     )
 
 
-def _opened(design: str | os.PathLike[str], patterns: Patterns | None, trust: bool) -> "Design":
-    """Design of classes, of a file or as its patterns realise it."""
-    made = open_design(Path(design), patterns, trust=trust, static=True)
-    with require_extras():
-        from deepfsi.exposure.training_set import check_classes
-
-    check_classes(made.values, "a classified run")
-    return made
-
-
 def _classify_counts(
     design: "Design",
     counts: Counts,
@@ -216,14 +206,17 @@ def _classify_counts(
     `InputError` if none can be classified, or the counts do not look like the training's. Shapes: S
     scenes, R exposures of each.
     """
+    from deepfsi.exposure.training_set import check_classes
+
+    check_classes(design.values, "a classified run")
     if counts.gates != design.gates:
-        words = [
+        counted, wanted = (
             "photons" if gates is None else f"clicks of {gates} gates a frame"
             for gates in (counts.gates, design.gates)
-        ]
+        )
         raise InputError(
-            f"{source} was counted in {words[0]}, and this design reads {words[1]}: count "
-            "again with `deepfsi camera count`"
+            f"{source} was counted in {counted}, and this design reads {wanted}: count again with "
+            "`deepfsi camera count`"
         )
     if counts.gates is not None and photons is None:
         counts.check_budget(source)

@@ -17,7 +17,6 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.counting.acquisition import Acquisition
 from deepfsi.counting.events import PtuWriter
@@ -116,7 +115,6 @@ LATENCIES = {
     "load": 3.3e-3,  # of each pattern: known masks once, adaptive ones each before its look
     "display": 20e-3,  # until the display shows another scene, and it has settled
     "command": 1e-3,  # from a decision until the first frame of its list: USB, the device's start
-    "trigger": 0.0,  # from the start of a frame until its marker is recorded
     "block": 1e-3,  # the counter hands over its records in blocks, each so long after the last
     "transfer": 0.25e-3,  # from the end of a block until the computer has it
     "decision": 0.4e-3,  # from the counts until the next list is known, or the class
@@ -135,10 +133,6 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
         seed: int = 0,
         made: Callable[[int, np.ndarray], np.ndarray] | None = None,
     ) -> None:
-        if camera.gates:
-            raise InputError(
-                "virtual devices of a run have no gates: leave gates out of its camera"
-            )
         self.latencies = latencies
         # Time on the counter's clock before the first list, seconds
         self.now_s = 1e-3
@@ -177,7 +171,6 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
         self._hold(self._ticks(self.now_s))
         durations = np.rint(dwells_s / DETECTOR_TICK_S).astype(np.int64)
         marks = self.recorder.end + np.cumsum(durations) - durations
-        marks += self._ticks(self.latencies["trigger"])
         self.recorder.add(marks, -self.marker_bit)
         self.recorder.see(durations, self._rates[self._scene, frames])
         self._frame = int(frames[-1])

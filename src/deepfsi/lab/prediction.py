@@ -18,14 +18,14 @@ from deepfsi.camera.light import check_budget
 from deepfsi.designfile.provenance import Score, scene_hashes, was_trained_on
 from deepfsi.lab.classify import dim_scenes
 from deepfsi.lab.design_data import design_scenes
-from deepfsi.lab.results import Answer
+from deepfsi.lab.results import Classified
 
 if TYPE_CHECKING:  # it imports torch, which those who predict nothing do without
     from deepfsi.design.design import Design
 
 
 @dataclass(frozen=True, kw_only=True)
-class Predicted(Answer):
+class Predicted(Classified):
     """Class of a picture."""
 
     NAME_KEY = "picture"

@@ -96,7 +96,7 @@ def read_log(folder: Path) -> tuple[LoggedScene, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
+class Classified:
     """Class of a scene or a picture."""
 
     NAME_KEY = "scene"  # of JSON
@@ -116,7 +116,7 @@ class Answer:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClassifiedScene(Answer):
+class ClassifiedScene(Classified):
     """Class of a scene from its exposures."""
 
     probability: float | None = None
@@ -197,7 +197,7 @@ class ClassifiedRun:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveScene(Answer):
+class LiveScene(Classified):
     """Class of a scene of a live run, from its looks."""
 
     probability: float | None

@@ -10,22 +10,15 @@ SPAD: no avalanche while it is quenched). At a steady arrival rate n they regist
 
 A registered count may have an afterpulse, an exponential delay after its dead time. Afterpulses
 blind nothing and have no afterpulses.
-
-A *gated* detector only registers the first arrival in each gate: r arrivals that are expected in G
-equal gates give Binomial(G, 1 - exp(-r / G)) clicks.
 """
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from deepfsi.base.models import StrictModel
 from deepfsi.camera.dead_time import DeadTime
-from deepfsi.patterns.manifest import GatePlan
 
 DETECTOR_TICK_S = 1e-12
 """Unit of event times, seconds."""
@@ -49,17 +42,6 @@ class Detector(StrictModel):
     # Mean delay of an afterpulse after the end of the dead time, seconds
     afterpulse_s: float = Field(1e-7, gt=0, le=1e-3)
     jitter_s: float = Field(0.0, ge=0, le=1e-6)  # Standard deviation of a time stamp, seconds
-    # Of an exposure of a frame, in each of which it fires at most once; None if it is always open
-    gates: int | None = Field(None, ge=1, le=10**6)
-
-    @model_validator(mode="after")
-    def _blind_until_a_gate_ends(self) -> Self:
-        if self.gates and (self.dead_time_s or self.afterpulse_probability or self.jitter_s):
-            raise ValueError(
-                "a gated detector is blind until its gate ends, and has no dead time, afterpulses "
-                "or jitter here: leave them or gates out"
-            )
-        return self
 
     @property
     def dead_time(self) -> DeadTime:
@@ -85,66 +67,12 @@ def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarra
         yield pieces[first:last], rates[source[first:last]]
 
 
-class LightLevels:
-    """Light that fluctuates from picture to picture, as factors of its mean.
-
-    Factors are log-normal with the mean 1. With a correlation time τ their logarithms are an
-    Ornstein-Uhlenbeck process: correlated by exp(-t / τ) over a time t.
-    """
-
-    def __init__(self, relative: float, seconds: float, rng: np.random.Generator) -> None:
-        self._sigma = math.sqrt(math.log1p(relative**2))
-        self._seconds = seconds
-        self._rng = rng
-        self._last: tuple[float, float] | None = None  # time and value of the last picture
-
-    def factors(self, starts_s: np.ndarray) -> np.ndarray:
-        """Light of pictures that start at these times, which follow all before, over its mean."""
-        normal = self._rng.standard_normal(len(starts_s))
-        if self._seconds:
-            for k, start in enumerate(starts_s.tolist()):
-                if self._last is not None:
-                    kept = math.exp(-max(start - self._last[0], 0.0) / self._seconds)
-                    normal[k] = kept * self._last[1] + math.sqrt(1 - kept**2) * normal[k]
-                self._last = start, float(normal[k])
-        return np.asarray(np.exp(self._sigma * normal - self._sigma**2 / 2))
-
-
-@dataclass
-class Shutter:
-    """Gates of one detector in the frames of a recording; times are ticks."""
-
-    starts: np.ndarray  # (n,): Of all frames, rising
-    gates: GatePlan  # of a pass of F frames, which n is a multiple of
-    _fired: int = field(default=-1, init=False)  # the last gate in which it did
-
-    def first(self, times: np.ndarray) -> np.ndarray:
-        """First arrival of each gate, of later arrivals (a,) than before."""
-        gates = self.gates
-        frames = len(self.gates.click_width_s)
-        frame = np.searchsorted(self.starts, times, side="right") - 1
-        since = times - self.starts[frame] - self.gates.settle_s / DETECTOR_TICK_S
-        # Edges of gates are whole ticks, to which they are rounded
-        width = gates.click_width_s[frame % frames] / DETECTOR_TICK_S
-        gate = np.floor((since + 0.5) / width).astype(np.int64)
-        most = gates.clicks * gates.click_exposures
-        inside = (frame >= 0) & (gate >= 0) & (gate < most[frame % frames])
-        times = times[inside]
-        which = (frame * most.max() + gate)[inside]
-        fires = np.diff(which, prepend=self._fired) > 0
-        self._fired = int(which[-1]) if len(which) else self._fired
-        return times[fires]
-
-
 class Stream:
     """Events of one detector, chunk after chunk."""
 
-    def __init__(
-        self, detector: Detector, rng: np.random.Generator, shutter: Shutter | None = None
-    ) -> None:
+    def __init__(self, detector: Detector, rng: np.random.Generator) -> None:
         self.detector = detector
         self.rng = rng
-        self._shutter = shutter
         self._dead = round(detector.dead_time_s / DETECTOR_TICK_S)
         self._last = -self._dead - 1
 
@@ -169,8 +97,6 @@ class Stream:
         return times
 
     def _register(self, times: np.ndarray) -> np.ndarray:
-        if self._shutter is not None:
-            return self._shutter.first(times)
         if self._dead == 0 or not len(times):
             return times
         if self.detector.paralysable:

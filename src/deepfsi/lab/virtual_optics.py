@@ -35,14 +35,12 @@ from deepfsi.lab.design_data import camera_of
 from deepfsi.lab.virtual_detector import (
     DETECTOR_TICK_S,
     Detector,
-    LightLevels,
-    Shutter,
     Stream,
     divide,
 )
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.frames import unpack
-from deepfsi.patterns.manifest import GatePlan, Manifest
+from deepfsi.patterns.manifest import Manifest
 
 Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 """Row of a homography."""
@@ -68,8 +66,6 @@ class VirtualCamera(Detector):
     ambient: float = Field(0.0, ge=0, le=1e12)
     # Relative standard deviation of the light from picture to picture
     fluctuation: float = Field(0.0, ge=0, le=10)
-    # Time over which the light keeps its level, seconds; 0 if each picture has a level of its own
-    fluctuation_s: float = Field(0.0, ge=0, le=1e6)
     # Efficiency of each detector, of those that see mirrors ON first, over `efficiency`
     gains: tuple[Annotated[float, Field(gt=0, le=1)], ...] | None = None
     # True of a device that turns mirrors ON where the files have a 0
@@ -120,19 +116,14 @@ class VirtualCamera(Detector):
             fluctuation=camera.fluctuation,
         )
 
-    def fluctuate(
-        self, rates: np.ndarray, starts_s: np.ndarray, light: LightLevels | None
-    ) -> np.ndarray:
-        """Arrivals/s (p, inputs) of pictures that start at these times, dark counts as they are."""
-        if light is None:
-            return rates
-        return np.asarray((rates - self.dark) * light.factors(starts_s)[:, None] + self.dark)
-
-    def light(self, rng: np.random.Generator) -> LightLevels | None:
-        """Light that fluctuates; None if it is steady, so that nothing is drawn for it."""
+    def fluctuate(self, rates: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Arrivals/s (p, inputs) of pictures with a level each; dark counts are steady."""
         if not self.fluctuation:
-            return None
-        return LightLevels(self.fluctuation, self.fluctuation_s, rng)
+            return rates
+        # Log-normal, with the mean 1
+        sigma = math.sqrt(math.log1p(self.fluctuation**2))
+        levels = np.exp(sigma * rng.standard_normal((len(rates), 1)) - sigma**2 / 2)
+        return np.asarray((rates - self.dark) * levels + self.dark)
 
 
 CAMERAS = {
@@ -348,7 +339,7 @@ def record_scenes(
     Raises
     ------
     InputError
-        If the scenes or the camera do not fit, or there is no room for the file.
+        If the scenes or the camera do not fit, or the file cannot be written.
     """
     camera = VirtualCamera.model_validate(acquisition.camera)
     manifest = patterns.manifest
@@ -356,9 +347,6 @@ def record_scenes(
     with new_folder(out) as draft:
         acquisition = Recording.prepare(draft, patterns, acquisition).acquisition
         flow = arrival_rates(patterns, scenes, camera, flux, report=report.between(0, 0.5))
-        gates = None
-        if camera.gates:
-            gates = acquisition.gates(manifest).with_clicks(manifest, camera.gates)
         write_photons(
             draft / "photons.ptu",
             manifest,
@@ -367,7 +355,6 @@ def record_scenes(
             rng=np.random.default_rng(acquisition.seed or 0),
             inputs=acquisition.inputs,
             report=report.between(0.5, 1),
-            gates=gates,
         )
     return acquisition
 
@@ -385,20 +372,16 @@ class EventRecorder:
     """Events of a camera's detectors, written in order of time."""
 
     def __init__(
-        self,
-        camera: VirtualCamera,
-        rng: np.random.Generator,
-        inputs: Sequence[int],
-        shutters: Sequence[Shutter | None] | None = None,
+        self, camera: VirtualCamera, rng: np.random.Generator, inputs: Sequence[int]
     ) -> None:
         self.inputs = inputs  # of the file, one for each detector
         self.writer: PtuWriter | None = None
         self.end = 0  # ticks up to which the detectors' light is known
         self._camera = camera
-        self._streams = [Stream(camera, rng, each) for each in shutters or [None] * len(inputs)]
-        self._light = camera.light(rng)
-        self._times = np.zeros(0, np.int64)
-        self._codes = np.zeros(0, np.int64)
+        self._streams = [Stream(camera, rng) for _ in inputs]
+        self._rng = rng
+        self._times = [np.zeros(0, np.int64)]
+        self._codes = [np.zeros(0, np.int64)]
 
     @property
     def reach(self) -> int:
@@ -407,30 +390,30 @@ class EventRecorder:
 
     def add(self, times: np.ndarray, code: int) -> None:
         """Take in events with one code: a photon's input, or a marker's bits, negative."""
-        self._times = np.append(self._times, np.maximum(times, 0))
-        self._codes = np.append(self._codes, np.full(len(times), code))
+        self._times.append(np.maximum(times, 0))
+        self._codes.append(np.full(len(times), code))
 
     def see(self, durations: np.ndarray, rates: np.ndarray, report: Progress = SILENT) -> None:
         """Draw and write the events of pictures that last ticks (p,), at rates (p, inputs)."""
-        ends = self.end + np.cumsum(durations)
-        flow = self._camera.fluctuate(rates, (ends - durations) * DETECTOR_TICK_S, self._light)
-        for pieces, steady in divide(durations, flow):
+        last = self.end + int(durations.sum())
+        for pieces, steady in divide(durations, self._camera.fluctuate(rates, self._rng)):
             for input_, stream, rate in zip(self.inputs, self._streams, steady.T, strict=True):
                 self.add(stream.events(self.end, pieces, rate), input_)
             self.end += int(pieces.sum())
             self.write(self.end - self.reach)
-            report(self.end / int(ends[-1]))
+            report(self.end / last)
 
     def write(self, end: int) -> None:
         """Write the events before a tick; none that is drawn later may lie before it."""
-        order = np.argsort(self._times, kind="stable")
-        times = self._times[order]
-        codes = self._codes[order]
+        times = np.concatenate(self._times)
+        order = np.argsort(times, kind="stable")
+        times = times[order]
+        codes = np.concatenate(self._codes)[order]
         ready = int(np.searchsorted(times, end))
         if self.writer is not None and ready:
             self.writer.write(times[:ready], codes[:ready])
-        self._times = times[ready:]
-        self._codes = codes[ready:]
+        self._times = [times[ready:]]
+        self._codes = [codes[ready:]]
 
 
 def write_photons(
@@ -441,17 +424,14 @@ def write_photons(
     rng: np.random.Generator,
     inputs: Sequence[int] | None = None,
     report: Progress = SILENT,
-    gates: GatePlan | None = None,
 ) -> None:
-    """Write the photons and markers of a pass for each scene."""
-    # rates (S, F, inputs); gates: of a detector that is gated
+    """Write the photons and markers of a pass for each scene, at rates (S, F, inputs)."""
     wired = range(rates.shape[2]) if inputs is None else inputs
     check_file_inputs(wired)
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
     durations = np.tile(picture * round(1e-6 / DETECTOR_TICK_S), len(rates))
     marks = np.cumsum(durations) - durations
-    shutters = [Shutter(marks, gates) for _ in wired] if gates else None
-    recorder = EventRecorder(camera, rng, wired, shutters)
+    recorder = EventRecorder(camera, rng, wired)
     recorder.add(marks, -FRAME_MARKER)
     with PtuWriter(path, tick_s=DETECTOR_TICK_S) as recorder.writer:
         recorder.see(durations, rates.reshape(len(durations), -1), report)

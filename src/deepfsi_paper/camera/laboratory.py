@@ -25,7 +25,7 @@ from deepfsi.counting.acquisition import Calibration
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
-from deepfsi.lab.calibration import expected_background, fit_calibration, scan_rails, spot_scenes
+from deepfsi.lab.calibration import fit_calibration, scan_rails, spot_scenes
 from deepfsi.lab.design_data import view_dataset
 from deepfsi.lab.virtual_optics import (
     CAMERAS,
@@ -239,7 +239,7 @@ def classify(
     counts = draw_counts(arrivals, manifest, gates, camera, rng)
     window = manifest.picture_s[:2] - gates.settle_s
     on, off = (draw(camera, arrivals[:, :2, 0], window, rng) / window).mean(axis=0)
-    signal = counts - expected_background(mounted.patterns, exposure_s, off)
+    signal = counts - off * manifest.lengths_by_readout(manifest.shares * exposure_s)
     chances = mounted.design.classify(mounted.design.readouts(signal), (on - off) * exposure_s)
     return chances.argmax(axis=-1)
 
