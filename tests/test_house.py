@@ -20,7 +20,7 @@ LINES = {
     "camera": 1223,
     "cli": 2216,
     "counting": 4048,
-    "datasets": 2166,
+    "datasets": 2217,
     "design": 1133,
     "designfile": 1376,
     "evaluation": 1570,
