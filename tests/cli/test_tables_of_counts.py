@@ -93,3 +93,15 @@ def test_the_lines_for_matlab_read_classes(done, lab, classify, values, tmp_path
     assert all(scene[field] is not None for scene in scenes for field in fields)
     usual = json.loads(done(*classify(values), "--json"))["scenes"]
     assert [scene["class"] for scene in scenes] == [scene["class"] for scene in usual]
+
+
+def test_read_noise_is_told_to_the_test_of_consistency(refuse, done, classify, values):
+    """The same volts: sound with the noise that they have, and unlike the training without."""
+    noise, gain = 150.0, 2e4
+    volts = (values + noise * np.random.default_rng(3).standard_normal(values.shape)) / gain
+    words = classify(volts, "--gain", gain)
+    said = json.loads(done(*words, "--read-noise", noise, "--json"))
+    assert said["consistency"]["whole"] > said["consistency"]["false_alarms"]
+    assert "do not look like" in refuse(*words, "--read-noise", 0)
+    bare = json.loads(done(*words, "--read-noise", 0, "--force", "--json"))
+    assert [s["guesses"] for s in bare["scenes"]] == [s["guesses"] for s in said["scenes"]]

@@ -100,6 +100,30 @@ def test_names_and_values_that_do_not_fit_are_one_line(counted):
         refuse(manifest, said, NumberTable(*table))
 
 
+def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
+    """Mean and variance of what `--gain` and `--read-noise` say, in gates of other lengths."""
+    manifest, draws, gain, noise = exported(tmp_path / "p").manifest, 4000, 2.5e4, 30.0
+    rates = arrival_rates(Patterns.read(tmp_path / "p"), SCENES[:1], VirtualCamera(dark=1e7), 1e8)[
+        0, :, 0
+    ]
+    rng = np.random.default_rng(6)
+    photons = rng.poisson(rates * manifest.picture_s, (draws, len(rates)))
+    values = (photons + noise * rng.standard_normal(photons.shape)) / gain
+    settings = TableSettings(gain=gain, read_noise=noise)
+    counts, _ = count_table(NumberTable(values), manifest, settings)
+    assert counts.faults == ()
+    found, variance = counts.arrivals[:, 0, 0], counts.variance[:, 0, 0]
+    wanted = rates[manifest.shown] * counts.lengths_s[0]
+    error = np.sqrt(variance.mean(axis=0) / draws)
+    assert (abs(found.mean(axis=0) - wanted) < 5 * error).all()
+    assert found.var(axis=0) == pytest.approx(variance.mean(axis=0), rel=5 * np.sqrt(2 / draws))
+    ends_s = 2 * manifest.picture_s[0] * draws
+    error = np.sqrt((rates[0] + rates[1] + 2 * noise**2 / manifest.picture_s[0]) / ends_s)
+    assert counts.flux[0] == pytest.approx(rates[0] - rates[1], abs=5 * error)
+    assert counts.dark_rate.mean() == pytest.approx(rates[1], abs=5 * error)
+    assert (counts.excess[:, 0, 0] > 0.5 * noise**2).any()
+
+
 # Clicks
 
 

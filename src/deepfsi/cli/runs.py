@@ -118,6 +118,12 @@ class ClassifyRun(Command):
         "table: time after each marker without counting; default: 0", alias="settle"
     )
     repeats: Count = fields.option("table: number of consecutive exposures of each scene", 1)
+    gain: float | None = fields.option(
+        "table of an analogue detector: counts that one unit stands for"
+    )
+    read_noise: float | None = fields.option(
+        "table of an analogue detector: read noise of a value, counts rms"
+    )
     trust: fields.Trust = False
     force: bool = fields.option(
         "classify even if the counts do not look like those of the training", False
@@ -125,8 +131,8 @@ class ClassifyRun(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         """Classes of the exposures."""
+        of_tables = ("background", "settle_s", "repeats", "gain", "read_noise")
         if self.counted.is_dir():
-            of_tables = ("background", "settle_s", "repeats")
             for name in (*self.explicit(of_tables), *self.settings):
                 option = option_name(name.removesuffix("_s"))
                 raise InputError(
@@ -139,7 +145,7 @@ class ClassifyRun(Command):
         table = classify_table(
             self.file,
             self.counted,
-            TableSettings(**self.explicit(("photons", "background", "settle_s", "repeats"))),
+            TableSettings(**self.explicit(("photons", *of_tables))),
             camera=self.settings,
             force=self.force,
             trust=self.trust,

@@ -20,7 +20,7 @@ from deepfsi.base.quantities import time_text
 from deepfsi.base.tables import NumberTable
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.counting.acquisition import MOST_READOUTS, Scene
-from deepfsi.counting.checks import check_light
+from deepfsi.counting.checks import Fault, check_light
 from deepfsi.counting.counts import (
     ALL_OFF,
     ALL_ON,
@@ -50,8 +50,15 @@ class TableSettings(UserModel):
     repeats: Count = (
         1  # exposures of each scene, one after another, where the table names no scenes
     )
-    dead_time: DeadTime = NO_DEAD_TIME  # to be corrected for
+    gain: Positive | None = None  # counts for one unit of the table, of an analogue detector
+    read_noise: Amount | None = None  # of each value of an analogue detector, counts rms
+    dead_time: DeadTime = NO_DEAD_TIME  # of a photon counter, to be corrected for
     clicks: int | None = None  # gates of a frame, of tables of clicks: values from 0 to this
+
+    @property
+    def analogue(self) -> bool:
+        """True for values that are no photon counts."""
+        return self.gain is not None or self.read_noise is not None
 
 
 def column_names(manifest: Manifest) -> list[str]:
@@ -74,10 +81,17 @@ def count_table(
     table: NumberTable, manifest: Manifest, settings: TableSettings, name: str = "the table"
 ) -> tuple[Counts, tuple[Scene, ...]]:
     """Counts of the exposures in a table, and their scenes."""
+    dead_time = bool(settings.dead_time.seconds)
+    if settings.analogue and dead_time:
+        raise InputError(
+            "an analogue detector counts no photons: leave `dead_time` out, or `gain` and "
+            "`read_noise`"
+        )
     if settings.clicks is not None:
         of_photons = {
             "`background`": settings.background is not None,
-            "`dead_time`": bool(settings.dead_time.seconds),
+            "`dead_time`": dead_time,
+            "`gain` or `read_noise`": settings.analogue,
         }
         check_clicks(settings.clicks, of_photons)
     exposures = _Exposures.read(table, manifest, settings, name)
@@ -172,6 +186,9 @@ class _Exposures:
         settings = self.settings
         if settings.clicks is not None:
             return Estimate(values, values * (1 - values / settings.clicks))
+        if settings.analogue:
+            counts = values * (settings.gain or 1.0)
+            return Estimate(counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2)
         rates = values / self.seconds[:, None]
         corrections = Corrections.of(settings.dead_time, self.manifest)
         corrections.check(rates, self.manifest.frames, range(self.manifest.inputs), self.name)
@@ -240,10 +257,10 @@ def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings,
     if read[:, 2:-2].size > MOST_READOUTS:
         raise InputError(f"{name} holds more than {MOST_READOUTS} values: split it")
     wrong = read[(read < 0) | (read % 1 != 0)]
-    if wrong.size:
+    if wrong.size and not settings.analogue:
         raise InputError(
             f"{name} holds {wrong[0]:g}, which is no count of photons: give whole numbers, 0 or "
-            "more; divide volts by those of one photon, and round"
+            "more, or `gain` and `read_noise` of an analogue detector"
         )
     most = settings.clicks
     if most is not None and (read > most).any():
@@ -288,14 +305,22 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
         photons[:, ends].sum(axis=1) / spent[:, ends].sum(axis=1, keepdims=True)
         for ends in (ALL_ON, ALL_OFF)
     )
-    arrivals = Arrivals(manifest.frames, photons=photons, variance=variance, seconds=spent)
-    light = check_light(arrivals, manifest, range(manifest.inputs), scenes=np.arange(scenes))
+    faults: tuple[Fault, ...] = ()
+    if settings.analogue:  # means over the table: the light's checks are of photons
+        measured = off.copy()
+        measured[:, arm.stop :] = on[:, arm.stop :]  # the second arm is dark when all are ON
+        measured[:] = measured.mean(axis=0)
+        flux = np.full(scenes, (on - off)[:, arm].sum(axis=1).mean())
+    else:
+        arrivals = Arrivals(manifest.frames, photons=photons, variance=variance, seconds=spent)
+        light = check_light(arrivals, manifest, range(manifest.inputs), scenes=np.arange(scenes))
+        measured, flux, faults = light.dark_rate, light.flux, light.faults
     if stated is None:
-        dark = light.dark_rate
+        dark = measured
     return RunLight(
         on_rate=on[:, arm].sum(axis=1),
         off_rate=off[:, arm].sum(axis=1),
-        flux=light.flux + (light.dark_rate - dark)[:, arm].sum(axis=1),
+        flux=flux + (measured - dark)[:, arm].sum(axis=1),
         dark_rate=manifest.by_rail(dark),
-        faults=light.faults,
+        faults=faults,
     )
