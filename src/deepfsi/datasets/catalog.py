@@ -238,13 +238,10 @@ def grey_pictures(
     return out
 
 
-class _CifarJpeg(_NamedDataset):
+class _CifarJpeg(_Cifar10):
     """CIFAR-10 decoded from a copy in JPEG, which says so in its name."""
 
     ZIP = "cifar10-jpeg.zip"
-    options = ("size", "images")
-    shape = (32, 32)
-    bilinear = True
 
     def find(self) -> Path | None:
         """First folder that has the copy, or the zip file of such a folder."""
@@ -263,7 +260,10 @@ class _CifarJpeg(_NamedDataset):
             )
         with TemporaryDirectory() as unpacked:
             if copy.is_file():
-                zipfile.ZipFile(copy).extractall(unpacked)
+                try:
+                    zipfile.ZipFile(copy).extractall(unpacked)
+                except Exception as error:  # zipfile raises almost anything on a damaged file
+                    raise InputError(f"cannot unpack {copy} ({error}): replace it") from None
                 copy = Path(unpacked)
             return load_pictures(copy, options, "JPEG-decoded CIFAR-10", bilinear=True)
 
