@@ -66,7 +66,7 @@ def processes(
                     running.add(pool.submit(_run, work, task))
             if not running:
                 return
-            done, running = wait(running, return_when=FIRST_COMPLETED)
+            done, running = wait(running, 1.0, FIRST_COMPLETED)  # Windows hears Ctrl-C between
             yield from [future.result() for future in done if not future.exception()]
             for future in done:
                 future.result()
