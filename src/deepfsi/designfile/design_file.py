@@ -177,7 +177,7 @@ STATISTICS = ("mean", "std", "shares")
 
 MASKS_ARE_MADE = (
     "makes its masks while the camera looks, and this takes masks that are known before: `deepfsi "
-    "evaluate`, `show`, `page`, `dmd export` and `camera live` take it"
+    "evaluate`, `page`, `dmd export` and `camera live` take it"
 )
 """Why a design of adaptive masks is refused."""
 
