@@ -194,8 +194,7 @@ NoiseSeed = Annotated[WholeNumber, Field(description="seed of the noise")]
 Matrix = Annotated[
     str | None,
     Field(
-        description="your own masks: .npy or .mat (FILE.mat:VARIABLE) of shape (m, N) or "
-        "(m, H, W), a folder of images, or a TIFF of m pages"
+        description="your own masks: .npy or .mat (FILE.mat:VARIABLE) of shape (m, N) or (m, H, W)"
     ),
 ]
 

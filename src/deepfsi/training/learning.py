@@ -107,9 +107,9 @@ def learn(
     report : Progress, optional
         Receives the progress. Default: a bar if a terminal is attached.
     checkpoint : path, optional
-        File for the state of the training, written every two minutes and at Ctrl-C, removed at the
-        end. A training that finds it there resumes, to the same bits. Give your own parts by import
-        path then; your modules must keep their state in parameters and buffers.
+        File for the state of the training, written every two minutes, removed at the end. A
+        training that finds it there resumes, to the same bits. Give your own parts by import path
+        then; your modules must keep their state in parameters and buffers.
     callback : callable, optional
         Called with an `Epoch` after each epoch: loss, learning rate, and loss and accuracy of the
         scenes that ``data.hold_out()`` holds out. The training ends if it returns true, and does
