@@ -213,7 +213,7 @@ class DictionaryPosterior(AdaptivePosterior):
         self._chosen: tuple[Tensor | None, list[int]] = (None, [])
 
     def next_masks(self, share: float, generator: torch.Generator) -> Tensor:
-        """Masks (b, N) to be shown next; nothing is drawn."""
+        """The next masks (b, N); nothing is drawn."""
         indices = self.choose()
         [first, *others] = indices or [0]
         masks = self.dictionary.masks[indices if others else slice(first, first + len(indices))]

@@ -296,7 +296,7 @@ class LookOptics:
 
     @property
     def dark_sum(self) -> float:
-        """Dark counts of all readouts together, in a whole exposure."""
+        """Sum of the dark counts over all readouts of an exposure."""
         return float(torch.as_tensor(self.dark).sum())
 
     def areas(self, masks: Tensor) -> Tensor:
@@ -369,7 +369,7 @@ class AdaptivePosterior:
         return some
 
     def next_masks(self, share: float, generator: torch.Generator) -> Tensor:
-        """Masks (b, N) of 0 and 1 to be shown next, for a share of the exposure."""
+        """The next masks (b, N) of 0 and 1, for a share of the exposure."""
         masks = self.candidates()
         places, drawn = draw_places(self.weights, generator, 128)
         mean, parts = self.prior.light(self.optics.readouts(masks))  # (b, P, Q), (b, P, Q, d)

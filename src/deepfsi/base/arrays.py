@@ -147,7 +147,7 @@ def _check_mat(content: bytes) -> None:
 
 
 def _check_parts(variable: bytes, order: str) -> None:
-    """Raise `ValueError` for a part of a variable of an unknown type."""
+    """Raise `ValueError` where a variable has parts of an unknown type."""
     start = 0
     while start + 8 <= len(variable):
         kind, length = struct.unpack_from(f"{order}II", variable, start)

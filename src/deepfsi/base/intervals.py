@@ -121,7 +121,7 @@ def seeds_error(terms: np.ndarray, off: float = 1.0) -> float:
 
 
 def wilson(accuracy: float, images: int) -> tuple[float, float]:
-    """95 % interval of a mean over images, each of which counts as one trial."""
+    """95 % interval of a mean over images; each image counts as one trial."""
     # in closed form: scipy's binomtest, which gives it too, tests a hypothesis first
     return _wilson(round(accuracy * images) / images, images)
 
@@ -212,7 +212,7 @@ def signed_text(value: float, digits: int = 3) -> str:
 
 
 def mean_of_trials(values: Sequence[float]) -> Difference:
-    """Mean of one value for each trial, with its error over trials, if there are several."""
+    """Mean of a value that each trial has, with its error over trials, if there are several."""
     from scipy import stats
 
     mean = float(np.mean(values))

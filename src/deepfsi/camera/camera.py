@@ -156,7 +156,7 @@ class Camera(UserModel):
     >>> camera = deepfsi.Camera(device="dlp7000", exposure="10ms", flux=1e6, dark=200)
     >>> camera.budget, camera.dark_counts
     (10000.0, 2.0)
-    >>> round(camera.shortest_share, 6)  # pictures of 44 µs, of which 32 are counted
+    >>> round(camera.shortest_share, 6)  # pictures of 44 µs are counted for 32
     0.0032
     """
 
@@ -293,7 +293,7 @@ class Camera(UserModel):
         source : str, path, mapping or Camera, optional
             One of `PRESETS`, a file ending in ``.toml``, fields, or a camera. Default: `dmd`.
         settings
-            Fields of the camera that override those of the source.
+            Fields of the camera that override the source's.
 
         Raises
         ------
@@ -326,7 +326,7 @@ class Camera(UserModel):
     ) -> "Camera":
         """Camera of a run of a design: what one device cannot show is shown with less light.
 
-        A `camera` replaces the source; other parameters as of `load`.
+        A `camera` replaces the source; `load` has the other parameters.
         """
         known = cls.load(source if camera is None else camera)
         if "device" in settings and not LIGHT_LAWS[known.light].one_device:

@@ -11,7 +11,7 @@ gates come N = m n/r arrivals, of variance
 
     N (1 + y)   non-paralysable        N exp(y) (1 - 2 y exp(-y)) / (1 - y)²   paralysable
 
-for all gates of the frame together; of one gate among several it is at most that.
+for all gates of the frame together; a single gate among several has at most this.
 """
 
 from dataclasses import dataclass

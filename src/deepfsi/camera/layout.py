@@ -100,7 +100,7 @@ class DmdGrid:
 
     @property
     def lattice_shape(self) -> tuple[int, int]:
-        """Rows and columns of the square lattice on which the centres of all mirrors lie.
+        """Rows and columns of the square lattice that holds the mirrors' centres.
 
         On a diamond lattice every second of its places has a mirror; they are half a diagonal
         apart.
@@ -132,7 +132,7 @@ class DmdGrid:
 def find_grid(
     device: Device, image_shape: tuple[int, ...], layout: DmdLayout = USUAL_LAYOUT
 ) -> DmdGrid:
-    """Grid of a mask's cells; a mask of one axis (a spectrum) lies across the device."""
+    """Grid of a mask's cells; a spectrum's mask lies across the device."""
     # Cells are square unless the layout stretches them, or the mask has one axis: a spectrum's are
     # as tall as the region
     if len(image_shape) not in (1, 2) or min(image_shape) < 1:

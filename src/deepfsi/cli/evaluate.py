@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class EvaluateDesign(Command):
     """`deepfsi evaluate`.
 
-    The test scenes are those of the data that it was trained on, and the camera is the design's,
+    The test scenes are the test part of the training's data, and the camera is the design's,
     unless given.
 
     Example: deepfsi evaluate digits.safetensors --photons 1e2,1e3,1e4

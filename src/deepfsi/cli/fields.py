@@ -131,7 +131,7 @@ def split_commas(text: Any) -> Any:
 
 
 def height_width(text: Any) -> Any:
-    """Height and width of HEIGHTxWIDTH, or of one number for both."""
+    """Height and width, from HEIGHTxWIDTH or from a number for both."""
     if not isinstance(text, str):
         return text
     sides = text.lower().split("x")

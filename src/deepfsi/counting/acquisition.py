@@ -195,7 +195,7 @@ HomographyRow = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
 class Calibration(StrictModel):
-    """View of one display through one camera, and the counts that come from neither.
+    """View of a display through a camera, and the counts that come from neither.
 
     It stands beside the recordings made with it, as `calibration.json`. Places on the display and
     on the device are (across, down) in a *unit square* each: the displayed image, and the area of

@@ -265,7 +265,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Ambient:
-    """Light of one exposure that does not come from the scene."""
+    """Light of an exposure that does not come from the scene."""
 
     counts: np.ndarray  # (rails, m[, D]): Counts of each readout beyond its dark counts
     variance: np.ndarray  # (rails, m[, D]): Of these as they were measured

@@ -80,7 +80,7 @@ class Arrivals:
 
 @dataclass(frozen=True)
 class LightCurve:
-    """Light over time, of an arm's detectors together or of one of them."""
+    """Light over time, of an arm's detectors together or of a single detector."""
 
     photons: np.ndarray  # (P, F)
     seconds: np.ndarray  # (P, F)
@@ -189,7 +189,7 @@ def change_chance(
 ) -> np.ndarray:
     """Chance that one of two windows holds more photons by as much as it does.
 
-    `ratio` is allowed either way, and the chance is twice that of the less likely side.
+    `ratio` is allowed either way, and the chance is twice the less likely side's.
     """
     more = excess_chance(photons, seconds, others, others_s, ratio=ratio)
     less = excess_chance(others, others_s, photons, seconds, ratio=ratio)
@@ -198,7 +198,7 @@ def change_chance(
 
 @dataclass(frozen=True)
 class _PassRates:
-    """Rates of passes; those of several sum."""
+    """Rates of passes; several sum."""
 
     counts: np.ndarray  # (P,): photons, less the background where it is known
     variances: np.ndarray  # (P,): of the counts

@@ -230,7 +230,7 @@ def _integer(
     path: str | os.PathLike[str],
     default: int | None = None,
 ) -> int:
-    """Integer of a tag, or the default where there is none."""
+    """Integer of a tag, or the default."""
     value = numbers.get(name, default)
     if not isinstance(value, int):
         raise InputError(f"{path} is damaged: its tag {name!r} is not an integer")

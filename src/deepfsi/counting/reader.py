@@ -342,7 +342,7 @@ def count_windows(
 
 
 class WindowCounter:
-    """Counts photons in windows, each of which is told before it begins."""
+    """Counts photons in windows; each is told before it begins."""
 
     def __init__(self, source: PhotonSource, inputs: Sequence[int]) -> None:
         _check_inputs(source, inputs)
@@ -356,7 +356,7 @@ class WindowCounter:
         self._reached = -1  # no photon of parts to come is earlier
 
     def expect(self, starts: np.ndarray, stops: np.ndarray) -> None:
-        """Count further windows, whose shapes are those of `count_windows`."""
+        """Count further windows; shapes as in `count_windows`."""
         if not len(starts):
             return
         edges = np.stack([starts, stops], axis=1).astype(np.int64).ravel()

@@ -86,7 +86,7 @@ class Recording:
         acquisition: Acquisition,
         photons: Path | None = None,
     ) -> Self:
-        """Make the folder of a recording, with a copy of its photon file or to be recorded into."""
+        """Make the folder of a recording, with a copy of its photon file if it has one."""
         source = patterns.folder
         assert source is not None
         names = ["manifest.json", "mirrors.npy"]

@@ -42,7 +42,7 @@ class Windows:
 
     @classmethod
     def of_gates(cls, manifest: Manifest, gates: GatePlan, starts: "FrameStarts") -> Self:
-        """Gates of the frames of a manifest, as they were found, and what gates leave of them."""
+        """Found gates of a manifest's frames, and what each gate leaves of its frame."""
         dark = np.flatnonzero([frame.role == "off" for frame in manifest.frames])
         count = np.ones(len(manifest.frames), np.int64)
         count[manifest.shown] += gates.repeats

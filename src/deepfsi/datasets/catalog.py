@@ -172,7 +172,7 @@ class IdxImages(_NamedDataset):
         )
 
     def frame(self, x: Reflectance) -> Reflectance:
-        """Pictures of 28x28 padded to 32x32, others as they are."""
+        """Pictures of 28x28 padded to 32x32; others stay."""
         return np.pad(x, self.FRAME) if x.shape[1:] == (28, 28) else x
 
 
@@ -244,7 +244,7 @@ class _CifarJpeg(_Cifar10):
     ZIP = "cifar10-jpeg.zip"
 
     def find(self) -> Path | None:
-        """First folder that has the copy, or the zip file of such a folder."""
+        """First folder that has the copy, or its zip file."""
         copies = [
             folder / name for folder in _data_folders(self.folder) for name in (self.name, self.ZIP)
         ]

@@ -190,7 +190,7 @@ class Dataset:
         )
 
     def folds(self, count: int, seed: int = 0) -> list["Dataset"]:
-        """Divide the scenes anew: each is a test scene of one of the data sets.
+        """Divide the scenes anew: each is a test scene once.
 
         Parameters
         ----------

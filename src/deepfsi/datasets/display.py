@@ -59,7 +59,7 @@ def read_display(
     Parameters
     ----------
     path : path
-        Pictures of one size and one depth; colours are turned to grey.
+        Pictures of equal size and depth; colours are turned to grey.
     white : float, optional
         Value that is reflectance 1, of more than 8 bits; measured as for `load_dataset` unless
         given.

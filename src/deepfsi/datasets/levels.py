@@ -59,7 +59,7 @@ class ValueRange(NamedTuple):
 
 
 def measure_levels(parts: Mapping[str, AnyArray], white: float | None = None) -> ValueRange:
-    """Range of the values of scenes of one type, and their white."""
+    """Range of the scenes' values, and their white."""
     families = {_family_of(part.dtype, what) for what, part in parts.items()}
     if len(families) > 1:
         types = " and ".join(f"{what} {part.dtype}" for what, part in parts.items())

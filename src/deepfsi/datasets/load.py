@@ -19,7 +19,7 @@ from deepfsi.datasets.spectra import CUBE_ENDINGS, read_cube
 
 
 class _FileKind(NamedTuple):
-    """Files of one kind that hold a data set."""
+    """A kind of files that hold a data set."""
 
     what: str
     endings: tuple[str, ...]  # of their names, in small letters; "/" of a folder
@@ -73,7 +73,7 @@ def load_dataset(
         - a name that `list_datasets` gives; their module, `deepfsi.datasets.catalog`, says what
           each is and where its files are found. ``./mnist`` is a folder of that name;
         - a folder with a sub-folder of images for each class, or with such folders within its own
-          ``train/`` and ``test/``. Images of one depth; colours turn grey;
+          ``train/`` and ``test/``. Images of equal depth; colours turn grey;
         - a ``.csv`` file with the file name and the label of an image in each line, whose names
           begin in the folder of its own name beside it, ``pets/`` of ``pets.csv``, or in its own.
           Numbers in place of the label are values where a line has several, or where any has a
@@ -84,7 +84,7 @@ def load_dataset(
           a tuple of these arrays, as in `from_arrays`. A `y` of floats is of values, whose names a
           file may hold as `values`.
     size : int or (int, int), optional
-        Side or (H, W) in pixels to which images are brought: those of a folder by
+        Side or (H, W) in pixels to which images are brought: a folder's by
         averaging over areas, CIFAR-10's bilinearly. Needed where they differ in size.
     seed : int
         Draws the test part where the source has none, the order of the training scenes and the

@@ -238,7 +238,7 @@ class _Unreadable(InputError):
 def decode_pictures(
     pictures: list[Picture], shape: PictureSize | None, bilinear: bool = False
 ) -> tuple[npt.NDArray[Any], Tally]:
-    """Grey images (n, H, W), all of one shape, and a tally of what they were."""
+    """Grey images (n, H, W) of equal shape, and a tally of what they were."""
     from PIL import Image
 
     tally = Tally()

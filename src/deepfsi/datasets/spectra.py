@@ -1,7 +1,7 @@
 """Spectra as scenes: hyperspectral images and their label maps, from files to data sets.
 
 Each labelled pixel is one scene whose "pixels" are its N bands, so that a mask weighs wavelengths.
-Neighbouring pixels of one field resemble each other. A random split therefore tests on pixels whose
+Neighbouring pixels of a field resemble each other. A random split therefore tests on pixels whose
 neighbours were trained on, and flatters; a split in blocks keeps the two parts apart.
 
 Files are ``.mat`` or ``.npy``, of a cube and of its label map beside it.

@@ -167,7 +167,7 @@ class Design:
     def scanner(
         self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
-        """Optical front end with your noise. Parameters as for `Scanner.from_rails`."""
+        """Optical front end with your noise; `Scanner.from_rails` has the parameters."""
         return self.mask_exposure.scanner(noise, sigma, dark)
 
     @library_defaults()
@@ -197,7 +197,7 @@ class Design:
 
     @library_defaults(grad=False)
     def expose(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
-        """Counts (..., [P,] [2,] m [, D]) of one simulated exposure of each scene, for `classify`.
+        """Counts (..., [P,] [2,] m [, D]) of a simulated exposure of each scene, for `classify`.
 
         Raises `InputError` for adaptive masks, which `deepfsi.predict` and `looks_at` expose.
 
@@ -208,7 +208,7 @@ class Design:
         photons : float
             Budget Φ.
         seed : int
-            Seed of the noise, which is that of the design's camera.
+            Seed of the noise of the design's camera.
         """
         exposure = self.mask_exposure
         scenes, lead = self._scenes(x)
@@ -260,7 +260,7 @@ class Design:
 
     @library_defaults(grad=False)
     def classify(self, counts: Any, photons: Any) -> np.ndarray:
-        """Class probabilities (..., C) of one or many exposures.
+        """Class probabilities (..., C) of exposures.
 
         Parameters
         ----------
@@ -281,7 +281,7 @@ class Design:
 
     @library_defaults(grad=False)
     def estimate(self, counts: Any, photons: Any) -> np.ndarray:
-        """Values (..., q) of one or many exposures, in the units of the training data.
+        """Values (..., q) of exposures, in the units of the training data.
 
         Parameters and errors as for `classify`; a design that answers classes is refused, too.
         """
@@ -308,7 +308,7 @@ class Design:
     def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> ConsistencyResult:
         """Test whether the counts of exposures, each of another scene, look like the training's.
 
-        Sum exposures of one scene first: their counts, photons and background. Raises `InputError`
+        Sum exposures of a scene first: their counts, photons and background. Raises `InputError`
         if the design has no `distribution`, as it had less than 100 training scenes or 50 of a
         class.
 

@@ -104,7 +104,7 @@ def _as_array(tensor: Tensor) -> np.ndarray:
 
 
 def fields_of(file: DesignFile) -> dict[str, Any]:
-    """Fields of `Design` of a file, or `InputError` as for `Design.load`."""
+    """Fields of `Design` of a file; `InputError` for what `Design.load` refuses."""
     header = file.header
     if isinstance(header, AdaptiveHeader):
         kind = training_of(header.settings.price is not None).kind
@@ -162,7 +162,7 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
 
 
 def _tensors(file: DesignFile, owner: str) -> dict[str, Tensor]:
-    """Tensors of a part of the design, such as its `classifier`, by their names there."""
+    """Tensors of the design's parts, such as its `classifier`, by their names there."""
     return {name: torch.from_numpy(array) for name, array in file.arrays_of(owner).items()}
 
 

@@ -139,7 +139,7 @@ def find_network(name: str) -> Any:
 
 
 class Replicas(nn.Module):
-    """Networks of one shape that learn side by side, each from its own features."""
+    """Networks of equal shape that learn side by side, each from its own features."""
 
     def __init__(
         self, networks: Sequence[nn.Module], stacked: bool, dtype: torch.dtype = torch.float32

@@ -227,7 +227,7 @@ class DesignFile:
         return save(whole, metadata={"deepfsi": text})
 
     def arrays_of(self, owner: str) -> dict[str, np.ndarray]:
-        """Arrays of a part of the design, such as its `classifier`, by their names there."""
+        """Arrays of the design's parts, such as its `classifier`, by their names there."""
         start = f"{owner}."
         every = self.arrays.items()
         return {name.removeprefix(start): array for name, array in every if name.startswith(start)}

@@ -12,7 +12,7 @@ Scenes whose patterns do not differ by more than photon noise, where those of tw
 would, are *alike*: then they count as one.
 
 Where the light fluctuates from frame to frame its noise stands beside that of the photons, in the
-metric and in the simulated counts; the metric takes readouts of one frame for independent.
+metric and in the simulated counts; the metric takes a frame's readouts for independent.
 """
 
 from collections.abc import Iterator
@@ -56,7 +56,7 @@ class ConsistencyResult:
 
     @property
     def refused(self) -> bool:
-        """Whether the p-value of all together is below `REFUSED`."""
+        """Whether the joint p-value is below `REFUSED`."""
         return self.whole < REFUSED
 
     @property

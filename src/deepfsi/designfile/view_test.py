@@ -4,7 +4,7 @@ A picture that is mirrored, blurred, shifted or mixed with stray light cannot be
 scene by one exposure. Over a run it can: the counts behind all masks are then far likelier for the
 scenes of the training *seen so* than for those scenes as they are.
 
-Scenes of a class are taken to be normal about the class's mean scene, with one covariance for all
+The test takes scenes of a class for normal about their mean scene, with one covariance for all
 classes (`SceneModel`); their counts behind any masks, with photon noise, are then normal, too. The
 evidence for a fault of the view is the ratio of the likelihoods of all counts with and without it,
 where the share of each class in the run is learned, scene after scene, from the counts themselves.
@@ -202,7 +202,7 @@ class SceneModel:
 
 @dataclass(frozen=True)
 class SceneReadouts:
-    """Counts of one scene, readout by readout."""
+    """Counts of a scene, readout by readout."""
 
     masks: np.ndarray  # (k, N), counts that each pixel of reflectance 1 gives to each readout
     counts: np.ndarray  # (k,), photons, less what is no scene's

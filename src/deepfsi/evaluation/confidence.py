@@ -56,7 +56,7 @@ class CalibrationScenes:
 
     @property
     def labels(self) -> np.ndarray:
-        """Class (E,) of each exposure; those of a scene follow one another."""
+        """Class (E,) of each exposure; a scene's exposures follow one another."""
         return np.concatenate([part.labels.repeat(self.draws) for part in self.parts])
 
     def logits(self, photons: float, seed: int, places: Sequence[int]) -> np.ndarray:

@@ -104,7 +104,7 @@ class _AnswerTest:
 
 @dataclass(frozen=True)
 class Result(_AnswerTest):
-    """Accuracy and counts of one design at one budget.
+    """Accuracy and counts of a design at a budget.
 
     Attributes
     ----------

@@ -212,7 +212,7 @@ class MaskExposure(ExposureKind):
 
     @property
     def counts_shape(self) -> tuple[int, ...]:
-        """Shape ([2,] m [, D]) of the counts of one exposure."""
+        """Shape ([2,] m [, D]) of an exposure's counts."""
         several = (self.detection.count,) if self.detection.count > 1 else ()
         return ((2,) if self.rails.count == 2 else ()) + (self.count, *several)
 

@@ -57,7 +57,7 @@ class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol)
 
 
 class PassProjector(AbstractContextManager["PassProjector"], Protocol):
-    """Micromirror device that shows passes of all frames, each with a marker at its start.
+    """Micromirror device that shows passes; each frame begins with a marker.
 
     Entering takes hold of the device; leaving stops it and lets go of it. Frames are held for the
     picture times of the manifest.

@@ -68,7 +68,7 @@ class LiveRun:
         Patterns of a folder, with their design.
     scenes : tuple of Scene
     exposure_s : float
-        Seconds of all looks at a scene together.
+        Seconds that the looks at a scene take together.
     shortest_s : float, optional
         Shortest time for which a frame is counted, seconds. Default: the device's.
     photons : float, optional

@@ -59,7 +59,7 @@ class Predictions:
         return vars(self) | {"score": self.score.as_dict(), "pictures": pictures}
 
     def lines(self, design: str) -> Iterator[str | Table]:
-        """Say the class of each picture by a design, of which a text is given."""
+        """Lines on the class of each picture, after a text on the design."""
         yield f"pictures: {self.preprocessing}."
         yield Table(
             f"{design}, {budget_text(self.photons)} photons, {self.noise} noise",

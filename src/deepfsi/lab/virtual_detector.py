@@ -45,7 +45,7 @@ class Detector(StrictModel):
 
     @property
     def dead_time(self) -> DeadTime:
-        """Dead time of the detector, also one that is too long to be corrected."""
+        """Dead time of the detector, also one too long for a correction."""
         return DeadTime.model_construct(seconds=self.dead_time_s, paralysable=self.paralysable)
 
     def registered(self, rate: np.ndarray) -> np.ndarray:
@@ -68,7 +68,7 @@ def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarra
 
 
 class Stream:
-    """Events of one detector, chunk after chunk."""
+    """Events of a detector, chunk after chunk."""
 
     def __init__(self, detector: Detector, rng: np.random.Generator) -> None:
         self.detector = detector

@@ -2,7 +2,7 @@
 
 manifest.json        device and frames (`Manifest`)
 mirrors.npy          mirrors ON in each cell of each mask's frame
-design.safetensors   the design, where there is one
+design.safetensors   the design, if any
 frames.npy, …        frames of all masks and sentinels, in the format of the export (`frames`)
 patterns.csv         the frames in the order in which they are shown, for those who load them
 settings.txt         of a DLPC900 and one-bit bitmaps: the same as pattern settings of TI's program
@@ -222,7 +222,7 @@ class Patterns:
         return cls(manifest, on, Path(folder))
 
     def frames(self) -> Iterator[np.ndarray]:
-        """Packed frames as they are shown, uint8 (rows, bytes of a row) each.
+        """Packed frames, uint8 (rows, bytes of a row) each.
 
         Raises
         ------

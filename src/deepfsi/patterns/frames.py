@@ -179,7 +179,7 @@ class _OneFile:
 
 @dataclass(frozen=True)
 class _Pictures:
-    """A picture of one bit a pixel for each frame."""
+    """A picture for each frame, with a bit a pixel."""
 
     ending: Literal["png", "bmp"]
 

@@ -205,17 +205,17 @@ class Manifest(StrictModel):
 
     @cached_property
     def picture_s(self) -> np.ndarray:
-        """Picture times of all frames in seconds, shape (F,)."""
+        """Picture times of the frames in seconds, shape (F,)."""
         return np.array([frame.picture_us for frame in self.frames]) * 1e-6
 
     @cached_property
     def starts_s(self) -> np.ndarray:
-        """Start of each frame after that of its pass, seconds, shape (F,)."""
+        """Start of each frame in its pass, seconds, shape (F,)."""
         return np.concatenate([[0.0], np.cumsum(self.picture_s)[:-1]])
 
     @property
     def pass_s(self) -> float:
-        """Duration of one pass over all frames, seconds."""
+        """Duration of a pass over the frames, seconds."""
         return float(self.picture_s.sum())
 
     @property

@@ -175,7 +175,7 @@ class Detection:
         return self._mask_by_mask(counts)
 
     def totals(self, counts: Tensor) -> Tensor:
-        """Counts (..., k) of all rails behind each feature, from (..., 2 or 1, m · D)."""
+        """Counts (..., k) of the rails behind each feature, from (..., 2 or 1, m · D)."""
         return counts.sum(dim=-2) if self.readout == "difference" else self.features(counts)
 
     def _mask_by_mask(self, rails: Tensor) -> Tensor:

@@ -116,7 +116,7 @@ class Scanner(nn.Module):
         return self._drawn(rates, self.masks(), generator)
 
     def dark_counts(self, rails: int) -> Tensor:
-        """Expected dark counts (rails, m · D) of one exposure; a dark rail is not read out."""
+        """Expected dark counts (rails, m · D) of an exposure; a dark rail is not read out."""
         read = self._readouts(rails, self.masks())
         return torch.where(read.active, self.noise.dark_counts(read.time), 0.0)
 

@@ -205,7 +205,7 @@ def _best_table(results: Results, noise: str) -> PagePart:
 
 
 def _errors_table(results: Results, best: Iterable[Point]) -> Table:
-    """Errors of each value, beside those of the best linear estimator."""
+    """Errors of each value, beside the best linear estimator's."""
     series = Series.of(results, best)
     return Table(
         "root mean squared error (best linear estimator)",
@@ -250,7 +250,7 @@ def _learned_masks(results: Results, designs: Path, figures: Figures) -> Iterato
 
 
 def _mask_panel(point: Point, file: Path, number: str, figures: Figures) -> PagePart:
-    """Masks of one design at one budget."""
+    """Masks of a design at a budget."""
     design = DesignFile.read(file, ("rails",))
     rails = design.rails
     lit = lit_masks(rails)

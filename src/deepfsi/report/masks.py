@@ -66,7 +66,7 @@ def masks_figure(
     dwells: np.ndarray | None = None,
     parts: np.ndarray | None = None,
 ) -> Figure:
-    """Masks of one design, those that count most photons first: images, or curves for spectra.
+    """Masks of a design, first those that count most photons: images, or curves for spectra.
 
     Of rails (2 or 1, m, N) or a matrix (m, N), with dwells (m,). Above each mask stands its number,
     from 1 in the order in which masks are shown. The scale ends at the peak, the largest |M_ij|; it

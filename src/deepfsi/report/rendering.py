@@ -43,5 +43,5 @@ def capital(words: str) -> str:
 
 
 def share_text(value: float | None) -> str:
-    """Write a share between 0 and 1 with three decimals; a dash where there is none."""
+    """Write a share between 0 and 1 with three decimals; a dash for None."""
     return "–" if value is None else f"{value:.3f}"

@@ -1,4 +1,4 @@
-"""The look of all figures and pages: colours, lines, sizes and words, and how a figure is drawn.
+"""The look of figures and pages: colours, lines, sizes and words, and how a figure is drawn.
 
 Figures are drawn in one style, as SVG for a page, and as files beside it.
 """
@@ -199,20 +199,20 @@ def plain_bar(bar: Colorbar) -> None:
 
 
 class Figures:
-    """Figures of one page by their names, which are those of their files."""
+    """Figures of a page by the names of their files."""
 
     def __init__(self) -> None:
         self.drawn: dict[str, Figure] = {}
 
     def add(self, name: str, figure: Figure, words: str) -> Markup:
-        """Part of the page with a figure, and what it shows in words."""
+        """Part of the page with a figure and a sentence on what it shows."""
         drawing = svg(figure, name, words)
         figure.set_layout_engine("none")  # laid out once, for the files too
         self.drawn[name] = figure
         return Markup(drawing)
 
     def write(self, home: Path) -> None:
-        """Write the files of all figures into the folder `figures` of a page's folder."""
+        """Write the figures' files into the folder `figures` of a page's folder."""
         (home / "figures").mkdir(parents=True, exist_ok=True)
         with _drawing(**{"svg.fonttype": "path"}):
             for name, figure in self.drawn.items():

@@ -30,7 +30,7 @@ Batch = list[Trial]
 
 
 class BatchTrainer:
-    """Trains and tests trials of one data set, here or in the process that it is sent to.
+    """Trains and tests trials of a data set, here or in the process that it is sent to.
 
     `matrix` (m, N) holds one's own masks.
     """

@@ -1,4 +1,4 @@
-"""Recipes: axes over a training and its tests, each point of which is a trial.
+"""Recipes: axes over a training and its tests. Each point is a trial.
 
 A recipe is a TOML file or `Recipe(...)`: axes over `jobs.Job`. Every list in it is an axis, also in
 its tables `camera`, `exposure` and `training`; `plan_trials` gives the trials of their product.
@@ -304,7 +304,7 @@ def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:
 
 
 def only(file: Mapping[str, Any], part: str | None = None, quick: bool = False) -> Settings:
-    """Settings of one recipe of a file."""
+    """Settings of a recipe in a file."""
     recipes = parts(file, quick)
     if part is None and "" not in recipes:
         raise InputError(

@@ -55,7 +55,7 @@ class _Stored(StrictModel):
 
 
 class Point(_Stored):
-    """Trials of one setting, averaged."""
+    """Trials of a setting, averaged."""
 
     recipe: str = Field("", description="recipe, in an experiment of several")
     data: str = Field("", description="data set, in an experiment of several")

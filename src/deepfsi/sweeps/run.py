@@ -121,7 +121,7 @@ def run_trials(
 
 @dataclass(frozen=True)
 class _Work:
-    """Work on trials of one data set."""
+    """Work on trials of a data set."""
 
     trainer: "BatchTrainer"
     records: Records
@@ -219,7 +219,7 @@ class _Work:
 
 
 class _EffortBar:
-    """Shows how far batches are, each of which counts by its effort."""
+    """Shows the share of batches that are done; each counts by its effort."""
 
     def __init__(self, trainer: "BatchTrainer", batches: "Sequence[Batch]", show: Progress) -> None:
         self.trainer = trainer

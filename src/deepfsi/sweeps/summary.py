@@ -153,7 +153,7 @@ def _without_masks(point: Point) -> tuple[Any, ...]:
 
 
 def _pooled(data: Dataset, folds: Sequence[Dataset]) -> Dataset:
-    """The data with the test parts of all folds."""
+    """The data with the folds' test parts."""
     if len(folds) == 1:
         return folds[0]
     return replace(
@@ -171,7 +171,7 @@ def _tested_labels(held_out: int, data: Dataset) -> np.ndarray:
 
 
 def _of_all_folds(folds: Sequence[Record]) -> Record:
-    """Record of one trial on all folds."""
+    """Record of a trial over its folds."""
     if len(folds) == 1:
         return folds[0]
     info = {
@@ -232,7 +232,7 @@ def _point(
     data: Dataset,
     chosen_by: str,
 ) -> Point:
-    """Trials of one setting averaged; `labels` (images,) are classes or values of the scenes."""
+    """Trials of a setting averaged; `labels` (images,) are classes or values of the scenes."""
     tests = [record["test"][place] for record, place in members]
     terms = {
         name: np.stack([unpack_values(test["terms"][name]) for test in tests])
@@ -351,7 +351,7 @@ def check_target(target: float, recipe: Recipe, data: Dataset) -> None:
 def needs_of(results: Results, target: float) -> list[dict[str, Any]]:
     """Photons and masks with which each design reaches a target accuracy, fewest photons first.
 
-    JSON types only: `photons`, `low` and `high` are those of `Crossing`, `masks` those of the tried
+    JSON types only: `photons`, `low` and `high` are `Crossing`'s, `masks` belong to the tried
     budget next to it. The comparison has two budgets or more.
     """
     apart = ("masks",) if results.chosen_on == "nothing" else ()

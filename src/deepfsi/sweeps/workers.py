@@ -48,7 +48,7 @@ def cores() -> int:
 def processes(
     work: Callable[[Any, Any], Any], shared: Any, tasks: Iterable[Any], workers: int
 ) -> Generator[Any, None, None]:
-    """Results of tasks as they finish, each done by one of several processes."""
+    """Results of tasks in the order in which processes finish them."""
     others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
         workers,

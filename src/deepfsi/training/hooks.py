@@ -56,7 +56,7 @@ class EpochWatch:
 
 
 class LoopWatch:
-    """Epochs of one loop, which trains R designs side by side."""
+    """Epochs of a loop that trains R designs side by side."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Learn masks and classifier together, for one design or several of one shape.
+"""Learn masks and classifier together, for one design, or for several of equal shape.
 
 A user may ask for counts instead of a budget Φ. Masks that count the share p of it, averaged over
 training scenes, need Φ = counts / p. Learned masks change p, though hardly with Φ: the design is
@@ -95,9 +95,9 @@ def learn(
     training : Training or mapping, optional
         Settings of the training. Default: the settings tuned for the design.
     seed : int
-        Seed of all random numbers: it repeats a result bit for bit on one device.
+        Seed of the random numbers: it repeats a result bit for bit on one device.
     counts : float, optional
-        Photons to be counted in an exposure, averaged over training scenes. Without `photons`,
+        Photons that an exposure counts, averaged over training scenes. Without `photons`,
         learned masks are trained again until they count this many. With `photons`, they learn to
         count no more than this of the budget (`training.losses`).
     matrix : array, shape (m, N), optional
@@ -161,7 +161,7 @@ def learn_job(
     checkpoint: str | os.PathLike[str] | None = None,
     callback: Callable[[Epoch], bool | None] | None = None,
 ) -> Design:
-    """Train the design of a job; the other arguments are those of `learn`."""
+    """Train the design of a job; `learn` explains the arguments."""
     if callback is not None and job.code.adaptive:
         raise InputError("adaptive masks learn by no steps: leave callback out")
     training_set = TrainingSet(data, device)
