@@ -90,7 +90,8 @@ def test_random_kills_lose_no_record_and_repeat_none(done, tmp_path):
     assert {path: now.get(path) for path in kept} == kept
     assert len(now) == 2 * 2 * len(MASKS) * trials
     assert sum(point["trials"] for point in json.loads(text)["points"]) == len(now)
-    assert not left_over(tmp_path / "out")
+    # a later run removes drafts of a killed process after a day
+    assert not [path for path in left_over(tmp_path / "out") if ".draft" not in str(path)]
 
 
 @pytest.mark.slow

@@ -326,7 +326,7 @@ class Camera(UserModel):
     ) -> "Camera":
         """Camera of a run of a design: what one device cannot show is shown with less light.
 
-        A `camera` replaces the source; `load` has the other parameters.
+        A `camera` replaces the source; other parameters as of `load`.
         """
         known = cls.load(source if camera is None else camera)
         if "device" in settings and not LIGHT_LAWS[known.light].one_device:

@@ -167,7 +167,7 @@ class Design:
     def scanner(
         self, noise: str | NoiseFunction = "poisson", sigma: float = 1.0, dark: float = 0.0
     ) -> Scanner:
-        """Optical front end with your noise; `Scanner.from_rails` has the parameters."""
+        """Optical front end with your noise; parameters as for `Scanner.from_rails`."""
         return self.mask_exposure.scanner(noise, sigma, dark)
 
     @library_defaults()
