@@ -6,7 +6,7 @@ import polars
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.sweeps.records import write_table
+from deepfsi.sweeps.records import Records, write_table
 from deepfsi.sweeps.results import RESULTS_SCHEMA
 from shared.trials import planned, train_trials
 
@@ -26,6 +26,20 @@ def test_a_table_has_a_row_for_each_test(digits, tmp_path):
     assert set(csv["levels"]) == {0, 769}
     with pytest.raises(InputError, match=r"\.csv or \.parquet"):
         write_table(records, tmp_path / "all.xls")
+
+
+def test_a_lock_whose_folder_another_process_takes_away_is_not_taken(digits, tmp_path, monkeypatch):
+    """The folder is there when it is made, and gone when it is looked for."""
+
+    def make(*_):
+        raise FileExistsError
+
+    records = Records(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr("os.mkdir", make)
+        assert not records.lock(planned(digits))
+    assert records.lock(planned(digits, designs="pca", masks=3))
+    records.release_all()
 
 
 @pytest.fixture

@@ -166,11 +166,10 @@ class Records:
     def _take(self, key: str) -> bool:
         """Lock a design; False where it is locked, here or elsewhere."""
         path = self.folder / "locks" / f"{key}.lock"
-        path.parent.mkdir(parents=True, exist_ok=True)
         lock = FileLock(path, blocking=False, thread_local=False)
         try:
             lock.acquire()
-        except (Timeout, FileNotFoundError):  # another process takes the folder away at its end
+        except (Timeout, FileNotFoundError, FileExistsError):  # another takes the folder away
             return False
         self._locks[key] = lock
         return True
