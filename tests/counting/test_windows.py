@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recording_samples import DWELL, named, patterns_of, train, write_photons
 
-from deepfsi.counting.recording import Recording
+from deepfsi.counting.recording import CountSettings, Recording
 from deepfsi.patterns.folder import Patterns
 
 FLUX, DARK, SCENES = 1e7, 100.0, 5
@@ -51,3 +51,11 @@ def test_a_late_trigger_gives_no_dark_counts(lamp, late, rate):
         said = float(faults[0].detail.removeprefix("all markers, by ").split(" µs")[0]) * 1e-6
         photons = FLUX * late * (SCENES - 1)  # the brightest is left out
         assert said == pytest.approx(late, rel=6 / np.sqrt(photons), abs=5e-8)
+
+
+@pytest.mark.parametrize("late", [0, 5e-6])
+def test_a_late_trigger_is_named_of_clicks_too(lamp, late):
+    folder, record = lamp
+    record(late)
+    counts = Recording.read(folder).count(CountSettings(clicks=4))
+    assert [fault.kind for fault in counts.faults] == ["late"] * (late > 0)

@@ -407,16 +407,17 @@ def _count_photons(
     dead_time = dead_time or NO_DEAD_TIME
     corrections = Corrections.of(dead_time, manifest, settings.gains)
     ambient = Ambient.none(manifest)
+    names = [scene.name for scene in acquisition.scenes]
+    if settings.background is not None:
+        check_choice("scene", settings.background, names)
     found = _FoundFrames.of(recording, gates, settings.tolerance_s, progress.between(0.0, 0.4))
     source = str(recording.photons)
     gated = found.count_in(
         Windows.of_gates(manifest, gates, found.starts), progress.between(0.4, 1.0)
     )
     of_dark = []
-    passes = np.arange(len(acquisition.scenes))
+    passes = np.arange(len(names))
     if settings.background is not None:
-        names = [scene.name for scene in acquisition.scenes]
-        check_choice("scene", settings.background, names)
         dark = names.index(settings.background)
         others = passes != dark
         passes = passes[others]
@@ -471,6 +472,8 @@ def _count_clicks(
     windows = Windows.of_clicks(gates, len(acquisition.scenes))
     gated = found.count_in(windows, progress.between(0.4, 1.0))
     found.check_lit(gated.photons)
+    whole = found.count_in(Windows.of_gates(manifest, gates, found.starts))
+    late = find_lateness(*whole.around_first_mask(manifest.arm))
     fired = np.minimum(gated.photons, 1)
     opened = (gated.open_s > 0)[..., None]
     clicks = manifest.by_readout(_sum_exposures(fired, gates, manifest.shown, gates.repeats))
@@ -489,7 +492,7 @@ def _count_clicks(
     return found.counts(
         np.arange(len(acquisition.scenes)),
         Estimate(clicks.astype(float), clicks * (1 - clicks / gates.clicks)),
-        replace(light, flux=flux),
+        replace(light, flux=flux, faults=late),
         counts=clicks,
         exposure_s=settings.exposure_s or acquisition.exposure_s,
         ambient=ambient.counts,
@@ -501,10 +504,7 @@ def _count_clicks(
 def _sum_exposures(
     values: np.ndarray, gates: GatePlan, frames: np.ndarray, repeats: int
 ) -> np.ndarray:
-    """Sums (P, R, f, inputs) over the gates of R exposures of frames (f,).
-
-    Of values (P, g, inputs) in the windows of clicks.
-    """
+    """Sums (P, R, f, inputs), over exposures of frames (f,), of gates' values (P, g, inputs)."""
     first = (np.cumsum(gates.click_exposures) - gates.click_exposures)[frames]
     sums = values.reshape(len(values), -1, gates.clicks, values.shape[-1]).sum(axis=2)
     return np.asarray(sums[:, first + np.arange(repeats)[:, None]])
