@@ -203,7 +203,12 @@ class ExportPatterns(Command):
         write_reference(patterns.manifest, self.out)
         if str(source) in SCAN_NAMES:
             write_spots(self.out / "spots")
-        return _patterns_in(self.out, patterns)
+        raised = (
+            f"the mean picture time was raised to {device.shortest_us} µs: {device.name} shows no "
+            "shorter picture (`shortest`)"
+        )
+        is_raised = dwell * 1e6 < device.shortest_us * (1 - 1e-9)
+        return _patterns_in(self.out, patterns, *[raised] * is_raised)
 
 
 class CheckPatterns(Command):
@@ -221,9 +226,10 @@ class CheckPatterns(Command):
         return _patterns_in(self.folder, patterns)
 
 
-def _patterns_in(folder: Path, patterns: Patterns) -> Outcome:
+def _patterns_in(folder: Path, patterns: Patterns, *remarks: str) -> Outcome:
     return Outcome(
-        {"patterns": str(folder), **patterns.as_dict()}, [*patterns.lines(), f"patterns: {folder}"]
+        {"patterns": str(folder), **patterns.as_dict()},
+        [*remarks, *patterns.lines(), f"patterns: {folder}"],
     )
 
 

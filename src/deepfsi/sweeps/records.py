@@ -64,8 +64,8 @@ class Records:
         if sys.platform != "win32":  # each lock is an open file, of which few are usual
             import resource
 
-            _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-            wanted = 10240 if most == resource.RLIM_INFINITY else most
+            soft, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+            wanted = max(soft, 10240) if most == resource.RLIM_INFINITY else most
             with suppress(OSError, ValueError):
                 resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
         for lock in _files(folder / "locks"):  # of processes that are gone
