@@ -312,8 +312,6 @@ class Camera(UserModel):
             for name in has.keys() - settings.keys():
                 if not has[name]:
                     fields.pop(name, None)
-        if "dead_time_model" in settings and not fields.get("dead_time"):
-            raise InputError("`dead_time_model` is of a dead time: give `dead_time`, such as 20ns")
         is_file = isinstance(source, str | os.PathLike) and str(source).lower().endswith(".toml")
         with as_input_error(str(source) if is_file else ""):
             return cls.model_validate(fields)
