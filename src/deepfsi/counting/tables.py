@@ -273,11 +273,9 @@ def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings,
 
 
 def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -> RunLight:
-    """Light of each scene, from the frames of all its exposures."""
-    # scene_of (E,): scene of each exposure
+    """Light of each scene, from the frames of its exposures; scene_of (E,)."""
     manifest = exposures.manifest
     settings = exposures.settings
-    seconds = exposures.seconds
     scenes = int(scene_of[-1]) + 1
     arm = manifest.arm
     exposure_s = exposures.exposure_s
@@ -293,14 +291,14 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
     if settings.clicks is not None:
         clicks = frames.arrivals[:, ENDS]
         gates = np.full((len(clicks), len(ENDS), 1), settings.clicks)
-        width = float(seconds[0]) / settings.clicks
+        width = float(exposures.seconds[0]) / settings.clicks
         return light_of_clicks(
             clicks, clicks, gates, width_s=width, scenes=scenes, manifest=manifest
         )
     photons, variance = np.zeros((2, scenes, *frames.arrivals.shape[1:]))
     np.add.at(photons, scene_of, frames.arrivals)
     np.add.at(variance, scene_of, frames.variance)
-    spent = np.bincount(scene_of)[:, None] * seconds
+    spent = np.bincount(scene_of)[:, None] * exposures.seconds
     on, off = (
         photons[:, ends].sum(axis=1) / spent[:, ends].sum(axis=1, keepdims=True)
         for ends in (ALL_ON, ALL_OFF)
@@ -314,7 +312,9 @@ def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -
     else:
         arrivals = Arrivals(manifest.frames, photons=photons, variance=variance, seconds=spent)
         light = check_light(arrivals, manifest, range(manifest.inputs), scenes=np.arange(scenes))
-        measured, flux, faults = light.dark_rate, light.flux, light.faults
+        measured = light.dark_rate
+        flux = light.flux
+        faults = light.faults
     if stated is None:
         dark = measured
     return RunLight(

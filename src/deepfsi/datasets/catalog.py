@@ -14,9 +14,9 @@
 
 import gzip
 import os
+import shutil
 import tarfile
 import tomllib
-import zipfile
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
@@ -261,7 +261,7 @@ class _CifarJpeg(_Cifar10):
         with TemporaryDirectory() as unpacked:
             if copy.is_file():
                 try:
-                    zipfile.ZipFile(copy).extractall(unpacked)
+                    shutil.unpack_archive(copy, unpacked)
                 except Exception as error:  # zipfile raises almost anything on a damaged file
                     raise InputError(f"cannot unpack {copy} ({error}): replace it") from None
                 copy = Path(unpacked)
