@@ -16,6 +16,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 sys.path[:0] = [str(DOCS / "extensions")]
 
 import lessons  # noqa: E402
+import words  # noqa: E402
 
 GALLERY = sorted(DOCS.glob("gallery/*/plot_*.py"))
 TUTORIAL = sorted(DOCS.glob("tutorial/plot_*.py"))
@@ -89,9 +90,26 @@ def test_command_lines_are_shown_as_commands():
     assert page.endswith("Text.\n")
 
 
+def test_a_file_is_shown_as_a_file():
+    page = turned('    Path("my-lab.toml").write_text("""\\\n    a = 1\n    """)\n')
+    assert ".. code-block:: toml\n    :caption: my-lab.toml\n\n    a = 1\n" in page
+
+
 @pytest.mark.parametrize("code", ["x = os.system(1)", 'f("a")', "os.system(line)", "1 +"])
 def test_other_code_stays(code):
     assert f"    {code}\n" in turned(f"    import os\n    {code}\n")
+
+
+def test_tables_of_the_output_stand_apart_and_nothing_is_lost():
+    lines = ["data: a", "my title", "", " design  accuracy", " ───────", " DFSI  0.9", "", "end"]
+    block = "".join(f"    {line}".rstrip() + "\n" for line in lines)
+    page = f".. rst-class:: sphx-glr-script-out\n\n .. code-block:: none\n\n{block}\n\nText.\n"
+    lessons.turn(None, "generated/tutorial/plot_1_a", source := [page])
+    parts = source[0].split(".. rst-class:: sphx-glr-script-out")
+    assert [part.startswith(" table-out\n") for part in parts] == [False, False, True, False]
+    assert source[0].endswith("Text.\n")
+    for line in filter(None, lines):
+        assert source[0].count(f"     {line}\n") == 1
 
 
 def test_no_scaffolding():
@@ -113,3 +131,10 @@ def test_the_folder_of_the_scripts_is_new_at_each_build(tmp_path):
 def test_a_command_that_fails_ends_the_build():
     with pytest.raises(lessons.subprocess.CalledProcessError):
         lessons.run("deepfsi no-such-command")
+
+
+def test_words_of_code_stay_whole():
+    page = {"body": '<p>a-b</p><pre><span class="a-b">x --masks</span> 8</pre>'}
+    words.keep(None, "", "", page, None)
+    kept = '<span class="a-b">x <span class="word">--masks</span></span> 8'
+    assert page["body"] == f"<p>a-b</p><pre>{kept}</pre>"

@@ -26,6 +26,7 @@ import commands  # noqa: E402
 import formats  # noqa: E402
 import links  # noqa: E402
 import modules  # noqa: E402
+import words  # noqa: E402
 
 MODELS = re.findall(r"^Fields: \[(.+)\]", (DOCS / "lookup/formats.md").read_text(), re.M)
 PAGES = [
@@ -206,17 +207,49 @@ def test_rows_without_numbers_become_bars():
     assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b"]
 
 
+def test_a_chart_of_a_line_that_is_not_there_is_refused():
+    with pytest.raises(ValueError, match="the table has no 'PCA', it has b"):
+        charts.chosen(["a", "b"], [["1", "2"]], ["PCA"])
+
+
+def test_no_line_breaks_within_a_number():
+    body = "<p>0.5 ± 0.003 of 10 000, 7 · 10⁴ and 95 % in 3 ms, 2 × 2 of 7 masks</p>"
+    kept = words.whole(f'{body}<pre>10 000</pre><img alt="10 000"><code>3 ms</code>')
+    for number in ("± 0.003", "10 000,", "7 · 10⁴", "95 %", "3 ms,", "2 × 2"):
+        body = body.replace(number, number.replace(" ", "\N{NO-BREAK SPACE}"))
+    assert kept == f'{body}<pre>10 000</pre><img alt="10 000"><code>3 ms</code>'
+
+
+def test_options_stay_whole_where_code_wraps():
+    code = '<pre>a --per-class<span class="w"> </span>-o b-c.npz\n--x 1</pre>'
+    marked = re.findall('<span class="word">(.*?)</span>', words.kept(code))
+    assert marked == ["--per-class", "-o", "b-c.npz", "--x"]
+
+
+SIGNATURE = "(*, camera={0}, exposure=Fixed(), hidden=(40, 128), seed=0)"
+BROKEN = '<span class="pre">hardware.{0}ptu.{0}gate_{0}counter</span>'
+SHORT = '<span class="pre">a.b_c</span>'
+
+
 @pytest.mark.parametrize(
-    ("given", "wanted"),
+    ("turn", "given", "wanted"),
     [
+        (words.breakable, SHORT + BROKEN.format(""), SHORT + BROKEN.format("<wbr>")),
         (
+            lambda text: modules.short(None, "class", "", None, None, text, None)[0],
+            SIGNATURE.format("Camera(light='a', sigma=f(1))"),
+            SIGNATURE.format("Camera(...)"),
+        ),
+        (
+            formats.kind,
             {"type": "array", "items": {"type": "number", "minimum": 0, "maximum": 1e15}},
             "list of number, 0 to 1e15",
         ),
-        ({"anyOf": [{"enum": ["a", "b"]}, {"type": "null"}]}, "`a` or `b` or none"),
-        ({"$ref": "#/$defs/Frame"}, "[Frame](#frame)"),
-        ({"type": "integer", "exclusiveMinimum": 0}, "whole number, > 0"),
+        (formats.kind, {"anyOf": [{"enum": ["a", "b"]}, {"type": "null"}]}, "`a` or `b` or none"),
+        (formats.kind, {"$ref": "#/$defs/Frame"}, "[Frame](#frame)"),
+        (formats.kind, {"type": "integer", "exclusiveMinimum": 0}, "whole number, > 0"),
     ],
 )
-def test_types_of_fields_are_shown_as_a_reader_has_them(given, wanted):
-    assert formats.kind(given) == wanted
+def test_names_and_types_are_shown_as_a_reader_has_them(turn, given, wanted):
+    """Long names break behind dots and underscores, objects are cut in signatures."""
+    assert turn(given) == wanted

@@ -6,11 +6,13 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import ptufile
 import pytest
 from scipy.io import savemat
 
 from conftest import quick
 from deepfsi.camera.device import find_device
+from deepfsi.datasets.display import write_pictures
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.virtual_optics import VirtualCamera, arrival_rates
 from deepfsi.patterns.folder import Patterns
@@ -105,3 +107,41 @@ def test_read_noise_is_told_to_the_test_of_consistency(refuse, done, classify, v
     assert "do not look like" in refuse(*words, "--read-noise", 0)
     bare = json.loads(done(*words, "--read-noise", 0, "--force", "--json"))
     assert [s["guesses"] for s in bare["scenes"]] == [s["guesses"] for s in said["scenes"]]
+
+
+def test_events_of_another_counter_are_counted_as_a_photon_file(done, refuse, lab, tmp_path):
+    """Events of a recording, the trigger on channel 8 and the detector on 3, as text in ps."""
+    run, photons = tmp_path / "run", tmp_path / "run" / "photons.ptu"
+    write_pictures({"a.png": np.full((8, 8), 0.5)}, tmp_path / "images")
+    words = ["--scene", tmp_path / "images", "--flux", FLUX, "--exposure", "5ms", "--virtual"]
+    done("camera", "simulate", lab / "patterns", *words, "ideal", "-o", run)
+    wanted = json.loads(done("camera", "count", run, "--json"))
+    with ptufile.PtuFile(photons) as file:
+        found = file.decode_records()
+    found = found[(found["marker"] == 1) | (found["channel"] >= 0)]
+    events = np.stack([found["time"], np.where(found["marker"] == 1, 8, 3)], axis=1)
+    np.savetxt(tmp_path / "tags.csv", events.astype(np.int64), "%d", ",")
+    photons.unlink()
+    words = ["camera", "import", tmp_path / "tags.csv", "--unit", "1ps", "-o", photons]
+    assert "channel 9 has no events" in refuse(*words, "--marker-channel", 9)
+    words += ["--marker-channel", 8]
+    said = json.loads(done(*words, "--json"))
+    assert (said["channels"], said["left_out"]) == ([3], 0)
+    assert said["schema"] == "deepfsi.camera.import/1"
+    assert json.loads(done("camera", "count", run, "--json")) == wanted
+    assert "exists already" in refuse(*words)
+
+
+def test_dead_time_of_a_table_is_corrected(done, refuse, lab, classify, values):
+    """The budget by the all-ON frames is what it was without losses."""
+    slow = np.rint(
+        values / (1 + values / Patterns.read(lab / "patterns").manifest.picture_s * 1e-7)
+    )
+
+    def photons(*words):
+        return json.loads(done(*words, "--json"))["scenes"][0]["photons"]
+
+    true, words = photons(*classify(values)), classify(slow)
+    assert photons(*words) < 0.93 * true
+    assert photons(*words, "--dead-time", "100ns") == pytest.approx(true, rel=1e-3)
+    assert "dim the light" in refuse(*words, "--dead-time", "1us")

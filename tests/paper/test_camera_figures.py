@@ -1,4 +1,4 @@
-"""Figures of the camera: what they show is what they were given."""
+"""Figures of the camera: what they show is what they were given, and all words can be read."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ import pytest
 from deepfsi.jobs.designs import DESIGNS as CODES
 from deepfsi.report import style
 from deepfsi_paper.camera import figures
+from shared.figures import assert_legible
 
 SHOWN = ("deepfsi", "pca", "truncated-hadamard", "raster", "hadamard")
 TITLES = {**{design: CODES[design].title for design in SHOWN}, "deepfsi": "DeepFSI, equal dwell"}
@@ -27,6 +28,7 @@ def points(reach=0.03, offset=0.0):
 def test_exposures_have_lines_and_published_values_open_beside():
     published = points(0.15, -0.08)
     figure = figures.exposure_figure(points(), published, flux=1e7)
+    assert_legible(figure)
     ax = figure.axes[0]
     ours = [line for line in ax.get_lines() if line.get_label() == TITLES["deepfsi"]]
     np.testing.assert_allclose(ours[0].get_ydata(), [0.3, 0.5, 0.7, 0.9])

@@ -1,4 +1,4 @@
-"""Heat maps: what they show is what they were given."""
+"""Heat maps: what they show is what they were given, and words can be read."""
 
 import itertools
 
@@ -7,6 +7,7 @@ import pytest
 
 from deepfsi.jobs.designs import mask_count
 from deepfsi_paper.report import maps
+from shared.figures import assert_legible, assert_sound
 from shared.results import a_point
 
 BUDGETS = [1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8]
@@ -37,6 +38,20 @@ def both(first, second, apart=0.01):
     return maps.pair(*points)
 
 
+FIGURES = {
+    "heat": lambda: maps.heat_figure(MAPS, *GRID, trained_at=1e5),
+    "difference": lambda: maps.difference_figure(both(FIRST, SECOND), ("MLGauss", "Poisson")),
+}
+
+
+@pytest.mark.parametrize("draw", FIGURES.values(), ids=FIGURES)
+def test_words_can_be_read_and_fragments_are_sound(draw):
+    figure = draw()
+    assert figure.get_figwidth() <= 8.5
+    assert_legible(figure)
+    assert_sound(draw)
+
+
 def test_grid_holds_every_point_once_and_gaps_are_nan():
     points = [
         a_point(0.9 - ratio / 50, photons=photons, ratio=ratio)
@@ -49,7 +64,7 @@ def test_grid_holds_every_point_once_and_gaps_are_nan():
 
 
 def test_cells_hold_their_values_and_the_training_budget_is_framed():
-    ax = maps.heat_figure(MAPS, *GRID, trained_at=1e5).axes[0]
+    ax = FIGURES["heat"]().axes[0]
     for text in ax.texts:
         x, y = text.get_position()
         assert text.get_text() == f"{FIRST[int(y), round(x) - 2]:.2f}".removeprefix("0")

@@ -1,4 +1,4 @@
-"""Figures of the study on MNIST: what they show is what they were given."""
+"""Figures of the study on MNIST: what they show is what they were given, and words can be read."""
 
 import itertools
 import math
@@ -6,6 +6,7 @@ import math
 from deepfsi.jobs.designs import DESIGNS, mask_count
 from deepfsi_paper import measures
 from deepfsi_paper.mnist import figures
+from shared.figures import assert_legible, assert_sound
 from shared.results import a_point, some_results
 
 BUDGETS = [1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8]
@@ -27,6 +28,13 @@ def results():
             points.append(a_point(accuracy - ratio / 50, **fields, **masks))
     recipe = {"camera": {"sigma": [2.0]}}
     return some_results(points, recipe=recipe, data={"mean_reflectance": 0.37})
+
+
+def test_words_can_be_read_and_fragments_are_sound():
+    figure = figures.error_figure(results())
+    assert figure.get_figwidth() <= 10
+    assert_legible(figure)
+    assert_sound(lambda: figures.error_figure(results()))
 
 
 def test_both_noises_share_one_noise_axis():

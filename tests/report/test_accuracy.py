@@ -3,7 +3,8 @@
 import numpy as np
 
 from deepfsi.report.accuracy import accuracy_figure
-from shared.results import DESIGNS, make_results
+from shared.figures import assert_legible
+from shared.results import DESIGNS, make_results, with_all
 
 
 def test_feature_specific_designs_are_circles_and_others_squares(tmp_path):
@@ -33,6 +34,7 @@ def test_error_bars_are_the_intervals(tmp_path):
 def test_one_budget_is_a_ranking_without_an_empty_half(tmp_path):
     results = make_results(tmp_path, budgets=(1e3,), noises=("poisson", "gaussian"))
     figure = accuracy_figure(results)
+    assert_legible(figure)
     heads = [ax.get_title(loc="left") for ax in figure.axes]
     assert heads == ["photon noise", "Gaussian read noise"]
     for ax, noise in zip(figure.axes, ("poisson", "gaussian"), strict=True):
@@ -44,3 +46,12 @@ def test_one_budget_is_a_ranking_without_an_empty_half(tmp_path):
         np.testing.assert_allclose(ends, [[p.low, p.high] for p in ordered])
         across = [line.get_xdata()[0] for line in ax.lines if line.get_marker() in ("o", "s")]
         np.testing.assert_allclose(across, [p.accuracy for p in ordered])
+
+
+def test_names_at_the_edge_do_not_touch(tmp_path):
+    results = make_results(tmp_path, designs=("pca", "deepfsi", "truncated-hadamard"))
+    figure = accuracy_figure(with_all(results, accuracy=0.99, low=0.99, high=0.99))
+    figure.draw_without_rendering()
+    boxes = [t.get_window_extent() for t in figure.axes[0].texts if t.get_text()]
+    assert len(boxes) == 4
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])

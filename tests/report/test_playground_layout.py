@@ -8,7 +8,7 @@ from selenium.webdriver.common.by import By
 from conftest import quick
 from deepfsi import learn
 from deepfsi.evaluation import page_data
-from shared.browser import CUT, OVERFLOW, look, requests_of
+from shared.browser import CONTRASTS, CUT, OVERFLOW, look, requests_of
 from shared.playground import (
     KINDS,
     ask,
@@ -20,7 +20,7 @@ from shared.playground import (
 )
 from shared.waiting import until
 
-WIDTHS = (1280, 400)
+WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
 ADAPTIVE = {"adaptive": "dmd", "adaptive-arms": "two-arm"}
 LOOKS = 8
 """Of adaptive masks: an exposure lasts five seconds at speed 1."""
@@ -63,13 +63,17 @@ def test_expose_exposure_and_answer_are_in_view_together(opened, kind, width):
 
 
 @every_kind
+@pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("width", WIDTHS)
-def test_nothing_is_cut_or_asked_for(opened, kind, width):
-    browser = opened(kind, width)
+def test_nothing_is_cut_hard_to_read_or_asked_for(opened, kind, width, scheme):
+    browser = opened(kind, width, scheme)
     ask(browser, "page.time = 0.4 * page.exposure.length; page.draw()")
     assert browser.execute_script("return window.innerWidth") == width
     assert browser.execute_script(OVERFLOW) <= 0
     assert browser.execute_script(CUT) == []
+    contrasts = browser.execute_script(CONTRASTS)
+    assert {"H1", "text", "BUTTON", "FIGCAPTION", "SPAN"} <= {tag for _, tag, _ in contrasts}
+    assert contrasts[0][0] >= 4.5, contrasts[:5]
     assert browser.get_log("browser") == []
     assert [url for url in requests_of(browser) if not url.startswith("file:")] == []
 
@@ -102,3 +106,30 @@ def test_an_embedded_page_stands_whole_and_shows_its_exposure(browser, pages, tm
         return top + first["top"] >= 0 and top + last["bottom"] <= 800
 
     until(in_view)
+
+
+OVERPRINT = """
+const texts = [...document.querySelectorAll('.chart svg text')].filter(e => e.checkVisibility());
+const boxes = texts.map(e => e.getBoundingClientRect());
+return texts.flatMap((a, i) => texts.slice(i + 1).filter((b, k) => {
+  const [p, q] = [boxes[i], boxes[i + 1 + k]];
+  return Math.min(p.right, q.right) - Math.max(p.left, q.left) > 1
+    && Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top) > 3;
+}).map(b => `${a.textContent} | ${b.textContent}`));
+"""
+"""Words of charts that stand on each other; lines of text touch by up to 3 pixels."""
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_words_of_a_chart_stand_on_others(opened, width):
+    """Of few and of many classes, for designs of little and of much light."""
+    browser = opened("range", width)
+    for chance in (0.5, 1 / 5, 1 / 100):
+        for low, high in ((30, 30), (1e4, 1e4), (1e6, 1e6), (1e3, 1e6)):
+            ask(
+                browser,
+                "model.test.commonest = given.chance; model.budget = given.budget;"
+                "page.time = 0.7 * page.exposure.length; page.sayLight(); page.draw()",
+                chance=chance, budget={"low": low, "high": high},
+            )  # fmt: skip
+            assert browser.execute_script(OVERPRINT) == [], (chance, low, high)

@@ -6,6 +6,7 @@ import pytest
 from deepfsi.evaluation.results import lit_masks
 from deepfsi.report import masks
 from deepfsi.report.masks import brightest_masks, signed
+from shared.figures import assert_legible
 
 
 def test_masks_have_a_symmetric_scale_and_one_colour_bar():
@@ -32,6 +33,7 @@ def test_masks_have_their_number_and_their_dwell(shape):
     matrix = np.random.default_rng(1).normal(size=(14, 24))
     dwells = np.arange(14) / 100
     figure = masks.masks_figure(matrix, shape, dwells=dwells)
+    assert_legible(figure)
     for ax, mask in zip(tiles_of(figure), brightest_masks(matrix, 12), strict=True):
         dwell = f"dwell {mask:.2g} %"
         if len(shape) == 2:

@@ -5,7 +5,14 @@ from cycler import cycler
 
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.style import Figures, photons_text, svg
+from shared.figures import assert_sound
 from shared.results import make_results
+
+
+def test_figures_leave_matplotlib_as_it_was(tmp_path):
+    results = make_results(tmp_path)
+    assert_sound(lambda: accuracy_figure(results))
+
 
 CALLERS = [
     {
@@ -32,6 +39,7 @@ def test_figures_are_the_same_whatever_the_caller_set(tmp_path):
         return page, [path.read_bytes() for path in sorted((tmp_path / name).rglob("a.*"))]
 
     wanted = drawn("plain")
+    matplotlib.get_backend()  # chosen when it is first asked for, as by the comparison below
     for number, settings in enumerate(CALLERS):
         with matplotlib.rc_context(settings):
             before = matplotlib.rcParams.copy()

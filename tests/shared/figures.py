@@ -1,0 +1,57 @@
+"""Checks that every figure passes."""
+
+import xml.etree.ElementTree as ElementTree
+
+import matplotlib
+import numpy as np
+
+from deepfsi.report import style
+
+
+def words(figure):
+    """Texts that are drawn, with their boxes in pixels."""
+    figure.draw_without_rendering()
+    found = [*figure.texts]
+    for legend in figure.legends:
+        found += legend.get_texts()
+    for ax in figure.axes:
+        found += [*ax.texts, ax.title, ax._left_title, ax._right_title]
+        for axis in (ax.xaxis, ax.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            margin = 1e-6 * abs(high - low)
+            found.append(axis.label)
+            for tick in axis.get_major_ticks():
+                if low - margin <= tick.get_loc() <= high + margin:
+                    found += [tick.label1, tick.label2]
+    shown = [text for text in found if text.get_visible() and text.get_text()]
+    return [(text, text.get_window_extent()) for text in shown]
+
+
+def assert_legible(figure, smallest=6.5):
+    """No text touches another, leaves the figure, or is smaller than print allows (points)."""
+    drawn = words(figure)
+    assert len(drawn) > 5
+    edge = figure.bbox
+    for text, box in drawn:
+        assert text.get_fontsize() >= smallest, text.get_text()
+        assert box.x0 >= -0.5, text.get_text()
+        assert box.y0 >= -0.5, text.get_text()
+        assert box.x1 <= edge.x1 + 0.5, text.get_text()
+        assert box.y1 <= edge.y1 + 0.5, text.get_text()
+    low, high = (np.array([getattr(box, corner) for _, box in drawn]) for corner in ("min", "max"))
+    shared = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+    touching = np.argwhere(np.triu((shared >= 1).all(axis=2), 1))
+    assert not [(drawn[a][0].get_text(), drawn[b][0].get_text()) for a, b in touching]
+
+
+def assert_sound(draw):
+    """A fragment is well formed, its links lead somewhere, and settings stay as they were."""
+    before = dict(matplotlib.rcParams)
+    text = style.svg(draw(), "a", "words")
+    assert dict(matplotlib.rcParams) == before
+    root = ElementTree.fromstring(text)
+    ids = [element.get("id") for element in root.iter() if element.get("id")]
+    assert len(ids) == len(set(ids))
+    links = [element.get("href") for element in root.iter() if element.get("href")]
+    assert all(link[1:] in ids or link.startswith("data:image/png;base64,") for link in links)
+    assert text == style.svg(draw(), "a", "words")
