@@ -77,6 +77,21 @@ def test_what_is_of_photons_is_refused_for_a_design_of_clicks(done, refuse, lab,
     assert "is of photon counts, and this design reads" in refuse(*classify, "--background", 3)
 
 
+def test_a_table_of_clicks_is_classified(done, refuse, lab, tmp_path):
+    """As the run whose clicks they are."""
+    said = json.loads(done("camera", "count", lab / "run", "--json"))
+    clicks = np.array(said["counts"])[:, :, 0].reshape(SCENES * EXPOSURES, -1)
+    np.savetxt(tmp_path / "clicks.csv", clicks, delimiter=",", fmt="%d")
+    words = ["camera", "classify", lab / "p", tmp_path / "clicks.csv", "--repeats", EXPOSURES]
+    assert "tell the budget: give --photons" in refuse(*words)
+    words += ["--photons", PHOTONS]
+    run = json.loads(done("camera", "classify", lab / "p", lab / "run", "--json"))
+    table = json.loads(done(*words, "--json"))
+    assert [each["class"] for each in table["scenes"]] == [each["class"] for each in run["scenes"]]
+    for option in (["--background", 3], ["--gain", 2]):
+        assert "is of photon counts, and this design reads clicks" in refuse(*words, *option)
+
+
 @pytest.mark.parametrize(("photons", "full"), [(3000, True), (200, False)])
 def test_full_gates_are_told_when_a_design_is_learned(done, tmp_path, photons, full):
     """Forty gates of a design for 3000 photons nearly all click, and those for 200 do not."""
