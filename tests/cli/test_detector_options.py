@@ -24,3 +24,15 @@ def test_a_design_of_several_detectors_goes_through_its_commands(done, tmp_path)
     assert (tested["detectors"], tested["readout"]) == (4, "difference")
     assert "counts (batch, 3, 4)" in done("export", files[0], "-o", tmp_path / "d.onnx")
     done("show", files[0], "-o", tmp_path / "masks.png")
+
+
+def test_detectors_are_an_axis_of_a_comparison(done, tmp_path):
+    words = ["--designs", "pca,impulse", "--photons", "1e4", "--masks", 3, "--trials", 1]
+    words += ["--epochs", 1, "--workers", 1, "--light", "two-arm", "-o", tmp_path]
+    printed = done("compare", *words, "--detectors", "1x1,2x2")
+    rows = [line.rsplit(maxsplit=1)[0].strip() for line in printed.splitlines() if "±0" in line]
+    masks = [f"PCA {d} detectors" for d in ("1x1", "2x2")]
+    assert sorted(rows) == sorted([*masks, "impulse imaging"])
+    points = json.loads((tmp_path / "results.json").read_text())["points"]
+    assert {p["detectors"] for p in points if p["design"] == "pca"} == {"1x1", "2x2"}
+    assert "PCA 2x2 detectors" in (tmp_path / "report.html").read_text()

@@ -25,13 +25,20 @@ def lab(tmp_path_factory, digits):
     return folder
 
 
-def test_a_live_run_is_classified_as_it_was_decided_and_not_counted(done, refuse, lab, tmp_path):
+def test_each_decision_is_printed_and_a_run_is_classified(done, refuse, lab, made, tmp_path):
     run = tmp_path / "run"
     out = done("camera", "live", lab / "patterns", "--scene", lab / "images", *LIGHT, "-o", run)
-    assert sum(", clock " in line and "confidence" in line for line in out.splitlines()) == 3
+    lines = [line for line in out.splitlines() if ", clock " in line and "confidence" in line]
+    assert len(lines) == 3
+    for line in lines:
+        assert "confidence 0." in line or "confidence 1." in line
+        assert "3 looks, light 10 ms (100%)" in line
+    assert "right: " in out
     out = done("camera", "classify", lab / "adaptive.safetensors", run)
     assert "a live run, as it was decided" in out
+    fixed = made("deepfsi", "free-dwell", "single").save(tmp_path / "fixed.safetensors")
     assert "while it is recorded" in refuse("camera", "count", run)
+    assert "not the design" in refuse("camera", "classify", fixed, run)
 
 
 @pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="needs pipes of Linux")

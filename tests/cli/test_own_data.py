@@ -191,3 +191,17 @@ def test_masks_that_have_no_time_are_told(done, pictures, file):
     assert f"masks: 40 asked, {lit} lit: {40 - lit} have no time under this budget" in out
     assert json.loads(done("design", *asked, "--json", "--force"))["lit_masks"] == lit
     done("show", file, "-o", file.with_suffix(".png"))
+
+
+def test_pictures_that_were_trained_on_are_told_apart_in_a_live_run(done, pictures, file, tmp_path):
+    frames, run = tmp_path / "patterns", tmp_path / "run"
+    adaptive = ("--light", "free-dwell", "--design", "adaptive")
+    done("design", "--data", pictures, *LIT, *adaptive, "-o", file)
+    done("dmd", "export", file, "--device", "dlp7000", "--dwell", "4ms", "-o", frames)
+    words = ("--scene", pictures / "oak", *SHOWN, "-o", run, "--json")
+    told = json.loads(done("camera", "live", frames, *words))
+    trained_on = [scene["trained_on"] for scene in told["scenes"]]
+    assert sum(trained_on) == 24, "30 pictures of a class, of which six are test scenes"
+    again = json.loads(done("camera", "classify", file, run, "--json"))
+    assert [scene["trained_on"] for scene in again["scenes"]] == trained_on
+    assert again["score"] == told["score"]
