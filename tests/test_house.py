@@ -17,7 +17,7 @@ SOURCE = ROOT / "src/deepfsi"
 LINES = {
     "adaptive": 1446,
     "base": 1788,
-    "camera": 1223,
+    "camera": 1226,
     "cli": 2226,
     "counting": 4073,
     "datasets": 2217,
@@ -26,7 +26,7 @@ LINES = {
     "evaluation": 1570,
     "exposure": 1092,
     "jobs": 1376,
-    "lab": 3794,
+    "lab": 3791,
     "patterns": 1362,
     "physics": 1856,
     "report": 1290,

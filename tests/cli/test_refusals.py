@@ -107,6 +107,7 @@ REFUSED = {
         --input 9 | no light on input 9
         --marker 4 | --marker 4: give 3 or less
         --dead-time 1us --dead-time-model nosuch | dead_time_model = 'nosuch'
+        --dead-time-model paralysable | give --dead-time, such as 20ns
         --background nosuch | unknown scene 'nosuch'
     """,
     "show a.safetensors --out x.txt": "| end the name in .png",

@@ -331,7 +331,10 @@ class Camera(UserModel):
         known = cls.load(source if camera is None else camera)
         if "device" in settings and not LIGHT_LAWS[known.light].one_device:
             known = cls.load(known, light="free-dwell")
-        return cls.load(known, **settings)
+        run = cls.load(known, **settings)
+        if "dead_time_model" in settings and not run.dead_time:
+            raise InputError("`dead_time_model` is of a dead time: give `dead_time`, such as 20ns")
+        return run
 
     @classmethod
     def restored(cls, fields: Mapping[str, Any]) -> "Camera":

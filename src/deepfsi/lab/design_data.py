@@ -352,10 +352,7 @@ def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) 
     if file.is_file():
         with suppress(InputError):  # whoever opens the design says what is wrong with it
             camera = DesignFile.read(file, ()).camera
-    whole = Camera.of_run(camera, **settings)
-    if "dead_time_model" in settings and not whole.dead_time:
-        raise InputError("`dead_time_model` is of a dead time: give `dead_time`, such as 20ns")
-    return whole
+    return Camera.of_run(camera, **settings)
 
 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:

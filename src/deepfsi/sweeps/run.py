@@ -204,11 +204,11 @@ class _Work:
         self, batches: "Iterator[Batch]", workers: int, bar: "_EffortBar"
     ) -> Generator[list[FinishedTrial], None, None]:
         """Yield what batches give, as they finish."""
-        trainer, checkpoints = self.trainer, self.records.checkpoints
+        trainer = self.trainer
+        checkpoints = self.records.checkpoints
         work = type(trainer).train
         if self.ray is not None:  # a node may see another disk: no checkpoints there
-            cpus, gpus = self.resources.cpus, self.resources.gpus
-            there = run_on_ray(work, trainer, batches, address=self.ray, cpus=cpus, gpus=gpus)
+            there = run_on_ray(work, trainer, batches, address=self.ray, **dict(self.resources))
             with closing(there) as results:
                 yield from results
         elif workers > 1:
