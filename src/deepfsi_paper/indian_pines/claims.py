@@ -21,7 +21,6 @@ from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.style import INK, photons_text
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.experiment import Compared, Experiment, Finding, best, gains, no_gain
-from deepfsi_paper.indian_pines.figures import class_maps_figure
 from deepfsi_paper.indian_pines.measures import Measures, measure
 from deepfsi_paper.report.section import Claim, Picture, Table, english_list
 
@@ -103,10 +102,7 @@ def show(results: Results) -> Finding:
     numbers = Numbers(results)
     return Finding(
         _found(numbers),
-        (
-            *(_accuracy_picture(numbers, split) for split in numbers.splits),
-            *_maps_picture(numbers.of, numbers.measures),
-        ),
+        tuple(_accuracy_picture(numbers, split) for split in numbers.splits),
         tuple(claims_of(numbers)),
         tuple(_tables(numbers)),
     )
@@ -185,7 +181,7 @@ def leakage(measures: Measures) -> dict[float, _Leakage]:
     Both accuracies, and their difference, are means over the classes that both splits test, each
     with its share of the scene: the two test parts hold the classes in other shares.
     """
-    sizes = np.bincount(measures.scene.labels.values.ravel())[1:]
+    sizes = np.array(measures.sizes)
     rates = {(row.split, row.photons): np.array(row.rates, float) for row in measures.recalls}
     found = {}
     for photons in sorted({row.photons for row in measures.recalls}):
@@ -236,7 +232,7 @@ def _same_claim(of: str, results: Results, splits: Sequence[str]) -> Claim:
 
 
 def _found(numbers: Numbers) -> str:
-    of, leakages, bands = numbers.of, numbers.leakages, numbers.measures.scene.bands
+    of, leakages, bands = numbers.of, numbers.leakages, numbers.measures.bands
     parts = []
     for (noise, split), own in numbers.compared.items():
         most = max(own, key=lambda budget: own[budget].mean)
@@ -264,35 +260,18 @@ def _found(numbers: Numbers) -> str:
 
 
 def _accuracy_picture(numbers: Numbers, split: str) -> Picture:
-    results, of, scene = numbers.results, numbers.of, numbers.measures.scene
+    results, of, sizes = numbers.results, numbers.of, numbers.measures.sizes
     part = results.with_points(p for p in results.points if p.split == split)
     figure = accuracy_figure(part)
     figure.suptitle(f"{of}, {split} split", fontsize=10, fontweight="bold", color=INK)
-    counts = np.bincount(scene.labels.values.ravel())[1:]
     return Picture(
         figure,
         f"{of}, {split} split: accuracy against photons, each design at the number of "
         "masks that validation chooses. Circles are feature-specific designs. Bars: 95 % "
-        f"intervals. Chance is one in {len(scene.classes)} classes; always naming the "
-        f"largest class gives {counts.max() / counts.sum():.2f}.",
+        f"intervals. Chance is one in {len(sizes)} classes; always naming the "
+        f"largest class gives {max(sizes) / sum(sizes):.2f}.",
         f"Accuracy of all designs on {of}, {split} split; numbers in the table.",
     )
-
-
-def _maps_picture(of: str, measures: Measures) -> list[Picture]:
-    """Class maps, where they were measured."""
-    if not measures.maps:
-        return []
-    uses = {split: part.uses.values for split, part in measures.parts.items()}
-    return [
-        Picture(
-            class_maps_figure(measures.scene, measures.maps, uses, title=of),
-            f"{of}: the classes that DeepFSI gives to every labelled pixel after one exposure "
-            "with photon noise, one design for each budget. Pixels that it was trained on are "
-            "among them: above each map the accuracy on test and on training pixels.",
-            f"Maps of classes that DeepFSI predicts on {of}, beside the truth.",
-        )
-    ]
 
 
 def _tables(numbers: Numbers) -> list[Table]:

@@ -3,7 +3,6 @@
 import math
 import os
 from collections.abc import Iterable, Sequence
-from numbers import Integral, Real
 from pathlib import Path
 
 from deepfsi.base.files import write_atomically
@@ -91,47 +90,17 @@ def lead(sections: Sequence[Section]) -> str:
 
 def _columns(table: Table) -> tuple[list[bool], list[list[str]]]:
     """Tell which columns of a table hold words, and write its cells, row by row."""
-    words, shown = [], []
-    for cells in zip(*table.rows, strict=True):
-        decimals = _decimals_of([float(cell) for cell in cells if isinstance(cell, Real)])
-        words.append(any(isinstance(cell, str) for cell in cells))
-        shown.append([_cell_text(cell, decimals) for cell in cells])
-    return words or [True] * len(table.heads), [list(row) for row in zip(*shown, strict=True)]
+    columns = zip(*table.rows, strict=True)
+    words = [any(isinstance(cell, str) for cell in cells) for cells in columns]
+    shown = [[_cell_text(cell) for cell in row] for row in table.rows]
+    return words or [True] * len(table.heads), shown
 
 
-def _cell_text(cell: Cell, decimals: int) -> str:
-    """Write a cell; a dash where there is no value."""
+def _cell_text(cell: Cell) -> str:
+    """Write a cell, numbers with three digits; a dash where there is no value."""
     if isinstance(cell, str):
         return cell
     if cell is None or math.isnan(cell):
         return "–"
-    return _number_text(cell, decimals)
-
-
-def _decimals_of(numbers: Sequence[float]) -> int:
-    """Decimals that a column needs so that its largest number has three digits or four."""
-    sizes = [abs(n) for n in numbers if _plain(n) and not n.is_integer()]
-    if not sizes:
-        return 0
-    exponent = math.floor(math.log10(max(sizes)))
-    return max(0, 3 - exponent) if exponent >= 0 else 2 - exponent
-
-
-def _number_text(number: float | Integral, decimals: int) -> str:
-    """Write a number: integers in full, others with these decimals or as a power of ten."""
-    if isinstance(number, Integral):
-        text = str(number)
-    elif math.isinf(number):
-        text = "∞" if number > 0 else "-∞"
-    elif _plain(number):
-        text = f"{number:.{decimals}f}"
-    else:
-        factor, exponent = f"{number:.2e}".split("e")
-        power = "10" + str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-        text = power if factor == "1.00" else f"{float(factor):g} × {power}"
+    text = f"{cell:.3g}" if isinstance(cell, float) else str(cell)
     return text.replace("-", "−")
-
-
-def _plain(number: float) -> bool:
-    """Test that a number is written without a power of ten."""
-    return number == 0 or 1e-3 <= abs(number) < 1e4
