@@ -121,7 +121,7 @@ def main(given: Sequence[str] | None = None) -> None:
 
     recipe = find(arguments.recipe)[0].recipes(quick=False)[arguments.recipe]
     _, settings = next(recipe.trainings("deepfsi"))
-    _, exposure = recipe.exposures("deepfsi")[0]
+    _, exposure = next(recipe.exposures("deepfsi"))
     rng = np.random.default_rng(0)
     x = rng.random((arguments.images, arguments.size, arguments.size), dtype=np.float32)
     data = from_arrays(x, np.arange(len(x)) % CLASSES, x[:CLASSES], np.arange(CLASSES))

@@ -31,8 +31,8 @@ from deepfsi.evaluation.accuracy import evaluate
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
-from deepfsi.sweeps.plan import plan_trials
-from deepfsi.sweeps.recipe import PAPER_RATIOS, Recipe
+from deepfsi.sweeps.plan import PAPER_RATIOS, plan_trials
+from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import run_trials
 from deepfsi.sweeps.workers import default_count
 from deepfsi.training.learning import train

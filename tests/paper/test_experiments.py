@@ -150,7 +150,7 @@ def test_a_part_and_ratios_take_the_place_of_the_recipes(refuse, tmp_path):
     assert (part, recipe.ratios, recipe.split) == ("random", (0.04, 1.0), "random")
     out = tmp_path / "out"
     asked = ("reproduce", "indian-pines", "-o", out)
-    assert "no part 'rendom'" in refuse(*asked, "--part", "rendom")
+    assert "the parts random, blocks, and rendom" in refuse(*asked, "--part", "rendom")
     assert "--ratios" in refuse(*asked, "--ratios", "a")
     assert "ratios" in refuse(*asked, "--ratios", "2")
     assert "not both" in refuse("reproduce", "ovit", "--ratios", "0.5", "-o", out)

@@ -38,22 +38,6 @@ def test_a_processor_is_not_crowded_with_learned_masks(digits, trainer, monkeypa
     assert {each[0].job.design: len(each) for each in batches} == {"pca": 4, "deepfsi": 2}
 
 
-def test_a_batch_is_split_where_less_memory_is_free_than_was_planned_for(
-    digits, trainer, monkeypatch
-):
-    trials, sizes, real = planned(digits, **FOUR), [], batch.train
-    need = footprint(trainer.training_set, [trial.job for trial in trials[:2]])
-    monkeypatch.setattr(learning, "free_memory", lambda: need - trainer.training_set.full.nbytes)
-
-    def train(scenes, jobs, *rest, **how):
-        sizes.append(len(jobs))
-        return real(scenes, jobs, *rest, **how)
-
-    monkeypatch.setattr(batch, "train", train)
-    assert len(trainer.train(trials)) == 4
-    assert sizes == [2, 2]
-
-
 def test_a_failed_batch_is_freed_before_its_parts_are_trained(digits, trainer, monkeypatch):
     """Otherwise the smaller parts find the memory full, too."""
     real, failed = batch.train, []

@@ -12,7 +12,6 @@ from filelock import FileLock
 from deepfsi.sweeps import batch
 from deepfsi.sweeps.plan import Trial
 from deepfsi.sweeps.records import FinishedTrial, Records
-from deepfsi.training import checkpoint
 from shared.checkpoints import Stopped, write_each_step
 from shared.trials import left_over, planned, tensors, train_trials
 
@@ -55,16 +54,6 @@ def test_a_sweep_goes_on_within_a_trial(digits, trials, stop, tmp_path):
     assert stop["count"] == steps  # none was done twice
     assert tensors(folder) == tensors(whole)
     assert not left_over(folder) + left_over(whole)
-
-
-def test_keys_and_records_do_not_know_of_checkpoints(digits, trials, stop, tmp_path, monkeypatch):
-    kept = train_trials(trials, digits, tmp_path / "kept")
-    assert stop["count"]
-    monkeypatch.setattr(checkpoint, "CHECKPOINT_SECONDS", 1e9)
-    plain = train_trials(trials, digits, tmp_path / "plain")
-    for record in kept + plain:
-        record["info"]["seconds"] = 0.0
-    assert kept == plain
 
 
 @pytest.mark.parametrize("bytes_left", [100, 0, None])

@@ -35,7 +35,7 @@ def test_a_recipe_names_classifiers_of_ones_own(digits, tmp_path):
             )  # fmt: skip
             assert same(design, alone)
     table = polars.read_csv(write_table(records, tmp_path / "a.csv"))
-    assert {*table["classifier"]} == {"mlp", CNN}
+    assert {*table["job.training.classifier"]} == {"mlp", CNN}
     # tested again, otherwise, without being trained again
     again = train_trials(plan_trials(recipe(draws=2), digits), digits, tmp_path)
     assert [record["design"] for record in again] == [record["design"] for record in records]

@@ -244,13 +244,9 @@ def test_auto_is_the_running_cluster(alone, address_there):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("alone")
-def test_auto_starts_one_where_there_is_none_and_stops_it(monkeypatch, address_there):
-    crashed = free_address()
-    monkeypatch.setattr(
-        "ray._private.services.get_ray_address_from_environment", lambda *_: crashed
-    )
-    [address] = run_on_ray(address_there, None, [0])
-    assert address != crashed
+def test_local_starts_a_cluster_and_stops_it(nodes, address_there):
+    [address] = run_on_ray(address_there, None, [0], address="local")
+    assert address != nodes.address
     assert not ray.is_initialized()
     until(lambda: not answers(address))
 

@@ -8,7 +8,7 @@ import pytest
 from conftest import synthetic
 from deepfsi.base.errors import InputError
 from deepfsi.datasets.arrays import from_arrays
-from deepfsi.sweeps.plan import ADAPTIVE_SCENES, check_settings, with_adaptive
+from deepfsi.sweeps.plan import ADAPTIVE_SCENES, check_settings, plan_trials, with_adaptive
 from deepfsi.sweeps.recipe import Recipe, only
 
 FILE = {
@@ -27,7 +27,7 @@ ONE = {"data": "mnist", "training": {"epochs": 40, "batch": 500, "decay": 2.0}}
     ("file", "asked", "words"),
     [
         (FILE, {}, "one, two"),
-        (FILE, {"part": "tow"}, "did you mean 'two'"),
+        (FILE, {"part": "tow"}, "one, two, and tow is asked for"),
         (ONE, {"part": "one"}, "no parts"),
         (ONE, {"quick": True}, "no .quick. table"),
         ({"parts": 3}, {}, r"write \[parts\]"),
@@ -52,9 +52,8 @@ def test_what_a_file_does_not_have_is_refused(file, asked, words):
     ids=str,
 )
 def test_ratios_ask_for_one_number_of_looks_of_adaptive_masks(digits, asked, looks):
-    recipe = Recipe(**asked)
-    assert recipe.mask_counts("adaptive", digits) == looks
-    assert len(recipe.mask_counts("pca", digits)) == len(recipe.ratios or recipe.masks) or not asked
+    trials = plan_trials(Recipe(designs="adaptive", photons=1e3, **asked), digits)
+    assert [trial.job.masks for trial in trials] == looks
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ def test_a_table_has_a_row_for_each_test(digits, tmp_path):
         assert csv[measure].to_list() == [t[measure] for r in records for t in r["test"]]
     for measure in ("accuracy", "balanced"):
         held = [t[measure] for r in records for t in r["validation"]]
-        assert csv[f"validation_{measure}"].to_list() == held
+        assert csv[f"validation.{measure}"].to_list() == held
     assert set(csv["levels"]) == {0, 769}
     with pytest.raises(InputError, match=r"\.csv or \.parquet"):
         write_table(records, tmp_path / "all.xls")

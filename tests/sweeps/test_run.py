@@ -41,7 +41,7 @@ def test_levels_are_an_axis_and_a_column(digits, tmp_path):
     assert [trial.key for trial in read] == [trial.key for trial in trials]
     records = train_trials(trials, digits, tmp_path)
     table = polars.read_csv(write_table(records, tmp_path / "a.csv"))
-    assert table["training_levels"].to_list() == levels
+    assert table["job.camera.levels"].to_list() == levels
     assert {*table["levels"]} == {0}
 
 

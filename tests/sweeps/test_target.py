@@ -1,5 +1,7 @@
 """Photons and masks of a target accuracy are read off the curves of a comparison."""
 
+import re
+
 import numpy as np
 
 from deepfsi.sweeps.summary import needs_of, needs_table
@@ -36,6 +38,7 @@ def test_what_a_target_needs_is_read_off_each_curve():
     assert table.title == "accuracy 0.9 needs"
     assert [row[0] for row in table.rows] == ["deepfsi", "pca", "raster"]
     assert table.rows[2][1] == "above 1e6"
+    assert re.fullmatch(r"\S+ \(\S+ to \S+\)", table.rows[0][1])
 
 
 def test_each_number_of_detectors_has_its_line():

@@ -63,8 +63,9 @@ def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
     # The time left is estimated over all that has passed, as batches end rarely
     with Bar(*columns, console=console, transient=True, speed_estimate_period=1e7) as bar:
         task = bar.add_task(what, total=1.0)
+        # without words the last ones stay
         yield Progress(
-            lambda share, now: bar.update(task, completed=share, description=now or what)
+            lambda share, now: bar.update(task, completed=share, description=now or None)
         )
 
 

@@ -205,7 +205,7 @@ TorchDevice = Annotated[
     str, Field(description="auto, cpu, cuda, one of several GPUs such as cuda:1, or mps")
 ]
 WorkerCount = Annotated[Count | None, Field(description="processes; default: one for each core")]
-Ray = Annotated[str | None, Field(description="work on a Ray cluster: its address, or auto")]
+Ray = Annotated[str | None, Field(description="work on a Ray cluster: its address, auto or local")]
 Force = Annotated[bool, Field(description="replace what is at --out")]
 
 # acquisitions

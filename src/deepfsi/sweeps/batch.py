@@ -134,40 +134,42 @@ class BatchTrainer:
         memory does not hold it, in halves. Where a trial diverges they are trained one by one, and
         its record is None.
         """
-        first = batch[0].job
         taken = self.training_set.full.nbytes
         parts = self.batches_within(batch, memory_for(self.processor) + taken)
-        if len(parts) > 1:
-            spans = zip(parts, report.split(len(parts)), strict=True)
-            return [done for part, span in spans for done in self.train(part, span, checkpoints)]
+        if len(parts) == 1:
+            try:
+                return self._train_together(batch, report, checkpoints)
+            except Diverged:
+                if len(batch) == 1:
+                    return [FinishedTrial(batch[0], None, None)]
+                parts = [[trial] for trial in batch]
+            except torch.OutOfMemoryError:
+                if len(batch) == 1:
+                    raise InputError(
+                        f'{self.title(batch)} do not fit the memory of this GPU: use `device="cpu"`'
+                    ) from None
+                parts = [batch[: len(batch) // 2], batch[len(batch) // 2 :]]
+        # after the error is gone, and with it what the failed batch held
+        spans = zip(parts, report.split(len(parts)), strict=True)
+        return [done for part, span in spans for done in self.train(part, span, checkpoints)]
+
+    def _train_together(
+        self, batch: Batch, report: Progress, checkpoints: Path | None
+    ) -> list[FinishedTrial]:
+        """Train a batch that fits the memory, and test it."""
+        first = batch[0].job
         # of the bar; tests take the rest, with adaptive masks most of the time
         share = 0.1 if first.code.adaptive else 0.9
         matrix = self.matrix if first.code.is_custom else None
         jobs = [trial.job for trial in batch]
-        try:
-            checkpoint = self._checkpoint(batch, matrix, checkpoints)
-            learning = report.between(0.0, share)
-            designs = train(self.training_set, jobs, matrix, report=learning, checkpoint=checkpoint)
-        except Diverged:
-            if len(batch) == 1:
-                return [FinishedTrial(batch[0], None, None)]
-            parts = [[trial] for trial in batch]
-        except torch.OutOfMemoryError:
-            if len(batch) == 1:
-                raise InputError(
-                    f'{self.title(batch)} do not fit the memory of this GPU: use `device="cpu"`'
-                ) from None
-            parts = [batch[: len(batch) // 2], batch[len(batch) // 2 :]]
-        else:
-            finished: list[FinishedTrial] = []
-            testing = report.between(share, 1.0)
-            for trial, design in zip(batch, designs, strict=True):
-                record = self.record(trial, design)
-                finished.append(FinishedTrial(trial, record, design.to_bytes()))
-                testing(len(finished) / len(batch))
-            return finished
-        # after the error is gone, and with it what the failed batch held
-        return [done for part in parts for done in self.train(part, SILENT, checkpoints)]
+        checkpoint = self._checkpoint(batch, matrix, checkpoints)
+        learning = report.between(0.0, share)
+        designs = train(self.training_set, jobs, matrix, report=learning, checkpoint=checkpoint)
+        finished: list[FinishedTrial] = []
+        for trial, design in zip(batch, designs, strict=True):
+            finished.append(FinishedTrial(trial, self.record(trial, design), design.to_bytes()))
+            report.between(share, 1.0)(len(finished) / len(batch))
+        return finished
 
     def _checkpoint(
         self, batch: Batch, matrix: np.ndarray | None, folder: Path | None

@@ -4,7 +4,6 @@ import functools
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from itertools import islice, product
 from typing import Any
 
@@ -14,16 +13,20 @@ from pydantic import Field
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.models import StrictModel
 from deepfsi.base.registry import source_hash
+from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import ONE_DETECTOR
 from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.jobs.designs import DESIGNS
+from deepfsi.jobs.designs import DESIGNS, count_allowed, mask_count
 from deepfsi.jobs.exposures import Exposure
 from deepfsi.jobs.job import REVISION, Job, custom_parts
 from deepfsi.sweeps.recipe import CameraVariant, Recipe, TestNoise
 
 MOST_TRIALS = 100_000
 """Trials of a recipe at most: months of training, whose records still fit the memory."""
+
+PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
+"""1, 4, 9, … 100 %."""
 
 ADAPTIVE_SCENES = 5000
 """Scenes with which adaptive masks are compared unasked, at most: each look takes a millisecond."""
@@ -73,7 +76,7 @@ class Trial(StrictModel):
 
 
 def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[Trial]:
-    """All trials of a recipe, each once.
+    """All trials of a recipe, each once; `InputError` names all that cannot be had.
 
     Left out is what cannot be: the control group, masks of gaussian noise under photon noise, where
     there is none; designs of one rail on two arms; the signed Hadamard basis on a single rail;
@@ -81,14 +84,31 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
 
     Shapes: matrix (m, N).
     """
-    plan = _Plan(recipe, data, matrix)
-    if faults := plan.faults():
-        raise InputError("; ".join(faults))
-    trials: dict[str, Trial] = {}
+    if (most := max(recipe.masks, default=1)) > data.pixels:
+        raise InputError(f"{most} masks are not allowed on {data.name}: give 1 to {data.pixels}")
+    planned = list(islice(_jobs(recipe, data, matrix), MOST_TRIALS + 1))
+    if len(planned) > MOST_TRIALS:
+        raise InputError(f"a recipe has at most {MOST_TRIALS} trials: take less")
+    if not planned:
+        lights = ", ".join(dict.fromkeys(named.camera.light for named in recipe.cameras()))
+        raise InputError(
+            f"nothing to compare: {', '.join(recipe.designs)} cannot be had under "
+            f"{', '.join(recipe.noises)} noise with {lights} light (control is for photon noise, "
+            "two-arm for dual rails)"
+        )
+    held_out = recipe.held_out(data)
+    training = data.hold_out(held_out) if held_out else data
     hash_of_file = functools.cache(source_hash)
-    matrix_hash = "" if matrix is None else _matrix_hash(matrix)
-    for named, variant, job in plan.jobs():
-        test_noise = plan.test_noise(job)
+    matrix_hash = ""
+    if matrix is not None:
+        content = np.ascontiguousarray(matrix, dtype=np.float32).tobytes()
+        matrix_hash = hashlib.sha256(content).hexdigest()
+    faults: dict[str, None] = {}
+    trials: dict[str, Trial] = {}
+    for named, variant, job in planned:
+        own = matrix if job.code.is_custom else None
+        faults |= dict.fromkeys(job.faults(training, own) or _light_faults(job, own))
+        test_noise = recipe.test_noise or (job.camera.noise_name,)
         custom = custom_parts(job, *test_noise)
         trial = Trial(
             job=job,
@@ -99,13 +119,15 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
             data_hash=data.hash,
             matrix_hash=matrix_hash if job.code.is_custom else "",
             source_hash=_content_hash({"sources": [*map(hash_of_file, custom)]}) if custom else "",
-            validation=recipe.held_out(data),
+            validation=held_out,
             draws=recipe.draws,
             test_photons=recipe.test_photons or (job.photons,),
             test_noise=test_noise,
             test_levels=recipe.test_levels,
         )
         trials[trial.key] = trial
+    if faults:
+        raise InputError("; ".join(faults))
     return list(trials.values())
 
 
@@ -120,46 +142,38 @@ def check_settings(
     if matrix is not None and "custom" not in recipe.designs:
         recipe = recipe.model_copy(update={"designs": (*recipe.designs, "custom")})
     data = load(recipe)
-    plans = [_Plan(recipe, fold, matrix) for fold in recipe.parts(data)]
-    if faults := dict.fromkeys(fault for plan in plans for fault in plan.faults()):
-        raise InputError("; ".join(faults))
+    for fold in recipe.parts(data):
+        plan_trials(recipe, fold, matrix)
     return recipe, data
 
 
 def with_adaptive(recipe: Recipe, data: Dataset) -> Recipe:
     """The recipe with adaptive masks too, where they can be had and do not take long."""
     scenes = len(data.x_train) + len(data.x_test)
-    alone = recipe.model_copy(update={"designs": ("adaptive",)})
-    if (
-        data.measure != "accuracy"
-        or scenes > ADAPTIVE_SCENES
-        or recipe.test_noise
-        or _Plan(alone, data).faults()
-    ):
+    if data.measure != "accuracy" or scenes > ADAPTIVE_SCENES or recipe.test_noise:
+        return recipe
+    try:
+        plan_trials(recipe.model_copy(update={"designs": ("adaptive",)}), data)
+    except InputError:
         return recipe
     return recipe.model_copy(update={"designs": (*recipe.designs, "adaptive")})
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """Recipe, its data, and the user's masks (m, N)."""
-
-    recipe: Recipe
-    data: Dataset
-    matrix: np.ndarray | None = None
-
-    def jobs(self) -> Iterator[tuple[CameraVariant, str, Job]]:
-        """Yield camera, variant of the settings, and job of every trial that can be."""
-        recipe = self.recipe
-        pairs = (
-            (*pair, *exposure) for pair in self._pairs() for exposure in recipe.exposures(pair[1])
-        )
-        for named, design, exposure_variant, exposure in pairs:
+def _jobs(
+    recipe: Recipe, data: Dataset, matrix: np.ndarray | None
+) -> Iterator[tuple[CameraVariant, str, Job]]:
+    """Yield camera, variant of the settings, and job of every trial that can be."""
+    for named, design in product(recipe.cameras(), recipe.designs):
+        if not _goes_with(design, named.camera, data):
+            continue
+        reads_alone = named.camera.noise_facts.read_noise_alone
+        budgets = (recipe.gaussian_photons if reads_alone else ()) or recipe.photons
+        for exposure_variant, exposure in recipe.exposures(design):
             for masks, (training_variant, training), seed, photons in product(
-                self._mask_counts(design, named, exposure),
+                _mask_counts(recipe, design, named, exposure, data, matrix),
                 recipe.trainings(design),
                 range(recipe.trials),
-                recipe.budgets(named.camera.noise_name),
+                budgets,
             ):
                 job = Job(
                     design=design,
@@ -173,84 +187,56 @@ class _Plan:
                 variants = (named.variant, training_variant, exposure_variant)
                 yield named, ", ".join(filter(None, variants)), job.resolved
 
-    def test_noise(self, job: Job) -> tuple[str, ...]:
-        """Noises of the tests of a job."""
-        return self.recipe.test_noise or (job.camera.noise_name,)
 
-    def faults(self) -> list[str]:
-        """Everything that trials ask and that cannot be had, each once."""
-        pixels = self.data.pixels
-        if (most := max(self.recipe.masks, default=1)) > pixels:
-            return [f"{most} masks are not allowed on {self.data.name}: give 1 to {pixels}"]
-        try:
-            training = self._training_data
-            jobs = [job for _, _, job in islice(self.jobs(), MOST_TRIALS + 1)]
-        except InputError as error:  # too few scenes, or such that an exposure cannot see
-            return [str(error)]
-        if len(jobs) > MOST_TRIALS:
-            return [f"a recipe has at most {MOST_TRIALS} trials: take less"]
-        if not jobs:
-            cameras = [named.camera for named in self.recipe.cameras()]
-            lights = ", ".join(dict.fromkeys(camera.light for camera in cameras))
-            rails = ", ".join(dict.fromkeys(camera.rails for camera in cameras))
-            return [
-                f"nothing to compare: {', '.join(self.recipe.designs)} cannot be had under "
-                f"{', '.join(self.recipe.noises)} noise with {lights} light and {rails} rails "
-                "(control is for photon noise, two-arm for dual rails)"
-            ]
-        faults: dict[str, None] = {}
-        custom: dict[str, None] = {}
-        for job in jobs:
-            masks = self.matrix if job.code.is_custom else None
-            job_faults = job.faults(training, masks)
-            if masks is not None and not job_faults:
-                job_faults = _light_faults(job, masks)
-            faults |= dict.fromkeys(job_faults)
-            custom |= dict.fromkeys(custom_parts(job, *self.test_noise(job)))
-        for name in custom:
-            try:
-                source_hash(name)
-            except InputError as error:
-                faults[str(error)] = None
-        return list(faults)
-
-    @property
-    def _training_data(self) -> Dataset:
-        """The data as trainings see them: without those to choose on."""
-        count = self.recipe.held_out(self.data)
-        return self.data.hold_out(count) if count else self.data
-
-    def _pairs(self) -> Iterator[tuple[CameraVariant, str]]:
-        """Yield every camera with every design that it can have."""
-        for named, design in product(self.recipe.cameras(), self.recipe.designs):
-            camera = named.camera
-            code = DESIGNS[design]
-            law = LIGHT_LAWS[camera.light]
-            detectors = camera.detector_map(self.data.image_shape).count
-            if not (
-                (code.learned_under is not None and not camera.noise_facts.exact)
-                or (law.arms == 2 and code.rails == "single" and not code.every_pixel)
-                or (code.rails == "dual" and camera.rails == "single")
-                or (not law.one_device and detectors > 1)
-                or (code.adaptive and not law.looks)
-            ):
-                yield named, design
-
-    def _mask_counts(self, design: str, named: CameraVariant, exposure: Exposure) -> list[int]:
-        """Mask counts of a design for scenes as its masks see them."""
-        code = DESIGNS[design]
-        scene = exposure.scene(self.data)
-        if exposure.fixed_mask_count:
-            return [exposure.fixed_mask_count]
-        if code.is_custom and self.matrix is not None:
-            return [len(self.matrix)]
-        one = code.every_pixel
-        detectors = ONE_DETECTOR if one else named.camera.detector_map(scene.image_shape)
-        return self.recipe.mask_counts(design, scene, detectors)
+def _goes_with(design: str, camera: Camera, data: Dataset) -> bool:
+    """True where a camera can have a design."""
+    code = DESIGNS[design]
+    law = LIGHT_LAWS[camera.light]
+    detectors = camera.detector_map(data.image_shape).count
+    return not (
+        (code.learned_under is not None and not camera.noise_facts.exact)
+        or (law.arms == 2 and code.rails == "single" and not code.every_pixel)
+        or (code.rails == "dual" and camera.rails == "single")
+        or (not law.one_device and detectors > 1)
+        or (code.adaptive and not law.looks)
+    )
 
 
-def _light_faults(job: Job, matrix: np.ndarray) -> list[str]:
+def _mask_counts(
+    recipe: Recipe,
+    design: str,
+    named: CameraVariant,
+    exposure: Exposure,
+    data: Dataset,
+    matrix: np.ndarray | None,
+) -> list[int]:
+    """Mask counts of a design that it can have, else the most it can have.
+
+    A ratio counts readouts, m · D / N. Adaptive masks share the light among their looks, and more
+    looks tell more: ratios ask for one count.
+    """
+    code = DESIGNS[design]
+    if exposure.fixed_mask_count:
+        return [exposure.fixed_mask_count]
+    if code.is_custom and matrix is not None:
+        return [len(matrix)]
+    scene = exposure.scene(data)
+    detectors = ONE_DETECTOR if code.every_pixel else named.camera.detector_map(scene.image_shape)
+    low, high = count_allowed(design, scene, detectors)
+    asked = recipe.masks or [
+        mask_count(ratio, scene.pixels / detectors.count) for ratio in recipe.ratios or PAPER_RATIOS
+    ]
+    counts = sorted({count for count in asked if low <= count <= high}) or [high]
+    if code.adaptive and not recipe.masks:
+        # more than 32 looks tell little and take their time
+        return [max((c for c in counts if c <= 32), default=counts[0])]
+    return counts
+
+
+def _light_faults(job: Job, matrix: np.ndarray | None) -> list[str]:
     """Why a user's masks (m, N) cannot be shown under a camera's light law."""
+    if matrix is None:
+        return []
     from deepfsi.physics.laws import light_law
 
     try:
@@ -263,7 +249,3 @@ def _light_faults(job: Job, matrix: np.ndarray) -> list[str]:
 def _content_hash(settings: Mapping[str, Any]) -> str:
     """Hash of settings, JSON types only."""
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
-
-
-def _matrix_hash(matrix: np.ndarray) -> str:
-    return hashlib.sha256(np.ascontiguousarray(matrix, dtype=np.float32).tobytes()).hexdigest()

@@ -1,7 +1,6 @@
 """Many tasks on a Ray cluster: what is shared is sent once, results come back as they finish."""
 
 import logging
-import os
 import socket
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
@@ -102,31 +101,24 @@ def _connected(address: str) -> Iterator[None]:
 def _join(address: str) -> None:
     """Connect this process to a cluster, or start one."""
     import ray
-    from ray._private.services import get_ray_address_from_environment
 
-    where = address
-    if address == "auto":
-        try:
-            where = get_ray_address_from_environment("auto", None)
-        except ConnectionError:
-            where = "local"
-        if not os.environ.get("RAY_ADDRESS") and not answers(where):
-            where = "local"  # a cluster that crashed leaves its address behind
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
-    if where == "local":
+    if address == "local":
         ray.init("local", include_dashboard=False, **quiet)
         return
-    if not answers(where):
-        raise InputError(
-            f"no Ray cluster answers at '{where}': give host:port of a running one "
-            "(ray start --head --port=6379), or 'local' to start one here"
-        )
+    advice = (
+        "give host:port of a running one (ray start --head --port=6379), or 'local' to start one "
+        "here"
+    )
+    if address != "auto" and not answers(address):
+        raise InputError(f"no Ray cluster answers at '{address}': {advice}")
     try:
-        ray.init(address, **quiet)  # "auto" as it is: then Ray finds its token, too
+        ray.init(address, **quiet)
     except (OSError, RuntimeError, ValueError, ImportError, ray.exceptions.RayError) as error:
         raise InputError(
-            f"cannot join the Ray cluster at '{where}' ({str(error).strip().splitlines()[0]}): it "
-            "needs the same Ray and Python, its token (RAY_AUTH_MODE=token), and a node here"
+            f"cannot join the Ray cluster at '{address}' ({str(error).strip().splitlines()[0]}): "
+            f"it needs the same Ray and Python, its token (RAY_AUTH_MODE=token), and a node here; "
+            f"{advice}"
         ) from error
 
 

@@ -8,28 +8,24 @@ every part. `[parts.NAME]` overrides them in one part, `[quick]` in the coarse v
 `[parts.NAME.quick]` in the coarse version of one part. Tables are merged.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import partial, reduce
 from itertools import product
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from deepfsi.base.errors import InputError, as_input_error, closest_choice
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.models import Count, UserModel
 from deepfsi.camera.camera import Camera, Levels
-from deepfsi.camera.detectors import ONE_DETECTOR, DetectorMap
 from deepfsi.camera.light import PhotonBudget
-from deepfsi.camera.names import check_noise, find_noise
+from deepfsi.camera.names import check_noise
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.evaluation.measures import MOST_DRAWS
-from deepfsi.jobs.designs import DESIGNS, check_design, count_allowed, mask_count
+from deepfsi.jobs.designs import DESIGNS, check_design
 from deepfsi.jobs.exposures import Exposure, find_exposure
 from deepfsi.jobs.training import MASK_SETTINGS, Training
 from deepfsi.sweeps.workers import Resources
-
-PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
-"""1, 4, 9, … 100 %."""
 
 Settings = dict[str, Any]
 """Fields of a recipe, as TOML gives them."""
@@ -74,15 +70,12 @@ def _read_axes(table: Any, make: Callable[[Settings], Any]) -> _Axes:
     return axes
 
 
-def _points(axes: _Axes) -> Iterator[Settings]:
-    """Yield the points of a product of axes."""
+def _points(axes: _Axes, unnamed: Collection[str] = ()) -> Iterator[tuple[str, Settings]]:
+    """Yield the points of a product of axes, each with its values on axes of several as a name."""
+    several = [name for name in axes if len(axes[name]) > 1 and name not in unnamed]
     for values in product(*axes.values()):
-        yield dict(zip(axes, values, strict=True))
-
-
-def _variant(point: Settings, axes: _Axes) -> str:
-    """Name of a point: its values on axes of several."""
-    return ", ".join(f"{name} {point[name]}" for name in point if len(axes[name]) > 1)
+        point = dict(zip(axes, values, strict=True))
+        yield ", ".join(f"{name} {point[name]}" for name in several), point
 
 
 class CameraVariant(NamedTuple):
@@ -97,15 +90,14 @@ def _cameras(axes: _Axes) -> list[CameraVariant]:
     """Cameras of a product of axes, but those that cannot be; `InputError` where none can."""
     cameras: list[CameraVariant] = []
     faults: list[str] = []
-    for fields in _points(axes):
-        unnamed = {name: fields[name] for name in fields if name not in _NAMED_FIELDS}
-        detectors = str(fields.get("detectors", "1x1"))
+    for variant, fields in _points(axes, _NAMED_FIELDS):
         try:
             camera = Camera.load(fields)
         except InputError as error:
             faults.append(str(error))
         else:
-            cameras.append(CameraVariant(camera, detectors, _variant(unnamed, axes)))
+            detectors = str(fields.get("detectors", "1x1"))
+            cameras.append(CameraVariant(camera, detectors, variant))
     if not cameras:
         raise InputError(faults[0])
     return cameras
@@ -212,65 +204,32 @@ class Recipe(UserModel):
         """Cameras of the product of its axes, but those that cannot be."""
         return _cameras(self.camera)
 
-    def exposures(self, design: str) -> list[tuple[str, Exposure]]:
-        """Exposures of a design by name: the product of its axes.
+    def exposures(self, design: str) -> Iterator[tuple[str, Exposure]]:
+        """Yield the exposures of a design, each with a name if there are several.
 
         A cap holds for adaptive masks alone, whose exposures may end early; their name says that
         the budget is a mean.
         """
-        axes = self.exposure
-        others = {name: values for name, values in axes.items() if name != "cap"}
-        exposures: dict[str, Exposure] = {}
-        for point in _points(axes):
-            plain = {name: point[name] for name in others}
-            exposure = find_exposure(point if DESIGNS[design].adaptive else plain)
-            names = [_variant(plain, others)]
-            if exposure.most_light > 1:
-                names.append(f"(mean light, at most {exposure.most_light:g} Φ)")
-            exposures[" ".join(filter(None, names))] = exposure
-        return [*exposures.items()]
+        axes = dict(self.exposure)
+        if not DESIGNS[design].adaptive:
+            axes.pop("cap", None)
+        for variant, point in _points(axes, ("cap",)):
+            exposure = find_exposure(point)
+            most = exposure.most_light
+            mean = f"(mean light, at most {most:g} Φ)" if most > 1 else ""
+            yield f"{variant} {mean}".strip(), exposure
 
     @property
     def noises(self) -> tuple[str, ...]:
         """Noises of the cameras."""
         return tuple(dict.fromkeys(named.camera.noise_name for named in self.cameras()))
 
-    @property
-    def balances(self) -> bool:
-        """True if a training weighs its classes: validation then goes by balanced accuracy."""
-        return True in self.training.get("balance", ())
-
     def trainings(self, design: str) -> Iterator[tuple[str, Settings]]:
-        """Yield the trainings of a design, each with a name if there are several."""
+        """Trainings of a design, each with a name if there are several."""
         axes = self.training
         if not DESIGNS[design].learns_masks:
             axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
-        for point in _points(axes):
-            yield _variant(point, axes), point
-
-    def budgets(self, noise: str) -> tuple[float, ...]:
-        """Budgets to train at under a noise."""
-        alone = find_noise(noise).read_noise_alone
-        return (self.gaussian_photons if alone else ()) or self.photons
-
-    def mask_counts(
-        self, design: str, data: Dataset, detectors: DetectorMap = ONE_DETECTOR
-    ) -> list[int]:
-        """Mask counts of a design that it can have, else the most it can have.
-
-        A ratio counts readouts, m · D / N. Adaptive masks share the light among their looks, and
-        more looks tell more: ratios ask for one count. `data` holds scenes as the masks see them.
-        """
-        low, high = count_allowed(design, data, detectors)
-        asked = self.masks or [
-            mask_count(ratio, data.pixels / detectors.count)
-            for ratio in self.ratios or PAPER_RATIOS
-        ]
-        counts = sorted({count for count in asked if low <= count <= high}) or [high]
-        if DESIGNS[design].adaptive and not self.masks:
-            # more than 32 looks tell little and take their time
-            return [max((c for c in counts if c <= 32), default=counts[0])]
-        return counts
+        return _points(axes)
 
     def parts(self, data: Dataset) -> list[Dataset]:
         """The data, or its folds, on each of which all designs are trained and tested."""
@@ -286,35 +245,31 @@ class Recipe(UserModel):
 
 
 def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:
-    """Settings of each recipe of a file."""
+    """Settings of each recipe of a file; its only one is named ""."""
     common = {name: value for name, value in file.items() if name not in ("parts", "quick")}
     coarse = _table(file, "quick")
     tables = _table(file, "parts") or {"": {}}
     recipes = {}
     for name in tables:
-        changes = _table(tables, name)
-        coarse_changes = _table(changes, "quick")
-        settings = _merged(common, {key: changes[key] for key in changes if key != "quick"})
-        if quick:
-            if not (coarse or coarse_changes):
-                raise InputError("this recipe has no [quick] table: run it whole")
-            settings = _merged(_merged(settings, coarse), coarse_changes)
-        recipes[name] = settings
+        changes = dict(_table(tables, name))
+        own_coarse = _table(changes, "quick")
+        changes.pop("quick", None)
+        layers = [common, changes, coarse, own_coarse] if quick else [common, changes]
+        if quick and not (coarse or own_coarse):
+            raise InputError("this recipe has no [quick] table: run it whole")
+        recipes[name] = reduce(_merged, layers)
     return recipes
 
 
 def only(file: Mapping[str, Any], part: str | None = None, quick: bool = False) -> Settings:
     """Settings of a recipe in a file."""
     recipes = parts(file, quick)
-    if part is None and "" not in recipes:
-        raise InputError(
-            f"the recipe has several parts, {', '.join(recipes)}: name one by the option --part of "
-            "deepfsi sweep"
-        )
-    if part is not None and "" in recipes:
-        raise InputError(f"the recipe has no parts: leave --part {part} out")
     if (part or "") not in recipes:
-        raise InputError(f"the recipe has no part {part!r}: {closest_choice(str(part), recipes)}")
+        there = "no parts" if "" in recipes else f"the parts {', '.join(recipes)}"
+        raise InputError(
+            f"the recipe has {there}, and {'none' if part is None else part} is asked for: change "
+            "the option --part of deepfsi sweep"
+        )
     return recipes[part or ""]
 
 

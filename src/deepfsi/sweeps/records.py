@@ -18,8 +18,9 @@ import io
 import json
 import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -33,7 +34,6 @@ from deepfsi.base.files import (
     write_atomically,
 )
 from deepfsi.base.interrupts import note_saved_work
-from deepfsi.evaluation.measures import MEASURES, MainMeasure
 from deepfsi.sweeps.plan import Trial
 from deepfsi.sweeps.results import RESULTS_SCHEMA
 
@@ -203,7 +203,17 @@ def write_table(records: Sequence[Record], path: Path) -> Path:
     import polars
 
     check_ending(path, (".csv", ".parquet"))
-    rows = [row for record in records for row in _rows(record)]
+    rows = [
+        {
+            "key": record["key"],
+            **_columns(record["trial"]),
+            **_columns({"validation": validation} if validation else {}, lists=False),
+            **_columns(test, lists=False),
+            "seconds": record["info"]["seconds"],
+        }
+        for record in records
+        for test, validation in zip_longest(record["test"], record["validation"])
+    ]
     table = polars.DataFrame(rows, infer_schema_length=None)
     content = io.BytesIO()
     if path.suffix.lower() == ".csv":
@@ -213,35 +223,14 @@ def write_table(records: Sequence[Record], path: Path) -> Path:
     return write_atomically(path, content.getvalue())
 
 
-def _rows(record: Record) -> Iterator[dict[str, Any]]:
-    """Yield settings of a trial beside each of its tests."""
-    columns = {key: measure for key, measure in MEASURES.items() if measure.chooses}
-    main = [key for key, measure in columns.items() if isinstance(measure, MainMeasure)]
-    others = [key for key in columns if key not in main]
-    tested = (*main, "low", "high", *others, "counts", "arriving", "throughput")
-    trial = record["trial"]
-    job = trial["job"]
-    settings = {**job, **job["camera"], **job["exposure"], **job["training"]}
-    settings["training_noise"] = trial["trained_under"]
-    settings["device"] = (job["camera"]["device"] or {}).get("name")
-    settings["time"] = job["camera"]["exposure"]
-    settings["training_levels"] = settings.pop("levels")
-    settings["hidden"] = "-".join(map(str, settings["hidden"]))
-    settings["classifier_arguments"] = json.dumps(settings["classifier_arguments"])
-    settings["detectors"] = trial["detectors"]
-    for table in ("camera", "exposure", "training", "noise"):
-        del settings[table]
-    for index, test in enumerate(record["test"]):
-        validation = record["validation"][index] if record["validation"] else {}
-        yield {
-            "key": record["key"],
-            "data": trial["data"],
-            "variant": trial["variant"],
-            **settings,
-            "test_noise": test["noise"],
-            "test_photons": test["photons"],
-            "levels": test["levels"],
-            **{f"validation_{key}": validation.get(key) for key in columns if key in test},
-            **{name: test[name] for name in tested if name in test},
-            "seconds": record["info"]["seconds"],
-        }
+def _columns(settings: Mapping[str, Any], lists: bool = True) -> dict[str, Any]:
+    """Settings of tables in tables as columns, such as `job.camera.light`; lists as JSON."""
+    columns: dict[str, Any] = {}
+    for name, value in settings.items():
+        if isinstance(value, dict):
+            columns |= {f"{name}.{key}": each for key, each in _columns(value, lists).items()}
+        elif not isinstance(value, list):
+            columns[name] = value
+        elif lists:
+            columns[name] = json.dumps(value)
+    return columns

@@ -3,14 +3,13 @@
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
     ConfigDict,
     Field,
     FiniteFloat,
-    field_validator,
     model_validator,
 )
 
@@ -18,11 +17,10 @@ from deepfsi.base.errors import as_input_error
 from deepfsi.base.files import read_text, write_atomically
 from deepfsi.base.intervals import unpack_values
 from deepfsi.base.models import Positive, Share, StrictModel
-from deepfsi.camera.names import find_noise
 from deepfsi.datasets.dataset import MeasureTitle
 from deepfsi.jobs.designs import EVERY_PIXEL
 
-RESULTS_SCHEMA = 5
+RESULTS_SCHEMA: Literal[5] = 5
 """Schema of results and of records, the only one; tests of records of another are run anew."""
 
 _Score = Annotated[float, Field(le=1, allow_inf_nan=False)]
@@ -129,15 +127,6 @@ class Point(_Stored):
     )
     one_class: bool = Field(False, description="whether each trial answers one class only")
 
-    def score(self, key: str) -> float | None:
-        """Mean of a measure over trials, by its key; None where the answers do not have it."""
-        return self.further.get(key, getattr(self, key, None))
-
-    @property
-    def clicks(self) -> bool:
-        """True of detectors that click, whose counts are fewer than the photons that arrive."""
-        return find_noise(self.noise).gates
-
     @property
     def every_pixel(self) -> bool:
         """True of a design that has a detector for each pixel."""
@@ -184,7 +173,7 @@ class Provenance(_Stored):
 class Results(_Stored):
     """Results of a comparison."""
 
-    revision: int = Field(RESULTS_SCHEMA, alias="schema", description="version of the format")
+    revision: Literal[5] = Field(5, alias="schema", description="version of the format")
     title: str = Field(description="of the report")
     command: str = Field(description="that made it")
     recipe: dict[str, Any] = Field(description="its settings")
@@ -192,22 +181,8 @@ class Results(_Stored):
     provenance: Provenance = Field(description="versions, device and times")
     chosen_on: str = Field(description="data that masks were chosen on: validation or nothing")
     chosen_by: str = Field("accuracy", description="by which measure: accuracy, balanced or r2")
-    points: tuple[Point, ...] = Field(description="one for each setting")
+    points: tuple[Point, ...] = Field(min_length=1, description="one for each setting")
     extra: dict[str, Any] = Field({}, description="further numbers of an experiment")
-
-    @field_validator("revision")
-    @classmethod
-    def _of_this_version(cls, schema: int) -> int:
-        if schema != RESULTS_SCHEMA:
-            raise ValueError(f"schema {schema} is not the {RESULTS_SCHEMA} of this version")
-        return schema
-
-    @field_validator("points")
-    @classmethod
-    def _finished(cls, points: tuple[Point, ...]) -> tuple[Point, ...]:
-        if not points:
-            raise ValueError("no finished point")
-        return points
 
     @model_validator(mode="after")
     def _of_one_comparison(self) -> "Results":

@@ -7,7 +7,6 @@ stopped goes on where it was, and several processes may work on one folder.
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -101,11 +100,31 @@ def run_trials(
 
     trainer = BatchTrainer(data, trials[0].validation, device, matrix)
     workers = workers or (1 if trainer.processor.type == "cuda" else cores())
-    work = _Work(trainer, Records(folder), workers, ray, resources, report)
+    records = Records(folder)
+    diverged: set[str] = set()
+    before = 0
     try:
-        diverged = work.finish(trials)
+        while missing := [
+            trial
+            for trial in trials
+            if trial.design_key not in diverged and not records.read(trial)
+        ]:
+            if len(missing) == before:
+                time.sleep(1)  # another process works on them
+            before = len(missing)
+            untrained = _test_trained(trainer, records, missing, report)
+            each_once = list({trial.design_key: trial for trial in untrained}.values())
+            batches = trainer.batches(each_once, workers)
+            if len(batches) > 1 and (ray is not None or workers > 1):
+                report(0.0, "matrices that all share")
+                trainer.prepare(each_once)
+            results = _train(trainer, records, batches, workers, ray, resources, report)
+            with closing(results) as arriving:
+                for finished in arriving:
+                    records.write(finished)
+                    diverged |= {done.trial.design_key for done in finished if not done.record}
     finally:
-        work.records.release_all()
+        records.release_all()
     if lost := {trainer.title([t]) for t in trials if t.design_key in diverged}:
         raise InputError(
             f"training diverged and the others are done: {', '.join(sorted(lost))}; lower lr "
@@ -115,130 +134,71 @@ def run_trials(
     return [
         {**record, "trial": trial.model_dump(mode="json")}
         for trial in trials
-        if (record := work.records.read(trial))
+        if (record := records.read(trial))
     ]
 
 
-@dataclass(frozen=True)
-class _Work:
-    """Work on trials of a data set."""
-
-    trainer: "BatchTrainer"
-    records: Records
-    workers: int
-    ray: str | None
-    resources: Resources
-    report: Progress
-
-    def finish(self, trials: Sequence[Trial]) -> set[str]:
-        """Train and test what has no record yet; return the keys of designs that diverged."""
-        diverged: set[str] = set()
-        before = 0
-        while missing := [
-            trial
-            for trial in trials
-            if trial.design_key not in diverged and not self.records.read(trial)
-        ]:
-            if len(missing) == before:
-                time.sleep(1)  # another process tests them
-            before = len(missing)
-            untrained = self._test_trained(missing)
-            if untrained:
-                first_of_each = {trial.design_key: trial for trial in untrained}
-                diverged |= self._train(list(first_of_each.values()))
-                self.report(1.0, "done")
-        return diverged
-
-    def _test_trained(self, trials: Sequence[Trial]) -> list[Trial]:
-        """Test designs that were trained for other tests; return the other trials."""
-        others = []
-        for index, trial in enumerate(trials):
-            design = self.records.design(trial)
-            if design is None or not self.records.lock([trial]):
-                others.append(trial)
-                continue
-            self.report(index / len(trials), f"testing {design.name} again")
-            record = self.trainer.record(trial, design.to(self.trainer.processor))
-            self.records.write([FinishedTrial(trial, record, None)])
-        return others
-
-    def _train(self, trials: Sequence[Trial]) -> set[str]:
-        """Train and record trials of different designs; return the keys of those that diverged."""
-        trainer = self.trainer
-        todo = trainer.batches(trials, self.workers)
-        workers = min(self.workers, len(todo))
-        if self.ray is not None or workers > 1:
-            self.report(0.0, "matrices that all share")
-            trainer.prepare(trials)
-        bar = _EffortBar(trainer, todo, self.report)
-        diverged: set[str] = set()
-        while todo:
-            bar.say(f"{len(todo)} batches")
-            postponed: list[Batch] = []
-            with closing(self._results(self._claimed(todo, postponed), workers, bar)) as arriving:
-                for finished in arriving:
-                    self.records.write(finished)
-                    diverged |= {done.trial.design_key for done in finished if not done.record}
-                    bar.finish([done.trial for done in finished])
-            todo = postponed
-            if todo:
-                bar.say(f"another process works on {len(todo)} batches")
-                time.sleep(1)
-        return diverged
-
-    def _claimed(self, todo: "Sequence[Batch]", postponed: "list[Batch]") -> "Iterator[Batch]":
-        """Yield what is left of each batch, locked; postpone what another process works on."""
-        records = self.records
-        for batch in todo:
-            left = [trial for trial in batch if records.design(trial) is None]
-            if left and not records.lock(left):
-                postponed.append(left)
-                continue
-            # between the look and the lock another process may have finished some
-            trained = [trial for trial in left if records.design(trial) is not None]
-            records.release(trained)
-            if len(trained) < len(left):
-                yield [trial for trial in left if trial not in trained]
-
-    def _results(
-        self, batches: "Iterator[Batch]", workers: int, bar: "_EffortBar"
-    ) -> Generator[list[FinishedTrial], None, None]:
-        """Yield what batches give, as they finish."""
-        trainer = self.trainer
-        checkpoints = self.records.checkpoints
-        work = type(trainer).train
-        if self.ray is not None:  # a node may see another disk: no checkpoints there
-            there = run_on_ray(work, trainer, batches, address=self.ray, **dict(self.resources))
-            with closing(there) as results:
-                yield from results
-        elif workers > 1:
-            yield from processes(partial(work, checkpoints=checkpoints), trainer, batches, workers)
-        else:
-            for batch in batches:
-                yield trainer.train(batch, bar.span(batch), checkpoints)
+def _test_trained(
+    trainer: "BatchTrainer", records: Records, trials: Sequence[Trial], report: Progress
+) -> list[Trial]:
+    """Test designs that were trained for other tests; return the other trials."""
+    others = []
+    for index, trial in enumerate(trials):
+        design = records.design(trial)
+        if design is None or not records.lock([trial]):
+            others.append(trial)
+            continue
+        report(index / len(trials), f"testing {design.name} again")
+        record = trainer.record(trial, design.to(trainer.processor))
+        records.write([FinishedTrial(trial, record, None)])
+    return others
 
 
-class _EffortBar:
-    """Shows the share of batches that are done; each counts by its effort."""
+def _train(
+    trainer: "BatchTrainer",
+    records: Records,
+    batches: "Sequence[Batch]",
+    workers: int,
+    ray: str | None,
+    resources: Resources,
+    report: Progress,
+) -> Generator[list[FinishedTrial], None, None]:
+    """Yield what batches give as they finish, here, in processes or on a cluster."""
+    total = sum(map(trainer.effort, batches))
+    done = 0.0
+    claimed = _claimed(records, batches)
+    workers = min(workers, len(batches))
+    if ray is None and workers <= 1:
+        for batch in claimed:
+            report(done / total, trainer.title(batch))
+            end = done + trainer.effort(batch)
+            yield trainer.train(
+                batch, report.between(done / total, end / total), records.checkpoints
+            )
+            done = end
+        return
+    work = type(trainer).train
+    if ray is None:
+        work_here = partial(work, checkpoints=records.checkpoints)
+        results = processes(work_here, trainer, claimed, workers)
+    else:  # a node may see another disk: no checkpoints there
+        results = run_on_ray(work, trainer, claimed, address=ray, **dict(resources))
+    with closing(results):
+        for finished in results:
+            batch = [each.trial for each in finished]
+            done += trainer.effort(batch)
+            report(min(done / total, 1.0), trainer.title(batch))
+            yield finished
 
-    def __init__(self, trainer: "BatchTrainer", batches: "Sequence[Batch]", show: Progress) -> None:
-        self.trainer = trainer
-        self.show = show
-        self.total = sum(map(trainer.effort, batches))
-        self.done = 0.0
 
-    def say(self, words: str) -> None:
-        """Say what is being done."""
-        self.show(min(self.done / self.total, 1.0), words)
-
-    def span(self, batch: "Batch") -> Progress:
-        """Progress of a batch that is trained here."""
-        title = self.trainer.title(batch)
-        titled = Progress(lambda share, _: self.show(share, title))
-        end = (self.done + self.trainer.effort(batch)) / self.total
-        return titled.between(self.done / self.total, end)
-
-    def finish(self, batch: "Batch") -> None:
-        """Count a batch as done."""
-        self.done += self.trainer.effort(batch)
-        self.say(self.trainer.title(batch))
+def _claimed(records: Records, batches: "Sequence[Batch]") -> "Iterator[Batch]":
+    """Yield what is left of each batch, locked, but for those that another process works on."""
+    for batch in batches:
+        left = [trial for trial in batch if records.design(trial) is None]
+        if not records.lock(left):
+            continue
+        # between the look and the lock another process may have finished some
+        trained = [trial for trial in left if records.design(trial) is not None]
+        records.release(trained)
+        if len(trained) < len(left):
+            yield [trial for trial in left if trial not in trained]

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.names import noise_text
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.designfile.provenance import new_scenes, training_hashes
-from deepfsi.evaluation.measures import MEASURES, Measure, main_measure
+from deepfsi.evaluation.measures import MEASURES, main_measure
 from deepfsi.jobs.designs import DESIGNS
 from deepfsi.jobs.exposures import find_exposure
 from deepfsi.sweeps.recipe import Recipe
@@ -41,11 +41,11 @@ _AXES = (
 )
 """Fields that tell the points of a summary apart."""
 
-_CURVES = ("noise", "light", "rails", "detectors", "readout", "variant", "levels", "trained_under")
+_CURVES = tuple(axis for axis in _AXES if axis not in ("design", "trained_at", "photons", "masks"))
 """Fields that tell two curves of a design apart: a table has those that differ."""
 
-_ONE_TRAINING = "of one training"
-"""Words of a test for what its interval covers, before those of folds or of values."""
+_Member = tuple[Record, int]
+"""Record of a trial, and the place of a setting among its tests."""
 
 
 def summarise_records(
@@ -81,8 +81,9 @@ def summarise_records(
         }
         for index, test in enumerate(record["test"]):
             at = {**settings, **{name: test[name] for name in ("noise", "photons", "levels")}}
-            groups[tuple(at[axis] for axis in _AXES)].append(_Member(record, index))
-    measure = "balanced" if recipe.balances else main_measure(scenes.measure).key
+            groups[tuple(at[axis] for axis in _AXES)].append((record, index))
+    balances = True in recipe.training.get("balance", ())
+    measure = "balanced" if balances else main_measure(scenes.measure).key
     points = [
         _point(dict(zip(_AXES, key, strict=True)), members, labels, scenes, measure)
         for key, members in groups.items()
@@ -188,41 +189,26 @@ def _of_all_folds(folds: Sequence[Record]) -> Record:
 def _test_of_all_folds(tests: Sequence[Record]) -> Record:
     """Tests of one setting on all folds as one: numbers are means over their scenes."""
     images = [test["images"] for test in tests]
-    pooled: dict[str, Any] = {}
-    for name, value in tests[0].items():
-        values = [test[name] for test in tests]
-        if name == "confusion":
-            pooled[name] = np.sum(values, axis=0).tolist()
-        elif name == "terms":
-            pooled[name] = {
-                measure: pack_values(
-                    np.concatenate([unpack_values(terms[measure]) for terms in values])
-                )
-                for measure in value
-            }
-        elif name in ("rmse", "bound") and None not in values:
-            pooled[name] = np.sqrt(np.average(np.square(values), axis=0, weights=images)).tolist()
-        elif name in ("levels", "photons", "noise", "values", "rates") or None in values:
-            pooled[name] = value
-        elif not isinstance(value, str):
-            pooled[name] = np.average(values, axis=0, weights=images).tolist()
-    if "confusion" in pooled:
-        counts = np.array(pooled["confusion"])
-        pooled["rates"] = [
-            float(count / total) if total else None
-            for count, total in zip(counts.diagonal(), counts.sum(axis=1), strict=True)
-        ]
-        there = [rate for rate in pooled["rates"] if rate is not None]
-        pooled["balanced"] = float(np.mean(there))
     covers = f"{tests[0]['covers']} of each of {len(tests)} folds"
-    return {**pooled, "images": sum(images), "covers": covers}
-
-
-class _Member(NamedTuple):
-    """Record of a trial, and the place of a setting among its tests."""
-
-    record: Record
-    place: int
+    pooled: Record = {**tests[0], "images": sum(images), "covers": covers}
+    alike = {"noise", "photons", "levels", "values"}
+    for name in tests[0].keys() - {*alike, "images", "covers", "terms", "rates"}:
+        values = [test[name] for test in tests]
+        if name in ("rmse", "bound") and None not in values:
+            pooled[name] = np.sqrt(np.average(np.square(values), axis=0, weights=images)).tolist()
+        elif None not in values:
+            pooled[name] = np.average(values, axis=0, weights=images).tolist()
+    pooled["terms"] = {
+        name: pack_values(np.concatenate([unpack_values(test["terms"][name]) for test in tests]))
+        for name in tests[0]["terms"]
+    }
+    if "confusion" in pooled:
+        counts = np.sum([test["confusion"] for test in tests], axis=0)
+        pooled["confusion"] = counts.tolist()
+        rates = [float(row[k] / row.sum()) if row.any() else None for k, row in enumerate(counts)]
+        pooled["rates"] = rates
+        pooled["balanced"] = float(np.mean([rate for rate in rates if rate is not None]))
+    return pooled
 
 
 def _point(
@@ -238,18 +224,26 @@ def _point(
         name: np.stack([unpack_values(test["terms"][name]) for test in tests])
         for name in tests[0]["terms"]
     }
-    measure = main_measure(data.measure)
+    main = main_measure(data.measure)
     validated = [record["validation"][place] for record, place in members if record["validation"]]
-    job = members[0].record["trial"]["job"]
+    job = members[0][0]["trial"]["job"]
     scene = find_exposure(job["exposure"]).scene(data)
     detectors = DetectorMap.of(job["camera"]["detectors"], scene.image_shape).count
     code = DESIGNS[axes["design"]]
     lit = [test.get("photons_per_mask", ()) for test in tests]
     means: dict[str, float] = {}
-    for key, other in MEASURES.items():
-        if other.averaged and all(test.get(key) is not None for test in tests):
-            means |= zip(other.keys, _measured(other, tests, terms, labels), strict=True)
+    for key, measure in MEASURES.items():
+        measured = all(test.get(key) is not None for test in tests)
+        if measure is main or (measure.averaged and measured):
+            means["accuracy" if measure is main else key] = _mean(tests, key)
+            if measure.interval:
+                _, *ends = measure.interval(terms[measure.terms], labels)
+                means |= zip(measure.ends, ends, strict=True)
     further = {key: means.pop(key) for key in [*means] if key not in Point.model_fields}
+    covers = tests[0]["covers"]
+    if len(tests) > 1:
+        trainings = f"{len(tests)} trainings{covers.partition('of one training')[2]}"
+        covers = f"test images, noise draws and training seeds ({trainings})"
     return Point(
         **axes,
         label=code.label,
@@ -260,17 +254,14 @@ def _point(
         ratio=axes["masks"] / (scene.pixels / detectors),
         trials=len(tests),
         validation=_mean(validated, chosen_by) if validated else None,
-        **dict(
-            zip(("accuracy", "low", "high"), _measured(measure, tests, terms, labels), strict=True)
-        ),
-        covers=_covers(tests),
+        covers=covers,
         **(_of_values(tests) if data.values else _of_classes(tests)),
         **means,
         **({"further": further} if further else {}),
         **{name: _mean(tests, name) for name in ("counts", "arriving", "throughput")},
         seconds=_mean([record["info"] for record, _ in members], "seconds"),
-        accuracies=tuple(float(test[measure.key]) for test in tests),
-        terms=tuple(pack_values(row) for row in terms[measure.terms]),
+        accuracies=tuple(float(test[main.key]) for test in tests),
+        terms=tuple(pack_values(row) for row in terms[main.terms]),
         keys=tuple(
             key for record, _ in members for key in record.get("designs", [record["design"]])
         ),
@@ -280,26 +271,6 @@ def _point(
 
 def _mean(records: Sequence[Record], name: str) -> float:
     return float(np.mean([record[name] for record in records]))
-
-
-def _covers(tests: Sequence[Record]) -> str:
-    """Sources of chance in the intervals."""
-    covers = str(tests[0]["covers"])
-    if len(tests) == 1:
-        return covers
-    trainings = f"{len(tests)} trainings{covers.partition(_ONE_TRAINING)[2]}"
-    return f"test images, noise draws and training seeds ({trainings})"
-
-
-def _measured(
-    measure: Measure, tests: Sequence[Record], terms: Mapping[str, np.ndarray], labels: np.ndarray
-) -> tuple[float, ...]:
-    """Mean of a measure, with both ends of its interval where it has one."""
-    mean = _mean(tests, measure.key)
-    if measure.interval is None:
-        return (mean,)
-    _, low, high = measure.interval(terms[measure.terms], labels)
-    return mean, low, min(high, 1.0)
 
 
 def _of_classes(tests: Sequence[Record]) -> dict[str, Any]:
@@ -383,12 +354,11 @@ def needs_table(target: float, needs: Sequence[Mapping[str, Any]]) -> Table:
     several = [axis for axis in _CURVES if len({need[axis] for need in needs}) > 1]
     return Table(
         f"accuracy {target:g} needs",
-        ("design", "photons", "95 % interval", "masks", *several),
+        ("design", "photons (95 % interval)", "masks", *several),
         [
             (
                 need["title"],
                 _photons(need),
-                _interval(need),
                 str(need["masks"]),
                 *(str(need[axis] or "–") for axis in several),
             )
@@ -398,18 +368,12 @@ def needs_table(target: float, needs: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def _photons(need: Mapping[str, Any]) -> str:
-    if need["photons"]:
-        return _two_digits(need["photons"])
+    """Photons that a design needs, with the interval: 1.2e3 (900 to 2e3)."""
     lowest, *_, highest = map(budget_text, need["tried"])
-    return f"{lowest} or fewer" if need["found"] == "below" else f"above {highest}"
-
-
-def _interval(need: Mapping[str, Any]) -> str:
-    low, high = (end and _two_digits(end) for end in (need["low"], need["high"]))
-    if low is None:
-        return "any" if high is None else f"{high} or fewer"
-    return f"{low} or more" if high is None else f"{low} to {high}"
-
-
-def _two_digits(photons: float) -> str:
-    return budget_text(float(f"{photons:.1e}"))
+    if need["photons"] is None:
+        return f"{lowest} or fewer" if need["found"] == "below" else f"above {highest}"
+    low, best, high = (
+        end and budget_text(float(f"{end:.1e}"))
+        for end in (need["low"], need["photons"], need["high"])
+    )
+    return f"{best} ({low or f'below {lowest}'} to {high or f'above {highest}'})"
