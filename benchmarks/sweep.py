@@ -34,7 +34,7 @@ from deepfsi.jobs.training import Training
 from deepfsi.sweeps.plan import PAPER_RATIOS, plan_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import run_trials
-from deepfsi.sweeps.workers import default_count
+from deepfsi.sweeps.workers import cores
 from deepfsi.training.learning import train
 from moments import Moments
 
@@ -216,7 +216,7 @@ def main() -> None:
     data = load_dataset(arguments.data)
     scenes = TrainingSet(data, arguments.device)
     device = scenes.device.type
-    workers = arguments.workers or default_count(device)
+    workers = arguments.workers or (1 if device == "cuda" else cores())
     print(
         f"{data.name}, {len(data.x_train)} images of {data.pixels} pixels, {device}, "
         f"{workers} workers, torch {torch.__version__}"

@@ -164,7 +164,9 @@ def main():
     """Draw all; each file says in its description what it shows."""
     for path in (DOCS / "figures").glob("chart-*.svg"):
         path.unlink()
-    with matplotlib.rc_context({**style.STYLE, "font.family": "sans-serif"}):
+    with matplotlib.rc_context(
+        {**style.STYLE, "font.family": "sans-serif", "svg.fonttype": "none"}
+    ):
         for name, chart in charts().items():
             told = {"Date": None, "Creator": None}
             told["Description"] = json.dumps(chart, ensure_ascii=False)

@@ -41,12 +41,12 @@ print(design)
 # %%
 # What the command prints:
 #
-# - *Test accuracy* is the share of test pictures that are classified rightly from noisy counts.
+# - *accuracy* is the share of test pictures that are classified rightly from noisy counts.
 # - ± is half of the **95 % interval** over test pictures. It says nothing about another training;
 #   page 3 trains several times for that.
-# - *Counts* are the photons that the detector counts. They are a share of the budget, since each
+# - *counts* are the photons that the detector counts. They are a share of the budget, since each
 #   mask is shown for a part of the time and has a part of the mirrors ON.
-# - *Balanced accuracy* is the mean of the classes' accuracies. The worst class is named after its
+# - *balanced* is the mean of the classes' accuracies. The worst class is named after its
 #   accuracy.
 
 # %%

@@ -170,8 +170,7 @@ def test_unbalanced_data_shows_its_worst_class(done, file, tmp_path):
     folder = save_pictures(tmp_path / "leaves", {"ash": 90, "oak": 8, "yew": 8})
     light = ("--data", folder, "--photons", "1e2", "--epochs", 2)
     words = ("design", *light, "--masks", 3, "-o", file)
-    worst = r"balanced accuracy 0\.\d{3} ± 0\.\d{3}, worst class 0\.\d{3} \((ash|oak|yew)\)"
-    assert re.search(worst, done(*words))
+    assert re.search(r"balanced .*worst class(.|\n)*0\.\d{3} \((ash|oak|yew)\)", done(*words))
     tested = json.loads(done("evaluate", file, "--photons", "1e2", "--json"))["results"][0]
     assert tested["classes"] == ["ash", "oak", "yew"]
     assert len(tested["rates"]) == len(tested["confusion"]) == 3

@@ -70,7 +70,7 @@ def test_what_is_of_classes_is_refused_in_one_line(placed, design, digits, tmp_p
         with pytest.raises(InputError, match="is of classes") as error:
             refused()
         assert "\n" not in str(error.value)
-    with pytest.raises(InputError, match="has classes, and the design answers row, column"):
+    with pytest.raises(InputError, match="and the design answers row, column"):
         evaluate(design, digits, 1e4)
     with pytest.raises(InputError, match="answers classes and estimates no values"):
         learn(digits, camera="dmd", photons=1e4, masks=2, design="pca",

@@ -31,7 +31,7 @@ def test_errors_of_values_are_means_over_draws_and_r2_is_of_their_variance():
     truth = np.array([[0.0], [2.0]], dtype=np.float32)
     estimates = np.array([[1.0], [2.0], [-1.0], [2.0]], dtype=np.float32)  # draw by draw
     rest = {"truth": truth, "scenes": np.array([0, 1, 0, 1]), "draws": 2, "shares": [1.0]}
-    found = Estimates.of(ValueAnswers(estimates, names=("x",), bound=None, **TEST, **rest))
+    found = Estimates.of(ValueAnswers(estimates, **TEST, **rest), ("x",), None)
     assert found.rmse == [pytest.approx(math.sqrt(0.5))]
     assert (found.r2, found.r2_each) == (0.5, [0.5])
     assert found.image_terms == {"R²": [0, 1]}
@@ -41,7 +41,7 @@ def test_draws_of_a_scene_stand_together_in_their_order():
     scenes = np.array([0, 1, 0, 1, 2, 2])  # a chunk of two scenes, then one of one
     answers = classes(np.eye(2)[[0, 1, 0, 0, 1, 1]], np.array([0, 1, 1]), 2, scenes)
     assert answers.by_scene(np.arange(6)).tolist() == [[0, 2], [1, 3], [4, 5]]
-    assert answers.right.tolist() == [1, 0.5, 1]
+    assert answers.terms["accuracy"].tolist() == [1, 0.5, 1]
     assert answers.confusion.tolist() == [[2, 0], [1, 3]]
     result = Result.of(answers)
     assert (result.images, result.draws, result.accuracy) == (3, 2, 5 / 6)

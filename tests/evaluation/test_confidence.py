@@ -80,9 +80,9 @@ def test_scenes_of_the_training_make_no_network_surer(fixed, digits):
     dim = torch.nn.Linear(10, 10, bias=False)
     dim.weight.data = 0.2 * torch.eye(10)
     shy = replace(fixed, classifier=torch.nn.Sequential(fixed.classifier, dim))
-    scenes = CalibrationScenes([Exposed(shy, Camera(), x, y)], 1)
+    scenes = CalibrationScenes.of([Exposed(shy, Camera(), x, y)], seed=0)
     left_out, trained_on = (
-        fit_temperatures(scenes, calibration_budgets(PHOTONS, PHOTONS), trained_on=seen, seed=0)
+        fit_temperatures(scenes, calibration_budgets(PHOTONS, PHOTONS), trained_on=seen)
         for seen in (False, True)
     )
     assert left_out.logs.min() < -0.5

@@ -28,7 +28,7 @@ def under(camera):
             under({"light": "column", "noise": "shared.noises:photons"}),
             r"for shared\.noises:photons noise",
         ),
-        (under(READ), "read noise of 2 counts"),
+        (under(READ), "camera noise with sigma 2"),
         (under({**READ, "noise": "gaussian", "dark": 0}), "for gaussian noise"),
         (under({**READ, "sigma": 0}), ""),
         ({}, ""),

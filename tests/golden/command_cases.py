@@ -142,7 +142,8 @@ def page(design: str) -> dict[str, Any]:
     for block in map(json.loads, blocks):
         for key in ("largest_score", "chooser"):  # of the reference
             block.get("exposure", {}).pop(key, None)
-        block["scenes"].pop("wavelengths", None)  # None of images, which alone are played
+        for key in ("wavelengths", "clearest"):  # of the reference
+            block["scenes"].pop(key, None)
         out.setdefault("data", []).append(json.dumps(block).encode())
     return out
 

@@ -37,8 +37,8 @@ def compared(name: str) -> dict[str, Any]:
     """A comparison, the files of its folder, its records and designs."""
     out = {"said": _compare(COMPARED[name])}
     paths = {path.relative_to("out").as_posix(): path for path in sorted(Path("out").rglob("*"))}
-    # without the histograms of mask values, which left
-    kept = (path for path in paths if not path.startswith("figures/values-"))
+    # without the histograms of mask values and the pictures of masks, which left
+    kept = (path for path in paths if not path.startswith(("figures/values-", "figures/masks-")))
     paths = {name: paths[name] for name in kept if paths[name].is_file()}
     designs = {name: path for name, path in paths.items() if path.suffix == ".safetensors"}
     return {

@@ -30,8 +30,8 @@ def test_exposures_have_lines_and_published_values_open_beside():
     figure = figures.exposure_figure(points(), published, flux=1e7)
     assert_legible(figure)
     ax = figure.axes[0]
-    ours = [line for line in ax.get_lines() if line.get_label() == TITLES["deepfsi"]]
-    np.testing.assert_allclose(ours[0].get_ydata(), [0.3, 0.5, 0.7, 0.9])
+    ours = [bars for bars in ax.containers if bars.get_label() == TITLES["deepfsi"]]
+    np.testing.assert_allclose(ours[0].lines[0].get_ydata(), [0.3, 0.5, 0.7, 0.9])
     hollow = [line for line in ax.get_lines() if line.get_markerfacecolor() == style.PAPER]
     alone = [line for line in hollow if len(line.get_ydata()) == 1]
     for line, point in zip(alone, published, strict=True):

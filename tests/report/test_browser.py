@@ -11,14 +11,14 @@ from selenium.webdriver.common.by import By
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.comparison_page import write_report
 from deepfsi.report.masks import masks_figure
-from deepfsi.report.style import DESIGN_COLOURS, NARROWEST_SHARE
+from deepfsi.report.style import DESIGN_COLOURS
 from deepfsi.sweeps.results import read_results, write_results
 from deepfsi_paper.report.section import Claim, Picture, Section, Table
 from deepfsi_paper.report.study_page import write_study
 from shared.browser import CONTRASTS, CUT, OVERFLOW, SIZES, look
 from shared.results import a_point, make_results, some_results, with_all
 
-WIDTHS, SCHEMES = (1280, 400), ("light", "dark")
+WIDTHS = 1280, 400
 A4_WIDTH = 680  # CSS pixels between the margins
 
 
@@ -34,7 +34,7 @@ def page(tmp_path_factory, all_drawn_once):
 
 @pytest.fixture
 def opened(browser, page):
-    """Give the browser with the page, wide and light."""
+    """Give the browser with the page, wide."""
     look(browser)
     browser.get_log("browser")
     browser.get(page)
@@ -45,23 +45,19 @@ def style(element, name):
     return element.value_of_css_property(name)
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("width", WIDTHS)
-def test_nothing_is_cut_blocked_or_hard_to_read(opened, width, scheme):
-    look(opened, width, scheme)
+def test_nothing_is_cut_blocked_or_hard_to_read(opened, width):
+    look(opened, width)
     opened.refresh()
     assert opened.execute_script("return window.innerWidth") == width
     assert opened.execute_script(OVERFLOW) <= 0
-    assert opened.execute_script("return document.querySelectorAll('svg text').length") > 50
+    assert opened.execute_script("return [...document.images].every(e => e.naturalWidth > 300)")
     assert opened.execute_script(CUT) == []
     contrasts = opened.execute_script(CONTRASTS)
-    assert {"H1", "TD", "text", "FIGCAPTION"} <= {tag for _, tag, _ in contrasts}
+    assert {"H1", "SPAN"} <= {tag for _, tag, _ in contrasts}
     assert contrasts[0][0] >= 4.5, contrasts[:5]
     sizes = opened.execute_script(SIZES)
-    least = 11.99 if width == 1280 else 11.99 * NARROWEST_SHARE  # of figures, which shrink there
-    assert sizes[0][0] >= least, sizes[:5]
-    dark = opened.execute_script("return getComputedStyle(document.body).backgroundColor")
-    assert (dark == "rgb(255, 255, 255)") == (scheme == "light")
+    assert sizes[0][0] >= 11.2, sizes[:5]  # in tables of a narrow page
     assert opened.get_log("browser") == []
 
 
@@ -110,31 +106,23 @@ def test_names_that_users_give_stay_text_wherever_they_stand(browser, tmp_path, 
         browser.get_log("browser")
         browser.get(address)
         assert browser.execute_script("return window.harmed === undefined")
-        assert browser.execute_script("return document.querySelectorAll('img').length") == 0
         assert browser.execute_script("return document.scripts.length") == 1
         text = browser.execute_script("return document.body.textContent")
-        drawn = browser.execute_script(
-            "return [...document.querySelectorAll('svg text')].map(e => e.textContent).join()"
-        )
         assert text.count(name) > 6
-        assert name in drawn
         assert browser.get_log("browser") == []
 
 
 def test_paper_gets_everything_in_black_on_white(opened):
-    look(opened, A4_WIDTH, "dark", media="print")
+    look(opened, A4_WIDTH, media="print")
     body = opened.find_element(By.TAG_NAME, "body")
     assert style(body, "background-color") == "rgba(255, 255, 255, 1)"
     assert style(body, "color") == "rgba(0, 0, 0, 1)"
     assert opened.execute_script(OVERFLOW) <= 0
     assert opened.execute_script(CUT) == []
     assert opened.execute_script(CONTRASTS)[0][0] >= 4.5
-    opened.execute_script("document.querySelectorAll('details').forEach(d => d.open = true)")
-    [box] = opened.find_elements(By.CSS_SELECTOR, ".tall")
-    assert box.get_property("scrollHeight") <= box.get_property("clientHeight") + 1
     for cell in opened.find_elements(By.CSS_SELECTOR, "td:last-child"):
         assert cell.rect["x"] + cell.rect["width"] <= A4_WIDTH + 0.5
     facts = "return [...document.querySelectorAll('dd')].map(fact => fact.checkVisibility())"
     assert set(opened.execute_script(facts)) == {True}
-    for figure in opened.find_elements(By.CSS_SELECTOR, "figure:has(svg)"):
+    for figure in opened.find_elements(By.CSS_SELECTOR, "figure:has(img)"):
         assert style(figure, "break-inside") == "avoid"

@@ -35,7 +35,7 @@ const page = document.documentElement.clientWidth;
 const outside = box => box.left < -0.5 || box.right > page + 0.5;
 const name = e => `${e.tagName} ${e.className.baseVal ?? e.className} ${e.textContent.trim()}`;
 const inside = getComputedStyle(document.body).maxWidth === "none"
-  ? ".scroll table" : ".scroll table, .drawing svg";  // on paper nothing scrolls
+  ? ".scroll table" : ".scroll table, .drawing img";  // on paper nothing scrolls
 const cut = [...document.querySelectorAll("body *")].filter(e => {
   const box = e.getBoundingClientRect(), style = getComputedStyle(e);
   if (!box.width || !box.height) return false;
@@ -104,14 +104,11 @@ def chromium(profile: Path) -> Iterator[webdriver.Chrome]:
         yield chrome
 
 
-def look(browser, width=1280, scheme="light", media="screen", height=900, still=False):
-    """Set the size, the scheme of colours, the medium and the motion of a browser."""
+def look(browser, width=1280, media="screen", height=900, still=False):
+    """Set the size, the medium and the motion of a browser."""
     screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
     motion = "reduce" if still else "no-preference"
-    features = [
-        {"name": "prefers-color-scheme", "value": scheme},
-        {"name": "prefers-reduced-motion", "value": motion},
-    ]
+    features = [{"name": "prefers-reduced-motion", "value": motion}]
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media, "features": features})
 

@@ -51,9 +51,9 @@ def page_writer(home: Path, design_of: Callable, data_of: Callable) -> Callable[
     return address
 
 
-def open_playground(browser, address: str, width=1280, scheme="light", **screen):
+def open_playground(browser, address: str, width=1280, **screen):
     """Open a page to play with, and wait for it."""
-    look(browser, width, scheme, **screen)
+    look(browser, width, **screen)
     for log in ("browser", "performance"):
         browser.get_log(log)
     browser.get(address)

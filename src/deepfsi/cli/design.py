@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
 from deepfsi.base.models import Count
-from deepfsi.base.quantities import budget_text, confidence_text, count_text
+from deepfsi.base.quantities import Table, confidence_text
 from deepfsi.base.registry import check_report
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
@@ -15,7 +15,7 @@ from deepfsi.cli.evaluate import data_lines, full_gates_lines, with_classes
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
-from deepfsi.evaluation.results import Result, details_text, lit_text, score_text
+from deepfsi.evaluation.results import Result, lit_text, results_lines
 from deepfsi.jobs.job import job_of, sorted_settings
 from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.jobs.training import Training
@@ -120,20 +120,11 @@ def _scenes_text(data: Dataset) -> str:
     return words if folds == 1 else f"{words}, and tests every scene once, in {folds} folds"
 
 
-def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[str]:
+def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[str | Table]:
     """Say how a new design with `lit` masks tests, and what may be done better."""
+    title = f"{design.name}, {design.exposure.size_text}"
+    yield from results_lines(results, title=title, classes=design.classes)
     for result in results:
-        counts = f"{count_text(result.counts)} counts"
-        if result.clicks:
-            counts = (
-                f"{count_text(result.counts)} clicks of {count_text(result.arriving)} photons that "
-                "arrive"
-            )
-        yield (
-            f"{design.name} with {design.exposure.size_text} at {budget_text(result.photons)} "
-            f"photons: {score_text(result)}, {counts} (a share of {result.throughput:.3f})\n"
-            f"{details_text(result, design.classes)}"
-        )
         if (light := result.score("mean_light")) is not None:
             threshold = confidence_text(design.info["stopping"]["threshold"])
             yield (

@@ -211,7 +211,6 @@ def _results_outcome(results: Results, folder: Path, target: float | None = None
     """Write the results of trials and their page, and say them, with what a target needs."""
     from deepfsi.report.comparison_page import (
         comparison_lines,
-        leader_differences,
         scenes_text,
         verdict_of,
         write_report,
@@ -231,7 +230,6 @@ def _results_outcome(results: Results, folder: Path, target: float | None = None
             **({} if target is None else {"target": target, "needs": needs}),
             **content,
             "notes": notes,
-            "differences": list(leader_differences(results)),
         },
         [
             *data_lines(results.data, notes),

@@ -1,10 +1,8 @@
 """Accuracy of a design over budgets, with intervals that say what they cover."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
-from math import prod
-from typing import Any, TypeVar, get_args
+from typing import Any, get_args
 
 import numpy as np
 import torch
@@ -25,8 +23,6 @@ from deepfsi.evaluation.results import Estimates, Result
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, CountedLight
 from deepfsi.physics.noise import noise_of
 from deepfsi.physics.surroundings import library_defaults
-
-AnyAnswers = TypeVar("AnyAnswers", bound=Answers)
 
 COVERS = "test images and noise draws, of one training"
 """What the interval of a test of classes covers."""
@@ -80,41 +76,37 @@ def evaluate(
     True
     """
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
+    names = design.values.names if design.values else ()
     if isinstance(data, tuple) and len(data) == 2:
-        names = design.values.names if design.values else ()
         data = as_test_part(*data, design.image_shape, design.classes, names)
     scenes, left = new_scenes(design.training_scenes, as_dataset(data))
     check_data(design, scenes)
     check_draws(draws, seed)
     camera = camera_for(design, camera, **settings)
-    known = ["the variance of the values is taken as known"] if design.values else []
-    conditions = Conditions(
-        budgets,
-        draws,
-        seed,
-        noise=camera.noise_name,
-        covers="; ".join([COVERS, *known, *([left] if left else [])]),
-    )
+    known = ["the variance of the values is taken as known"] if names else []
+    covers = "; ".join([COVERS, *known, *([left] if left else [])])
     title = f"{design.name}, {design.masks} masks"
     light = design.exposure.shares.view(design.masks, -1).sum(dim=1)
     answer = partial(_answering, design, camera)
+    kind = ValueAnswers if names else ClassAnswers
     with progress_bar(report, title) as bar:
-        if design.values is None:
-            classes = expose_scenes(
-                scenes, answer, conditions, light, kind=ClassAnswers, report=bar
-            )
-            return list(map(Result.of, classes))
-        every = expose_scenes(scenes, answer, conditions, light, kind=ValueAnswers, report=bar)
-    names = design.values.names
-    return [
-        Estimates.of(
-            replace(
-                estimates,
-                names=names,
-                bound=_linear_bound(design, camera, scenes, estimates.photons),
-            )
+        every = expose_scenes(
+            scenes,
+            answer,
+            budgets,
+            light,
+            draws=draws,
+            seed=seed,
+            noise=camera.noise_name,
+            covers=covers,
+            kind=kind,
+            report=bar,
         )
-        for estimates in every
+    if not names:
+        return list(map(Result.of, every))
+    return [
+        Estimates.of(each, names, _linear_bound(design, camera, scenes, each.photons))
+        for each in every
     ]
 
 
@@ -150,29 +142,21 @@ def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> 
     return Camera.load(base, **settings)
 
 
-@dataclass(frozen=True)
-class Conditions:
-    """Budgets of a test, noise draws of each scene, their seed, their noise and what they cover."""
-
-    budgets: Sequence[float]
-    draws: int
-    seed: int
-    noise: str
-    covers: str = COVERS
-
-
 def expose_scenes(
     data: Dataset,
     answer_of: Callable[[Tensor], Guess],
-    conditions: Conditions,
+    budgets: Sequence[float],
     shares: Tensor,
     *,
-    kind: type[AnyAnswers],
+    draws: int,
+    seed: int,
+    noise: str,
+    covers: str = COVERS,
+    kind: type[Answers],
     report: Progress,
-) -> list[AnyAnswers]:
+) -> list[Any]:
     """Answers to the test scenes at each budget; masks count `shares` (m,) of it."""
-    budgets = conditions.budgets
-    generators = [torch.Generator(shares.device).manual_seed(conditions.seed) for _ in budgets]
+    generators = [torch.Generator(shares.device).manual_seed(seed) for _ in budgets]
     outputs: list[list[list[np.ndarray]]] = [[] for _ in budgets]
     light = np.zeros((len(budgets), 3))  # counts, photons, and light of exposures that stop
     exposed = []
@@ -181,21 +165,21 @@ def expose_scenes(
         for done, rows in enumerate(chunks, start=1):
             some = rows.numpy()  # NumPy takes a tensor of one number for the number itself
             answer = answer_of(torch.from_numpy(data.x_test[some]))
-            exposed += [some] * conditions.draws
+            exposed += [some] * draws
             for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
-                for _ in range(conditions.draws):
+                for _ in range(draws):
                     answers, counted = answer(generator, budget)
                     outputs[place].append([each.cpu().numpy() for each in answers])
                     light[place] += np.array(counted, dtype=float)
             report(done / len(chunks))
-    means = light / (conditions.draws * len(data.x_test))
+    means = light / (draws * len(data.x_test))
     return [
         kind(
             *(np.concatenate(parts) for parts in zip(*exposures, strict=True)),
             photons=budget,
-            noise=conditions.noise,
-            covers=conditions.covers,
-            draws=conditions.draws,
+            noise=noise,
+            covers=covers,
+            draws=draws,
             counts=counts,
             arriving=arriving,
             used=None if np.isnan(used) else used / budget,
@@ -211,25 +195,18 @@ def expose_scenes(
 
 def check_data(design: Design, data: Dataset) -> None:
     """Raise `InputError` unless a design can classify the scenes of a data set."""
-    pixels = prod(design.image_shape)
-    if data.pixels != pixels:
-        raise InputError(
-            f"{data.name} has {data.pixels} pixels and the design {pixels}: use the data (and "
-            "`size`) that it was made for"
-        )
-    values = design.values.names if design.values else ()
-    if data.values != values:
-        here, there = (", ".join(names) or "classes" for names in (data.values, values))
-        raise InputError(f"{data.name} has {here}, and the design answers {there}: use such data")
-    if data.classes != design.classes:
-        raise InputError(
-            f"{data.name} has other classes than the design ({', '.join(design.classes[:12])})"
-        )
     if data.image_shape != design.image_shape:
         raise InputError(
             f"{data.name} has scenes of shape {data.image_shape} and the design "
-            f"{design.image_shape}: use the data that it was made for"
+            f"{design.image_shape}: use the data (and `size`) that it was made for"
         )
+    values = design.values.names if design.values else ()
+    if data.values != values or data.classes != design.classes:
+        here, there = (
+            ", ".join((names or classes)[:12])
+            for names, classes in ((data.values, data.classes), (values, design.classes))
+        )
+        raise InputError(f"{data.name} has {here}, and the design answers {there}: use such data")
 
 
 def check_draws(draws: object, seed: object) -> None:

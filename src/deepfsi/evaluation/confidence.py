@@ -11,8 +11,8 @@ its model has not seen.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -46,31 +46,31 @@ class Exposed(NamedTuple):
 
 @dataclass(frozen=True)
 class CalibrationScenes:
-    """Scenes by which a design is calibrated."""
+    """Exposures of scenes of known classes, by which a design is calibrated."""
 
-    parts: Sequence[Exposed]  # scenes that the design itself answers
-    stops: int  # K, answers of an exposure
+    labels: np.ndarray  # class (E,) of each exposure; a scene's exposures follow one another
+    # Logits (E, C) at a budget after a number of masks or looks less 1, without `base`
+    logits: Callable[[float, int], np.ndarray]
+    stops: int = 1  # K, answers of an exposure
     draws: int = 1  # exposures of each scene
-    shares: np.ndarray | None = None  # (C,)
+    base: np.ndarray | float = 0.0  # logits (C,) that a temperature does not divide
     doubt: float = 0.0  # scenes that are added to these, like them and each of any class alike
 
-    @property
-    def labels(self) -> np.ndarray:
-        """Class (E,) of each exposure; a scene's exposures follow one another."""
-        return np.concatenate([part.labels.repeat(self.draws) for part in self.parts])
+    @classmethod
+    def of(
+        cls, parts: Sequence[Exposed], seed: int, draws: int = 1, doubt: float = 0.0
+    ) -> "CalibrationScenes":
+        """Scenes that designs answer after a whole exposure."""
 
-    def logits(self, photons: float, seed: int, places: Sequence[int]) -> np.ndarray:
-        """Logits (len(places), E, C) of the exposures after some stops, from 0, less `base`."""
-        logits = [
-            draw_logits(each.design, each.camera, each.x, photons, self.draws, seed)
-            for each in self.parts
-        ]
-        return np.concatenate(logits)[None] - self.base
+        def logits(photons: float, place: int) -> np.ndarray:
+            drawn = [
+                draw_logits(each.design, each.camera, each.x, photons, draws, seed)
+                for each in parts
+            ]
+            return np.concatenate(drawn)
 
-    @property
-    def base(self) -> np.ndarray | float:
-        """Logits (C,) that a temperature does not divide."""
-        return 0.0 if self.shares is None else np.log(self.shares)
+        labels = np.concatenate([part.labels.repeat(draws) for part in parts])
+        return cls(labels, logits, draws=draws, doubt=doubt)
 
     def losses(self, logits: np.ndarray, temperature: float) -> np.ndarray:
         """−ln of the probability (E,) of the true classes, of `logits` (E, C) of some stop."""
@@ -91,19 +91,11 @@ class LeftOutTest:
     uncalibrated_log_loss: float  # the same without them
     guessing: float  # the same of an answer that gives each class its share of the training scenes
     error: float  # standard error of the difference of `log_loss` and `guessing`, over scenes
-
-    @property
-    def guesses(self) -> bool:
-        """True where the answers cannot be told from guessing: within twice the standard error."""
-        return self.log_loss + 2 * self.error >= self.guessing
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        return {**asdict(self), "guesses": self.guesses}
+    guesses: bool  # whether both log losses cannot be told apart: within twice the error
 
 
 def fit_temperatures(
-    scenes: CalibrationScenes, budgets: np.ndarray, *, trained_on: bool, seed: int
+    scenes: CalibrationScenes, budgets: np.ndarray, *, trained_on: bool
 ) -> Temperatures:
     """Temperatures of a design at budgets (B,), by exposures of scenes of known classes.
 
@@ -114,10 +106,7 @@ def fit_temperatures(
     # at eight numbers of masks or looks, at most
     fitted = np.unique(np.rint(np.geomspace(1, stops, 8)).astype(int)) - 1
     logs = np.array(
-        [
-            [_fit(logits, scenes) for logits in scenes.logits(budget, seed, fitted.tolist())]
-            for budget in budgets
-        ]
+        [[_fit(scenes.logits(budget, place), scenes) for place in fitted] for budget in budgets]
     )
     if trained_on:
         logs = logs.clip(min=0)
@@ -126,27 +115,26 @@ def fit_temperatures(
 
 
 def measure_left_out(
-    scenes: CalibrationScenes,
-    temperatures: Temperatures,
-    photons: float,
-    guess: np.ndarray,
-    *,
-    seed: int,
+    scenes: CalibrationScenes, temperatures: Temperatures, photons: float, guess: np.ndarray
 ) -> LeftOutTest:
     """Test of the answers to scenes that a training left out, beside guesses (C,)."""
     last = scenes.stops - 1
-    [logits] = scenes.logits(photons, seed, [last])
+    logits = scenes.logits(photons, last)
     losses = scenes.losses(logits, float(temperatures_at(temperatures, last, photons)))
     guessed = -np.log(guess.clip(min=1e-6))[scenes.labels]
     # exposures of one scene are no scenes of their own
     gains = (losses - guessed).reshape(-1, scenes.draws).mean(axis=1)
+    loss = float(losses.mean())
+    guessing = float(guessed.mean())
+    error = float(gains.std() / len(gains) ** 0.5)
     return LeftOutTest(
         scenes=len(gains),
         accuracy=float(((logits + scenes.base).argmax(axis=1) == scenes.labels).mean()),
-        log_loss=float(losses.mean()),
+        log_loss=loss,
         uncalibrated_log_loss=float(scenes.losses(logits, 1.0).mean()),
-        guessing=float(guessed.mean()),
-        error=float(gains.std() / len(gains) ** 0.5),
+        guessing=guessing,
+        error=error,
+        guesses=loss + 2 * error >= guessing,
     )
 
 

@@ -7,6 +7,7 @@ masks that it reads are at fault.
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import torch
@@ -15,12 +16,11 @@ from torch import Tensor
 from deepfsi.adaptive.posterior import class_chances
 from deepfsi.base.arrays import check_memory, free_memory
 from deepfsi.base.progress import Progress, progress_bar
-from deepfsi.camera.light import check_budget, summed_reflectance
+from deepfsi.camera.light import check_budget
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile.provenance import new_scenes
 from deepfsi.evaluation.accuracy import (
-    Conditions,
     Guess,
     Guessed,
     check_data,
@@ -31,7 +31,6 @@ from deepfsi.evaluation.measures import ClassAnswers
 from deepfsi.evaluation.results import Result
 from deepfsi.exposure.kind import CountedLight
 from deepfsi.exposure.training_set import check_classes
-from deepfsi.physics.scanner import Scanner
 from deepfsi.physics.surroundings import library_defaults
 
 
@@ -78,7 +77,7 @@ class IdealObserver:
 
 @library_defaults()
 def ideal_observer(
-    design: Design | Tensor,
+    design: Design,
     data: Source,
     photons: Sequence[float] | float,
     *,
@@ -95,9 +94,8 @@ def ideal_observer(
 
     Parameters
     ----------
-    design : Design or tensor
-        Of fixed dwells; or the rails (2 or 1, m, N) of a matrix. Impulse imaging is the identity,
-        ``torch.eye(N)[None]``.
+    design : Design
+        Of masks that are known before an exposure.
     data : Dataset, str, path or tuple of arrays
     photons : float or sequence of float
         Budgets Φ.
@@ -111,37 +109,26 @@ def ideal_observer(
     Raises
     ------
     InputError
-        If the data does not fit the design, a budget is not finite and above 0, or dwells are
-        chosen.
+        If the data does not fit the design, a budget is not finite and above 0, or masks are made
+        during the exposure.
 
     Examples
     --------
-    >>> from deepfsi import load_dataset
-    >>> digits = load_dataset("digits")
-    >>> [result] = ideal_observer(torch.eye(64)[None], digits, 1e4)
+    >>> import deepfsi
+    >>> few = deepfsi.Training(epochs=1)
+    >>> impulse = deepfsi.learn("digits", photons=1e4, design="impulse", training=few)
+    >>> [result] = deepfsi.ideal_observer(impulse, "digits", 1e4)
     >>> result.accuracy > 0.9
     True
     """
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
-    scenes = as_dataset(data)
-    if not isinstance(design, Tensor):
-        scenes, _ = new_scenes(design.training_scenes, scenes)
+    scenes, _ = new_scenes(design.training_scenes, as_dataset(data))
     check_classes(scenes.values, "the ideal observer")
     check_draws(draws, seed)
-    if isinstance(design, Tensor):
-        scanner = Scanner.from_rails(design)
-        s = summed_reflectance(scenes.x_train)
-    else:
-        check_data(design, scenes)
-        design.exposure.check("ideal observer")
-        scanner = design.scanner()
-
-    def rates_of(x: Tensor) -> Tensor:
-        """Expected counts (n, rails, m) of scenes (n, N) for a budget of one photon."""
-        if isinstance(design, Tensor):
-            return scanner.rates(x.to(design) / s)
-        return design.mask_exposure.rates(scanner, x)
-
+    check_data(design, scenes)
+    design.exposure.check("ideal observer")
+    scanner = design.scanner()
+    rates_of = partial(design.mask_exposure.rates, scanner)
     with torch.no_grad(), progress_bar(report, "ideal observer") as bar:
         rates = rates_of(torch.from_numpy(np.asarray(scenes.x_train)))
         # arrays as large as the rates of all training scenes
@@ -162,6 +149,15 @@ def ideal_observer(
 
             return guess
 
-        conditions = Conditions(budgets, draws, seed, noise="poisson")
-        answers = expose_scenes(scenes, guess_of, conditions, shares, kind=ClassAnswers, report=bar)
+        answers = expose_scenes(
+            scenes,
+            guess_of,
+            budgets,
+            shares,
+            draws=draws,
+            seed=seed,
+            noise="poisson",
+            kind=ClassAnswers,
+            report=bar,
+        )
         return list(map(Result.of, answers))

@@ -53,6 +53,11 @@ class Answers:
     scenes: np.ndarray  # (E,)
     used: float | None = None
 
+    @property
+    def terms(self) -> dict[str, np.ndarray]:
+        """Numbers (n,) of the scenes whose means are measures, by their names in records."""
+        raise NotImplementedError
+
     def by_scene(self, values: np.ndarray) -> np.ndarray:
         """Values (n, draws, …) of exposures (E, …)."""
         order = np.argsort(self.scenes, kind="stable")
@@ -85,20 +90,16 @@ class ClassAnswers(Answers):
         return [float(row[k] / row.sum()) if row.any() else None for k, row in rows]
 
     @property
-    def confidence(self) -> np.ndarray:
-        """Probability (E,) of the answers."""
-        return self.chances.max(axis=1).astype(float)
-
-    @property
     def losses(self) -> np.ndarray:
         """−ln of the probability (E,) of the true classes, in nats."""
         chances = self.chances[np.arange(len(self.true)), self.true].astype(float)
         return -np.log(chances.clip(min=np.finfo(np.float32).eps))
 
-    @cached_property
-    def right(self) -> np.ndarray:
+    @property
+    def terms(self) -> dict[str, np.ndarray]:
         """Share (n,) of the draws of each scene that are answered right."""
-        return self.by_scene(self.classes == self.true).mean(axis=1, dtype=float)
+        right = self.by_scene(self.classes == self.true)
+        return {"accuracy": right.mean(axis=1, dtype=float)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +107,6 @@ class ValueAnswers(Answers):
     """Answers that are estimates of values."""
 
     estimates: np.ndarray  # (E, q), in the unit of each value
-    names: tuple[str, ...] = ()
-    bound: list[float] | None = None
 
     @cached_property
     def squares(self) -> np.ndarray:
@@ -123,9 +122,9 @@ class ValueAnswers(Answers):
         return self.squares / variance
 
     @property
-    def explained(self) -> np.ndarray:
+    def terms(self) -> dict[str, np.ndarray]:
         """1 − `losses` (n,) in the mean over values, whose mean over scenes is R²."""
-        return 1 - self.losses.mean(axis=1)
+        return {"R²": 1 - self.losses.mean(axis=1)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,26 +137,22 @@ class Measure:
     compute: Callable[[Any], float | None] | None = None
     interval: Callable[[np.ndarray, np.ndarray], Interval] | None = None
     ends: tuple[str, str] = ("", "")  # names of the ends of that interval in results and records
-    terms: str = ""  # name in records of those numbers of images
-    terms_of: Callable[[Any], np.ndarray] | None = None  # gives the numbers (n,) of answers
+    terms: str = ""  # name among `Answers.terms` of the numbers that its interval is of
     column: str = ""
     legend: str = ""
     averaged: bool = False  # whether points of a comparison hold its mean over trials
-    chooses: bool = False
 
     @property
     def keys(self) -> tuple[str, ...]:
         """Names of the measure and of the ends of its interval, where it has one."""
         return (self.key, *self.ends) if self.interval else (self.key,)
 
-    def values(self, answers: Answers, terms: np.ndarray | None) -> list[float | None]:
-        """Values of `keys`, from answers and the numbers of images that are named `terms`."""
+    def values(self, answers: Answers, terms: dict[str, np.ndarray]) -> list[float | None]:
+        """Values of `keys`, from answers and their numbers of scenes."""
         value = self.compute(answers) if self.compute else None
         if self.interval is None:
             return [value]
-        if terms is None:
-            return [None] * len(self.keys)
-        mean, low, high = self.interval(terms, answers.truth)
+        mean, low, high = self.interval(terms[self.terms], answers.truth)
         return [mean if value is None else value, low, high]
 
 
@@ -186,9 +181,7 @@ MEASURES: dict[str, Measure] = {
             interval=lambda terms, truth: accuracy_interval(terms),
             ends=("low", "high"),
             terms="accuracy",
-            terms_of=lambda answers: answers.right,
             column="accuracy",
-            chooses=True,
             axis="accuracy (share correct)",
             meaning="share of test scenes classified correctly",
             guessing="the share of the commonest class",
@@ -202,14 +195,13 @@ MEASURES: dict[str, Measure] = {
             terms="accuracy",
             column="balanced",
             averaged=True,
-            chooses=True,
         ),
         Measure(
             key="calibration_error",
             title="expected calibration error",
             of=ClassAnswers,
             compute=lambda answers: confidence_error(
-                answers.confidence, answers.classes == answers.true
+                answers.chances.max(axis=1).astype(float), answers.classes == answers.true
             ),
             column="ECE",
             legend="ECE: expected calibration error, between probabilities and how often they are "
@@ -239,9 +231,7 @@ MEASURES: dict[str, Measure] = {
             interval=_explained_interval,
             ends=("low", "high"),
             terms="R²",
-            terms_of=lambda answers: answers.explained,
             column="R²",
-            chooses=True,
             axis="R² of the estimates",
             meaning="share of the variance of the values that the estimates explain (R², in the "
             "mean over values)",

@@ -100,41 +100,24 @@ def of_page(design: Design, seed: int = 0) -> Design:
 def check_playable(design: Design) -> None:
     """Raise `InputError` for a design that no page can play."""
     check_classes(design.values, "a page")
+    design.exposure.check("page")
     if len(design.image_shape) == 1:
         raise InputError("this design is of spectra, and on a page images are drawn")
-    if not design.camera.noise_facts.steady:
+    camera = design.camera
+    noise = camera.noise_facts
+    if not (noise.steady and noise.shot) or (noise.read_noise and camera.sigma):
         raise InputError(
-            "this design is for light that fluctuates, and a page draws photon and dark counts of "
-            "steady light: give a design of fluctuation 0"
+            f"this design is for {camera.noise_name} noise with sigma {camera.sigma:g} and "
+            f"fluctuation {camera.fluctuation:g}, and a page draws photon and dark counts of "
+            "steady light: give a design for poisson or camera noise with both 0"
         )
     if design.exposure.makes_masks:
-        design.exposure.check("page")
         design.prior_exposure.optics_at(1.0)
-    else:
-        _classifier(design)
-
-
-def _classifier(design: Design) -> Mlp:
-    """Classifier of a design of known masks that a page can play."""
-    design.exposure.check("page")
-    if not isinstance(design.classifier, Mlp):
+    elif not isinstance(design.classifier, Mlp):
         raise InputError(
             "a page has no classifier of your own in it: give a design with the package's own, "
             "which `classifier` mlp learns"
         )
-    camera = design.camera
-    noise = camera.noise_facts
-    if noise.shot and noise.read_noise and camera.sigma:
-        raise InputError(
-            f"this design is for read noise of {camera.sigma:g} counts, and a page draws photon "
-            "and dark counts: give a design of sigma 0"
-        )
-    if not noise.shot:
-        raise InputError(
-            f"this design is for {camera.noise_name} noise, and a page draws photon and dark "
-            "counts: give a design for poisson or camera noise"
-        )
-    return design.classifier
 
 
 def _pack(values: np.ndarray) -> dict[str, Any]:
@@ -148,6 +131,8 @@ def _pack(values: np.ndarray) -> dict[str, Any]:
 
 def _networks(design: Design) -> dict[str, Any]:
     """Masks that are known, and the network that reads their counts."""
+    network = design.classifier
+    assert isinstance(network, Mlp)
     # Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|
     rails = design.rails
     difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
@@ -170,8 +155,7 @@ def _networks(design: Design) -> dict[str, Any]:
         "mean": _pack(masks.mean.cpu().numpy()),
         "std": _pack(masks.std.cpu().numpy()),
         "network": [
-            {"weight": _pack(weight), "bias": _pack(bias)}
-            for weight, bias in _classifier(design).arrays
+            {"weight": _pack(weight), "bias": _pack(bias)} for weight, bias in network.arrays
         ],
         "exposure": masks.entry.model_dump(),
     }
@@ -227,7 +211,6 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
     levels = np.rint(share.clip(0, 1) * (2**16 - 1)).astype(np.uint16)
     sums = data.x_train.sum(axis=1, dtype=float)
     return {
-        "clearest": _clearest(data, rows),
         "sums": [float(sums.min()), float(sums.max())],
         "flattest": float(np.asarray(data.x_train).std(axis=1).min()),
         "low": low,
@@ -235,13 +218,3 @@ def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
         "levels": _pack(levels),
         "labels": data.y_test[rows].tolist(),
     }
-
-
-def _clearest(data: Dataset, rows: np.ndarray) -> int:
-    """Place of the test scene that lies nearest to its class, over the nearest of the others."""
-    kinds = np.unique(data.y_train)
-    means = np.stack([data.x_train[data.y_train == kind].mean(axis=0) for kind in kinds])
-    far = ((data.x_test[rows][:, None] - means) ** 2).sum(axis=2)
-    true = kinds == data.y_test[rows][:, None]
-    nearest, other = (np.where(each, far, np.inf).min(axis=1) for each in (true, ~true))
-    return int(np.argmin(nearest / other))

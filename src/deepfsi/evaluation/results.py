@@ -7,22 +7,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from deepfsi.base.intervals import (
-    MOST_CLASSES,
-    Z_95,
-    confusion_shares,
-    frequent_confusions,
-    pack_values,
-    worst_class,
-)
-from deepfsi.base.quantities import (
-    NAME_WIDTH,
-    Table,
-    budget_text,
-    count_text,
-    rate_text,
-    short_name,
-)
+from deepfsi.base.intervals import pack_values, worst_class
+from deepfsi.base.quantities import Table, budget_text, count_text, rate_text, short_name
 from deepfsi.camera.names import find_noise
 from deepfsi.evaluation.measures import MEASURES, Answers, ClassAnswers, Measure, ValueAnswers
 
@@ -74,31 +60,22 @@ class _AnswerTest:
     @classmethod
     def _values(cls, answers: Answers) -> dict[str, Any]:
         """Fields that answers of either kind have: the light, and all measures."""
+        terms = answers.terms
         scores: dict[str, float | None] = {}
-        terms: dict[str, np.ndarray] = {}
         for measure in cls.measures():
-            if measure.terms_of and len(numbers := measure.terms_of(answers)):
-                terms[measure.terms] = numbers
-            values = measure.values(answers, terms.get(measure.terms))
-            scores |= zip(measure.keys, values, strict=True)
-        names = {field_.name for field_ in fields(cls)}
+            scores |= zip(measure.keys, measure.values(answers, terms), strict=True)
+        own = {field_.name for field_ in fields(cls)} & scores.keys()
+        alike = ("photons", "noise", "covers", "draws", "counts", "arriving")
         return {
-            "photons": answers.photons,
-            "noise": answers.noise,
-            "covers": answers.covers,
+            **{name: getattr(answers, name) for name in alike},
             "images": len(answers.truth),
-            "draws": answers.draws,
-            "counts": answers.counts,
-            "arriving": answers.arriving,
             "throughput": sum(answers.shares),
             "photons_per_mask": [answers.photons * share for share in answers.shares],
             "further": {
-                key: score
-                for key, score in scores.items()
-                if key not in names and score is not None
+                key: score for key, score in scores.items() if key not in own and score is not None
             },
             "image_terms": {name: numbers.tolist() for name, numbers in terms.items()},
-            **{key: score for key, score in scores.items() if key in names},
+            **{key: scores[key] for key in own},
         }
 
 
@@ -170,11 +147,6 @@ class Result(_AnswerTest):
         """
         return self.image_terms.get("accuracy", [])
 
-    @property
-    def worst(self) -> int:
-        """Place of the class with the lowest accuracy."""
-        return worst_class(self.rates)
-
 
 @dataclass(frozen=True)
 class Estimates(_AnswerTest):
@@ -185,24 +157,17 @@ class Estimates(_AnswerTest):
     values: list[str]  # names of the values
     r2_each: list[float]  # R² of each value
     rmse: list[float]
-    rmse_low: list[float]
-    rmse_high: list[float]
     bound: list[float] | None
 
     @classmethod
-    def of(cls, answers: ValueAnswers) -> Self:
-        """The result of answers."""
-        power = answers.squares.mean(axis=0)
-        spread = answers.squares.std(axis=0, ddof=min(len(answers.truth) - 1, 1))
-        half = Z_95 * spread / np.sqrt(len(answers.truth))
+    def of(cls, answers: ValueAnswers, names: Sequence[str], bound: list[float] | None) -> Self:
+        """The result of answers, beside the best linear estimator's errors (q,)."""
         return cls(
             **cls._values(answers),
-            values=list(answers.names),
+            values=list(names),
             r2_each=(1 - answers.losses.mean(axis=0)).tolist(),
-            rmse=np.sqrt(power).tolist(),
-            rmse_low=np.sqrt(np.clip(power - half, 0, None)).tolist(),
-            rmse_high=np.sqrt(power + half).tolist(),
-            bound=answers.bound,
+            rmse=np.sqrt(answers.squares.mean(axis=0)).tolist(),
+            bound=bound,
         )
 
 
@@ -219,23 +184,6 @@ def lit_text(masks: int, lit: float) -> str:
     return f"{masks} asked, {lit:.3g} lit: {dark:.3g} {have} no time under this budget"
 
 
-def score_text(result: Result | Estimates) -> str:
-    """Test accuracy, or R² of values, with its interval."""
-    main, *_ = result.measures()
-    words = f"{main.title} {_interval(result, main)}"
-    return words if isinstance(result, Estimates) else f"test {words}"
-
-
-def details_text(result: Result | Estimates, classes: Sequence[str]) -> str:
-    """Say how well each class, or each value, was answered."""
-    if isinstance(result, Estimates):
-        errors = ", ".join(map(" ".join, zip(result.values, _answers(result, ()), strict=True)))
-        return f"root mean squared error (of the best linear estimator): {errors}"
-    balanced = MEASURES["balanced"]
-    [worst] = _answers(result, classes)
-    return f"{balanced.title} {_interval(result, balanced)}, worst class {worst}"
-
-
 def results_lines(
     tests: Sequence[Result | Estimates],
     *,
@@ -243,77 +191,42 @@ def results_lines(
     classes: Sequence[str] = (),
     bounds: Sequence[Result] = (),
 ) -> Iterator[str | Table]:
-    """Tests of a design in a table, its mistakes, and what the numbers mean."""
+    """Tests of a design in a table, and what the numbers mean; `bounds` are of ideal observers."""
     results = sorted(tests, key=lambda r: r.photons)
-    values = results[0].values if isinstance(results[0], Estimates) else []
+    first = results[0]
     clicks = any(result.clicks for result in results)
     light = ("counts", "arriving") if clicks else ("counts",)
     measures = [
         measure
-        for measure in results[0].measures()
-        if measure.column
-        and (measure.interval or any(r.score(measure.key) is not None for r in results))
+        for measure in first.measures()
+        if measure.column and any(r.score(measure.key) is not None for r in results)
     ]
-    main, *others = (measure for measure in measures if measure.interval)
-    last = [measure for measure in measures if not measure.interval]
+    main = measures[0]
+    ideal = {bound.photons: _interval(bound, main) for bound in bounds}
     rows = [
         (
             budget_text(r.photons),
+            *([ideal[r.photons]] if ideal else []),
             _interval(r, main),
-            *(_number(r.score(measure.key)) for measure in others),
+            *(_number(r.score(measure.key)) for measure in measures[1:]),
             *_answers(r, classes),
             *(count_text(getattr(r, name)) for name in light),
             f"{r.throughput:.3f}",
-            *(_number(r.score(measure.key)) for measure in last),
         )
         for r in results
     ]
+    values = first.values if isinstance(first, Estimates) else []
     names = map(short_name, values) if values else ("worst class",)
-    heads = (*(measure.column for measure in (main, *others)), *names, *light, "counted")
-    heads = ("photons", *heads, *(measure.column for measure in last))
-    yield Table(title, heads, rows)
+    heads = (*(measure.column for measure in measures), *names, *light, "counted")
+    yield Table(title, ("photons", *(["ideal observer"] if ideal else []), *heads), rows)
     if values:
         yield "of each value: root mean squared error (that of the best linear estimator)"
-    for result in results:
-        if isinstance(result, Result):
-            yield _confusion_table(result, classes)
-    if bounds:
-        yield Table(
-            "ideal observer of these counts, training scenes as prior",
-            ("photons", main.column),
-            [
-                (budget_text(r.photons), _interval(r, main))
-                for r in sorted(bounds, key=lambda r: r.photons)
-            ],
-        )
-    yield f"± half of the 95 % interval: {results[0].covers}"
+    yield f"± half of the 95 % interval: {first.covers}"
     yield (
-        "counts: clicks of the detectors, arriving: photons that reach them, in the mean over test "
-        "scenes"
-        if clicks
-        else "counts: photons that detectors count, in the mean over test scenes"
+        f"counts: {'clicks' if clicks else 'photons'} of a test scene in the mean; counted: share "
+        f"of the budget that {'reaches detectors' if clicks else 'they are'}, over training scenes"
     )
-    reached = "reaches them" if clicks else "they count"
-    yield f"counted: share of the budget that {reached}, in the mean over training scenes"
     yield from (measure.legend for measure in measures if measure.legend)
-
-
-def _confusion_table(result: Result, classes: Sequence[str]) -> Table:
-    """Which classes are taken for which; of many, the most frequent mistakes."""
-    where = f"at {budget_text(result.photons)} photons, % of the true class"
-    if len(classes) > MOST_CLASSES:
-        mistakes = [
-            (classes[i], classes[j], f"{100 * x:.1f}")
-            for i, j, x in frequent_confusions(result.confusion)
-        ]
-        return Table(f"most frequent mistakes {where}", ("true", "answered", "share"), mistakes)
-    rows = [
-        (short_name(name), *(f"{100 * x:.0f}" if x else "" for x in row))
-        for name, row in zip(classes, confusion_shares(result.confusion), strict=True)
-    ]
-    width = NAME_WIDTH if len(classes) <= 5 else 5
-    heads = ("true \\ answered", *(short_name(name, width) for name in classes))
-    return Table(f"answers {where}", heads, rows)
 
 
 def _interval(result: Result | Estimates, measure: Measure) -> str:
@@ -331,14 +244,10 @@ def _answers(result: Result | Estimates, classes: Sequence[str]) -> tuple[str, .
     if isinstance(result, Estimates):
         errors = zip_longest(result.rmse, result.bound or ())
         return tuple(error_text(*pair) for pair in errors)
-    return (worst_text(result.rates[result.worst] or 0.0, classes[result.worst]),)
+    worst = worst_class(result.rates)
+    return (f"{result.rates[worst] or 0.0:.3f} ({short_name(classes[worst])})",)
 
 
 def error_text(rmse: float, bound: float | None) -> str:
     """A root mean squared error, and its bound in brackets if known: 0.052 (0.071)."""
     return f"{rmse:.3g}" if bound is None else f"{rmse:.3g} ({bound:.3g})"
-
-
-def worst_text(rate: float, name: str) -> str:
-    """Accuracy of the worst class with its name: 0.083 (oak)."""
-    return f"{rate:.3f} ({short_name(name)})"

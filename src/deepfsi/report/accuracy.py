@@ -1,20 +1,19 @@
 """Figures of accuracy: against photons, against the number of masks, and of measured readouts."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from operator import attrgetter
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from deepfsi.camera.names import noise_text
 from deepfsi.evaluation.measures import main_measure
 from deepfsi.report import style
-from deepfsi.report.style import columns, inches, photons_text
+from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
 
 Measured: TypeAlias = Any
@@ -25,9 +24,6 @@ DESIGN_AND_OPTICS = ("design", "light", "rails", "detectors")
 
 SeriesKey = tuple[str, ...]
 """Values of the fields that tell series apart."""
-
-_CHANCE: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
-"""Line of the accuracy that chance gives."""
 
 
 class Series:
@@ -115,124 +111,40 @@ def accuracy_figure(results: Results, top: float = 1.0) -> Figure:
     """Accuracy against photons, each design at its chosen mask count; one panel a noise.
 
     Error bars are the points' intervals. Circles are feature-specific designs, squares others.
-    Where all were tested at one budget, each design has a line of its own, the most accurate on
-    top.
     """
     panels = noises(results)
-    chosen = [point for point in results.points if point.best]
-    one_budget = len({point.photons for point in chosen}) == 1
-    series = Series.of(results, chosen)
-    if one_budget:
-        wide = 2.5 + 0.075 * max(map(len, series.figure_names().values()))
-        figsize = (wide * len(panels), 0.26 * len(series.groups) + 1.3)
-    else:
-        figsize = (5.4 * len(panels), style.PANEL_HEIGHT)
-    figure = Figure(figsize=figsize, layout="constrained")
+    figure = Figure(figsize=(5.4 * len(panels), style.PANEL_HEIGHT), layout="constrained")
     grid = figure.subplots(1, len(panels), squeeze=False)[0]
     for ax, noise in zip(grid, panels, strict=True):
-        points = [point for point in chosen if point.noise == noise]
-        if one_budget:
-            _ranking_axes(ax, points, series, results, top=top)
-        else:
-            _budget_axes(ax, points, results, top)
-        if len(panels) > 1:
-            ax.set_title(noise_text(noise), **({"pad": 14} if one_budget else {}))
-    kinds = {Series(chosen, DESIGN_AND_OPTICS).key(point) for point in chosen}
-    several = not one_budget and len(kinds) > len({point.design for point in chosen})
-    hollow = "hollow: further light laws, rails or detectors" if several else ""
-    marker_key(figure, chosen, hollow)
-    return figure
-
-
-def _budget_axes(ax: Axes, points: Sequence[Measured], results: Results, top: float) -> None:
-    """Accuracies against photons under one noise."""
-    photons = attrgetter("photons")
-    accuracy_axes(ax, points, series_axes(results), photons, chance=results.data.chance, top=top)
-    ax.set_ylabel(main_measure(results.data.measure).axis)
-    ax.set_xlabel(style.BUDGET_AXIS)
-    budgets = sorted({point.photons for point in points})
-    short = all(len(style.photons_text(budget)) <= 4 for budget in budgets)
-    ax.xaxis.set_major_locator(
-        FixedLocator(budgets) if len(budgets) <= 8 and short else LogLocator(numticks=8)
-    )
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: style.photons_text(value)))
-
-
-def _ranking_axes(
-    ax: Axes, points: Sequence[Measured], series: Series, results: Results, *, top: float
-) -> None:
-    """Accuracies at one budget, under one noise: a line for each series."""
-    names = series.figure_names()
-    rows = sorted(points, key=lambda point: point.accuracy)
-    for row, point in enumerate(rows):
-        ax.errorbar(
-            point.accuracy,
-            row,
-            xerr=_bar_lengths([point]),
-            color=style.DESIGN_COLOURS.get(point.design, style.INK),
-            marker=_marker(point),
-            capsize=2,
-            elinewidth=1,
+        points = [point for point in results.points if point.best and point.noise == noise]
+        photons = attrgetter("photons")
+        accuracy_axes(
+            ax, points, series_axes(results), photons, chance=results.data.chance, top=top
         )
-    ax.set_yticks(range(len(rows)), [names[series.key(point)] for point in rows])
-    ax.set_ylim(-0.6, len(rows) - 0.4)
-    ax.set_xlim(0, top)
-    ax.xaxis.set_major_locator(MultipleLocator(top / 4))
-    ax.set_xlabel(main_measure(results.data.measure).axis)
-    ax.grid(axis="x")
-    chance = results.data.chance
-    ax.axvline(chance, **_CHANCE)
-    ax.annotate(
-        "chance", (chance, 1), (3, 2), xycoords=ax.get_xaxis_transform(),
-        textcoords="offset points", color=style.MUTED,
-    )  # fmt: skip
-
-
-def marker_key(figure: Figure, points: Iterable[Measured], *words: str) -> None:
-    """Say below a figure what circles, squares and bars are, and what else its words say."""
-    look: dict[str, Any] = {"color": style.MUTED, "linestyle": "none"}
-    markers = {point.specific: _marker(point) for point in points}
-    kinds = {True: "masks made from training data", False: "other masks"}
-    keys = [Line2D([], [], marker=markers[kind], **look) for kind in kinds if kind in markers]
-    keys += [Line2D([], [], marker="|", markersize=9, **look)]
-    names = [*(kinds[kind] for kind in kinds if kind in markers), "95 % interval"]
-    names += filter(None, words)
-    keys += [Line2D([], [], linestyle="none")] * (len(names) - len(keys))
-    room = figure.get_figwidth()
-    in_a_row = sum(inches(name, 9) for name in names) < room
-    figure.legend(
-        keys,
-        names,
-        loc="outside lower center",
-        ncols=len(keys) if in_a_row else columns(names, room, 9),
-        frameon=False,
-        fontsize=9,
-        handlelength=1.0,
-        columnspacing=1.2,
-    )
+        ax.set_ylabel(main_measure(results.data.measure).axis)
+        ax.set_xlabel(style.BUDGET_AXIS)
+        budgets = sorted({point.photons for point in points})
+        short = all(len(photons_text(budget)) <= 4 for budget in budgets)
+        ax.xaxis.set_major_locator(
+            FixedLocator(budgets) if len(budgets) <= 8 and short else LogLocator(numticks=8)
+        )
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: photons_text(value)))
+        if len(panels) > 1:
+            ax.set_title(noise_text(noise))
+    return figure
 
 
 @style.styled
 def count_figure(results: Results) -> Figure:
     """Accuracy against the number of masks, of results under one noise at one budget."""
-    # Filled markers are the mask counts that were chosen; designs whose count is fixed have one
     figure = Figure(figsize=(4.9, style.PANEL_HEIGHT), layout="constrained")
     ax = figure.subplots()
     axes = tuple(axis for axis in series_axes(results) if axis != "masks")
-    accuracy_axes(
-        ax,
-        results.points,
-        axes,
-        attrgetter("masks"),
-        chance=results.data.chance,
-        filled=attrgetter("best"),
-    )
+    accuracy_axes(ax, results.points, axes, attrgetter("masks"), chance=results.data.chance)
     ax.set_ylabel(main_measure(results.data.measure).axis)
     ax.set_xlabel("number of masks m")
     ax.xaxis.set_major_locator(LogLocator(base=2, numticks=12))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    words = "filled: number of masks chosen on validation data" if results.had_choice else ""
-    marker_key(figure, results.points, words)
     return figure
 
 
@@ -244,7 +156,6 @@ def accuracy_axes(
     *,
     chance: float,
     span: tuple[float, float] | None = None,
-    filled: Callable[[Measured], bool] | None = None,
     top: float = 1.0,
 ) -> None:
     """Draw accuracies over a quantity, one line for each series, named at the right edge."""
@@ -260,39 +171,31 @@ def accuracy_axes(
         variant = sum(other[0] == key[0] for other in list(groups)[:index])
         rows = sorted(members, key=across, reverse=left > right)
         x = np.array([across(point) for point in rows]) * apart ** (index - (len(groups) - 1) / 2)
-        full = np.array([filled(point) if filled else variant == 0 for point in rows])
+        y = np.array([point.accuracy for point in rows])
+        bars = [y - [point.low for point in rows], [point.high for point in rows] - y]
         design = rows[0].design
         colour = style.DESIGN_COLOURS.get(design, style.INK)
-        line = style.DESIGN_LINES.get(design, "-") if variant == 0 else (0, (1 + variant,) * 2)
-        y = np.array([point.accuracy for point in rows])
         ax.errorbar(
             x,
             y,
-            yerr=_bar_lengths(rows),
-            linestyle=line,
-            zorder=3 + index / 100,
+            yerr=np.clip(bars, 0, None),
+            label=names[key],
+            linestyle=style.DESIGN_LINES.get(design, "-")
+            if variant == 0
+            else (0, (1 + variant,) * 2),
+            marker="o" if rows[0].specific else "s",
+            markerfacecolor=style.PAPER if variant else colour,
             color=colour,
             elinewidth=1,
             capsize=2,
+            zorder=3 + index / 100,
         )
-        for kind in set(full.tolist()):
-            at = full == kind
-            ax.plot(
-                x[at],
-                y[at],
-                linestyle="none",
-                marker=_marker(rows[0]),
-                label=names[key],
-                color=colour,
-                markerfacecolor=colour if kind else style.PAPER,
-                zorder=4 + index / 100,
-            )
-        ends.append(_End(names[key], colour, float(x[-1]), rows[-1].accuracy))
+        ends.append(_End(names[key], colour, float(x[-1]), float(y[-1])))
     ax.set_xscale("log")
     margin = 10 ** (0.06 * decades)
     edges = min(left, right) / margin, max(left, right) * margin
     ax.set_xlim(edges[::-1] if left > right else edges)
-    ax.axhline(chance, zorder=2, **_CHANCE)
+    ax.axhline(chance, zorder=2, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)))
     ax.set_ylim(0, top)
     ax.set_ylabel(style.ACCURACY_AXIS)
     ax.grid(axis="y")
@@ -338,13 +241,3 @@ def _name_ends(ax: Axes, ends: list[_End]) -> None:
             verticalalignment="center",
             fontweight="bold" if end.name != "chance" else "normal",
         )
-
-
-def _bar_lengths(points: Sequence[Measured]) -> np.ndarray:
-    """Lengths (2, n) of the bars below and above each point."""
-    ends = [(point.accuracy - point.low, point.high - point.accuracy) for point in points]
-    return np.clip(np.transpose(ends), 0, None)
-
-
-def _marker(point: Measured) -> str:
-    return "o" if point.specific else "s"

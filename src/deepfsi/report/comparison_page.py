@@ -2,16 +2,14 @@
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.intervals import (
     MOST_CLASSES,
-    Crossing,
     accuracy_difference,
     confusion_shares,
     find_crossing,
@@ -19,9 +17,8 @@ from deepfsi.base.intervals import (
 )
 from deepfsi.base.quantities import Table, budget_text, rate_text, short_name
 from deepfsi.camera.names import noise_text
-from deepfsi.designfile.design_file import DesignFile
-from deepfsi.evaluation.measures import MEASURES, main_measure
-from deepfsi.evaluation.results import error_text, lit_masks, lit_text, worst_text
+from deepfsi.evaluation.measures import main_measure
+from deepfsi.evaluation.results import error_text
 from deepfsi.jobs.designs import ADAPTIVE, DESIGNS
 from deepfsi.report.accuracy import (
     DESIGN_AND_OPTICS,
@@ -31,13 +28,9 @@ from deepfsi.report.accuracy import (
     noises,
     shares_light,
 )
-from deepfsi.report.masks import masks_figure, peak_value, signed
-from deepfsi.report.rendering import capital, render, share_text
+from deepfsi.report.rendering import capital, render
 from deepfsi.report.style import Figures, photons_text
 from deepfsi.sweeps.results import Data, Point, Results, read_results
-
-MASKS_SHOWN = 12
-"""Masks of a design that the page shows at most."""
 
 _SUBJECTS = {"deepfsi": "learned masks (DeepFSI)", "adaptive": "adaptive masks"}
 """Designs whose names in a sentence are masks."""
@@ -49,25 +42,22 @@ PagePart = dict[str, Any]
 def write_report(folder: str | os.PathLike[str]) -> Path:
     """Write `report.html` and its figures into the output folder of a comparison.
 
-    It holds `results.json` and, for the pictures of masks, `designs/KEY.safetensors`.
+    It holds `results.json`.
     """
     home = Path(folder)
     if not (home / "results.json").is_file():
         raise InputError(f"no results in {home}: make them with `deepfsi compare -o {home}`")
     figures = Figures()
-    text = _page_text(read_results(home / "results.json"), home / "designs", figures)
+    text = _page_text(read_results(home / "results.json"), figures)
     figures.write(home)
     return write_atomically(home / "report.html", text.encode())
 
 
-def _page_text(results: Results, designs: Path, figures: Figures) -> str:
+def _page_text(results: Results, figures: Figures) -> str:
     """Text of the page."""
     points = results.points
     best = [p for p in points if p.best]
     verdict = verdict_of(results)
-    confusions = _confusions(results)
-    matrices = [point for _, point in confusions]
-    opened = verdict.best if verdict.best in matrices else next(iter(matrices), None)
     return render(
         "page.html.jinja",
         results=results,
@@ -82,22 +72,11 @@ def _page_text(results: Results, designs: Path, figures: Figures) -> str:
         counts=list(_count_panels(results, figures)),
         tables=[_best_table(results, noise) for noise in noises(results)],
         errors=_errors_table(results, best) if results.data.values else None,
-        confusions=confusions,
-        opened=opened,
+        confused=verdict.best,
         most_classes=MOST_CLASSES,
         mistakes=frequent_confusions,
         shares=confusion_shares,
-        learned=list(_learned_masks(results, designs, figures)),
-        masks_shown=MASKS_SHOWN,
         adaptive=ADAPTIVE,
-        further=[
-            measure
-            for measure in MEASURES.values()
-            if measure.averaged
-            and measure.column
-            and any(point.score(measure.key) is not None for point in points)
-        ],
-        worst=worst_text,
     )
 
 
@@ -134,26 +113,6 @@ def _chosen(results: Results, noise: str) -> list[Point]:
     return [p for p in results.points if p.noise == noise and p.best]
 
 
-def leader_differences(results: Results) -> Iterator[dict[str, Any]]:
-    """Paired differences of the first of each ranking to the others, by noise and budget."""
-    for noise in noises(results):
-        points = _chosen(results, noise)
-        series = Series.of(results, points)
-        for photons in sorted({p.photons for p in points}):
-            first, *others = _ranking(points, photons)
-            for other in others:
-                difference = accuracy_difference(first, other)
-                yield {
-                    "noise": noise,
-                    "photons": photons,
-                    "first": series.name(first),
-                    "second": series.name(other),
-                    "difference": difference.mean,
-                    "low": difference.low,
-                    "high": difference.high,
-                }
-
-
 def _accuracy_panels(results: Results, figures: Figures) -> Iterator[PagePart]:
     """Accuracy against photons, a picture for each noise."""
     measure = capital(main_measure(results.data.measure).title)
@@ -176,7 +135,7 @@ def _count_panels(results: Results, figures: Figures) -> Iterator[tuple[str, lis
         for j, photons in enumerate(sorted({p.photons for p in points}), start=1):
             drawn = count_figure(results.with_points(p for p in points if p.photons == photons))
             where = f"{photons_text(photons)} photons"
-            words = f"{measure} against number of masks at {where}; see the last table."
+            words = f"{measure} against number of masks at {where}; numbers in results.json."
             picture = figures.add(f"count-{i}-{j}", drawn, words)
             panels.append({"heading": where, "picture": picture})
         yield noise_text(noise).capitalize(), panels
@@ -220,54 +179,6 @@ def _errors_table(results: Results, best: Iterable[Point]) -> Table:
     )
 
 
-def _confusions(results: Results) -> list[tuple[str, Point]]:
-    """Points with a confusion matrix by name; best first at each noise and budget."""
-    named = []
-    for noise in noises(results):
-        points = [p for p in _chosen(results, noise) if p.confusion]
-        series = Series.of(results, points)
-        for p in sorted(points, key=lambda p: (p.photons, p.every_pixel, -p.accuracy)):
-            light = f"{photons_text(p.photons)} photons, {noise_text(noise)}"
-            named.append((f"{series.name(p)}, {light}", p))
-    return named
-
-
-def _learned_masks(results: Results, designs: Path, figures: Figures) -> Iterator[PagePart]:
-    """Masks of every learned design whose files are there, by budget."""
-    for i, noise in enumerate(noises(results), start=1):
-        series = Series.of(results, [p for p in _chosen(results, noise) if p.learned])
-        for j, members in enumerate(series.groups.values(), start=1):
-            # the files hold masks before they are quantised for a test
-            files = {designs / f"{p.keys[0]}.safetensors": p for p in members if not p.levels}
-            there = sorted((p.trained_at, path) for path, p in files.items() if path.is_file())
-            panels = [
-                _mask_panel(files[path], path, f"{i}-{j}-{number}", figures)
-                for number, (_, path) in enumerate(there, start=1)
-            ]
-            if panels:
-                name = series.name(members[0])
-                yield {"heading": f"{name}, {noise_text(noise)}", "panels": panels}
-
-
-def _mask_panel(point: Point, file: Path, number: str, figures: Figures) -> PagePart:
-    """Masks of a design at a budget."""
-    design = DesignFile.read(file, ("rails",))
-    rails = design.rails
-    lit = lit_masks(rails)
-    where = f"{photons_text(point.trained_at)} photons"
-    which = f"{min(lit, MASKS_SHOWN)} of {design.masks} masks"
-    if lit < design.masks:
-        which += f" ({lit_text(design.masks, lit)})"
-    drawn = masks_figure(rails, design.mask_header.mask_shape, count=MASKS_SHOWN)
-    peak = f"{peak_value(signed(rails)):.2g}"
-    counted = share_text(point.throughput)
-    return {
-        "heading": where,
-        "note": f"{which}, peak {peak}, {counted} of the budget counted",
-        "drawn": figures.add(f"masks-{number}", drawn, f"Masks learned at {where}, {which}."),
-    }
-
-
 def comparison_lines(results: Results) -> Iterator[str | Table]:
     """A comparison for a terminal: a row for each design, a column for each budget, the verdict."""
     tables = {noise: _best_table(results, noise) for noise in noises(results)}
@@ -307,14 +218,12 @@ def comparison_lines(results: Results) -> Iterator[str | Table]:
     yield verdict_of(results).text
 
 
-@dataclass(frozen=True)
-class _Verdict:
+class _Verdict(NamedTuple):
     """The verdict of a comparison."""
 
     title: str  # for a heading: "Learned masks (DeepFSI) need 3 (2 to 4) times less light than PCA"
     text: str  # the same with its numbers, a sentence
-    photons: float  # budget at which the designs differ most, of those tested
-    best: Point  # of the most accurate design there
+    best: Point  # of the most accurate design, at the tested budget at which designs differ most
 
 
 def verdict_of(results: Results) -> _Verdict:
@@ -340,9 +249,9 @@ def verdict_of(results: Results) -> _Verdict:
     pairs = [(first, _rival(others)) for first, *others in rankings if others]
     if not pairs:
         best = rankings[-1][0]
-        reached = f"{_verb(best, 'reach')} {measure} {share_text(best.accuracy)}{under}"
+        reached = f"{_verb(best, 'reach', 'reaches')} {measure} {best.accuracy:.3f}{under}"
         title = f"{capital(name(best))} {reached}"
-        return _Verdict(title, f"{title} at {_photons(best)}.", best.photons, best)
+        return _Verdict(title, f"{title} at {_photons(best)}.", best)
     pairs.sort(key=lambda pair: pair[1].accuracy - pair[0].accuracy)
     clear = [pair for pair in pairs if _better(*pair)]
     ratios = [_times(*pair, series, images=results.data.test) for pair in clear]
@@ -351,20 +260,22 @@ def verdict_of(results: Results) -> _Verdict:
     one = capital(name(first))
     two = name(other)
     at = (
-        f"at {_photons(first)} {measure} is {share_text(first.accuracy)}, and "
-        f"{share_text(other.accuracy)} with {two}"
+        f"at {_photons(first)} {measure} is {first.accuracy:.3f}, and {other.accuracy:.3f} with "
+        f"{two}"
     )
     if not clear:
         pair = "The best designs" if len(budgets) > 1 else f"{one} and {two}"
         where = "any budget" if len(budgets) > 1 else _photons(first)
         title = f"{pair} cannot be told apart at {where}{under}"
-        return _Verdict(title, f"{title}: with {name(first)}, {at}.", first.photons, first)
+        return _Verdict(title, f"{title}: with {name(first)}, {at}.", first)
     if not ratios[index]:
-        title = f"{one} {_verb(first, 'are', 'is')} better than {two} at {_photons(first)}{under}"
-        return _Verdict(title, f"{title}: {at}.", first.photons, first)
+        are = _verb(first, "are", "is")
+        title = f"{one} {are} better than {two} at {_photons(first)}{under}"
+        return _Verdict(title, f"{title}: {at}.", first)
     light = "mean light" if shares_light(first) or shares_light(other) else "light"
-    title = f"{one} {_verb(first, 'need')} {ratios[index]} times less {light} than {two}{under}"
-    return _Verdict(title, f"{title} for the same {measure}: {at}.", first.photons, first)
+    need = _verb(first, "need", "needs")
+    title = f"{one} {need} {ratios[index]} times less {light} than {two}{under}"
+    return _Verdict(title, f"{title} for the same {measure}: {at}.", first)
 
 
 def _ranking(points: Sequence[Point], photons: float) -> list[Point]:
@@ -402,8 +313,12 @@ def _times(first: Point, other: Point, series: Series, *, images: int) -> str | 
         for point in (first, other)
     )
     for curve, point in ((theirs, first), (mine, other)):
-        ends = (point.low, point.accuracy, point.high)
-        low, best, high = (_meets(curve, target, images) for target in ends)
+        if len(curve) < 2:
+            continue
+        budgets = [p.photons for p in curve]
+        trials = [[max(score, 0.0) for score in p.accuracies] for p in curve]  # R² may be below 0
+        targets = point.low, point.accuracy, point.high
+        low, best, high = (find_crossing(budgets, trials, images, target) for target in targets)
         if low.low and best.photons and high.high:
             ratios = [photons / first.photons for photons in (low.low, best.photons, high.high)]
             if curve is mine:
@@ -414,14 +329,6 @@ def _times(first: Point, other: Point, series: Series, *, images: int) -> str | 
     return None
 
 
-def _meets(curve: Sequence[Point], target: float, images: int) -> Crossing:
-    """Where a curve meets a target; unknown from one budget."""
-    if len(curve) < 2:
-        return Crossing(None, None, None, "beyond")
-    trials = [[max(score, 0.0) for score in p.accuracies] for p in curve]  # R² may lie below 0
-    return find_crossing([p.photons for p in curve], trials, images, target)
-
-
 def _ratio_text(ratio: float) -> str:
     return f"{ratio:.1f}" if ratio < 1.95 else f"{float(f'{ratio:.1g}'):.0f}"
 
@@ -430,8 +337,6 @@ def _photons(point: Point) -> str:
     return f"{photons_text(point.photons)} photons"
 
 
-def _verb(point: Point, plural: str, singular: str = "") -> str:
+def _verb(point: Point, plural: str, singular: str) -> str:
     """The verb that a design's name takes."""
-    if point.design in _SUBJECTS:
-        return plural
-    return singular or (f"{plural}es" if plural.endswith("ch") else f"{plural}s")
+    return plural if point.design in _SUBJECTS else singular

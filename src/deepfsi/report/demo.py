@@ -3,7 +3,6 @@
 import os
 import re
 from collections.abc import Mapping
-from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +32,7 @@ def write_page(path: str | os.PathLike[str], payload: Mapping[str, Any]) -> Path
         payload=payload,
         law=LIGHT_LAWS[payload["light"]],
         script=Markup(_bundle()),
-        mask_count=masks,
         masks=plural(masks, "adaptive mask" if adaptive else "mask"),
-        pixels=prod(payload["image_shape"]),
     )
     return write_atomically(path, page.encode())
 

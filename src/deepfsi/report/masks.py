@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import FuncFormatter
 
 from deepfsi.base.quantities import budget_text
 from deepfsi.evaluation.results import lit_masks, lit_text
@@ -47,9 +45,8 @@ def brightest_masks(rails_or_matrix: np.ndarray, count: int) -> np.ndarray:
     return np.argsort(-total, kind="stable")[: min(count, lit_masks(array) or len(total))]
 
 
-def _scale_of(rails_or_matrix: np.ndarray) -> ScalarMappable:
+def _scale_of(matrix: np.ndarray) -> ScalarMappable:
     """Colours of masks: black at 0 to white at the peak; of signed ones, symmetric about white."""
-    matrix = signed(rails_or_matrix)
     end = peak_value(matrix)
     if matrix.min() < 0:
         return ScalarMappable(Normalize(-end, end), DIVERGING)
@@ -58,22 +55,20 @@ def _scale_of(rails_or_matrix: np.ndarray) -> ScalarMappable:
 
 @style.styled
 def masks_figure(
-    rails_or_matrix: np.ndarray,
+    matrix: np.ndarray,
     image_shape: tuple[int, ...],
     title: str = "",
     count: int = 12,
     *,
     dwells: np.ndarray | None = None,
-    parts: np.ndarray | None = None,
 ) -> Figure:
     """Masks of a design, first those that count most photons: images, or curves for spectra.
 
-    Of rails (2 or 1, m, N) or a matrix (m, N), with dwells (m,). Above each mask stands its number,
-    from 1 in the order in which masks are shown. The scale ends at the peak, the largest |M_ij|; it
-    begins at 0, of signed masks at −peak. `parts` (N,) is the detector that sees each pixel.
+    Of a matrix (m, N), with dwells (m,). Above each mask stands its number, from 1 in the order in
+    which masks are shown. The scale ends at the peak, the largest |M_ij|; it begins at 0, of signed
+    masks at −peak.
     """
-    matrix = signed(rails_or_matrix)
-    chosen = brightest_masks(rails_or_matrix, count)
+    chosen = brightest_masks(matrix, count)
     images = len(image_shape) == 2
     columns = 6 if images else min(3, len(chosen))
     rows = -(-len(chosen) // columns)
@@ -93,7 +88,6 @@ def masks_figure(
         heading = f"mask {number + 1}"
         if images:
             mask_axes(ax, matrix[number].reshape(image_shape), scale)
-            _draw_edges(ax, np.zeros(image_shape) if parts is None else parts.reshape(image_shape))
             ax.set_xlabel(dwell, fontsize=9, labelpad=2)
         else:
             _curve_axes(ax, matrix[number], scale)
@@ -101,7 +95,11 @@ def masks_figure(
             heading = ", ".join(filter(None, [heading, dwell]))
         ax.set_title(heading, fontsize=9, fontweight="normal", pad=2)
     if images:
-        _colour_bar(figure, scale, grid)
+        bar = figure.colorbar(
+            scale, ax=grid, orientation="horizontal", aspect=40, shrink=0.7, pad=0.03,
+            label=BAR_LABEL, ticks=np.linspace(*scale.get_clim(), 5), format="{x:.2g}",
+        )  # fmt: skip
+        style.plain_bar(bar)
     else:
         figure.supxlabel("band", fontsize=9)
         figure.supylabel(BAR_LABEL.replace("pixel", "band"), fontsize=9)
@@ -109,9 +107,8 @@ def masks_figure(
 
 
 def design_figure(design: "Design", count: int) -> Figure:
-    """Masks of a design, with its light, its dwells and what its detectors see."""
+    """Masks of a design, with its light and its dwells."""
     exposure = design.mask_exposure
-    labels = exposure.detection.labels
     matrix, shape, dwells = exposure.drawing()
     budget = design.info.get("job", {}).get("photons")
     title = f"{design.name}, {exposure.size_text}, {exposure.light}" + (
@@ -124,15 +121,12 @@ def design_figure(design: "Design", count: int) -> Figure:
         title += f"; the {count} that count most photons"
     if dwells is not None:
         title += "\ndwell: share of the exposure"
-    if labels is not None:
-        title += "\nlines: parts of the device that one detector sees"
     return masks_figure(
         matrix.cpu().numpy(),
         shape,
         title,
         count,
         dwells=None if dwells is None else dwells.detach().cpu().numpy(),
-        parts=None if labels is None else labels.cpu().numpy(),
     )
 
 
@@ -142,17 +136,10 @@ def _percent(share: float) -> str:
 
 def mask_axes(ax: Axes, mask: np.ndarray, scale: ScalarMappable) -> None:
     """Draw a mask (height, width) as an image."""
-    finer = _finer(mask.shape)
     low, high = scale.get_clim()
-    image = mask.repeat(finer, axis=0).repeat(finer, axis=1)
-    ax.imshow(image, cmap=scale.cmap, vmin=low, vmax=high, interpolation="none")
+    ax.imshow(mask, cmap=scale.cmap, vmin=low, vmax=high, interpolation="nearest")
     ax.set(xticks=[], yticks=[])
     ax.spines[:].set(visible=True, color=style.GRID)
-
-
-def _finer(shape: tuple[int, ...]) -> int:
-    """Drawn pixels for each of a mask: printers smooth pixels; leave them little to smooth."""
-    return -(-128 // max(shape))
 
 
 def _curve_axes(ax: Axes, mask: np.ndarray, scale: ScalarMappable) -> None:
@@ -161,25 +148,3 @@ def _curve_axes(ax: Axes, mask: np.ndarray, scale: ScalarMappable) -> None:
     ax.plot(np.arange(1, len(mask) + 1), mask, color=style.DESIGN_COLOURS["pca"], linewidth=1.1)
     low, high = scale.get_clim()
     ax.set_ylim(1.05 * low, 1.05 * high)
-
-
-def _draw_edges(ax: Axes, parts: np.ndarray) -> None:
-    """Draw a line between two pixels that two detectors see."""
-    finer = _finer(parts.shape)
-    down, right = (np.argwhere(np.diff(parts, axis=axis)) for axis in (0, 1))
-    across = [[(x, y + 1), (x + 1, y + 1)] for y, x in down]
-    along = [[(x + 1, y), (x + 1, y + 1)] for y, x in right]
-    lines = finer * np.array(across + along, dtype=float).reshape(-1, 2, 2) - 0.5
-    colour = style.DESIGN_COLOURS["hadamard"]
-    ax.add_collection(LineCollection(list(lines), colors=colour, linewidths=0.8))
-
-
-def _colour_bar(figure: Figure, scale: ScalarMappable, axes: np.ndarray) -> None:
-    bar = figure.colorbar(scale, orientation="horizontal", ax=axes, aspect=40, shrink=0.7, pad=0.03)
-    bar.set_label(BAR_LABEL)
-    low, high = scale.get_clim()
-    bar.set_ticks(np.linspace(low, high, 5).tolist())
-    bar.ax.xaxis.set_major_formatter(
-        FuncFormatter(lambda value, _: f"{value:.2g}".replace("-", "−"))
-    )
-    bar.outline.set_edgecolor(style.MUTED)

@@ -8,7 +8,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from deepfsi.camera.names import LIGHT_LAWS
-from deepfsi.report.style import DARK_COLOURS, DESIGN_COLOURS, photons_text
+from deepfsi.report.style import DESIGN_COLOURS, photons_text
 
 _TEMPLATES = Path(__file__).parent
 
@@ -24,13 +24,11 @@ def render(template: str, folder: Path = _TEMPLATES, /, **values: Any) -> str:
     )
     environment.filters.update(
         photons=photons_text,
-        counts=lambda counts: "–" if counts is None else photons_text(float(f"{counts:.3g}")),
         capital=capital,
-        share=share_text,
+        share="{:.3f}".format,
     )
     return environment.get_template(template).render(
         colours=DESIGN_COLOURS,
-        dark_colours=DARK_COLOURS,
         laws={name: law.optics for name, law in LIGHT_LAWS.items()},
         **tomllib.loads(files(__package__).joinpath("terms.toml").read_text("utf-8")),
         **values,
@@ -40,8 +38,3 @@ def render(template: str, folder: Path = _TEMPLATES, /, **values: Any) -> str:
 def capital(words: str) -> str:
     """Words with a capital first letter."""
     return words[:1].upper() + words[1:]
-
-
-def share_text(value: float | None) -> str:
-    """Write a share between 0 and 1 with three decimals; a dash for None."""
-    return "–" if value is None else f"{value:.3f}"

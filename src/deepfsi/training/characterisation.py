@@ -5,7 +5,7 @@ is trained on all scenes.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from math import prod
 from typing import Any
@@ -64,7 +64,7 @@ def characterise(
             folds = [(fold, several[place]) for fold, several in left_out]
             design.temperatures, test = find_temperatures(design, job, training_set.data, folds)
             if test is not None:
-                design.info["left_out"] = test.as_dict()
+                design.info["left_out"] = asdict(test)
 
 
 def find_temperatures(
@@ -78,10 +78,9 @@ def find_temperatures(
     budgets = calibration_budgets(job.photons, job.exposure.highest(job.photons))
     scenes = _calibration_scenes(design, job, data, left_out)
     if left_out or data.held_out:
-        fitted = fit_temperatures(scenes, budgets, trained_on=False, seed=job.seed)
-        test = measure_left_out(scenes, fitted, job.photons, _guess(data), seed=job.seed)
-        return fitted, test
-    return fit_temperatures(scenes, budgets, trained_on=True, seed=job.seed), None
+        fitted = fit_temperatures(scenes, budgets, trained_on=False)
+        return fitted, measure_left_out(scenes, fitted, job.photons, _guess(data))
+    return fit_temperatures(scenes, budgets, trained_on=True), None
 
 
 def _calibration_scenes(
@@ -92,13 +91,14 @@ def _calibration_scenes(
         parts = [Exposed(made, job.camera, fold.x_test, fold.y_test) for fold, made in left_out]
         # about 1000 exposures in all
         draws = max(1, 1000 // sum(len(fold.x_test) for fold, _ in left_out))
-        return CalibrationScenes(parts, 1, draws, doubt=DOUBT)
+        return CalibrationScenes.of(parts, job.seed, draws, DOUBT)
     held = data.held_out > 0
     x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
     readouts = prod(design.counts_shape) * prod(design.mask_exposure.part_axis)
     rows = sample_scenes(len(x), readouts, job.seed)
     part = Exposed(design, job.camera, x[rows], labels[rows])
-    return CalibrationScenes([part], 1, doubt=DOUBT if held and len(x) < LEFT_OUT else 0.0)
+    doubt = DOUBT if held and len(x) < LEFT_OUT else 0.0
+    return CalibrationScenes.of([part], job.seed, doubt=doubt)
 
 
 def _model_counts(training_set: TrainingSet, designs: Sequence[Design]) -> None:
@@ -127,23 +127,6 @@ def _distribution(design: Design, scenes: Tensor, labels: np.ndarray) -> Readout
     with torch.no_grad():
         rates = design.mask_exposure.rates(design.scanner(), scenes[rows])
         return find_distribution(rates, labels[rows], len(design.classes) or 1, light=light)
-
-
-@dataclass(frozen=True)
-class _PosteriorScenes(CalibrationScenes):
-    """Training scenes that the posterior answers, each left out of its prior."""
-
-    answers: LeftOutAnswers = field(kw_only=True)
-
-    @property
-    def labels(self) -> np.ndarray:
-        """Class (S,) of each scene."""
-        return self.answers.labels.numpy()
-
-    def logits(self, photons: float, seed: int, places: Sequence[int]) -> np.ndarray:
-        """Log odds (len(places), S, C) after the steps `places`."""
-        budget = self.answers.budgets.tolist().index(photons)
-        return self.answers.odds[budget, list(places)].numpy()
 
 
 def fold_answers(
@@ -179,15 +162,21 @@ def calibrate_posterior(
     """
     shares = made.prior.class_shares.double().numpy()
     looks = answers.odds.shape[1]
-    scenes = _PosteriorScenes((), looks, shares=shares, doubt=DOUBT, answers=answers)
-    fitted = fit_temperatures(scenes, answers.budgets, trained_on=False, seed=job.seed)
+    budgets = answers.budgets.tolist()
+
+    def odds(photons: float, step: int) -> np.ndarray:
+        return answers.odds[budgets.index(photons), step].numpy()
+
+    labels = answers.labels.numpy()
+    scenes = CalibrationScenes(labels, odds, looks, base=np.log(shares), doubt=DOUBT)
+    fitted = fit_temperatures(scenes, answers.budgets, trained_on=False)
     # beyond the measured light, the temperatures of its ends hold
     logs = np.pad(fitted.logs, ((0, made.count - looks), (1, 1)), mode="edge")
     ends = job.photons / CALIBRATION_REACH, job.photons * CALIBRATION_REACH
     temperatures = Temperatures(logs, np.array([ends[0], *answers.budgets, ends[1]]))
-    test = measure_left_out(scenes, temperatures, job.photons, _guess(data), seed=job.seed)
+    test = measure_left_out(scenes, temperatures, job.photons, _guess(data))
     prior = made.prior.with_temperatures(temperatures)
-    return replace(made, prior=prior), test.as_dict()
+    return replace(made, prior=prior), asdict(test)
 
 
 def folds_of(data: Dataset) -> list[Dataset]:

@@ -19,7 +19,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 
 from deepfsi.camera.names import noise_text
 from deepfsi.report import style
-from deepfsi.report.accuracy import accuracy_axes, marker_key, noises, series_axes
+from deepfsi.report.accuracy import accuracy_axes, noises, series_axes
 from deepfsi.report.masks import brightest_masks, mask_axes, peak_value, signed
 from deepfsi.sweeps.results import Point, Results
 from deepfsi_paper.measures import impulse_imaging_error
@@ -106,7 +106,6 @@ def error_figure(results: Results) -> Figure:
         ax.set_xlabel("noise: RMS error of impulse imaging (reflectance)\nless noise →")
         ax.xaxis.set_major_locator(LogLocator(numticks=8))
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: scales.power_text(value)))
-    marker_key(figure, chosen)
     return figure
 
 

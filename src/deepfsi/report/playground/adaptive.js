@@ -1,12 +1,9 @@
 // What the page shows of adaptive masks: each as it is made, and what is known of the scene by then.
 
-import { places, wholeText } from "./charts.js";
+import { wholeText } from "./charts.js";
 import { LookExposure } from "./looks.js";
 import { $, roundUp } from "./page.js";
-import { paint, show, tile, UNLIT } from "./scene.js";
-
-const STRIP = 64; // masks side by side
-const COLUMNS = 16; // of them in a row
+import { paint, show } from "./scene.js";
 
 export class AdaptiveView {
   constructor(model) {
@@ -57,16 +54,5 @@ export class AdaptiveView {
     $("mask-words").textContent =
       `Mask ${look + 1}, ${made}: ${Math.round(lit * 100)} % of the mirrors are ON` +
       (model.rails === 2 ? " (white); the others send their light to the second arm." : " (white) and send their light to the detector" + (model.detectors > 1 ? "s." : "."));
-    this.drawStrip(exposure, frame ? count + 1 : count);
-  }
-
-  /** Masks so far side by side. */
-  drawStrip(exposure, count) {
-    const { model } = this;
-    const shown = Math.min(model.looks, STRIP);
-    const first = Math.max(count - shown, 0);
-    const columns = Math.min(COLUMNS, shown);
-    const patterns = places(shown).map((place) => (first + place < count ? exposure.frames[first + place].pattern : null));
-    tile($("strip"), model.image_shape, shown, columns, (place, i) => (patterns[place] ? patterns[place][i] : UNLIT));
   }
 }

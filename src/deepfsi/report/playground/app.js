@@ -3,7 +3,7 @@
 import { AdaptiveView } from "./adaptive.js";
 import { accuracyAt, chanceText, drawAnswer, drawCounts, drawCurve, drawHistory, photonsText, wholeText } from "./charts.js";
 import { candidates, nextMask } from "./choice.js";
-import { Exposure, Rivals } from "./exposure.js";
+import { Exposure } from "./exposure.js";
 import { KnownView } from "./known.js";
 import { LookExposure, LookModel } from "./looks.js";
 import { Model } from "./model.js";
@@ -25,7 +25,7 @@ class Page {
     $("seed").value = 1;
     this.listThumbs();
     this.listen();
-    this.choose(model.scenes.clearest);
+    this.choose(0);
   }
 
   get photons() {
@@ -63,15 +63,10 @@ class Page {
 
   /** The user has drawn: the scene is his own. */
   drew() {
-    const scene = this.pad.scene;
-    const same = this.scene && scene.every((value, i) => Math.abs(value - this.scene[i]) < 1e-12);
-    if (!same) {
-      this.label = this.chosen = null;
-      this.scene = scene;
-    }
-    this.pad.draw(this.scene);
-    if (same || this.waiting) return;
-    this.waiting = requestAnimationFrame(() => {
+    this.label = this.chosen = null;
+    this.scene = this.pad.scene;
+    show(this.pad.canvas, this.model, this.scene);
+    this.waiting ??= requestAnimationFrame(() => {
       this.waiting = null;
       this.renew();
     });
@@ -82,13 +77,11 @@ class Page {
     this.pause();
     const { model, view, scene, photons, seed } = this;
     this.exposure = view.expose(scene, photons, seed);
-    this.rivals = new Rivals(model, scene, photons, seed);
     this.time = 0;
     this.drawn = {};
     view.forget();
-    this.pad.draw(scene);
+    show(this.pad.canvas, model, scene);
     this.thumbs.forEach((thumb, place) => thumb.setAttribute("aria-pressed", place === this.chosen));
-    show($("truth"), model, scene);
     this.sayLight();
     this.draw();
   }
@@ -146,8 +139,6 @@ class Page {
     const share = this.time / exposure.length;
     const words = [`${percent(share)} of the exposure`, ...view.state(exposure, count, now)];
     $("state").textContent = [...words, ...(now ? [] : ["finished"])].join(" · ");
-    show($("raster"), model, this.rivals.rasterAt(share));
-    show($("impulse"), model, this.rivals.impulseAt(share));
     const shown = this.time > 0 ? now : frames[0];
     if (drawn.frame !== shown || drawn.count === undefined) view.drawFrame(exposure, shown, count);
     if (drawn.count !== count) this.drawAnswer(count);
@@ -254,18 +245,9 @@ class Page {
       this.draw();
     });
     on("clear", "click", () => this.pad.clear());
-    on("fit", "click", () => this.pad.fit());
-    for (const pen of document.querySelectorAll("input[name=pen]")) {
-      pen.addEventListener("change", () => (this.pad.ink = pen.value === "ink"));
-    }
     const side = Math.max(this.pad.wide, this.pad.tall);
-    $("width").value = Math.round((this.pad.pen.radius / side) * 80 * 2) / 2;
-    on("width", "input", () => (this.pad.pen.radius = (Number($("width").value) / 80) * side));
-    const again = () => {
-      this.listThumbs();
-      this.renew();
-    };
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", again);
+    $("width").value = Math.round((this.pad.radius / side) * 80 * 2) / 2;
+    on("width", "input", () => (this.pad.radius = (Number($("width").value) / 80) * side));
     let width = innerWidth;
     addEventListener("resize", () => {
       if (innerWidth === width) return;
@@ -275,8 +257,6 @@ class Page {
       this.view.forget();
       this.draw();
     });
-    on("scene", "focus", () => this.pad.draw(this.scene));
-    on("scene", "blur", () => this.pad.draw(this.scene));
   }
 }
 

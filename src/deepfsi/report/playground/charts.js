@@ -44,24 +44,8 @@ export function accuracyAt(curve, photons, name = "accuracy") {
   return before[name] + share * (after[name] - before[name]);
 }
 
-/** Mark the budget that a design was learned for, and name the line of guessing beside it. */
-function drawTrained(add, budget, words, { x, y, left, right, top, bottom, chance }) {
-  const within = (value) => Math.min(Math.max(x(value), left), right);
-  const [low, high] = budget ? [within(budget.low), within(budget.high)] : [left, left];
-  const anchor = (low + high) / 2 > (left + right) / 2 ? "end" : "start";
-  add("text", { x: right, y: y(chance) - 4, "text-anchor": "end" }, "guessing");
-  if (!budget || x(budget.low) > right || x(budget.high) < left) return;
-  const [width, height] = [high - low, bottom - top];
-  if (width > 0) add("rect", { class: "trained", x: low, y: top, width, height });
-  else add("path", { class: "trained-line", d: `M${low} ${top}V${bottom}` });
-  const beside = width > 0 ? 0 : anchor === "end" ? -5 : 5;
-  const at = (anchor === "end" ? high : low) + beside;
-  const line = chance < 0.2 ? bottom - 38 : bottom - 8; // clear of the line of guessing and its name
-  add("text", { class: "strong", x: at, y: line, "text-anchor": anchor }, words);
-}
-
 export function drawCurve(holder, model, photons) {
-  const { curve, budget } = model;
+  const { curve } = model;
   const height = 168;
   const { width, add } = begin(holder, height);
   const [left, right, top, bottom] = [42, width - 14, 22, height - 38];
@@ -78,7 +62,7 @@ export function drawCurve(holder, model, photons) {
   }
   add("text", { x: 0, y: 10 }, "share of test scenes that are right");
   add("text", { x: right, y: height - 4, "text-anchor": "end" }, "photons in one exposure");
-  drawTrained(add, budget, model.prior ? "made for" : "learned for", { x, y, left, right, top, bottom, chance });
+  add("text", { x: right, y: y(chance) - 4, "text-anchor": "end" }, "guessing");
   const line = curve.map((point) => `${x(point.photons)} ${y(point.accuracy)}`).join("L");
   add("path", { class: "curve-line", d: `M${line}` });
   for (const point of curve) {

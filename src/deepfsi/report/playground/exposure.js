@@ -1,4 +1,4 @@
-// One exposure of a scene: frames, counts, answers, and pictures of other cameras.
+// One exposure of a scene: frames, counts and answers.
 
 import { Random, poisson } from "./numbers.js";
 
@@ -130,37 +130,5 @@ export class Exposure extends Frames {
     const { lit } = this.after(count);
     const light = this.together ? photons * frames[count - 1].end : photons;
     return { chances: model.classify(lit, light) };
-  }
-}
-
-/** Pictures that other cameras record with the same photons, at times 0 to 1 of the exposure. */
-export class Rivals {
-  constructor(model, scene, photons, seed) {
-    const light = Array.from(scene, (x) => (x * photons) / model.summed_reflectance);
-    // Their detectors have the dark counts of this camera's, whose mean is subtracted
-    const { dark } = model;
-    const draw = (each, parts, random) => poisson((each + dark) / parts, random) - dark / parts;
-    this.scale = model.summed_reflectance / photons;
-    const raster = new Random(seed, 1);
-    this.raster = light.map((each) => draw(each, light.length, raster) * light.length);
-    const impulse = new Random(seed, 2);
-    this.slices = 16;
-    this.impulse = [light.map(() => 0)];
-    for (let slice = 0; slice < this.slices; slice++) {
-      const before = this.impulse[slice];
-      this.impulse.push(light.map((each, i) => before[i] + draw(each, this.slices, impulse)));
-    }
-  }
-
-  /** Reflectances of a raster scan, a pixel after the other; null where it has not been. */
-  rasterAt(time) {
-    const seen = Math.floor(time * this.raster.length + 1e-9);
-    return this.raster.map((each, i) => (i < seen ? each * this.scale : null));
-  }
-
-  /** Reflectances of a detector for each pixel, all the time. */
-  impulseAt(time) {
-    const slice = Math.floor(time * this.slices + 1e-9);
-    return this.impulse[slice].map((each) => (slice ? (each * this.scale * this.slices) / slice : null));
   }
 }

@@ -1,30 +1,16 @@
 // Random numbers, Poisson counts and packed arrays.
 
-/** Seeded numbers: xoshiro128** of Blackman and Vigna, its state filled by splitmix32. */
+/** Seeded numbers: mulberry32 of Tommy Ettinger, whose 2³² states are far more than a page draws. */
 export class Random {
   constructor(seed, stream = 0) {
-    let mixed = (Math.imul(seed >>> 0, 0x9e3779b1) ^ Math.imul(stream + 1, 0x85ebca6b)) >>> 0;
-    mixed ^= Math.floor(seed / 2 ** 32);
-    this.state = Uint32Array.from({ length: 4 }, () => {
-      mixed = (mixed + 0x9e3779b9) >>> 0;
-      let z = Math.imul(mixed ^ (mixed >>> 16), 0x21f0aaad);
-      z = Math.imul(z ^ (z >>> 15), 0x735a2d97);
-      return z ^ (z >>> 15);
-    });
+    this.state = Math.imul(seed, 0x9e3779b1) ^ Math.imul(stream + 1, 0x85ebca6b);
   }
 
   bits() {
-    const s = this.state;
-    const twisted = Math.imul(s[1], 5);
-    const result = Math.imul((twisted << 7) | (twisted >>> 25), 9);
-    const shifted = s[1] << 9;
-    s[2] ^= s[0];
-    s[3] ^= s[1];
-    s[1] ^= s[2];
-    s[0] ^= s[3];
-    s[2] ^= shifted;
-    s[3] = (s[3] << 11) | (s[3] >>> 21);
-    return result >>> 0;
+    this.state = (this.state + 0x6d2b79f5) | 0;
+    let mixed = Math.imul(this.state ^ (this.state >>> 15), this.state | 1);
+    mixed ^= mixed + Math.imul(mixed ^ (mixed >>> 7), mixed | 61);
+    return (mixed ^ (mixed >>> 14)) >>> 0;
   }
 
   /** Uniform in (0, 1), 53 bits. */
