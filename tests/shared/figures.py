@@ -14,6 +14,8 @@ def words(figure):
         found += legend.get_texts()
     for ax in figure.axes:
         found += [*ax.texts, ax.title, ax._left_title, ax._right_title]
+        if legend := ax.get_legend():
+            found += legend.get_texts()
         for axis in (ax.xaxis, ax.yaxis):
             low, high = sorted(axis.get_view_interval())
             margin = 1e-6 * abs(high - low)

@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Callable, Iterable
-from operator import attrgetter
-from typing import Any, NamedTuple, TypeAlias
+from operator import attrgetter, itemgetter
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -158,7 +158,7 @@ def accuracy_axes(
     span: tuple[float, float] | None = None,
     top: float = 1.0,
 ) -> None:
-    """Draw accuracies over a quantity, one line for each series, named at the right edge."""
+    """Draw accuracies over a quantity, one line for each series, named at its right."""
     series = Series(points, axes)
     groups = series.groups
     names = series.figure_names()
@@ -166,7 +166,7 @@ def accuracy_axes(
     left, right = span or (min(values), max(values))
     decades = max(1.0, abs(math.log10(max(left, right) / min(left, right))))
     apart = 10 ** (0.004 * decades)
-    ends = []
+    lines: list[tuple[float, Any]] = []
     for index, (key, members) in enumerate(groups.items()):
         variant = sum(other[0] == key[0] for other in list(groups)[:index])
         rows = sorted(members, key=across, reverse=left > right)
@@ -175,7 +175,7 @@ def accuracy_axes(
         bars = [y - [point.low for point in rows], [point.high for point in rows] - y]
         design = rows[0].design
         colour = style.DESIGN_COLOURS.get(design, style.INK)
-        ax.errorbar(
+        drawn = ax.errorbar(
             x,
             y,
             yerr=np.clip(bars, 0, None),
@@ -190,54 +190,17 @@ def accuracy_axes(
             capsize=2,
             zorder=3 + index / 100,
         )
-        ends.append(_End(names[key], colour, float(x[-1]), float(y[-1])))
+        lines.append((float(y[-1]), drawn))
     ax.set_xscale("log")
     margin = 10 ** (0.06 * decades)
     edges = min(left, right) / margin, max(left, right) * margin
     ax.set_xlim(edges[::-1] if left > right else edges)
-    ax.axhline(chance, zorder=2, color=style.MUTED, linewidth=0.9, linestyle=(0, (1, 1)))
+    dotted: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
+    guessing = ax.axhline(chance, zorder=2, label="chance", **dotted)
     ax.set_ylim(0, top)
     ax.set_ylabel(style.ACCURACY_AXIS)
     ax.grid(axis="y")
     ax.xaxis.set_minor_locator(NullLocator())
-    _name_ends(ax, [*ends, _End("chance", style.MUTED, ax.get_xlim()[1], chance)])
-
-
-class _End(NamedTuple):
-    """Last point of a line, and the name of the line."""
-
-    name: str
-    colour: str
-    x: float
-    y: float
-
-
-def _name_ends(ax: Axes, ends: list[_End]) -> None:
-    """Write names at the right edge, beside the last points, moved apart where they would touch."""
-    ordered = sorted(ends, key=attrgetter("y"))
-    heights = np.array([end.y for end in ordered])
-    top = ax.get_ylim()[1]
-    line = 0.06 * top  # height of a name
-    for i in range(1, len(heights)):
-        heights[i] = max(heights[i], heights[i - 1] + line)
-    heights[-1] = min(heights[-1], top + line / 3)
-    for i in range(len(heights) - 2, -1, -1):
-        heights[i] = min(heights[i], heights[i + 1] - line)
-    for end, height in zip(ordered, heights, strict=True):
-        ax.annotate(
-            "",
-            xy=(end.x, end.y),
-            xytext=(1.035, height),
-            textcoords=ax.get_yaxis_transform(),
-            arrowprops={"arrowstyle": "-", "color": end.colour, "linewidth": 0.6, "shrinkA": 0},
-            annotation_clip=False,
-        )
-        ax.text(
-            1.045,
-            height,
-            end.name,
-            color=end.colour,
-            transform=ax.get_yaxis_transform(),
-            verticalalignment="center",
-            fontweight="bold" if end.name != "chance" else "normal",
-        )
+    # in the order in which the lines end
+    handles = [drawn for _, drawn in sorted(lines, key=itemgetter(0), reverse=True)]
+    ax.legend(handles=[*handles, guessing], loc="upper left", bbox_to_anchor=(1, 1), frameon=False)

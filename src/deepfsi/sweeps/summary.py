@@ -193,7 +193,7 @@ def _test_of_all_folds(tests: Sequence[Record]) -> Record:
     pooled: Record = {**tests[0], "images": sum(images), "covers": covers}
     alike = {"noise", "photons", "levels", "values"}
     for name in tests[0].keys() - {*alike, "images", "covers", "terms", "rates"}:
-        values = [test.get(name) for test in tests]  # records of before may have more
+        values: list[Any] = [test.get(name) for test in tests]  # older records may have more
         if name in ("rmse", "bound") and None not in values:
             pooled[name] = np.sqrt(np.average(np.square(values), axis=0, weights=images)).tolist()
         elif None not in values:
