@@ -72,14 +72,13 @@ def tables(command):
     ``<number,…>`` stands for several values between commas, ``<int …>`` for an option given often.
     """
     context = click.Context(command)
-    panels = {}
-    for each in command.params:
-        words, meaning = each.get_help_record(context)
-        panels.setdefault(each.heading, []).append([f"`{words}`", escaped(meaning)])
-    for name, rows in panels.items():
-        if name not in ("Arguments", "Options"):
+    for name, group in command.headings.items():
+        rows = [each.get_help_record(context) for each in group]
+        if rows and name not in ("Arguments", "Options"):
             yield f"**{name}**"
-        yield table(["option", "meaning"], rows)
+        if rows:
+            listed = [[f"`{words}`", escaped(meaning)] for words, meaning in rows]
+            yield table(["option", "meaning"], listed)
 
 
 def said(text):

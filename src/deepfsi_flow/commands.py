@@ -15,10 +15,9 @@ PassingDesign = Annotated[
 
 
 class WriteMask(Command):
-    """`deepfsi mask`.
+    """In an .svg polygons mark what is open, in micrometres; a .png has a dot for each pixel.
 
-    In an .svg, polygons mark what is open, in micrometres; a .png has a dot for each pixel. Learn
-    the design with --levels 2 for a binary pattern.
+    Learn the design with two levels for a binary pattern.
 
     Example: deepfsi mask passing.safetensors --pixel 5 -o pattern.svg
     """
@@ -33,36 +32,26 @@ class WriteMask(Command):
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """The pattern, with its size."""
         from deepfsi_flow.photomask import write_photomask
 
         pattern = write_photomask(self.file, self.out, self.pixel)
         rows, columns = pattern.shape
-        height = rows * self.pixel
-        width = columns * self.pixel
-        open_share = float(pattern.mean())
         return Outcome(
             {
                 "design": str(self.file),
                 "mask": str(self.out),
                 "pixels": [rows, columns],
                 "pixel_um": self.pixel,
-                "um": [height, width],
-                "open": open_share,
-            },
-            [
-                f"{rows} x {columns} pixels of {self.pixel:g} µm, {height:g} x {width:g} µm in "
-                f"all, {open_share:.1%} open",
-                f"photomask: {self.out}",
-            ],
+                "um": [rows * self.pixel, columns * self.pixel],
+                "open": float(pattern.mean()),
+            }
         )
 
 
 class FindTransits(Command):
-    """`deepfsi camera transits`.
+    """A transit is a rise of the rate: its photons exceed a threshold.
 
-    A transit is a rise of the rate: the photons within the time of all bins exceed a threshold,
-    which background alone exceeds as often as --false-alarms says.
+    Background alone exceeds it as often as --false-alarms says.
 
     Example: deepfsi camera transits passing.safetensors photons.ptu --bin 100us
     """
@@ -74,14 +63,11 @@ class FindTransits(Command):
     background: float | None = fields.option("counts/s without a scene; default: from the record")
     false_alarms: float = fields.option("expected false alarms in the whole record, at most", 0.01)
     counter_input: Count = fields.option("input of the counter, 1 for the first", 1, alias="input")
-    out: Annotated[Path | None, fields.Output((".csv",))] = fields.option(
-        "table of starts, classes and counts of bins, .csv"
-    )
+    out: fields.CsvFile = fields.option("table of starts, classes and counts of bins, .csv")
     trust: fields.Trust = False
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Transits and their classes."""
         from deepfsi.lab.design_data import open_design
         from deepfsi_flow.transits import classify_transits
 

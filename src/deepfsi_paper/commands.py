@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 from deepfsi.base.models import Count
-from deepfsi.base.quantities import Table
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
@@ -13,16 +12,16 @@ from deepfsi_paper import studies
 
 
 class ReproducePaper(Command):
-    """`deepfsi reproduce`.
+    """Experiments in one folder share one page, and the trials that several of them need.
 
-    Experiments in one folder share one page, and the trials that several of them need. A stopped
-    experiment goes on when it is run again; with more --trials it adds those that are missing.
+    A stopped experiment goes on when it is run again; with more --trials it adds those that are
+    missing.
 
     Example: deepfsi reproduce mnist --quick -o runs/paper
     """
 
     name: str = fields.argument(
-        "mnist, compression, mlgauss, quantization, indian-pines, ovit, hardware, or list"
+        "mnist, compression, mlgauss, quantization, indian-pines, ovit or hardware"
     )
     out: Annotated[Path, fields.Output()] = fields.option("output folder", Path("runs/paper"))
     quick: bool = fields.option("a coarse grid, in a fraction of the time", False)
@@ -36,9 +35,6 @@ class ReproducePaper(Command):
     device: fields.TorchDevice = "auto"
 
     def run(self, terminal: Terminal) -> Outcome:
-        """The page of the experiments, and which claims hold."""
-        if self.name == "list":
-            return _list_of_studies()
         changes = {} if self.ratios is None else {"ratios": list(self.ratios)}
         experiments = [
             replace(each, changes=changes, part=self.part_name) for each in studies.find(self.name)
@@ -72,33 +68,10 @@ class ReproducePaper(Command):
             },
             [
                 *(
-                    Table(
-                        section.title,
-                        ("claim", "holds", "measured", "why"),
-                        [
-                            (claim.text, answers[claim.holds], claim.measured, claim.reason)
-                            for claim in section.claims
-                        ],
-                        sentences=True,
-                    )
+                    f"{answers[claim.holds]}: {claim.text} ({claim.measured}) {claim.reason}"
                     for section in sections
+                    for claim in section.claims
                 ),
                 f"report: {page}",
             ],
         )
-
-
-def _list_of_studies() -> Outcome:
-    """Experiments by name, and their parts."""
-    parts = [(study, each) for study, every in studies.STUDIES.items() for each in every]
-    return Outcome(
-        {
-            "experiments": [
-                {"name": study, "part": each.name, "title": each.title} for study, each in parts
-            ]
-        },
-        [
-            f"{study if each is studies.STUDIES[study][0] else '':14s}{each.title}"
-            for study, each in parts
-        ],
-    )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepfsi.base.quantities import confidence_text, count_text, seconds, time_text
+from deepfsi.base.quantities import count_text, seconds, time_text
 
 
 def test_times_are_read_back():
@@ -33,17 +33,3 @@ def test_no_count_below_a_million_has_an_exponent():
     for counts in 10.0 ** np.random.default_rng(0).uniform(-3, 5.9999, 300):
         assert "e" not in count_text(counts)
         assert float(count_text(counts)) == pytest.approx(counts, rel=6e-3)
-
-
-@pytest.mark.parametrize(
-    ("confidence", "text"),
-    [
-        (0.0, "0"),
-        (0.7162316, "0.71623"),
-        (0.99984, "0.99984"),
-        (0.99999997, "0.99999997"),
-        (1, "1"),
-    ],
-)
-def test_a_probability_near_1_is_told_from_1(confidence, text):
-    assert confidence_text(confidence) == text

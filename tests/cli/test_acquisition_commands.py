@@ -80,17 +80,3 @@ def test_a_lab_counts_its_recording_and_wrong_wiring_is_put_right(
     counted = json.loads(done("camera", "count", run, *(() if wired else WIRED), "--json"))
     assert (counted["whole"], counted["inputs"]) == (3, [3])
     assert counted["photons_counted"] == lab.photons[:, 2:-2].sum()
-
-
-def test_time_stamps_become_a_run(done, refuse, lab, words):
-    """A trigger on channel 8 and three detections: what is imported is whole or not there."""
-    stamps, run = lab.folder / "tags.csv", lab.folder / "run"
-    stamps.write_text("time,channel\n0,8\n5,3\n9,3\n12,3\n")
-    given = words("--marker-channel", 8)
-    given[2] = stamps
-    assert "give their --unit" in refuse(*given)
-    assert "channel 7 has no events" in refuse(*given, "--unit", "1ps", "--channel", 7)
-    assert not run.exists()
-    done(*given, "--unit", "1ps")
-    said = json.loads(done("camera", "inspect", run / "photons.ptu", "--json"))
-    assert (said["photons"], said["markers"]) == ({"1": 3}, {"0": 1})

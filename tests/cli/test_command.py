@@ -24,10 +24,7 @@ class Thing(BaseModel):
 
 
 class Show(command.Command):
-    """`show`.
-
-    What it shows.
-    """
+    """What it shows."""
 
     name: Annotated[str, fields_module.argument("of the thing", "THING")]
     settings: Annotated[
@@ -126,11 +123,11 @@ def test_an_axis_takes_several_values():
     fields = {"width": ("Things", Thing.model_fields["width"])}
 
     class Compare(command.Command):
-        """`compare`."""
+        """Of several."""
 
         settings: Annotated[dict[str, Any], fields_module.OptionsOf(fields, axes=True)]
 
-    [width, _] = command.ClickCommand(Compare, "compare", "").params
+    [width] = command.ClickCommand(Compare, "compare", "").headings["Things"]
     assert (width.metavar, width.help) == ("<int,…>", "how wide it is")
 
 

@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 
 from deepfsi import Design
-from deepfsi.camera.camera import Camera
 from deepfsi.cli import studies
-from deepfsi.jobs.exposures import exposure_kinds
-from deepfsi.jobs.job import SETTING_ALIASES, Job, find_table
-from deepfsi.jobs.training import Training
 from shared.commands import COMMANDS, OPTIONS
 
 
@@ -58,20 +54,6 @@ def test_a_design_for_a_budget_of_counts(done, tmp_path):
     assert f"{test['throughput']:.3f}" in done(*words, "--counts", 30, "--design", "pca", "--force")
 
 
-@pytest.fixture
-def recipe(tmp_path):
-    path = tmp_path / "own.toml"
-    path.write_text('designs = "pca"\nphotons = [1e2, 1e4]\nmasks = 3\n[training]\nepochs = 1\n')
-    return path
-
-
-def test_a_sweep_writes_its_table(done, recipe, tmp_path):
-    words, table = ["sweep", recipe, "-o", tmp_path / "out"], tmp_path / "all.parquet"
-    text = done(*words, "--workers", 1, "--table", table)
-    assert table.is_file()
-    assert str(table) in text.replace("\n", "")
-
-
 def test_a_recipe_of_the_package_goes_by_its_name_and_a_file_by_its_path(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mnist").write_text("trials = 7")
@@ -79,26 +61,7 @@ def test_a_recipe_of_the_package_goes_by_its_name_and_a_file_by_its_path(tmp_pat
     assert studies.read_recipe("./mnist") == {"trials": 7}
 
 
-def test_a_sweep_by_name(done, tmp_path, monkeypatch):
-    """The recipe is found from any folder; what it says is shrunk to a moment."""
-    tiny = {"data": "digits", "designs": "pca", "masks": 3, "photons": 1e3, "draws": 1}
-    monkeypatch.setattr(studies, "read_toml", lambda file: {**tiny, "training": {"epochs": 1}})
-    monkeypatch.chdir(tmp_path)
-    done("sweep", "baseline", "--workers", 1)
-    assert len(list((tmp_path / "runs" / "sweep" / "trials").iterdir())) == 1
-
-
-@pytest.mark.parametrize("command", ["design", "compare"])
-def test_an_option_of_a_job_has_the_text_of_its_field(command):
-    params = COMMANDS[command].params
-    names = [option for each in params for option in each.opts]
+@pytest.mark.parametrize("path", COMMANDS)
+def test_no_two_options_have_one_name(path):
+    names = [name for each in COMMANDS[path].params for name in (each.name, *each.opts[1:])]
     assert len(set(names)) == len(names)
-    tables = {"": Job, "camera": Camera, "training": Training}
-    found = set()
-    for each in params:
-        table, name = find_table(each.name)
-        model = exposure_kinds().get(name) if table == "exposure" else tables[table]
-        if name in model.model_fields and each.name != "device":  # which is torch's
-            assert each.help.startswith(model.model_fields[name].description)
-            found.add(each.name)
-    assert {"masks", "camera", "light", "epochs", "cap", *SETTING_ALIASES} <= found

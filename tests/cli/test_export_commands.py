@@ -37,14 +37,3 @@ def test_a_dictionary_is_exported_whole_or_not_at_all(call, ready, tmp_path, hel
         assert (code, errors.count("\n")) == (2, 1)
         assert said in errors
         assert [each.name for each in tmp_path.iterdir()] == ["small.toml"]
-
-
-def test_times_of_a_video_are_told(done, tmp_path):
-    (tmp_path / "video.toml").write_text(
-        'columns = 40\nrows = 30\nvideo_us = 9597\nsettle_us = 202\ncontroller = "dlpc347x"\n'
-    )
-    words = ["dmd", "export", "raster", "--size", "4x5", "--device", tmp_path / "video.toml"]
-    told = json.loads(done(*words, "--dwell", "300us", "-o", tmp_path / "p", "--json"))
-    assert told["frames"] == 24
-    assert told["picture_us"] == [400, 400]  # 104.2 pictures of 24 in a second
-    assert told["uncounted"]["idle"] < 1e-9

@@ -4,19 +4,9 @@ import json
 
 import pytest
 
-from deepfsi import Design, InputError
+from deepfsi import InputError
 
-DESIGN = ("design", "--photons", "1e3", "--masks", 3, "--epochs", 1)
 COMPARE = ("compare", "--photons", "1e3", "--trials", 1, "--epochs", 1, "--designs", "pca")
-
-
-def test_a_design_is_replaced_with_force_only(done, refuse, tmp_path):
-    out = tmp_path / "d.safetensors"
-    out.write_text("no design")
-    assert "exists already: give another name, or --force" in refuse(*DESIGN, "-o", out)
-    assert out.read_text() == "no design"
-    done(*DESIGN, "--seed", 1, "-o", out, "--force")
-    assert Design.load(out).info["job"]["seed"] == 1
 
 
 def test_other_settings_in_a_folder_lose_no_training(done, tmp_path):

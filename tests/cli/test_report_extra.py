@@ -25,7 +25,7 @@ compare {FEW} -o compared
 sweep baseline -o swept
 page b.safetensors -o page.html
 show b.safetensors -o b.png
-reproduce list
+reproduce mnist -o paper
 """.strip().splitlines()
 
 

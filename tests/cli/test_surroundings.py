@@ -38,11 +38,10 @@ def test_a_full_disk_is_said_before_the_work(tmp_path):
 
 
 def test_json_of_a_path_that_is_not_utf_8_can_be_read(capsys):
-    terminal.print_json("show", {"picture": os.fsdecode(b"s\xff.png"), "size": 0.1, "é": "𝄞"})
-    found = json.loads(capsys.readouterr().out.encode())
-    assert found == {
-        "schema": "deepfsi.show/1", "picture": r"s\xff.png", "size": 0.1, "é": "𝄞",
-    }  # fmt: skip
+    content = {"picture": os.fsdecode(b"s\xff.png"), "size": 0.1, "é": "𝄞"}
+    terminal.Terminal(True).write(terminal.Outcome(content), "show")
+    found = json.loads(capsys.readouterr().out.encode("ascii"))
+    assert found == {"schema": "deepfsi.show/1", **content}
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")

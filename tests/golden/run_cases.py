@@ -245,7 +245,7 @@ def transits() -> dict[str, Any]:
         if Path("found.csv").exists():
             out[words]["table"] = Path("found.csv").read_bytes()
     out["bin"] = answer("camera", "transits", design, ptu, "--bin", "0")
-    out["other"] = answer("camera", "transits", file_of("single"), ptu, "--bin", "1ms")
+    out["other"] = say("camera", "transits", file_of("single"), ptu, "--bin", "1ms").code
     return out
 
 
@@ -297,28 +297,6 @@ def tables_of_each_format() -> dict[str, Any]:
         "two.mat", "nosuch.csv", "array.npy --repeats 3",
     )  # fmt: skip
     return {words: answer("camera", "classify", asked, *words.split()) for words in files_and_words}
-
-
-@CASES
-def imported() -> dict[str, Any]:
-    """Events of other counters."""
-    events = INPUTS / "tables/events.csv"
-    out = {}
-    for number, words in {
-        0: "--unit 1ps --marker-channel 8 -o OUT.ptu",
-        1: "--unit 81ps --marker-channel 8 --channel 0 -o OUT.ptu",
-        2: "--unit 1ps -o OUT.ptu",
-        6: "--unit 1ps --marker-channel 5 -o OUT.ptu",
-        8: "--unit 1ps -o OUT.txt",
-    }.items():
-        name = words.split("-o ")[1].replace("OUT", str(number))
-        words = words.replace("OUT", str(number))
-        out[str(number)] = answer("camera", "import", events, *words.split())
-        if Path(name).exists():
-            out[f"file {number}"] = Path(name).read_bytes()
-            if name.endswith(".ptu"):
-                out[f"inspected {number}"] = answer("camera", "inspect", name)
-    return out
 
 
 @CASES

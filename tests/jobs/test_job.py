@@ -129,14 +129,14 @@ def test_a_job_comes_back_from_json():
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
-        ({"epochs": 3}, r"give `training=\{'epochs': ...\}`"),
+        ({"epochs": 3}, "epochs = 3: there is no such setting"),
         ({"photon": 1e3}, "did you mean 'photons'"),
         ({"camera": "dmt"}, "did you mean 'dmd'"),
         ({"exposure": {"spam": 3}}, "did you mean 'span'"),
         ({"exposure": "span"}, "exposure = 'span'"),
-        ({"training": {"epochs": 0}}, "training.epochs = 0"),
+        ({"training": {"epochs": 0}}, "epochs = 0"),
         ({"training": 3}, "training = 3"),
-        ({"design": "pca", "training": {"start": "lda"}}, "no masks of PCA learn"),
+        ({"design": "pca", "training": {"start": "lda"}}, "PCA has no use for"),
         ({"photons": None}, "told once: .*or a camera with its flux"),
         ({"photons": None, "counts": -1.0}, "number of counts -1.0"),
         ({"photons": None, "counts": 30.0, "exposure": {"span": 10.0}}, "leave .*`span`, out"),

@@ -7,9 +7,23 @@ Light law and rails are the paper's unless others, or a camera, are given.
 from typing import Any
 
 from deepfsi import learn as learned
-from deepfsi.jobs.job import Job, sorted_settings
+from deepfsi.camera.camera import Camera
+from deepfsi.jobs.exposures import exposure_kinds
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.training import Training
 
 OF_LEARN = ("counts", "matrix", "device", "report", "checkpoint", "callback")
+
+
+def table_of(setting: str) -> tuple[str, str]:
+    """Table of a job that holds a setting, "" for its own fields, and the setting's name there."""
+    tables = {
+        "camera": Camera.model_fields,
+        "exposure": exposure_kinds(),
+        "training": Training.model_fields,
+    }
+    name = "device" if setting == "dmd" else setting
+    return next((table for table, fields in tables.items() if name in fields), ""), name
 
 
 def sorted_of(**settings: Any) -> dict[str, Any]:
@@ -19,7 +33,14 @@ def sorted_of(**settings: Any) -> dict[str, Any]:
     noise = settings.pop("train_noise", settings.get("noise"))
     if noise == settings.get("noise") and noise in ("ml_gauss", "poisson"):
         del settings["noise"]
-    fields = sorted_settings(settings)
+    tables: dict[str, dict[str, Any]] = {"": {}, "camera": {}, "exposure": {}, "training": {}}
+    for setting, value in settings.items():
+        table, name = table_of(setting)
+        tables[table][name] = value
+    fields = tables.pop("")
+    if own := tables.pop("camera"):
+        fields["camera"] = Camera.load(fields.get("camera"), **own)
+    fields |= {table: given for table, given in tables.items() if given}
     if noise is not None:
         fields["training"] = {**fields.get("training", {}), "noise": noise}
     return fields

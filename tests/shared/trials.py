@@ -7,10 +7,10 @@ import numpy as np
 from safetensors.numpy import load_file
 
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.jobs.job import find_table
 from deepfsi.sweeps.plan import Trial, plan_trials
 from deepfsi.sweeps.recipe import Recipe
 from deepfsi.sweeps.run import run_trials
+from shared.jobs import table_of
 
 
 def train_trials(
@@ -43,7 +43,7 @@ def small(**changes: Any) -> Recipe:
     }
     fields = {name: value for name, value in settings.items() if name in Recipe.model_fields}
     for name in settings.keys() - fields.keys():
-        table, key = find_table(name)
+        table, key = table_of(name)
         fields[table] = {**fields.get(table, {}), key: settings[name]}
     return Recipe(**fields)
 

@@ -40,14 +40,6 @@ def budget_text(photons: float) -> str:
     return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
 
 
-def confidence_text(confidence: float) -> str:
-    """A probability near 1, with as many digits as tell it from 1: 0.71623, 0.99999997."""
-    digits = 5
-    if 0 < 1 - confidence < 1e-4:
-        digits = 1 + math.ceil(-math.log10(1 - confidence))
-    return f"{confidence:.{digits}g}"
-
-
 def count_text(counts: float) -> str:
     """A number of counts or photons: 0.25, 99.9, 1634, 163400, 1.63e7."""
     if counts < 999.5:
@@ -79,4 +71,3 @@ class Table:
     title: str
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
-    sentences: bool = False  # True of sentences, which are broken into lines

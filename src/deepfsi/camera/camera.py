@@ -7,7 +7,6 @@ Seconds and counts per second become shares of an exposure and counts here, and 
 no exposure is given it lasts one second, so that a rate is the counts of an exposure.
 """
 
-import json
 import os
 import re
 from collections.abc import Mapping
@@ -424,18 +423,6 @@ class Camera(UserModel):
         if not self.dead_time:
             return None
         return DeadTime(seconds=self.dead_time, paralysable=self.dead_time_model == "paralysable")
-
-    @classmethod
-    def template(cls) -> str:
-        """A camera file with a comment on each field, as a laboratory may fill it in."""
-        usual = cls()
-        lines = ["# A camera: leave out what you do not know, or what follows from the rest.", ""]
-        for name, field in cls.model_fields.items():
-            value = getattr(usual, name)
-            lines.append(f"# {field.description}")
-            lines.append(f"# {name} = {'...' if value is None else json.dumps(value)}")
-            lines.append("")
-        return "\n".join(lines)
 
     def describe(self) -> str:
         """The camera in a few lines: its optics, its other fields, and the light of an exposure."""

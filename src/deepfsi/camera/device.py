@@ -89,15 +89,6 @@ class Device(UserModel):
         # all pictures have as many, so that no bit-plane without a frame is shown
         return max(size for size in range(1, BIT_PLANES + 1) if total % size == 0)
 
-    def timed(self, shortest_s: float | None = None, settle_s: float | None = None) -> "Device":
-        """The device with another shortest picture time or time to settle, seconds."""
-        changes = {}
-        if shortest_s is not None:
-            changes["shortest_us"] = round(shortest_s * 1e6, 6)
-        if settle_s is not None:
-            changes["settle_us"] = round(settle_s * 1e6, 6)
-        return Device(**{**self.model_dump(), **changes})
-
 
 _CONTENT = tomllib.loads(files(__package__).joinpath("devices.toml").read_text("utf-8"))
 

@@ -6,7 +6,6 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from deepfsi.base.errors import InputError, as_input_error
-from deepfsi.base.files import write_atomically
 from deepfsi.base.models import Count, Seconds, WholeNumber
 from deepfsi.base.quantities import Table
 from deepfsi.camera.camera import PRESETS, Camera
@@ -19,37 +18,26 @@ from deepfsi.datasets.catalog import list_datasets
 from deepfsi.datasets.display import write_display
 from deepfsi.datasets.load import load_dataset
 from deepfsi.lab.calibration import SCAN_NAMES, calibrate, scan_rails, write_spots
-from deepfsi.lab.design_data import camera_of, data_of_file, design_rails
+from deepfsi.lab.design_data import camera_of, design_rails
 from deepfsi.lab.registration import check_view, write_reference
 from deepfsi.patterns.folder import Patterns
 
 
 class DescribeCamera(Command):
-    """`deepfsi camera describe`.
+    """Without a camera it is the preset dmd, one micromirror device with one detector.
 
-    Example: deepfsi camera describe --template my-lab.toml
+    Example: deepfsi camera describe my-lab.toml
     """
 
-    source: Path | None = fields.argument(
+    source: str = fields.argument(
         "camera: a preset (dmd, dmd-2x2, dmd-4x4, two-arm, paper), a TOML file, a design file, or "
         "a folder of patterns or of a run; default: dmd",
         "[source]",
-        default=None,
+        default="dmd",
     )
-    template: Annotated[Path | None, fields.Output((".toml",))] = fields.option(
-        "write a camera file, .toml, with a comment on each field"
-    )
-    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """The camera, or a file to describe one in."""
-        if self.template is not None:
-            write_atomically(self.template, Camera.template().encode())
-            return Outcome(
-                {"template": str(self.template)},
-                [f"camera file: {self.template}; then: deepfsi camera describe {self.template}"],
-            )
-        name = "dmd" if self.source is None else str(self.source)
+        name = self.source
         if name in PRESETS or name.lower().endswith(".toml") or not Path(name).exists():
             camera = Camera.load(name)
         else:
@@ -66,28 +54,22 @@ class DescribeCamera(Command):
 
 
 class CalibrateCamera(Command):
-    """`deepfsi camera calibrate`.
+    """`deepfsi design --view` then trains on what the camera sees.
 
-    `deepfsi design --view` then trains on what the camera sees. Of several detectors, the cells
-    that each sees are written to detectors.npy, for `deepfsi design --detectors`.
+    Of several detectors, the cells that each sees are written to detectors.npy, for
+    `deepfsi design --detectors`.
 
     Example: deepfsi camera calibrate run_spots --spots scan/spots -o calibration
     """
 
     folder: fields.RunFolder
-    spots: Path = fields.option(
-        "the pictures that were shown: spots, in the folder of the scan", ...
-    )
+    spots: Path = fields.option("pictures that were shown: spots, in the folder of the scan", ...)
     out: Annotated[Path, fields.Output()] = fields.option("folder for calibration.json", ...)
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """View of the camera, in its file."""
         fields.Output((".json",)).check(self.out / "calibration.json", self.force)
         calibration, file, detectors = calibrate(self.folder, self.spots, self.out)
-        if not terminal.as_json:
-            for doubt in calibration.doubts:
-                terminal.warn(f"deepfsi: warning: {doubt}")
         cells = [] if detectors is None else [f"cells of each detector: {detectors}"]
         return Outcome(
             {
@@ -96,17 +78,20 @@ class CalibrateCamera(Command):
                 "detectors": detectors and str(detectors),
                 "warnings": calibration.doubts,
             },
-            [*calibration.lines(), f"calibration: {file}", *cells],
+            [
+                *(f"warning: {doubt}" for doubt in calibration.doubts),
+                *calibration.lines(),
+                f"calibration: {file}",
+                *cells,
+            ],
         )
 
 
 class CheckView(Command):
-    """`deepfsi camera check`.
+    """The exit code is 1 where the target is turned, shifted, scaled, blurred or not seen.
 
     Put reference.png of the folder of patterns in the place of the scenes, alone and on black,
     record a pass and count it; for adaptive masks, with patterns of `deepfsi dmd export hadamard`.
-    If orientation, scale, shift or rotation differ from those of the masks, the target is blurred,
-    or the counts do not show them, the exit code is 1.
 
     Example: deepfsi camera check run_reference
     """
@@ -114,7 +99,6 @@ class CheckView(Command):
     folder: fields.RunFolder
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Place of the scenes on the device."""
         with terminal.progress("reference") as report:
             fit = check_view(self.folder, report)
         return Outcome(fit.as_dict(), fit.lines(), failed=not fit.fits)
@@ -124,15 +108,13 @@ class CheckView(Command):
 
 
 class ExportPatterns(Command):
-    """`deepfsi dmd export`.
+    """Without options, the design's camera gives device, region and exposure; else it is a DLP7000.
 
-    Without options, the design's camera gives device, region and exposure; a DLP7000 if it has no
-    device. Cells are square. Where `camera check` finds that your camera shows scenes turned or
-    flipped, export again with the --flip and --rotate that it names.
+    Cells are square. Where `camera check` finds that your camera shows scenes turned or flipped,
+    export again with the --flip and --rotate that it names.
 
-    A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan
-
-    The folder spots of such a scan has the pictures to show: bright spots, all white, all black.
+    A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan. Its folder
+    spots has the pictures to show: bright spots, all white, all black.
 
     Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --exposure 10ms -o patterns
     """
@@ -141,39 +123,23 @@ class ExportPatterns(Command):
     settings: Annotated[
         dict[str, Any], fields.camera_options("camera", "device", "exposure", "region", "stretch")
     ]
-    out: Annotated[Path, fields.Output(new=True)] = fields.option(
-        "folder for the patterns, new", ...
-    )
-    size: fields.HeightWidth | None = fields.option(
-        "cells of raster or hadamard, HEIGHTxWIDTH; default: 32x32"
-    )
+    out: fields.NewFolder = fields.option("folder for the patterns, new", ...)
+    size: fields.HeightWidth | None = fields.option("cells of raster or hadamard; default: 32x32")
     detectors: Annotated[int, Field(ge=1, le=64)] | None = fields.option(
-        "number of detectors during raster or hadamard, so that `camera calibrate` finds the cells "
-        "of each; default: 1"
+        "detectors of raster or hadamard, whose cells `camera calibrate` finds; default: 1"
     )
-    shortest: Seconds | None = fields.option(
-        "shortest picture time of the device; default: its own"
-    )
-    settle: Seconds | None = fields.option("time for its mirrors to settle; default: its own")
     dwell: Seconds | None = fields.option(
-        "mean picture time of a frame, settling included, such as 1ms or 44us; default: what "
-        "the camera's exposure takes, or 1ms"
+        "mean picture time, settling included, such as 44us; default: by the exposure, or 1ms"
     )
     flip: bool = fields.option("exchange left and right of the masks, before --rotate", False)
-    rotate: int = fields.option(
-        "turn the masks on the device, degrees clockwise: 0, 90, 180, 270", 0
-    )
-    invert: bool = fields.option(
-        "write 0 for a mirror that sends light to the detector, and 1 for OFF", False
-    )
+    rotate: int = fields.option("turn the masks, degrees clockwise: 0, 90, 180, 270", 0)
+    invert: bool = fields.option("write 0 for a mirror that sends light to the detector", False)
     kind: str | None = fields.option(
-        "npy or raw (packed bits), png or bmp (one a frame), or planes (24 frames a picture); "
-        "default: what the device takes",
+        "npy, raw (packed bits), png, bmp, or planes (24 frames a picture); default: the device's",
         alias="format",
     )
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Patterns that were written, on which device and for how long."""
         if str(self.file) in SCAN_NAMES:
             source = self.file
             rails = scan_rails(str(source), self.size or (32, 32), self.detectors or 1)
@@ -186,7 +152,7 @@ class ExportPatterns(Command):
                 )
             rails = design_rails(source)
         camera = camera_of(source, self.settings)
-        device = (camera.device or find_device("dlp7000")).timed(self.shortest, self.settle)
+        device = camera.device or find_device("dlp7000")
         with as_input_error():
             turned = self.model_dump(include={"flip", "rotate", "invert"})
             layout = DmdLayout.model_validate(camera.layout.model_dump() | turned)
@@ -203,16 +169,11 @@ class ExportPatterns(Command):
         write_reference(patterns.manifest, self.out)
         if str(source) in SCAN_NAMES:
             write_spots(self.out / "spots")
-        raised = (
-            f"the mean picture time was raised to {device.shortest_us} µs: {device.name} shows no "
-            "shorter picture (`shortest`)"
-        )
-        is_raised = dwell * 1e6 < device.shortest_us * (1 - 1e-9)
-        return _patterns_in(self.out, patterns, *[raised] * is_raised)
+        return _patterns_in(self.out, patterns)
 
 
 class CheckPatterns(Command):
-    """`deepfsi dmd check`.
+    """A frame that is missing or not as it was written is named, and the exit code is 2.
 
     Example: deepfsi dmd check patterns
     """
@@ -220,64 +181,44 @@ class CheckPatterns(Command):
     folder: fields.PatternFolder
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Patterns of the folder; each frame is as it was exported."""
         with terminal.progress("frames") as report:
             patterns = Patterns.read(self.folder).check(report)
         return _patterns_in(self.folder, patterns)
 
 
-def _patterns_in(folder: Path, patterns: Patterns, *remarks: str) -> Outcome:
-    return Outcome(
-        {"patterns": str(folder), **patterns.as_dict()},
-        [*remarks, *patterns.lines(), f"patterns: {folder}"],
-    )
+def _patterns_in(folder: Path, patterns: Patterns) -> Outcome:
+    content = {"patterns": str(folder), **patterns.as_dict()}
+    return Outcome(content, [*patterns.lines(), f"patterns: {folder}"])
 
 
 # scenes
 
 
 class DataList(Command):
-    """`deepfsi data list`.
+    """Some are downloaded when they are first used.
 
     Example: deepfsi data list --json
     """
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Names, sizes and places of all data sets."""
-        entries = list_datasets()
-        rows = [tuple(map(str, entry)) for entry in entries]
-        heads = ("name", "images", "pixels", "classes", "where")
-        return Outcome(
-            {"data_sets": [entry._asdict() for entry in entries]},
-            [Table("data sets", heads, rows)],
-        )
+        entries = [entry._asdict() for entry in list_datasets()]
+        rows = [tuple(map(str, entry.values())) for entry in entries]
+        return Outcome({"data_sets": entries}, [Table("data sets", tuple(entries[0]), rows)])
 
 
 class DataExport(Command):
-    """`deepfsi data export`.
+    """They are drawn at random from each class.
 
     Example: deepfsi data export mnist --per-class 2 -o images
     """
 
-    name: str = fields.argument(
-        "name, folder of images or .npz file; or a design file, for the test scenes of what it was "
-        "trained on, at its size"
-    )
-    out: Annotated[Path, fields.Output(new=True)] = fields.option(
-        "folder for the pictures, new", ...
-    )
+    name: str = fields.argument("name of a data set, folder of images or .npz file")
+    out: fields.NewFolder = fields.option("folder for the pictures, new", ...)
     per_class: Count = fields.option("test scenes of each class", 1)
     seed: WholeNumber = fields.option("seed of their choice", 0)
     size: fields.Size = None
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Pictures that were written."""
-        if self.name.endswith(".safetensors"):
-            scenes = data_of_file(fields.check_design_file(Path(self.name)), self.size)
-        else:
-            scenes = load_dataset(self.name, size=self.size)
+        scenes = load_dataset(self.name, size=self.size)
         written = write_display(scenes, self.out, self.per_class, self.seed)
-        return Outcome(
-            {"folder": str(self.out), "pictures": [str(path) for path in written]},
-            [f"{len(written)} pictures: {self.out}"],
-        )
+        return Outcome({"folder": str(self.out), "pictures": [str(path) for path in written]})

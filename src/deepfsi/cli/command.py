@@ -6,12 +6,12 @@ texts, `--json`, and the checks of what is written to.
 """
 
 import inspect
+import re
 import shlex
-import sys
 from abc import abstractmethod
 from collections.abc import Iterable
 from pathlib import Path
-from types import NoneType, UnionType
+from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import click
@@ -20,13 +20,12 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from deepfsi.base.errors import InputError, field_errors
-from deepfsi.base.files import readable_name
 from deepfsi.base.interrupts import STOPPED_EXIT_CODE
 from deepfsi.base.models import StrictModel
 from deepfsi.base.quantities import seconds
 from deepfsi.camera.camera import Camera
-from deepfsi.cli.fields import FIRST, OptionsOf, Output, height_width, job_options
-from deepfsi.cli.terminal import Outcome, Terminal, as_options, option_name
+from deepfsi.cli.fields import JOB_OPTIONS, OptionsOf, Output, height_width
+from deepfsi.cli.terminal import Outcome, Terminal
 
 FORMS: dict[Any, str] = {
     seconds: "time",
@@ -39,10 +38,7 @@ FORMS: dict[Any, str] = {
 
 
 class Command(StrictModel):
-    """Settings of a command, and what it does.
-
-    Its docstring has the name of the command on the first line. What follows is its help.
-    """
+    """Settings of a command, and what it does; its docstring is its help, after the summary."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -56,19 +52,12 @@ class Command(StrictModel):
 
 
 class _Argument(click.Argument):
-    """A value without a name, whose help stands under a heading."""
+    """A value without a name, which has a line in the help."""
 
-    heading = "Arguments"
     words = ""
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str]:
         return self.make_metavar(ctx), self.words
-
-
-class _Option(click.Option):
-    """An option whose help stands under a heading."""
-
-    heading = FIRST
 
 
 class ClickCommand(click.Command):
@@ -76,27 +65,28 @@ class ClickCommand(click.Command):
 
     def __init__(self, command: type[Command], name: str, summary: str) -> None:
         self.command = command
-        params: list[click.Parameter] = []
+        self.headings: dict[str, list[click.Parameter]] = {"Arguments": [], "Options": []}
         for field_name, field in command.model_fields.items():
             source = _metadata(field, OptionsOf)
             if source is None:
-                params.append(_parameter(field.alias or field_name, field, field.is_required()))
+                each = _parameter(field.alias or field_name, field, field.is_required())
+                named = isinstance(each, click.Option)
+                self.headings["Options" if named else "Arguments"].append(each)
                 continue
             for key, (heading, of_model) in source.fields.items():
                 axis = source.axes and key not in ("camera", "hidden")
-                params.append(_parameter(key, of_model, False, heading=heading, axis=axis))
-        params.append(_Option(["--json"], is_flag=True, help="print JSON and nothing else"))
-        _, _, rest = inspect.cleandoc(command.__doc__ or "").partition("\n\n")
-        super().__init__(name, params=params, help=f"{summary}\n\n{rest}")
+                each = _parameter(key, of_model, False, axis=axis, default=heading != "Camera")
+                self.headings.setdefault(heading, []).append(each)
+        as_json = click.Option(["--json"], is_flag=True, help="print JSON and nothing else")
+        self.headings["Options"].append(as_json)
+        params = [each for group in self.headings.values() for each in group]
+        words = inspect.cleandoc(command.__doc__ or "")
+        super().__init__(name, params=params, help=f"{summary}\n\n{words}")
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write arguments and options under their headings."""
-        headings: dict[str, list[tuple[str, str]]] = {_Argument.heading: [], FIRST: []}
-        for each in self.get_params(ctx):
-            if record := each.get_help_record(ctx):
-                headings.setdefault(getattr(each, "heading", FIRST), []).append(record)
-        for heading, rows in headings.items():
-            if rows:
+        for heading, group in self.headings.items():
+            if rows := [row for each in group if (row := each.get_help_record(ctx))]:
                 with formatter.section(heading):
                     formatter.write_dl(rows)
 
@@ -108,24 +98,29 @@ class ClickCommand(click.Command):
             raise InputError(self._with_options(str(error))) from error
 
     def _with_options(self, text: str) -> str:
-        """A text with its settings as options, which are listed only where it may have some."""
-        others = job_options().fields.keys() | Camera.model_fields.keys() if "`" in text else ()
-        return as_options(text, {*others, *(each.name or "" for each in self.params)})
+        """A text with its settings as options: `size` is --size."""
+        settings = {*JOB_OPTIONS, *Camera.model_fields, *(each.name for each in self.params)}
+
+        def option(named: re.Match[str]) -> str:
+            setting, value = named.groups("")
+            if setting not in settings:
+                return named[0]
+            return f"{_option_name(setting)} {value.strip(chr(34))}".rstrip()
+
+        return re.sub(r'`([a-z_]+)(?:=("[^"`]*"|\d+))?`', option, text)
 
     def _run(self, ctx: click.Context) -> None:
         """Read the settings, check what is written to, run, and print what was found."""
         given = {
             name: value for name, value in ctx.params.items() if value not in (None, False, ())
         }
-        as_json = given.pop("json", False)
+        terminal = Terminal(given.pop("json", False))
         settings = self._read(given)
         for name, field in self.command.model_fields.items():
             output = _metadata(field, Output)
             path = getattr(settings, name)
             if output is not None and path is not None:
                 output.check(path, getattr(settings, "force", False))
-        typed = shlex.join(["deepfsi", *map(readable_name, sys.argv[1:])])
-        terminal = Terminal(as_json, typed, self._with_options)
         try:
             outcome = settings.run(terminal)
         except KeyboardInterrupt:  # of which `click` would make an empty line
@@ -156,44 +151,40 @@ class ClickCommand(click.Command):
             raise InputError("; ".join(field_errors(error, name_of))) from None
 
 
+def _option_name(setting: str) -> str:
+    return f"--{setting.replace('_', '-')}"
+
+
 def _metadata(field: FieldInfo, kind: type) -> Any:
     """What is declared of a field in a class of its own, if anything."""
     return next((each for each in field.metadata if isinstance(each, kind)), None)
 
 
 def _parameter(
-    key: str, field: FieldInfo, required: bool, *, heading: str = FIRST, axis: bool = False
+    key: str, field: FieldInfo, required: bool, *, axis: bool = False, default: bool = True
 ) -> click.Parameter:
     """Parser of the text of a field, which the model reads; what its help says."""
     form, several = _form(field.annotation, tuple(field.metadata))
-    if axis and form:
-        form = f"{form},…"
     words = str(field.description)
     extra = field.json_schema_extra
-    if isinstance(extra, dict) and "argument" in extra:
+    if isinstance(extra, dict):
         metavar = str(extra["argument"] or key.upper())
-        argument = _Argument(
-            [key], required=required, nargs=-1 if several else 1, metavar=metavar, type=str
-        )
+        argument = _Argument([key], required=required, metavar=metavar, type=str)
         argument.words = words
         return argument
-    default = field.default
-    if isinstance(default, tuple):
-        default = ",".join(map(str, default))
-    known = isinstance(default, str | int | float | Path) and not isinstance(default, bool)
-    if known and default != "" and not axis and heading != "Camera":
-        words = f"{words}  [default: {default}]"
-    option = _Option(
-        [key, option_name(key), *(["-o"] if key == "out" else [])],
+    usual = field.default
+    known = isinstance(usual, str | int | float | Path) and not isinstance(usual, bool)
+    if known and default and not axis:
+        words = f"{words}  [default: {usual}]"
+    return click.Option(
+        [key, _option_name(key), *(["-o"] if key == "out" else [])],
         is_flag=None if form else True,
         multiple=several,
         required=required,
-        metavar=f"<{form}{' …' * several}>" if form else None,
+        metavar=f"<{form}{',…' * axis}{' …' * several}>" if form else None,
         help=words,
         type=str if form else bool,
     )
-    option.heading = heading
-    return option
 
 
 def _form(annotation: Any, metadata: tuple[Any, ...]) -> tuple[str, bool]:
@@ -203,15 +194,14 @@ def _form(annotation: Any, metadata: tuple[Any, ...]) -> tuple[str, bool]:
     if kind is Annotated:
         return _form(parts[0], (*metadata, *parts[1:]))
     if kind in (Union, UnionType):
-        return _form(next(each for each in parts if each is not NoneType), metadata)
-    fields = [each.metadata if isinstance(each, FieldInfo) else [each] for each in metadata]
-    readers = [each.func for group in fields for each in group if isinstance(each, BeforeValidator)]
-    for reader in readers:
-        if reader in FORMS:
-            return FORMS[reader], False
+        return _form(parts[0], metadata)  # None is last
+    readers = [each.func for each in metadata if isinstance(each, BeforeValidator)]
+    form = next((FORMS[reader] for reader in readers if reader in FORMS), "")
+    if form:
+        return form, False
     if kind is Literal:
         return "|".join(map(str, parts)), False
-    if kind in (tuple, list):
+    if kind is tuple:
         item, _ = _form(parts[0], ())
         return (f"{item},…", False) if readers else (item, True)
     return ("" if annotation is bool else FORMS.get(annotation, "text")), False

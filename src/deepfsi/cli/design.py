@@ -7,17 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import DESIGN_ENDINGS, write_atomically
 from deepfsi.base.models import Count
-from deepfsi.base.quantities import Table, confidence_text
 from deepfsi.base.registry import check_report
+from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
-from deepfsi.cli.evaluate import data_lines, full_gates_lines, with_classes
+from deepfsi.cli.evaluate import data_lines, evaluation_lines, with_classes
+from deepfsi.cli.fields import JOB_OPTIONS
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
-from deepfsi.evaluation.results import Result, lit_text, results_lines
-from deepfsi.jobs.job import job_of, sorted_settings
-from deepfsi.jobs.mask_files import read_matrix
+from deepfsi.evaluation.results import Result, lit_text
+from deepfsi.jobs.job import job_of
 from deepfsi.jobs.training import Training
 
 if TYPE_CHECKING:
@@ -25,10 +24,7 @@ if TYPE_CHECKING:
 
 
 class LearnDesign(Command):
-    """`deepfsi design`.
-
-    A training that was stopped goes on when it is run again: its state is in a file beside --out,
-    whose name ends in .checkpoint.
+    """A training that was stopped goes on when it is run again, from a .checkpoint beside --out.
 
     Example: deepfsi design --data mnist --photons 1e4 --masks 10 -o digits.safetensors
     """
@@ -46,14 +42,13 @@ class LearnDesign(Command):
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Train, save and test."""
         from deepfsi.lab.design_data import view_dataset
 
-        matrix = None if self.matrix is None else read_matrix(self.matrix)
         scenes = load_dataset(self.data, size=self.size)
         if self.view is not None:
             scenes = view_dataset(scenes, self.view)
-        job = job_of(_job_settings(self.settings), scenes, counts=self.counts, matrix=matrix)
+        own = {"counts": self.counts, "matrix": self.matrix}
+        job = job_of(_job_settings(self.settings), scenes, **own)
         from deepfsi.evaluation.accuracy import evaluate
         from deepfsi.physics.noise import noise_of
         from deepfsi.training.learning import learn_job
@@ -66,11 +61,10 @@ class LearnDesign(Command):
             design = learn_job(
                 job,
                 scenes,
-                counts=self.counts,
-                matrix=matrix,
                 device=self.device,
                 report=report,
                 checkpoint=checkpoint,
+                **own,
             )
         lowest = design.info["job"]["photons"]
         design.save(self.out)
@@ -78,19 +72,19 @@ class LearnDesign(Command):
         with terminal.progress("test") as report:
             results = evaluate(design, scenes, budgets, draws=job.draws, report=report)
         lit = min(sum(light > 0 for light in each.photons_per_mask) for each in results)
-        notes = [_scenes_text(scenes)]
         return Outcome(
             {
                 "design": str(self.out),
                 "info": design.info,
-                "notes": notes,
                 "tests": [with_classes(design, result) for result in results],
                 "lit_masks": lit,
             },
             [
-                *data_lines(scenes, notes),
+                *data_lines(scenes),
+                f"{len(scenes.x_train)} training scenes, {len(scenes.x_test)} test scenes",
                 job.exposure.describe(job.optics),
-                *_test_lines(design, results, lit),
+                *evaluation_lines(design, results, job.camera.noise_name),
+                *_remarks(design, results, lit),
                 f"saved: {self.out}",
             ],
         )
@@ -98,41 +92,24 @@ class LearnDesign(Command):
 
 def _job_settings(options: Mapping[str, str]) -> dict[str, Any]:
     """Fields of the job of options; a range of budgets is LOW:HIGH."""
-    settings: dict[str, Any] = dict(options)
+    tables: dict[str, dict[str, Any]] = {heading: {} for heading, _, _ in JOB_OPTIONS.values()}
+    for option, text in options.items():
+        heading, name, _ = JOB_OPTIONS[option]
+        tables[heading][name] = text
+    job = tables["Options"]
     low, colon, high = options.get("photons", "").partition(":")
     if colon:
         try:
-            settings |= {"photons": low, "span": float(high) / float(low)}
+            tables["Exposure"]["span"] = float(high) / float(low)
         except (ValueError, ZeroDivisionError):
             raise InputError("--photons is a number, or LOW:HIGH such as 1e3:1e6") from None
-    return sorted_settings(settings)
+        job["photons"] = low
+    job["camera"] = Camera.load(job.get("camera"), **tables["Camera"])
+    return {**job, "exposure": tables["Exposure"], "training": tables["Training"]}
 
 
-def _scenes_text(data: Dataset) -> str:
-    """Say how many scenes train and test the design, and how many `compare` leaves out."""
-    from deepfsi.sweeps.recipe import Recipe
-
-    words = (
-        f"trained on {len(data.x_train)} scenes, tested on {len(data.x_test)}; deepfsi compare "
-        f"holds {Recipe().held_out(data)} of these out to choose numbers of masks"
-    )
-    folds = len(Recipe().parts(data))
-    return words if folds == 1 else f"{words}, and tests every scene once, in {folds} folds"
-
-
-def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[str | Table]:
-    """Say how a new design with `lit` masks tests, and what may be done better."""
-    title = f"{design.name}, {design.exposure.size_text}"
-    yield from results_lines(results, title=title, classes=design.classes)
-    for result in results:
-        if (light := result.score("mean_light")) is not None:
-            threshold = confidence_text(design.info["stopping"]["threshold"])
-            yield (
-                f"exposures end above a probability of {threshold}, or after "
-                f"{design.prior_exposure.settings.cap:.3g} of the budget: test scenes take "
-                f"{light:.3g} of it in the mean"
-            )
-    yield from full_gates_lines(design, results)
+def _remarks(design: "Design", results: list[Result], lit: int) -> Iterator[str]:
+    """Say what may be done better of a new design with `lit` masks."""
     masks = len(results[0].photons_per_mask)
     if lit < masks and not design.exposure.makes_masks:  # which may end before
         yield f"masks: {lit_text(masks, lit)}; give a longer --exposure, or --masks {lit}"
@@ -148,47 +125,37 @@ def _test_lines(design: "Design", results: list[Result], lit: int) -> Iterator[s
 
 
 class ShowDesign(Command):
-    """`deepfsi show`.
-
-    Adaptive masks are made for each scene: see them on a page of `deepfsi page`.
+    """Adaptive masks are made for each scene: see them on a page of `deepfsi page`.
 
     Example: deepfsi show digits.safetensors -o masks.png
     """
 
     file: fields.DesignPath = fields.argument("design file")
-    out: Path | None = fields.option(
-        "picture: .png, .svg or .pdf; default: the design's name with .png"
-    )
+    out: Path | None = fields.option("picture: .png, .svg, .pdf; default: the design's name, .png")
     count: Count = fields.option("at most this many masks", 24)
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Picture of the masks."""
         out = self.out or Path(f"{self.file.stem}.png")
         fields.Output((".png", ".svg", ".pdf")).check(out, self.force)
         check_report()
         from deepfsi.design.design import load_design
-        from deepfsi.designfile.provenance import trained_on
         from deepfsi.report.masks import design_figure
         from deepfsi.report.style import write_figure
 
         design = load_design(self.file)
-        lines = [f"drawn: {out}"]
         if design.exposure.makes_masks:
             raise InputError(
                 "adaptive masks are made for each scene: see them on a page, by deepfsi page"
             )
-        if training := trained_on(design.info):
-            lines.append(f"trained on: {training.words}")
         write_figure(design_figure(design, self.count), out)
-        return Outcome({"picture": str(out)}, lines)
+        return Outcome({"picture": str(out)})
 
 
 class WritePage(Command):
-    """`deepfsi page`.
+    """One HTML file without a server: draw a scene, set the light, start an exposure.
 
-    One HTML file that needs no server: draw a scene, set the light, start an exposure. Its accuracy
-    is measured on the test scenes of the data that the design remembers.
+    Its accuracy is measured on the test scenes of the data that the design remembers.
 
     Example: deepfsi page digits.safetensors -o digits.html
     """
@@ -201,7 +168,6 @@ class WritePage(Command):
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """The page, with its measured accuracy."""
         from deepfsi.evaluation.page_data import playable
         from deepfsi.lab.design_data import data_of, open_design
         from deepfsi.report.demo import write_page
@@ -214,15 +180,12 @@ class WritePage(Command):
         measured = {name: payload[name] for name in ("curve", "test", "rules")}
         return Outcome(
             {"design": str(self.file), "page": str(self.out), "notes": notes, **measured},
-            [*data_lines(scenes, notes), f"page to play with: {self.out}"],
+            [*data_lines(scenes, notes), f"page: {self.out}"],
         )
 
 
 class ExportClassifier(Command):
-    """`deepfsi export`.
-
-    Counts and budget in, class probabilities out; all scaling is inside. `dmd export` writes the
-    masks.
+    """Counts and budget in, class probabilities out; `dmd export` writes the masks.
 
     Example: deepfsi export digits.safetensors -o digits.onnx
     """
@@ -233,7 +196,6 @@ class ExportClassifier(Command):
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """The graph, and the shapes of what goes in and out."""
         out = self.out or Path(f"{self.file.stem}.onnx")
         fields.Output((".onnx",)).check(out, self.force)
         from deepfsi.design.onnx import to_onnx
@@ -241,7 +203,6 @@ class ExportClassifier(Command):
 
         design = open_design(self.file, trust=self.trust, static=True)
         write_atomically(out, to_onnx(design))
-        shape = ", ".join(map(str, ("batch", *design.counts_shape)))
         return Outcome(
             {
                 "graph": str(out),
@@ -249,10 +210,5 @@ class ExportClassifier(Command):
                 "masks": design.masks,
                 "detectors": design.exposure.detection.count,
                 "classes": design.classes,
-            },
-            [
-                f"in: counts ({shape}), photons (batch,)",
-                f"out: probabilities (batch, {len(design.classes)})",
-                f"saved: {out}",
-            ],
+            }
         )

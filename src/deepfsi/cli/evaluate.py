@@ -1,14 +1,13 @@
 """Commands that test a design: under simulated light, and on pictures."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
-from deepfsi.camera.camera import Camera
+from deepfsi.base.quantities import Table
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
@@ -22,24 +21,17 @@ if TYPE_CHECKING:
 
 
 class EvaluateDesign(Command):
-    """`deepfsi evaluate`.
-
-    The test scenes are the test part of the training's data, and the camera is the design's,
-    unless given.
+    """Test scenes and camera are those of the design unless given.
 
     Example: deepfsi evaluate digits.safetensors --photons 1e2,1e3,1e4
     """
 
-    settings: Annotated[
-        dict[str, Any], fields.camera_options("noise", "sigma", "dark", "fluctuation")
-    ]
+    settings: Annotated[dict[str, Any], fields.camera_options("noise")]
     file: fields.DesignOrPatterns
     photons: fields.NumberList = fields.option("budgets, such as 1e2,1e3,1e4", ...)
     data: fields.TestData = None
     size: fields.Size = None
-    draws: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = fields.option(
-        "noise draws of each scene", 3
-    )
+    draws: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = fields.option("draws of each scene", 3)
     ideal: bool = fields.option("also give the accuracy of the ideal observer of the counts", False)
     seed: fields.NoiseSeed = 0
     view: fields.View = None
@@ -47,7 +39,6 @@ class EvaluateDesign(Command):
     device: fields.TorchDevice = "auto"
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Accuracy, or errors of values, at each budget."""
         from deepfsi.evaluation.accuracy import camera_for, evaluate
         from deepfsi.evaluation.ideal import ideal_observer
         from deepfsi.lab.design_data import data_of, open_design
@@ -55,7 +46,6 @@ class EvaluateDesign(Command):
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
         camera = camera_for(design, **self.settings)
-        _check_sigma(self.settings, camera)
         if self.ideal and not camera.noise_facts.exact:
             raise InputError(
                 "the ideal observer is of photon noise in steady light: leave --ideal out"
@@ -79,53 +69,35 @@ class EvaluateDesign(Command):
             },
             [
                 *data_lines(scenes, notes),
-                *results_lines(
-                    results,
-                    title=f"{design.name}, {design.exposure.size_text}, {camera.noise_name} noise",
-                    classes=design.classes,
-                    bounds=bounds,
-                ),
-                *full_gates_lines(design, results),
+                *evaluation_lines(design, results, camera.noise_name, bounds),
             ],
         )
 
 
 class PredictClasses(Command):
-    """`deepfsi predict`.
-
-    They get the preprocessing of the data that the design was trained on. The camera is the
-    design's, unless given.
+    """They get the preprocessing of the data that the design was trained on.
 
     Example: deepfsi predict digits.safetensors pictures/ -o classes.csv
     """
 
-    settings: Annotated[dict[str, Any], fields.camera_options("noise", "sigma", "dark")]
+    settings: Annotated[dict[str, Any], fields.camera_options("noise")]
     file: fields.DesignOrPatterns
     pictures: fields.ExistingPath = fields.argument(
-        "picture, or folder of pictures, with or without a folder for each class, or .csv of "
-        "file names and labels"
+        "picture, folder of pictures or of a folder for each class, or .csv of names and labels"
     )
-    photons: float | None = fields.option(
-        "budget of an exposure, such as 1e4; default: the light of the design's camera, which "
-        "it was trained for"
-    )
-    out: Annotated[Path | None, fields.Output((".csv",))] = fields.option(
-        "table with a line for each picture, .csv"
-    )
+    photons: float | None = fields.option("budget, such as 1e4; default: that of the training")
+    out: fields.CsvFile = fields.option("table with a line for each picture, .csv")
     seed: fields.NoiseSeed = 0
     trust: fields.Trust = False
     device: fields.TorchDevice = "auto"
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Class of each picture."""
-        from deepfsi.evaluation.accuracy import camera_for
         from deepfsi.lab.design_data import open_design
         from deepfsi.lab.prediction import predict
         from deepfsi.physics.surroundings import torch_device
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
-        _check_sigma(self.settings, camera_for(design, **self.settings))
         with terminal.progress("predict"):
             predictions = predict(
                 design,
@@ -146,15 +118,6 @@ class PredictClasses(Command):
         )
 
 
-def _check_sigma(settings: Mapping[str, Any], camera: Camera) -> None:
-    """Raise `InputError` if read noise is given and the noise has none."""
-    if "sigma" in settings and not camera.noise_facts.read_noise:
-        raise InputError(
-            f"--sigma is not of {camera.noise_name} noise: leave it out, or give --noise gaussian "
-            "or camera"
-        )
-
-
 def data_lines(data: "Dataset | Data", notes: Sequence[str] = ()) -> list[str]:
     """Say in one line what was done to the scenes of a data set, and notes on it."""
     return [f"data: {data.name}. {data.preprocessing}", *(f"note: {note}" for note in notes)]
@@ -165,8 +128,15 @@ def with_classes(design: "Design", result: Result | Estimates) -> dict[str, Any]
     return {"classes": design.classes, **result.as_dict()}
 
 
-def full_gates_lines(design: "Design", results: Sequence[Result | Estimates]) -> Iterator[str]:
-    """Say at which budgets nearly all gates click, so that clicks tell little of a scene."""
+def evaluation_lines(
+    design: "Design",
+    results: Sequence[Result | Estimates],
+    noise: str,
+    bounds: Sequence[Result] = (),
+) -> Iterator[str | Table]:
+    """Say how a design tests, and at which budgets nearly all its gates click."""
+    title = f"{design.name}, {design.exposure.size_text}, {noise} noise"
+    yield from results_lines(results, title=title, classes=design.classes, bounds=bounds)
     for result in results:
         if result.clicks and (remark := design.exposure.full_gates(result.counts, result.photons)):
             yield f"note: {remark}"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field
 from pydantic.fields import FieldInfo
 
 from deepfsi.base.errors import InputError
@@ -22,12 +22,10 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import MOST_INPUTS
 from deepfsi.datasets.load import check_source
 from deepfsi.designfile.design_file import find_design
-from deepfsi.jobs.exposures import exposure_kinds
-from deepfsi.jobs.job import SETTING_ALIASES, Job
+from deepfsi.jobs.exposures import SharedLight
+from deepfsi.jobs.job import Job
+from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.jobs.training import Training
-
-FIRST = "Options"
-"""Heading of the options that most need."""
 
 
 def option(words: str, default: Any = None, **more: Any) -> Any:
@@ -48,6 +46,34 @@ class OptionsOf:
     axes: bool = False  # True if each takes several values
 
 
+_OPTICS = ("light", "rails", "detectors", "device", "exposure", "levels", "flux", "dark", "noise")
+_TABLES: tuple[tuple[str, type[BaseModel], tuple[str, ...]], ...] = (
+    ("Options", Job, ("design", "masks", "photons", "camera", "seed")),
+    ("Camera", Camera, _OPTICS),
+    ("Training", Training, ("epochs", "batch", "mask_lr", "hidden", "counts", "clusters")),
+    ("Exposure", SharedLight, ("cap",)),
+)
+# `--device` is where torch computes. The rarer settings a camera's file gives, a recipe or Python
+JOB_OPTIONS = {
+    "dmd" if name == "device" else name: (heading, name, model.model_fields[name])
+    for heading, model, names in _TABLES
+    for name in names
+}
+"""Options of a job by name: heading, which is the setting's table of a job, and its field there."""
+
+
+def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
+    """Options of the settings of a job: its camera, its exposure and its training."""
+    given = {name: one for name, one in JOB_OPTIONS.items() if name not in leave}
+    return OptionsOf({name: (heading, field) for name, (heading, _, field) in given.items()}, axes)
+
+
+def camera_options(*names: str) -> OptionsOf:
+    """Options of fields of a camera, and of the camera itself by the name `camera`."""
+    fields = {"camera": Job.model_fields["camera"], **Camera.model_fields}
+    return OptionsOf({name: ("Camera", fields[name]) for name in names})
+
+
 @dataclass(frozen=True)
 class Output:
     """Where a command writes, checked before its work."""
@@ -59,9 +85,6 @@ class Output:
         """Raise `InputError` unless this can be written there; `force` lets it replace a file."""
         if self.new and path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise InputError(f"{path} exists already: give a new folder")
-        if self.endings and path.is_dir():
-            ends = " or ".join(self.endings)
-            raise InputError(f"{path} is a folder: give a file name ending in {ends}")
         if self.endings:
             check_ending(path, self.endings)
             if path.exists() and not force:
@@ -70,8 +93,6 @@ class Output:
                 )
         folder = path.parent if self.endings or self.new else path
         there = next(each for each in (folder, *folder.parents) if each.exists())
-        if not there.is_dir():
-            raise InputError(f"cannot write to {path}: {there} is a file; give another place")
         try:
             with tempfile.TemporaryFile(dir=there) as file:
                 file.write(bytes(2**20))  # a file may be made where nothing can be written into it
@@ -79,35 +100,6 @@ class Output:
             raise InputError(
                 f"cannot write to {path}: {error.strerror}; give another place"
             ) from None
-
-
-def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
-    """Options of the settings of a job: its camera, its exposure and its training."""
-    # The rarer ones a camera's file gives, and a recipe or Python
-    optics = ("light", "rails", "detectors", "device", "exposure", "levels", "flux", "dark")
-    learning = ("epochs", "batch", "mask_lr", "hidden", "counts", "clusters")
-    names = {field: option for option, field in SETTING_ALIASES.items()}
-    job = ("design", "masks", "photons", "camera", "seed")
-    fields = {name: (FIRST, Job.model_fields[name]) for name in job}
-    for table, fields_of, typed in (
-        ("camera", Camera.model_fields, (*optics, "noise")),
-        ("training", Training.model_fields, learning),
-    ):
-        fields |= {
-            names.get((table, name), name): (table.capitalize(), fields_of[name]) for name in typed
-        }
-    fields |= {
-        name: ("Exposure", kind.model_fields[name])
-        for name, kind in exposure_kinds().items()
-        if name != "span"
-    }
-    return OptionsOf({name: each for name, each in fields.items() if name not in leave}, axes)
-
-
-def camera_options(*names: str) -> OptionsOf:
-    """Options of fields of a camera, and of the camera itself by the name `camera`."""
-    fields = {"camera": Job.model_fields["camera"], **Camera.model_fields}
-    return OptionsOf({name: ("Camera", fields[name]) for name in names})
 
 
 def check_design_file(path: Path) -> Path:
@@ -118,10 +110,8 @@ def check_design_file(path: Path) -> Path:
     return file
 
 
-def split_commas(text: Any) -> Any:
+def split_commas(text: str) -> list[str]:
     """Parts of a text between commas; `ValueError` if one is empty."""
-    if not isinstance(text, str):
-        return text
     parts = [part.strip() for part in text.split(",")]
     if not all(parts):
         raise ValueError(
@@ -130,10 +120,8 @@ def split_commas(text: Any) -> Any:
     return parts
 
 
-def height_width(text: Any) -> Any:
+def height_width(text: str) -> tuple[int, int]:
     """Height and width, from HEIGHTxWIDTH or from a number for both."""
-    if not isinstance(text, str):
-        return text
     sides = text.lower().split("x")
     if len(sides) > 2 or not all(re.fullmatch("[1-9][0-9]{0,3}", side) for side in sides):
         raise ValueError(f"{text!r} is not allowed: give HEIGHTxWIDTH, such as 32x32, below 10000")
@@ -147,66 +135,47 @@ def _existing(path: Path) -> Path:
 
 
 NumberList = Annotated[tuple[float, ...], BeforeValidator(split_commas)]
-"""Numbers, separated by commas."""
-
 Names = Annotated[tuple[str, ...], BeforeValidator(split_commas)]
-"""Names, separated by commas."""
-
 HeightWidth = Annotated[tuple[int, int], BeforeValidator(height_width)]
-"""Height and width of an image, of HEIGHTxWIDTH or one number for both."""
-
 ExistingPath = Annotated[Path, AfterValidator(_existing)]
-"""Path at which there is something."""
 
 # scenes
 
-Size = Annotated[
-    HeightWidth | None, Field(description="resize images to HEIGHTxWIDTH, or one number for both")
-]
-DataSource = Annotated[str, AfterValidator(check_source)]
-"""Name or path of data that are there."""
-
+Source = Annotated[str, AfterValidator(check_source)]
+Size = Annotated[HeightWidth | None, option("resize images to HEIGHTxWIDTH, or a number for both")]
 TrainingData = Annotated[
-    DataSource,
-    Field(
-        description="name (deepfsi data list), folder of images, .csv of file names and "
-        "labels or values, cube, or .npz"
+    Source,
+    option(
+        "name (deepfsi data list), folder of images, .csv of file names and labels or values, "
+        "cube, or .npz"
     ),
 ]
-TestData = Annotated[
-    DataSource | None,
-    Field(description="name or path, as for `design`; default: the design's own"),
-]
+TestData = Annotated[Source | None, option("data, as for `design`; default: the design's own")]
 View = Annotated[
-    ExistingPath | None,
-    Field(description="folder of a camera's calibration: take the scenes as this camera sees them"),
+    ExistingPath | None, option("folder of a calibration: scenes as its camera sees them")
 ]
 
 # a design and its test
 
 DesignPath = Annotated[Path, AfterValidator(check_design_file)]
-"""Design file, folder of patterns or name of a published design, which is there."""
-
-DesignOrPatterns = Annotated[
-    DesignPath, argument("design file, or a folder of patterns that `dmd export` wrote")
-]
-NoiseSeed = Annotated[WholeNumber, Field(description="seed of the noise")]
+DesignOrPatterns = Annotated[DesignPath, argument("design file, or a folder of its patterns")]
+NoiseSeed = Annotated[WholeNumber, option("seed of the noise")]
 Matrix = Annotated[
-    str | None,
-    Field(
-        description="your own masks: .npy or .mat (FILE.mat:VARIABLE) of shape (m, N) or (m, H, W)"
-    ),
+    Any,
+    AfterValidator(read_matrix),
+    option("your own masks, (m, N) or (m, H, W): .npy or .mat (FILE.mat:VARIABLE)"),
 ]
 
-# how it runs
+# how it runs, and what it writes
 
-Trust = Annotated[bool, Field(description="run the code of the classifier that the design names")]
-TorchDevice = Annotated[
-    str, Field(description="auto, cpu, cuda, one of several GPUs such as cuda:1, or mps")
-]
-WorkerCount = Annotated[Count | None, Field(description="processes; default: one for each core")]
-Ray = Annotated[str | None, Field(description="work on a Ray cluster: its address, auto or local")]
-Force = Annotated[bool, Field(description="replace what is at --out")]
+NewFolder = Annotated[Path, Output(new=True)]
+CsvFile = Annotated[Path | None, Output((".csv",))]
+
+Trust = Annotated[bool, option("run the code of the classifier that the design names")]
+TorchDevice = Annotated[str, option("auto, cpu, cuda, one of several GPUs such as cuda:1, or mps")]
+WorkerCount = Annotated[Count | None, option("processes; default: one for each core")]
+Ray = Annotated[str | None, option("work on a Ray cluster: its address, auto or local")]
+Force = Annotated[bool, option("replace what is at --out")]
 
 # acquisitions
 
@@ -214,57 +183,40 @@ PatternFolder = Annotated[Path, argument("folder of patterns")]
 RunFolder = Annotated[Path, argument("acquisition folder, with photons.ptu in it")]
 SettleTime = Annotated[
     Seconds | None,
-    Field(
-        alias="settle",
-        description="time for mirrors to settle in each frame; default: the device's, or the "
-        "recorded one",
+    option(
+        "time for mirrors to settle; default: the device's, or the recorded one", alias="settle"
     ),
 ]
 Repeats = Annotated[
-    Count | None,
-    Field(description="exposures in one pass; default: as many as fit, or were recorded"),
+    Count | None, option("exposures in a pass; default: as many as fit, or were recorded")
 ]
+# People count inputs from 1
+Input = Annotated[int, Field(ge=1, le=MOST_INPUTS), AfterValidator(lambda number: number - 1)]
 Inputs = Annotated[
-    tuple[
-        Annotated[int, Field(ge=1, le=MOST_INPUTS), AfterValidator(lambda number: number - 1)],
-        ...,
-    ],
-    Field(
+    tuple[Input, ...],
+    option(
+        "input, or channel, of the counter, 1 for the first, as `inspect` numbers them; one for "
+        "each detector, on two arms first those that see mirrors ON",
         alias="input",
-        description="input, or channel, of the counter, 1 for the first, as `inspect` numbers them;"
-        " one for each detector, on two arms first those that see mirrors ON",
     ),
 ]
-"""Inputs of a counter, from 0, where people count from 1."""
-
+Marker = Annotated[int, Field(ge=0, le=3), AfterValidator(lambda number: 1 << number)]
 MarkerBit = Annotated[
-    Annotated[int, Field(ge=0, le=3), AfterValidator(lambda number: 1 << number)] | None,
-    Field(
-        alias="marker",
-        description="marker input of the trigger, 0 for the first, as `inspect` numbers them",
-    ),
+    Marker | None,
+    option("marker input of the trigger, 0 for the first, as in `inspect`", alias="marker"),
 ]
-"""Bit of a marker input, of its number."""
-
 ExposureBudget = Annotated[
     float | None,
-    Field(
-        description="budget of an exposure in counts, detector efficiency included; default: "
-        "that of the all-ON frames"
-    ),
+    option("counts of an exposure, detector efficiency included; default: by the all-ON frames"),
 ]
 
 # studies
 
-Ratios = Annotated[
-    NumberList | None,
-    Field(description="readouts divided by pixels, m/N for one detector, such as 0.01,0.04,0.09"),
-]
+Ratios = Annotated[NumberList | None, option("readouts divided by pixels, such as 0.01,0.04,0.09")]
 Folds = Annotated[
     Annotated[int, Field(ge=1, le=100)] | None,
-    Field(
-        description="parts of the scenes, each tested by designs that are trained on the others, "
-        "so that every scene is tested once; 1 for none; default: 5 where a test part was "
-        "drawn from the scenes and has fewer than 300"
+    option(
+        "parts of the scenes, each tested by designs that are trained on the others; 1 for none; "
+        "default: 5 where a test part was drawn from the scenes and has fewer than 300"
     ),
 ]

@@ -12,11 +12,9 @@ from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
-from deepfsi.cli.terminal import Outcome, Terminal, option_name
-from deepfsi.counting.acquisition import Acquisition
+from deepfsi.cli.terminal import Outcome, Terminal
+from deepfsi.counting.acquisition import Acquisition, Scene
 from deepfsi.counting.events import read_events, write_ptu
-from deepfsi.counting.flux import name_inputs
-from deepfsi.counting.reader import summarise
 from deepfsi.counting.recording import CountSettings, Recording
 from deepfsi.datasets.display import Display
 from deepfsi.lab.design_data import camera_of, listed_scenes, shown_scenes
@@ -25,6 +23,14 @@ from deepfsi.lab.live import LiveRun, record_run
 from deepfsi.lab.results import LiveAnswers
 from deepfsi.lab.virtual_optics import record_scenes, virtual_camera
 from deepfsi.patterns.folder import Patterns
+
+
+def _planned(
+    command: Command, patterns: Patterns, scenes: tuple[Scene, ...], **settings: Any
+) -> Acquisition:
+    """Acquisition of the patterns, as the options of a command have it."""
+    settings |= command.explicit(("inputs", "marker_bit", "settle_s", "repeats"))
+    return Acquisition.plan(patterns.manifest, scenes, **settings)
 
 
 class _Run(Command):
@@ -36,17 +42,16 @@ class _Run(Command):
         fields.camera_options("camera", "exposure", "flux", "dark", "dead_time", "dead_time_model"),
     ]
     scene: Path = fields.option(
-        "image, or folder of images, with or without a folder for each class", ...
+        "image, or folder of images, with or without a folder for each class; of real devices also "
+        "a text file with NAME or NAME,LABEL on each line (`record`)",
+        ...,
     )
-    out: Annotated[Path, fields.Output(new=True)] = fields.option("acquisition folder, new", ...)
+    out: fields.NewFolder = fields.option("acquisition folder, new", ...)
     virtual: str | None = fields.option(
-        "virtual camera: ideal, pmt, spad, or a TOML file; default: with the dark counts and "
-        "dead time of the design's camera, or pmt where that is no laboratory's"
+        "virtual camera: ideal, pmt, spad, or a TOML file; default: that of the design, or pmt"
     )
     inputs: fields.Inputs = ()
-    seed: WholeNumber = fields.option(
-        "seed of the random numbers: the same one repeats the run exactly", 0
-    )
+    seed: WholeNumber = fields.option("seed: the same one repeats the run exactly", 0)
 
     def of_virtual(self, camera: Camera) -> dict[str, Any]:
         """Settings of an acquisition with the virtual camera, which needs light."""
@@ -60,9 +65,7 @@ class _Run(Command):
 
 
 class SimulateRun(_Run):
-    """`deepfsi camera simulate`.
-
-    Without options, the design's camera gives exposure, flux, dark counts and dead time.
+    """Without options, the design's camera gives exposure, flux, dark counts and dead time.
 
     Example: deepfsi camera simulate patterns --scene images --flux 1e7 --exposure 10ms -o run_0001
     """
@@ -71,18 +74,11 @@ class SimulateRun(_Run):
     repeats: fields.Repeats = None
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Run as it was recorded."""
         patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
         virtual = self.of_virtual(camera)
         images, scenes = shown_scenes(self.scene, patterns)
-        acquisition = Acquisition.plan(
-            patterns.manifest,
-            scenes,
-            exposure_s=camera.exposure,
-            **virtual,
-            **self.explicit(("settle_s", "repeats", "inputs")),
-        )
+        acquisition = _planned(self, patterns, scenes, exposure_s=camera.exposure, **virtual)
         with terminal.progress("photons") as report:
             acquisition = record_scenes(self.out, patterns, images.x, acquisition, report)
         return Outcome(
@@ -90,12 +86,7 @@ class SimulateRun(_Run):
                 "folder": str(self.out),
                 "preprocessing": images.preprocessing,
                 "acquisition": acquisition.model_dump(mode="json"),
-            },
-            [
-                f"scenes: {self.scene}. {images.preprocessing}",
-                acquisition.exposures_text,
-                f"recorded: {self.out}",
-            ],
+            }
         )
 
 
@@ -105,12 +96,8 @@ class _DeviceRun(_Run):
     OF_VIRTUAL: ClassVar = ("flux", "dark", "virtual", "seed")
     """Settings that only virtual devices take."""
 
-    projector: str = fields.option(
-        "virtual, or NAME[,SETTING=VALUE...] of a driver, such as vialux,version=4.1", "virtual"
-    )
-    counter: str = fields.option(
-        "virtual, or NAME[,SETTING=VALUE...] of a driver, such as swabian,trigger=8", "virtual"
-    )
+    projector: str = fields.option("virtual, or a driver: vialux,version=4.1", "virtual")
+    counter: str = fields.option("virtual, or a driver: swabian,trigger=8", "virtual")
     marker_bit: fields.MarkerBit = None
 
     def open_projector(self, role: str) -> Any:
@@ -124,7 +111,7 @@ class _DeviceRun(_Run):
             return None
         for setting in self.OF_VIRTUAL:
             if setting in self.settings.keys() | self.model_fields_set:
-                raise InputError(f"{option_name(setting)} is for virtual devices: leave it out")
+                raise InputError(f"`{setting}` is for virtual devices: leave it out")
         return installed().open_device(role, self.projector)
 
     def setup(
@@ -150,23 +137,15 @@ class _DeviceRun(_Run):
 
 
 class RecordRun(_DeviceRun):
-    """`deepfsi camera record`.
-
-    Prints a line for each scene as it is recorded. Ctrl-C keeps the scenes that are finished.
+    """Prints a line for each scene as it is recorded. Ctrl-C keeps the scenes that are finished.
 
     Example: deepfsi camera record patterns --scene images --exposure 10ms --flux 1e7 -o run_0001
     """
 
-    scene: Path = fields.option(
-        "picture or folder of the scenes; with real devices also a text file with NAME or "
-        "NAME,LABEL on each line",
-        ...,
-    )
     settle_s: fields.SettleTime = None
     repeats: fields.Repeats = None
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Counts of the run."""
         projector = self.open_projector("projector")
         patterns = Patterns.read(self.patterns)
         camera = camera_of(self.patterns, self.settings)
@@ -177,23 +156,15 @@ class RecordRun(_DeviceRun):
             images, scenes = shown_scenes(self.scene, patterns)
         else:
             scenes = listed_scenes(self.scene, patterns)
-        acquisition = Acquisition.plan(
-            patterns.manifest,
-            scenes,
-            exposure_s=camera.exposure,
-            **wiring,
-            **self.explicit(("settle_s", "repeats", "inputs", "marker_bit")),
-        )
+        acquisition = _planned(self, patterns, scenes, exposure_s=camera.exposure, **wiring)
         setup = self.setup(projector, patterns, images, acquisition, terminal)
         loading = SILENT if terminal.as_json else None
         recorded = record_run(self.out, patterns, acquisition, setup, report=loading)
         with closing(recorded) as lines:
             for line in lines:
                 terminal.say(line)
-        settings = CountSettings(
-            dead_time=camera.counter_dead_time,
-            clicks=camera_of(self.patterns).clicks,
-        )
+        clicks = camera_of(self.patterns).clicks
+        settings = CountSettings(dead_time=camera.counter_dead_time, clicks=clicks)
         with terminal.progress("counting") as report:
             run = Recording.read(self.out)
             counts = run.count(settings, progress=report)
@@ -202,22 +173,17 @@ class RecordRun(_DeviceRun):
 
 
 class RunLive(_DeviceRun):
-    """`deepfsi camera live`.
-
-    A design of adaptive masks makes the next mask from the counts so far.
+    """A design of adaptive masks makes the next mask from the counts so far.
 
     Prints each decision when it is made. Ctrl-C keeps the scenes that are finished.
 
     Example: deepfsi camera live patterns --scene images --exposure 10ms --flux 1e6 -o run_0002
     """
 
-    until: float | None = fields.option(
-        "confidence above which an exposure stops; default: that of the design's rule"
-    )
+    until: float | None = fields.option("confidence that ends an exposure; default: the design's")
     photons: fields.ExposureBudget = None
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Classes of the scenes, each said as it is decided."""
         projector = self.open_projector("list projector")
         camera = camera_of(self.patterns, self.settings)
         exposure_s = camera.exposure
@@ -266,102 +232,49 @@ class RunLive(_DeviceRun):
 
 
 class ImportRecording(Command):
-    """`deepfsi camera import`.
+    """It becomes an acquisition folder for `camera count`.
 
-    With --patterns and --scenes it becomes an acquisition folder for `camera count`. Without
-    options, the design's camera gives exposure and flux; the exposure is the longest that fits
-    where it has none.
-
-    Without patterns, time stamps become a photon file alone, as for `camera transits`. Their
-    trigger is marker 0; without a trigger the file has no markers.
+    Without options, the design's camera gives exposure and flux; the exposure is the longest that
+    fits where it has none.
 
     Example: deepfsi camera import photons.ptu --patterns frames --scenes scenes.csv -o run_lab
     """
 
     events: fields.ExistingPath = fields.argument(
-        "photon file (.ptu), or time stamps in two columns, time and channel (.txt .csv .npy "
-        ".parquet)"
+        "photon file (.ptu), or time and channel of each event (.txt .csv .npy .parquet)"
     )
     settings: Annotated[dict[str, Any], fields.camera_options("camera", "exposure", "flux")]
-    out: Path = fields.option("acquisition folder, new; or the photon file, .ptu", ...)
-    patterns: Path | None = fields.option("folder of the patterns that were shown for each scene")
-    scenes: Path | None = fields.option(
-        "text file with NAME or NAME,LABEL on each line; or a folder of the pictures, with or "
-        "without a folder for each class"
+    out: fields.NewFolder = fields.option("acquisition folder, new", ...)
+    patterns: Path = fields.option("folder of the patterns that were shown for each scene", ...)
+    scenes: Path = fields.option(
+        "text file with NAME or NAME,LABEL on each line; or a folder of the pictures", ...
     )
     inputs: fields.Inputs = ()
     marker_bit: fields.MarkerBit = None
     settle_s: fields.SettleTime = None
     repeats: fields.Repeats = None
     unit: Seconds | None = fields.option("time stamps: unit of the times, such as 1ps")
-    marker_channel: int | None = fields.option(
-        "time stamps: channel of the device's trigger; default: none"
-    )
+    marker_channel: int | None = fields.option("time stamps: channel of the device's trigger")
     channels: tuple[int, ...] = fields.option(
-        "time stamps: channel of each detector, in order; default: all others",
-        (),
-        alias="channel",
+        "time stamps: channel of each detector; default: all others", (), alias="channel"
     )
-    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Photon file or acquisition folder that was written."""
-        if self.patterns is None:
-            fields.Output((".ptu",)).check(self.out, self.force)
-            return self._write_photons(self.out)
-
-        fields.Output(new=True).check(self.out, self.force)
-        if self.scenes is None:
-            raise InputError("an acquisition has scenes: give --scenes, or leave --patterns out")
         camera = camera_of(self.patterns, self.settings)
         patterns = Patterns.read(self.patterns)
-        planned = Acquisition.plan(
-            patterns.manifest,
-            listed_scenes(self.scenes, patterns),
-            exposure_s=camera.exposure,
-            flux=camera.flux,
-            **self.explicit(("inputs", "marker_bit", "settle_s", "repeats")),
-        )
+        scenes = listed_scenes(self.scenes, patterns)
+        light = {"exposure_s": camera.exposure, "flux": camera.flux}
+        planned = _planned(self, patterns, scenes, **light)
         with TemporaryDirectory() as folder:
             photons = self.events
             if photons.suffix.lower() != ".ptu":
+                if self.unit is None:
+                    raise InputError(f"{photons} has time stamps: give their `unit`, such as 1ps")
+                times, numbers = read_events(photons)
                 photons = Path(folder) / "photons.ptu"
-                self._write_photons(photons)
+                wiring: dict[str, Any] = {"marker": self.marker_channel, "inputs": self.channels}
+                write_ptu(photons, times, numbers, **wiring, tick_s=self.unit)
             acquisition = Recording.prepare(self.out, patterns, planned, photons).acquisition
         return Outcome(
-            {"folder": str(self.out), "acquisition": acquisition.model_dump(mode="json")},
-            [
-                acquisition.exposures_text,
-                f"photons on input {name_inputs(acquisition.inputs)}, a trigger on marker input "
-                f"{acquisition.marker_bit.bit_length() - 1}",
-                f"acquisition: {self.out}; then: deepfsi camera count {self.out}",
-            ],
-        )
-
-    def _write_photons(self, out: Path) -> Outcome:
-        """Write the photon file of time stamps, and say what it holds."""
-        if self.unit is None:
-            raise InputError(f"{self.events} has time stamps: give their --unit, such as 1ps")
-        times, numbers = read_events(self.events)
-        channels = write_ptu(
-            out, times, numbers, marker=self.marker_channel, inputs=self.channels, tick_s=self.unit
-        )
-        contents = summarise(out)
-        photons = {number + 1: contents.photons.get(number, 0) for number in range(len(channels))}
-        triggers = contents.markers.get(1, 0)
-        left_out = len(times) - sum(photons.values()) - triggers
-        return Outcome(
-            {
-                "file": str(out),
-                "channels": channels,
-                "photons": photons,
-                "markers": triggers,
-                "left_out": left_out,
-                "span_s": contents.span_s,
-            },
-            [
-                contents.table(str(out)),
-                f"{left_out} events of other channels left out",
-                f"photons: {out}",
-            ],
+            {"folder": str(self.out), "acquisition": acquisition.model_dump(mode="json")}
         )

@@ -7,7 +7,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.models import Count, Seconds
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
-from deepfsi.cli.terminal import Outcome, Terminal, option_name
+from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.counting.reader import summarise
 from deepfsi.counting.recording import CountSettings, Recording
 from deepfsi.counting.tables import TableSettings
@@ -17,17 +17,16 @@ from deepfsi.lab.design_data import camera_of
 
 
 class InspectPhotons(Command):
-    """`deepfsi camera inspect`.
-
-    A file that is cut or damaged is described as far as it goes, and the exit code is 2.
+    """A file that is cut or damaged is described as far as it goes, and the exit code is 2.
 
     Example: deepfsi camera inspect photons.ptu
     """
 
-    file: Path = fields.argument("PicoQuant .ptu file")
+    file: fields.DesignPath = fields.argument(
+        "design that was shown, or the folder of its patterns"
+    )
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Contents of the file."""
         with terminal.progress("records") as report:
             contents = summarise(self.file, report)
         problems = "; ".join(contents.problems)
@@ -39,13 +38,11 @@ class InspectPhotons(Command):
 
 
 class CountRun(Command):
-    """`deepfsi camera count`.
+    """Unless given, inputs and marker are those of the acquisition.
 
-    An exposure shorter than the recorded one is counted in more and shorter gates. If all frames
-    last longer or shorter than planned, they are counted as they are, and the drift is printed.
-
-    Unless given, inputs and marker are those of the acquisition, and the dead time is that of the
-    folder's calibration or of the design's camera.
+    The dead time is that of the folder's calibration or of the design's camera. An exposure shorter
+    than the recorded one is counted in more and shorter gates. If all frames last longer or shorter
+    than planned, they are counted as they are, and the drift is printed.
 
     For a design of detectors that click, the exposure of a frame is divided into equal gates, and
     only the first photon of each gate counts.
@@ -58,25 +55,21 @@ class CountRun(Command):
         dict[str, Any], fields.camera_options("camera", "dead_time", "dead_time_model")
     ]
     exposure_s: Seconds | None = fields.option(
-        "total exposure, such as 0.01 or 10ms; default: the recorded one", alias="exposure"
+        "total exposure, such as 10ms; default: the recorded one", alias="exposure"
     )
     settle_s: fields.SettleTime = None
     repeats: fields.Repeats = None
     tolerance_s: Seconds | None = fields.option(
         "how far a marker may be off; default: 10us or a tenth of a frame", alias="tolerance"
     )
-    background: str | None = fields.option(
-        "scene of this run that was dark: its counts are subtracted"
-    )
+    background: str | None = fields.option("scene of this run that was dark, to be subtracted")
     inputs: fields.Inputs = ()
     marker_bit: fields.MarkerBit = None
     flat: Path | None = fields.option(
-        "several detectors: counted run of a uniform white scene with the same patterns, by which "
-        "their efficiencies are corrected"
+        "counted run of uniform white with these patterns: corrects efficiencies of detectors"
     )
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Counts of the run."""
         options = self.model_dump(exclude={"folder", "settings", "flat"}, exclude_unset=True)
         with terminal.progress("counting") as report:
             settings = CountSettings(
@@ -91,10 +84,9 @@ class CountRun(Command):
 
 
 class ClassifyRun(Command):
-    """`deepfsi camera classify`.
+    """Counts unlike those that the design was trained for are refused; single scenes are unsure.
 
-    Counts that do not look like what the design was trained for are refused, and single scenes
-    that do not are unsure. A table has a value for each frame, in the order of the patterns.
+    A table has a value for each frame, in the order of the patterns.
 
     Example: deepfsi camera classify one-dmd.safetensors run_0001
     """
@@ -106,37 +98,29 @@ class ClassifyRun(Command):
         "design file whose patterns were shown, or the folder of its patterns"
     )
     counted: Path = fields.argument(
-        "acquisition folder that was counted; or counts of any counter, .csv .parquet .npy .mat "
-        "(FILE:VARIABLE), a row for each exposure",
+        "counted run; or counts, a row for each exposure, .csv .parquet .npy .mat (FILE:VARIABLE)",
         "RUN|TABLE",
     )
     photons: fields.ExposureBudget = None
     background: float | None = fields.option(
-        "table: dark counts of an input in one exposure; default: those of the all-OFF frames"
+        "table: dark counts of an input in an exposure; default: by the all-OFF frames"
     )
     settle_s: Seconds | None = fields.option(
         "table: time after each marker without counting; default: 0", alias="settle"
     )
     repeats: Count = fields.option("table: number of consecutive exposures of each scene", 1)
-    gain: float | None = fields.option(
-        "table of an analogue detector: counts that one unit stands for"
-    )
-    read_noise: float | None = fields.option(
-        "table of an analogue detector: read noise of a value, counts rms"
-    )
+    gain: float | None = fields.option("analogue table: counts that one unit stands for")
+    read_noise: float | None = fields.option("analogue table: read noise of a value, counts rms")
     trust: fields.Trust = False
-    force: bool = fields.option(
-        "classify even if the counts do not look like those of the training", False
-    )
+    force: bool = fields.option("classify counts that do not look like the training's", False)
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Classes of the exposures."""
         of_tables = ("background", "settle_s", "repeats", "gain", "read_noise")
         if self.counted.is_dir():
             for name in (*self.explicit(of_tables), *self.settings):
-                option = option_name(name.removesuffix("_s"))
                 raise InputError(
-                    f"{option} is for tables, and {self.counted} is a folder: leave it out"
+                    f"`{name.removesuffix('_s')}` is for tables, and {self.counted} is a folder: "
+                    "leave it out"
                 )
             answers = classify_run(
                 self.file, self.counted, photons=self.photons, force=self.force, trust=self.trust

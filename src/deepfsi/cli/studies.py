@@ -9,8 +9,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-
 from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.files import read_toml
 from deepfsi.base.models import Count
@@ -19,11 +17,10 @@ from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.evaluate import data_lines
+from deepfsi.cli.fields import JOB_OPTIONS
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
-from deepfsi.jobs.job import find_table
-from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.sweeps.plan import check_settings, with_adaptive
 from deepfsi.sweeps.recipe import Recipe, only
 from deepfsi.sweeps.records import Record, write_table
@@ -40,12 +37,7 @@ class _Study(Command):
     device: fields.TorchDevice = "auto"
 
     def train(
-        self,
-        terminal: Terminal,
-        recipe: Recipe,
-        scenes: Dataset,
-        matrix: np.ndarray | None = None,
-        ray: str | None = None,
+        self, terminal: Terminal, recipe: Recipe, scenes: Dataset, **others: Any
     ) -> tuple[Results, list[Record]]:
         """Results and records of the trials."""
         with terminal.progress("trials") as report:
@@ -54,22 +46,19 @@ class _Study(Command):
                 scenes,
                 self.out,
                 command=terminal.command_line,
-                matrix=matrix,
                 device=self.device,
                 workers=self.workers,
-                ray=ray,
                 report=report,
+                **others,
             )
 
 
 class CompareDesigns(_Study):
-    """`deepfsi compare`.
+    """The mask count of each design is chosen on validation data; the test set is read once.
 
     Adaptive masks are among the designs where the camera can show them and the data has at most
-    5000 scenes. Data with values (an .npz whose y are floats) are reported by R².
-
-    The mask count of each design is chosen on validation data, and the test set is read once. A
-    stopped comparison goes on where it was when run again with the same output folder.
+    5000 scenes. Data with values (an .npz whose y are floats) are reported by R². A stopped
+    comparison goes on where it was when run again with the same output folder.
 
     Without ratios, masks and trials: on digits the ratios 6, 16 and 36 % with three trials of 30
     epochs, on other data the paper's ratios 1, 4, 9, … 100 % with one trial.
@@ -86,46 +75,37 @@ class CompareDesigns(_Study):
     trials: Count | None = fields.option("training seeds for each point")
     folds: fields.Folds = None
     matrix: fields.Matrix = None
-    target: float | None = fields.option(
-        "accuracy, such as 0.9: read off the curves the photons and masks that it needs"
-    )
+    target: float | None = fields.option("accuracy, such as 0.9: say what light and masks it needs")
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Results, a page of them and the verdict."""
         check_report()
-        matrix = None if self.matrix is None else read_matrix(self.matrix)
         chosen = {"data": self.data, **self.explicit(("size", "designs", "folds"))}
         options = dict(self.settings)
-        if "masks" in options and self.ratios:
-            raise InputError("--masks and --ratios say one thing in two ways: give one, not both")
         if self.data == "digits" and not (self.ratios or self.trials or "masks" in options):
             chosen |= {"ratios": (0.06, 0.16, 0.36), "trials": 3}
             options = {"epochs": "30", **options}
         chosen |= self.explicit(("ratios", "trials"))
-        recipe, scenes = _checked(chosen | _recipe_settings(options), matrix)
-        if not (self.designs or self.matrix):
+        recipe, scenes = check_settings(chosen | _recipe_settings(options), _load, self.matrix)
+        if not self.designs and self.matrix is None:
             recipe = with_adaptive(recipe, scenes)
         if self.target is not None:
             check_target(self.target, recipe, scenes)
-        results, _ = self.train(terminal, recipe, scenes, matrix)
+        results, _ = self.train(terminal, recipe, scenes, matrix=self.matrix)
         return _results_outcome(results, self.out, self.target)
 
 
 class SweepRecipe(_Study):
-    """`deepfsi sweep`.
+    """It may be stopped: run again with the same output folder, it goes on where it was.
 
-    It may be stopped at any moment: run again with the same output folder, it goes on where it
-    was. After a change of the recipe, trials that are still in it are used; the records of others
-    stay in the folder. Several processes may work on one folder.
+    After a change of the recipe, trials that are still in it are used; the records of others stay
+    in the folder. Several processes may work on one folder.
 
     Example: deepfsi sweep baseline -o runs/baseline --table runs/baseline.csv
     """
 
     recipe: str = fields.argument("name of a recipe, such as mnist, or TOML file; lists are axes")
     part_name: str | None = fields.option("part of a recipe that has several", alias="part")
-    camera: str | None = fields.option(
-        "a camera in place of the recipe's: a preset, or a TOML file"
-    )
+    camera: str | None = fields.option("a camera in place of the recipe's: preset or TOML file")
     quick: bool = fields.option("the recipe's coarse version, where it has one", False)
     out: Annotated[Path, fields.Output()] = fields.option("output folder", Path("runs/sweep"))
     folds: fields.Folds = None
@@ -136,12 +116,10 @@ class SweepRecipe(_Study):
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        """Results and a page of them."""
         check_report()
         file = read_recipe(self.recipe)
-        recipe, scenes = _checked(
-            {**only(file, self.part_name, self.quick), **self.explicit(("camera", "folds"))}
-        )
+        changes = self.explicit(("camera", "folds"))
+        recipe, scenes = check_settings(only(file, self.part_name, self.quick) | changes, _load)
         results, records = self.train(terminal, recipe, scenes, ray=self.ray)
         outcome = _results_outcome(results, self.out)
         if self.table is None:
@@ -177,31 +155,25 @@ def read_recipe(source: str) -> dict[str, Any]:
 
 def _recipe_settings(options: Mapping[str, str]) -> dict[str, Any]:
     """Settings of the recipe that options of a job ask for, each an axis."""
-    settings: dict[str, Any] = {}
-    for name, text in options.items():
-        table, key = find_table(name)
+    settings: dict[str, Any] = {"camera": {}, "training": {}, "exposure": {}}
+    for option, text in options.items():
+        if option == "camera":
+            continue
+        heading, name, _ = JOB_OPTIONS[option]
         try:
             axis = fields.split_commas(text)
         except ValueError as error:
-            raise InputError(f"--{name}: {error}") from None
-        if name == "camera":
-            settings["camera"] = Camera.load(text).given_fields
-        else:
-            fields_of = settings.setdefault(table, {}) if table else settings
-            fields_of[key] = [axis] if name == "hidden" else axis  # widths of one network
-    return settings
+            raise InputError(f"--{option}: {error}") from None
+        table = settings if heading == "Options" else settings[heading.lower()]
+        table[name] = [axis] if name == "hidden" else axis  # widths of one network
+    if "camera" in options:
+        settings["camera"] = Camera.load(options["camera"]).given_fields | settings["camera"]
+    return {name: setting for name, setting in settings.items() if setting}
 
 
-def _checked(
-    settings: Mapping[str, Any], matrix: np.ndarray | None = None
-) -> tuple[Recipe, Dataset]:
-    """Recipe of settings and its data, or `InputError` that names every mistake."""
-
-    def load(recipe: Recipe) -> Dataset:
-        names = ("size", "split", "images")
-        return load_dataset(recipe.data, **{name: getattr(recipe, name) for name in names})
-
-    return check_settings(settings, load, matrix)
+def _load(recipe: Recipe) -> Dataset:
+    names = ("size", "split", "images")
+    return load_dataset(recipe.data, **{name: getattr(recipe, name) for name in names})
 
 
 # results

@@ -13,7 +13,6 @@ from pydantic import Field, FiniteFloat, model_validator
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_text, write_atomically
 from deepfsi.base.models import Amount, Count, Positive, Share, StrictModel
-from deepfsi.base.quantities import plural, time_text
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.camera.detectors import MOST_INPUTS
 from deepfsi.patterns.manifest import GatePlan, Manifest
@@ -84,14 +83,6 @@ class Acquisition(StrictModel):
         if len(set(self.inputs)) < len(self.inputs):
             raise ValueError("each detector needs an input of its own")
         return self
-
-    @property
-    def exposures_text(self) -> str:
-        """Scenes and exposures, for a report."""
-        return (
-            f"{plural(len(self.scenes), 'scene')}, {plural(self.repeats, 'exposure')} of "
-            f"{time_text(self.exposure_s)} for each"
-        )
 
     def rewired(self, inputs: tuple[int, ...] | None, marker_bit: int | None) -> Self:
         """Settings with other inputs of the counter, as far as given, or `InputError`."""

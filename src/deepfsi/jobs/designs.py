@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -64,20 +63,16 @@ class Code:
         return most if self.complete else 1, most
 
 
-def _random(data: Dataset, masks: int, seed: int) -> np.ndarray:
-    return np.random.default_rng(seed).choice([-1.0, 1.0], size=(masks, data.pixels))
-
-
 def _hadamard(data: Dataset, masks: int, seed: int) -> np.ndarray:
     return hadamard_masks(data.image_shape, masks)
 
 
-def _padded_pixels(shape: Shape, classes: int) -> int:
-    return math.prod(padded_shape(shape))
-
-
 def _residues(shape: Shape, classes: int) -> int:
     return s_matrix_order(math.prod(shape))
+
+
+def _padded_pixels(shape: Shape, classes: int) -> int:
+    return math.prod(padded_shape(shape))
 
 
 DESIGNS: dict[str, Code] = {
@@ -115,7 +110,14 @@ DESIGNS: dict[str, Code] = {
     ),
     "deepfsi": Code("DFSI", "DeepFSI", specific=True, learned=True),
     "control": Code("CG", "control group", specific=True, learned_under="gaussian"),
-    "random": Code("RND", "random ±1", _random, seeded=True),
+    "random": Code(
+        "RND",
+        "random ±1",
+        lambda data, masks, seed: np.random.default_rng(seed).choice(
+            [-1.0, 1.0], size=(masks, data.pixels)
+        ),
+        seeded=True,
+    ),
     "lda": Code(
         "LDA",
         "linear discriminants",
@@ -160,8 +162,6 @@ def check_design(name: str) -> str:
 
 def mask_count(ratio: float, pixels: float) -> int:
     """Number of masks at a compression ratio m / N, max(1, round(ratio · N))."""
-    if not 0 < ratio <= 1:
-        raise InputError(f"compression ratio {ratio!r} is not allowed: give 0 < ratio ≤ 1")
     return max(1, round(ratio * pixels))
 
 
@@ -297,45 +297,38 @@ def s_matrix(pixels: int) -> np.ndarray:
     return row[(index[:, None] + index[None, :]) % order][:, :pixels]
 
 
-class _Tile(NamedTuple):
-    """Pixels of a scene that a detector sees: a rectangle with its shape, any other as a row."""
-
-    pixels: np.ndarray  # (n,), indices into the scene
-    shape: tuple[int, ...]
-
-
-def _divide_scene(image_shape: tuple[int, ...], detectors: DetectorMap) -> Iterator[_Tile]:
-    """Tile of each detector."""
+def _tiles(image_shape: Shape, detectors: DetectorMap) -> Iterator[tuple[np.ndarray, Shape]]:
+    """Pixels that each detector sees, as indices, and their shape: of a rectangle, else a row."""
     labels = detectors.labels
     if labels is None:
-        yield _Tile(np.arange(math.prod(image_shape)), image_shape)
+        yield np.arange(math.prod(image_shape)), image_shape
         return
     for detector in range(detectors.count):
         pixels = np.flatnonzero(labels == detector)
         box = tuple(int(np.ptp(axis)) + 1 for axis in np.unravel_index(pixels, image_shape))
-        yield _Tile(pixels, box if math.prod(box) == len(pixels) else (len(pixels),))
+        yield pixels, box if math.prod(box) == len(pixels) else (len(pixels),)
 
 
 def count_allowed(
     name: str, data: Dataset, detectors: DetectorMap = ONE_DETECTOR
 ) -> tuple[int, int]:
     """Smallest and largest number of masks of a design, for its largest tile."""
-    shapes = {tile.shape for tile in _divide_scene(data.image_shape, detectors)}
+    shapes = {shape for _, shape in _tiles(data.image_shape, detectors)}
     ranges = [DESIGNS[name].counts(shape, len(data.classes)) for shape in shapes]
     return max(low for low, _ in ranges), max(high for _, high in ranges)
 
 
-def check_count(name: str, masks: int, data: Dataset, detectors: DetectorMap = ONE_DETECTOR) -> int:
-    """Return a mask count, or raise `InputError` if the design cannot have it on this data."""
+def check_count(
+    name: str, masks: int, data: Dataset, detectors: DetectorMap = ONE_DETECTOR
+) -> None:
+    """Raise `InputError` if a design cannot have so many masks on this data."""
     low, high = count_allowed(name, data, detectors)
-    whole = not isinstance(masks, bool) and float(masks).is_integer()
-    if not whole or not low <= masks <= high:
+    if not low <= masks <= high:
         allowed = f"exactly {low}" if low == high else f"a whole number from {low} to {high}"
         many = f" with {detectors.count} detectors" if detectors.count > 1 else ""
         raise InputError(
             f"{masks} masks are not allowed for {name} on {data.name}{many}: give {allowed}"
         )
-    return int(masks)
 
 
 def sensing_matrix(
@@ -345,20 +338,16 @@ def sensing_matrix(
 
     Where a tile can have fewer masks, the others are dark there.
     """
-    masks = check_count(name, masks, data, detectors)
+    check_count(name, masks, data, detectors)
     code = DESIGNS[name]
     assert code.make is not None
     if detectors.count == 1:
         return code.make(data, masks, seed)
     whole = np.zeros((masks, data.pixels))
-    for tile in _divide_scene(data.image_shape, detectors):
-        scenes = replace(
-            data,
-            x_train=data.x_train[:, tile.pixels],
-            x_test=data.x_test[:, tile.pixels],
-            image_shape=tile.shape,
-        )
-        low, high = code.counts(tile.shape, len(data.classes))
+    for pixels, shape in _tiles(data.image_shape, detectors):
+        x_train = data.x_train[:, pixels]
+        scenes = replace(data, x_train=x_train, x_test=data.x_test[:, pixels], image_shape=shape)
+        low, high = code.counts(shape, len(data.classes))
         count = min(max(masks, low), high)
-        whole[:count, tile.pixels] = code.make(scenes, count, seed)
+        whole[:count, pixels] = code.make(scenes, count, seed)
     return np.where(whole > 0, 1 / masks, 0.0) if code.scaled else whole

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 import numpy as np
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
-from deepfsi.base.errors import InputError, as_input_error, closest_choice
+from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.models import Amount, Count, Positive, StrictModel, UserModel, of_kinds
 from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
@@ -270,33 +270,21 @@ def exposure_kinds() -> dict[str, type[Exposure]]:
     return core | {name: resolve_name(path) for names, path in schemes for name in names}
 
 
-def find_exposure(given: Any) -> Any:
+def find_exposure(given: Any) -> Exposure:
     """Exposure of its settings: none for `Fixed`, ``{"span": 10}`` for `Range`, and so on."""
-    if not isinstance(given, Mapping):
+    if isinstance(given, Exposure):
         return given
-    # Values with which a setting asks for nothing, as in an axis of a recipe
-    neutral = {"span": "1", "cap": "1"}
-    neutral |= {names[0]: "0" for names, _ in installed().schemes.values()}
-    asked = {
-        name: value
-        for name, value in given.items()
-        if str(value).removesuffix(".0") != neutral.get(name)
-    }
+    if not isinstance(given, Mapping):
+        raise InputError(f"exposure = {given!r}: give a table of settings, or an exposure")
+    # In an axis of a recipe 1 asks for no range, and for no shared light
+    neutral = {name for name in ("span", "cap") if str(given.get(name)) in ("1", "1.0")}
+    asked = {name: value for name, value in given.items() if name not in neutral}
     kinds = exposure_kinds()
     for name, kind in kinds.items():
-        if name not in asked:
-            continue
-        if strange := asked.keys() - kind.model_fields.keys():
-            raise InputError(
-                f"{', '.join(sorted(strange))} and {name} are of different exposures: give one"
-            )
-        with as_input_error():
+        if name in asked:
             return kind(**asked)
-    if asked:
-        [strange, *_] = asked
-        raise InputError(
-            f"an exposure has no setting {strange!r}: {closest_choice(strange, kinds)}"
-        )
+    for name in asked:
+        raise InputError(f"an exposure has no setting {name!r}: {closest_choice(name, kinds)}")
     return Fixed()
 
 

@@ -5,38 +5,22 @@ that helps to choose it. These fields become options of the command line, keywor
 of recipes, keys of records, and tables of the pages.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from deepfsi.base.errors import InputError, closest_choice
+from deepfsi.base.errors import InputError
 from deepfsi.base.models import UserModel
 from deepfsi.base.registry import UNNAMED_PLUGIN
-from deepfsi.camera.camera import Camera, CameraSource
+from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import PhotonBudget, check_budget
-from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light_law, find_noise, noise_name
+from deepfsi.camera.names import LIGHT_LAWS, check_light_law, find_noise, noise_name
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.designs import DESIGNS, Code, check_count, check_design, count_allowed
-from deepfsi.jobs.exposures import (
-    AdaptiveMasks,
-    AnyExposure,
-    Exposure,
-    ExposureSource,
-    Fixed,
-    SharedLight,
-    exposure_kinds,
-    find_exposure,
-)
-from deepfsi.jobs.training import (
-    MLP,
-    MLP_FACTS,
-    TUNED,
-    Training,
-    TrainingSource,
-    part_name,
-)
+from deepfsi.jobs.exposures import AdaptiveMasks, AnyExposure, Fixed, SharedLight, find_exposure
+from deepfsi.jobs.training import MLP, TUNED, Training, part_name
 
 FEW_SCENES = 1000
 """Training sets below this size are learned by heart, so folds of them calibrate a design."""
@@ -84,17 +68,7 @@ class Job(UserModel):
 
     if TYPE_CHECKING:  # a field has one type, and may be given as others
 
-        def __init__(
-            self,
-            *,
-            design: str = "deepfsi",
-            masks: int | None = None,
-            photons: float | None = None,
-            camera: CameraSource = None,
-            exposure: ExposureSource | None = None,
-            training: TrainingSource | None = None,
-            seed: int = 0,
-        ) -> None: ...
+        def __init__(self, **fields: Any) -> None: ...
 
     @model_validator(mode="before")
     @classmethod
@@ -103,35 +77,20 @@ class Job(UserModel):
         if not isinstance(given, Mapping):
             return given
         given = {name: value for name, value in given.items() if value is not None}
-        for name in given.keys() - cls.model_fields.keys():
-            table, _ = find_table(name)
-            where = f"give `{table}={{{name!r}: ...}}`" if table else ""
-            where = where or closest_choice(name, cls.model_fields)
-            raise InputError(f"a job has no setting {name!r}: {where}")
         camera = Camera.load(given.get("camera"))
-        photons = given.get("photons")
-        if photons is None:
-            photons = camera.budget
-        if photons is None:
+        given = {"photons": camera.budget, **given, "camera": camera}
+        if given["photons"] is None:
             raise InputError(
                 "the light of a design is told once: give `photons`, the budget on the device, or "
                 "`counts`, the photons that its detectors are to count, or a camera with its flux"
             )
-        given = {**given, "camera": camera, "photons": photons}
-        training = _training_of(given)
         exposure = find_exposure(given.get("exposure", {}))
-        fixed_count = isinstance(exposure, Exposure) and exposure.fixed_mask_count
-        if fixed_count and given.get("masks") is None:
-            given["masks"] = fixed_count
-        if not (isinstance(training, Mapping) and isinstance(exposure, Exposure)):
-            return given
-        for name in training:
-            if name not in Training.model_fields:
-                near = closest_choice(name, Training.model_fields)
-                raise InputError(f"a training has no setting {name!r}: {near}")
+        if exposure.fixed_mask_count:
+            given.setdefault("masks", exposure.fixed_mask_count)
+        training = _given_training(given)
         few = {"start": "random"} if training.get("counts") is not None else {}
         usual = {**exposure.training, **TUNED.get(given.get("design", "deepfsi"), {}), **few}
-        return {**given, "exposure": exposure, "training": {**usual, **training}}
+        return {**given, "exposure": exposure, "training": Training(**{**usual, **training})}
 
     @property
     def code(self) -> Code:
@@ -225,43 +184,29 @@ class Job(UserModel):
         if self.code.adaptive:
             AdaptiveMasks.check_camera(camera)
         if (matrix is not None) != self.code.is_custom:
-            raise InputError(
-                'a matrix goes with the custom design alone: give `design="custom"` and `matrix`, '
-                "or neither"
-            )
+            raise InputError('a matrix goes with `design="custom"` alone: give both, or neither')
         if matrix is None:
             check_count(self.design, self.masks, scene, camera.detector_map(scene.image_shape))
-        else:
-            _check_matrix(np.asarray(matrix), (self.masks, data.pixels))
+            return
+        given = np.asarray(matrix)
+        real = given.dtype.kind in "biuf" and given.shape == (self.masks, data.pixels)
+        if not real or not 0 < np.abs(given, dtype=float).max() < 1e30:
+            wanted = f"({self.masks}, {data.pixels}) finite real numbers that are not all zero"
+            raise InputError(f"a matrix of shape {given.shape} does not fit: give {wanted}")
 
     def _classifier_faults(self) -> Iterator[str]:
         training = self.training
         facts = training.classifier_facts
-        usual = Training()
-        unusual = training.hidden != usual.hidden or training.dropout != usual.dropout
-        if facts is not MLP_FACTS and unusual:
-            yield (
-                "`hidden` and `dropout` are of the usual classifier: give them to a classifier of "
-                "your own as its arguments"
-            )
         if facts.features != self.exposure.features:
-            yield (
-                f"{part_name(training.classifier)} reads features of "
-                f"{facts.features or 'whole scenes'}, and the exposure gives those of "
-                f"{self.exposure.features or 'whole scenes'}: give another classifier"
-            )
+            name, seen = part_name(training.classifier), self.exposure.features or "whole scenes"
+            yield f"{name} does not read features of {seen}: give another `classifier`"
         if training.balance and training.loss is not None:
             yield "`balance` weighs the usual loss: leave it out, or `loss`"
-        if training.is_custom:
-            return
         sizes = training.classifier_arguments
-        if any(sizes.keys() - facts.sizes) or any(
-            type(n) is not int or n < 1 for n in sizes.values()
-        ):
-            yield (
-                f"{training.classifier} cannot have the arguments {sizes}: give whole numbers of "
-                f"{', '.join(facts.sizes) or 'none'}, or a `classifier` of your own"
-            )
+        whole = all(type(size) is int and size > 0 for size in sizes.values())
+        if not training.is_custom and not (whole and sizes.keys() <= {*facts.sizes}):
+            names = ", ".join(facts.sizes) or "none"
+            yield f"{training.classifier} cannot have {sizes}: give whole numbers of {names}"
 
     def _noise_faults(self) -> Iterator[str]:
         if self.code.rails == "dual" and self.camera.rails == "single":
@@ -278,11 +223,9 @@ class Job(UserModel):
         if self.code.adaptive and self.camera.clicks is not None:
             return  # fewer than any number: exposures end where a click is not worth its price
         if not (self.code.learned and isinstance(self.exposure, Fixed) and noise.counting):
-            counting = ", ".join(name for name, facts in NOISES.items() if facts.counting)
             yield (
-                "counts within a budget are of learned masks that are shown once each, trained "
-                f"under {counting} noise, or of adaptive masks for clicks: leave `counts` or "
-                '`photons` out, or give `design="deepfsi"` without span, or `noise="click"`'
+                "counts within a budget are of `deepfsi` for one budget of photons or clicks, or "
+                "of adaptive masks for clicks: leave `counts` or `photons` out"
             )
             return
         most = self.photons
@@ -310,84 +253,28 @@ class Job(UserModel):
         fewest = int(np.bincount(data.y_train, minlength=len(data.classes)).min())
         clicks = self.camera.clicks is not None
         cap = self.exposure.most_light
-        if (self.training.clusters or 0) > fewest // 2:
-            yield (
-                f"{self.training.clusters} clusters of each class are too many where one has "
-                f"{fewest} scenes: give at most {fewest // 2}, or leave `clusters` out"
-            )
+        if (clusters := self.training.clusters or 0) > fewest // 2:
+            yield f"{clusters} clusters of each class are too many: give at most {fewest // 2}"
         if not isinstance(self.exposure, Fixed | SharedLight):
             yield "adaptive masks have a look each: give no span"
         if self.masks < cap:
-            yield (
-                f"the first of {self.masks} looks takes {cap / self.masks:.3g} of the budget, "
-                "which is the mean of all: give more looks, or a lower `cap`"
-            )
-        if cap > 1 and scenes < 50:
-            yield (
-                f"{scenes} training scenes say too little of the mean light of exposures that "
-                "stop: give 50 or more, or leave `cap` out"
-            )
-        if clicks and scenes < FEW_SCENES:
-            yield (
-                f"{scenes} training scenes say too little of what a click is worth: give "
-                f'{FEW_SCENES} or more, or a detector that counts, `noise="poisson"`'
-            )
+            first = f"{cap / self.masks:.3g} of the budget"
+            yield f"the first of {self.masks} looks takes {first}: give more, or a lower `cap`"
+        needed = FEW_SCENES if clicks else 50 if cap > 1 else 0
+        if scenes < needed:
+            what = "what a click is worth" if clicks else "the mean light of exposures that stop"
+            yield f"{scenes} training scenes say too little of {what}: give {needed} or more"
         if clicks and cap > 1:
             yield "exposures of adaptive masks for clicks end by themselves: leave `cap` out"
         several = LIGHT_LAWS[self.optics.light].arms > 1 or not self.optics.one_detector
         if self.training.dictionary and (clicks or several):
-            yield (
-                "masks of a dictionary are chosen for one detector and one arm, which count: leave "
-                "`dictionary` out, or give such a camera"
-            )
+            yield "a `dictionary` is for one detector and one arm, which count: leave it out"
         if self.training.classifier != MLP:
             yield "adaptive masks are read by their posterior: leave `classifier` out"
         shortest = self.camera.shortest_share
         if shortest * self.masks > cap:
-            yield (
-                f"{self.masks} looks are shorter than {shortest:.3g} of the exposure, the shortest "
-                f"picture of the camera: give at most {int(cap / shortest)} masks"
-            )
-
-
-def _check_matrix(matrix: np.ndarray, shape: tuple[int, int]) -> None:
-    """Raise `InputError` unless a user's matrix has a shape, finite real numbers and any light."""
-    real = matrix.dtype.kind in "biuf"
-    if matrix.shape != shape or not (real and 0 < np.abs(matrix, dtype=float).max() < 1e30):
-        raise InputError(
-            f"a matrix of shape {matrix.shape} and type {matrix.dtype} does not fit: give "
-            f"({shape[0]}, {shape[1]}) finite real numbers that are not all zero"
-        )
-
-
-SETTING_ALIASES = {"dmd": ("camera", "device")}
-"""Table and field of single settings whose field's name is taken by another."""
-
-
-def find_table(setting: str) -> tuple[str, str]:
-    """Table of a job that holds a setting, "" for its own fields, and the setting's name there."""
-    # Three names have two owners. As single settings `dmd` is the camera's device, `noise` the
-    # camera's noise and `exposure` the camera's time
-    if setting in SETTING_ALIASES:
-        return SETTING_ALIASES[setting]
-    tables: dict[str, Collection[str]] = {
-        "camera": Camera.model_fields,
-        "exposure": exposure_kinds(),
-        "training": Training.model_fields,
-    }
-    return next((table for table, fields in tables.items() if setting in fields), ""), setting
-
-
-def sorted_settings(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of a job of single settings, each in the table where it is declared."""
-    tables: dict[str, dict[str, Any]] = {"": {}, "camera": {}, "exposure": {}, "training": {}}
-    for setting, value in flat.items():
-        table, name = find_table(setting)
-        tables[table][name] = value
-    job = tables.pop("")
-    if fields := tables.pop("camera"):
-        job["camera"] = Camera.load(job.get("camera"), **fields)
-    return job | {name: table for name, table in tables.items() if table}
+            most = int(cap / shortest)
+            yield f"{self.masks} looks are shorter than a picture: give at most {most} masks"
 
 
 def job_of(
@@ -401,11 +288,11 @@ def job_of(
     given = {name: value for name, value in settings.items() if value is not None}
     if matrix is not None:
         given = {"design": "custom", "masks": len(matrix), **given}
-    training = _training_of(given)
-    if counts is not None and "photons" not in given:
-        given["photons"] = check_budget(counts, "number of counts")
-    elif counts is not None and isinstance(training, Mapping):
+    training = _given_training(given)
+    if counts is not None and "photons" in given:
         given["training"] = {**training, "counts": counts}
+    elif counts is not None:
+        given["photons"] = check_budget(counts, "number of counts")
     code = DESIGNS.get(given.get("design", "deepfsi"))
     whole = code is not None and code.complete and "masks" not in given
     if whole:
@@ -421,29 +308,26 @@ def job_of(
     if counts is not None and job.exposure.highest(1.0) != 1.0:
         raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
     for name in training:
-        if reason := _unused(job.code, name):
-            raise InputError(f"{reason}: leave `{name}` out, or give another design")
+        if job.code.adaptive:
+            used = name in ("clusters", "dictionary", "counts")
+        else:
+            used = name not in ("clusters", "dictionary")
+            used &= name not in ("start", "start_counts") or job.code.learns_masks
+        if not used:
+            raise InputError(
+                f"{job.code.title} has no use for `{name}`: leave it out, or give another design"
+            )
     return job
 
 
-def _unused(code: Code, setting: str) -> str:
-    """Why a design has no use for a setting of the training; empty if it has one."""
-    if code.adaptive:
-        taken = setting in ("clusters", "dictionary", "counts")
-        return "" if taken else "adaptive masks learn by no steps"
-    if setting in ("clusters", "dictionary"):
-        return f"{code.title} has no adaptive masks"
-    if setting in ("start", "start_counts") and not code.learns_masks:
-        return f"no masks of {code.title} learn"
-    return ""
-
-
-def _training_of(settings: Mapping[str, Any]) -> Any:
+def _given_training(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Settings of the training that were given."""
-    training = settings.get("training")
-    if not isinstance(training, Training):
-        return {} if training is None else training
-    return {name: getattr(training, name) for name in training.model_fields_set}
+    training = settings.get("training", {})
+    if isinstance(training, Training):
+        return {name: getattr(training, name) for name in training.model_fields_set}
+    if not isinstance(training, Mapping):
+        raise InputError(f"training = {training!r}: give a table of settings, or Training")
+    return training
 
 
 def custom_parts(job: Job, *noises: str) -> list[str]:

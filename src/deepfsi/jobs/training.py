@@ -61,9 +61,6 @@ Widths = Annotated[tuple[Count, ...], Field(max_length=MOST_LAYERS)]
 Scale = Literal["each", "common"]
 """Whether each feature has a standard deviation of its own, or all a common one."""
 
-Precision = Literal["auto", "float32", "bfloat16"]
-"""Type of the products of training; "auto" is bfloat16 where its rounding is under the noise."""
-
 
 def part_name(given: Any) -> Any:
     """Name or import path of a classifier or a loss, `UNNAMED_PLUGIN` of one that has none."""
@@ -72,22 +69,17 @@ def part_name(given: Any) -> Any:
     return import_path(given) or UNNAMED_PLUGIN
 
 
-def _own(given: Any, advice: str) -> Any:
-    """A part of a user's own or its import path; else an error that says what to give."""
-    named = isinstance(given, str) and re.fullmatch(f"{IMPORT_PATH}|{UNNAMED_PLUGIN}", given)
+def _own(given: Any) -> Any:
+    """A part of a user's own, its import path, or None."""
+    named = re.fullmatch(f"{IMPORT_PATH}|{UNNAMED_PLUGIN}|None", str(given))
     if not (named or callable(given)):
-        raise ValueError(advice)
+        raise ValueError("give module:name of a part of your own, or the part itself")
     return given
 
 
 def _classifier(given: Any) -> Any:
     known = isinstance(given, str) and find_classifier(given) is not CUSTOM_CLASSIFIER
-    return given if known else _own(given, f"give {MLP}, or module:factory of your own")
-
-
-def _loss(given: Any) -> Any:
-    advice = "give module:function, or a function of outputs and truth"
-    return given if given is None else _own(given, advice)
+    return given if known else _own(given)
 
 
 OwnPart = Annotated[
@@ -135,7 +127,7 @@ class Training(UserModel):
         default=1e-1, description="peak learning rate of the masks, relative to their rms"
     )
     hidden: Annotated[Widths, BeforeValidator(_widths)] = Field(
-        default=(40, 128), description="widths of the hidden layers of mlp"
+        default=(40, 128), description="widths of the hidden layers of mlp; default: 40,128"
     )
     dropout: float = Field(
         default=0.0, ge=0, lt=1, description="share of hidden units left out in a step"
@@ -182,12 +174,12 @@ class Training(UserModel):
         description="of adaptive masks: each look shows one of this many masks, which stay on the "
         "device; default: masks are made anew",
     )
-    precision: Precision = Field(
+    precision: Literal["auto", "float32", "bfloat16"] = Field(
         default="auto",
         description="number type of the products of learned masks and of wide networks: float32, "
         "bfloat16, or auto (bfloat16 where its rounding is below the noise)",
     )
-    loss: Annotated[OwnPart, AfterValidator(_loss)] = Field(
+    loss: Annotated[OwnPart, AfterValidator(_own)] = Field(
         default=None,
         description="module:function of a loss of your own, of outputs (n, C) and truth (n,) of "
         "classes or (n, q) of values; default: cross entropy, or the squared error of values",

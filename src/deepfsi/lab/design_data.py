@@ -103,17 +103,6 @@ def data_of(
     return loaded, tuple(notes if left is None else [*notes, left])
 
 
-def data_of_file(file: Path, size: tuple[int, int] | None = None) -> Dataset:
-    """Data that a design file was trained on, without torch."""
-    training = trained_on(DesignFile.read(file, ()).header.info)
-    if training is None or training.origin is None:
-        raise InputError(
-            f"{file} was trained on data that no file or name holds, such as arrays in memory: "
-            "give a folder of pictures"
-        )
-    return _load(_asked(training.origin, None, size, None))
-
-
 def _asked(
     known: Origin | None, data: str | None, size: tuple[int, int] | None, view: Path | None
 ) -> Origin:
