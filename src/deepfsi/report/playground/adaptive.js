@@ -8,8 +8,6 @@ import { paint, show } from "./scene.js";
 export class AdaptiveView {
   constructor(model) {
     this.model = model;
-    this.unit = "look";
-    this.units = model.looks;
     this.names = { one: "look 1", all: `look ${model.looks}`, counts: "counts of each look" };
   }
 

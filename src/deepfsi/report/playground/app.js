@@ -169,15 +169,8 @@ class Page {
     const right = label === null ? "" : top === label ? ", which is right" : `, which is wrong: it is ${model.classes[label]}`;
     const dim = model.tooDim(exposure.photons) ? "Too little light for this design: its answer is hardly more than a guess. " : "";
     const answer = `${dim}Answer: ${name}${right}. Probability ${chanceText(chances[top])}.`;
-    if (stop) return `${answer} It stopped ${this.stopWords(stop)}`;
+    if (stop) return `${answer} It stopped after look ${stop.count} of ${model.looks}, and saved ${percent(stop.saved)} of the light.`;
     return rule && rule.threshold < 1 ? `${answer} It was never sure enough to stop earlier.` : answer;
-  }
-
-  stopWords(stop) {
-    const { model } = this;
-    const name = model.classes[stop.chances.indexOf(Math.max(...stop.chances))];
-    const { unit, units } = this.view;
-    return `after ${unit} ${stop.at} of ${units} with the answer ${name}, and saved ${percent(stop.saved)} of the light.`;
   }
 
   /** Expose anew and play it where one sees it; who asks for less motion sees its end at once. */

@@ -64,10 +64,9 @@ export class Frames {
   /** Stop after a frame, if it is the first after which the rule would. */
   judge(count) {
     if (!this.rule || this.stop || count >= this.frames.length) return;
-    const { chances, at } = this.answer(count);
     const { end } = this.frames[count - 1];
-    if (Math.max(...chances) > this.rule.threshold) {
-      this.stop = { count, end, saved: 1 - end / this.length, chances, at };
+    if (Math.max(...this.answer(count).chances) > this.rule.threshold) {
+      this.stop = { count, end, saved: 1 - end / this.length };
     }
   }
 }
@@ -103,32 +102,19 @@ export class Exposure extends Frames {
     return { counts, lit: model.withoutDark(counts, scale) };
   }
 
-  /**
-   * The last probabilities by so many frames, which the network learned to give at the end. Where all
-   * masks see light at once they are those of so much light.
-   */
+  /** Probabilities at the end; where all masks see light at once, those of so much light. */
   answer(count) {
-    let last = count;
-    while (last > 0 && !this.sound(last)) last--;
-    if (!this.answers.has(last)) this.answers.set(last, this.findAnswer(last));
-    return this.answers.get(last);
+    const { model, photons, frames } = this;
+    if (!count || !(this.together || count === frames.length)) return { chances: null };
+    if (!this.answers.has(count)) {
+      const light = this.together ? photons * frames[count - 1].end : photons;
+      this.answers.set(count, { chances: model.classify(this.after(count).lit, light) });
+    }
+    return this.answers.get(count);
   }
 
   /** Find all answers that there are by so many frames. */
   answerAll(count) {
     for (let at = 1; at <= count; at++) this.answer(at);
-  }
-
-  /** True after frames that the network has learned to answer after. */
-  sound(count) {
-    return this.together || count === this.frames.length;
-  }
-
-  findAnswer(count) {
-    const { model, photons, frames } = this;
-    if (count === 0) return { chances: null };
-    const { lit } = this.after(count);
-    const light = this.together ? photons * frames[count - 1].end : photons;
-    return { chances: model.classify(lit, light) };
   }
 }

@@ -10,8 +10,6 @@ const MOSAIC = 64; // masks shown side by side
 export class KnownView {
   constructor(model) {
     this.model = model;
-    this.unit = "mask";
-    this.units = model.masks;
     this.names = { one: "mask 1", all: `mask ${model.masks}`, counts: "counts of each mask" };
   }
 

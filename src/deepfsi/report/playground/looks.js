@@ -69,7 +69,7 @@ export class LookExposure extends Frames {
       frame.counts = expected.map((rate) => poisson(rate, counting));
       this.state.update(frame.pattern, frame.counts, frame.share);
       this.scenes.push(this.state.scene);
-      this.answers.set(this.taken, { chances: this.state.chances, at: this.taken });
+      this.answers.set(this.taken, { chances: this.state.chances });
       this.judge(this.taken);
     }
   }
