@@ -75,6 +75,7 @@ def test_small_and_odd_comparisons_make_a_page(tmp_path, case):
     several = len({p.masks for p in results.points if p.design in ("pca", "deepfsi")}) > 1
     assert ("<h2>Accuracy and number of masks" in page) == several
     assert ("nothing was chosen" in page) == (results.chosen_on == "nothing")
+    assert ("<h2>Learned masks" in page) == any(p.learned for p in results.points)
 
 
 def test_same_results_make_the_same_page_and_figures(tmp_path):

@@ -17,6 +17,7 @@ from deepfsi.base.intervals import (
 )
 from deepfsi.base.quantities import Table, budget_text, rate_text, short_name
 from deepfsi.camera.names import noise_text
+from deepfsi.designfile.design_file import DesignFile
 from deepfsi.evaluation.measures import main_measure
 from deepfsi.evaluation.results import error_text
 from deepfsi.jobs.designs import ADAPTIVE, DESIGNS
@@ -28,12 +29,16 @@ from deepfsi.report.accuracy import (
     noises,
     shares_light,
 )
+from deepfsi.report.masks import masks_figure, signed
 from deepfsi.report.rendering import capital, render
 from deepfsi.report.style import Figures, photons_text
 from deepfsi.sweeps.results import Data, Point, Results, read_results
 
 _SUBJECTS = {"deepfsi": "learned masks (DeepFSI)", "adaptive": "adaptive masks"}
 """Designs whose names in a sentence are masks."""
+
+MASKS_SHOWN = 12
+"""Masks of a design that the page shows at most."""
 
 PagePart = dict[str, Any]
 """Part of a page by the names that its template uses."""
@@ -42,18 +47,18 @@ PagePart = dict[str, Any]
 def write_report(folder: str | os.PathLike[str]) -> Path:
     """Write `report.html` and its figures into the output folder of a comparison.
 
-    It holds `results.json`.
+    It holds `results.json` and, for pictures of masks, `designs/KEY.safetensors`.
     """
     home = Path(folder)
     if not (home / "results.json").is_file():
         raise InputError(f"no results in {home}: make them with `deepfsi compare -o {home}`")
     figures = Figures()
-    text = _page_text(read_results(home / "results.json"), figures)
+    text = _page_text(read_results(home / "results.json"), home / "designs", figures)
     figures.write(home)
     return write_atomically(home / "report.html", text.encode())
 
 
-def _page_text(results: Results, figures: Figures) -> str:
+def _page_text(results: Results, designs: Path, figures: Figures) -> str:
     """Text of the page."""
     points = results.points
     best = [p for p in points if p.best]
@@ -73,6 +78,7 @@ def _page_text(results: Results, figures: Figures) -> str:
         tables=[_best_table(results, noise) for noise in noises(results)],
         errors=_errors_table(results, best) if results.data.values else None,
         confused=verdict.best,
+        learned=list(_mask_panels(best, verdict.best.photons, designs, figures)),
         most_classes=MOST_CLASSES,
         mistakes=frequent_confusions,
         shares=confusion_shares,
@@ -111,6 +117,22 @@ def scenes_text(data: Data) -> str:
 def _chosen(results: Results, noise: str) -> list[Point]:
     """Points at the chosen mask counts under a noise."""
     return [p for p in results.points if p.noise == noise and p.best]
+
+
+def _mask_panels(
+    points: Iterable[Point], photons: float, designs: Path, figures: Figures
+) -> Iterator[PagePart]:
+    """Masks of each learned design at a budget, of its first trial, where its file is there."""
+    # Files hold masks before they are quantised for a test
+    learned = [p for p in points if p.learned and p.photons == photons and not p.levels]
+    files = [(p, designs / f"{p.keys[0]}.safetensors") for p in learned]
+    for number, (point, path) in enumerate((each for each in files if each[1].is_file()), start=1):
+        design = DesignFile.read(path, ("rails",))
+        shape = design.mask_header.mask_shape
+        drawn = masks_figure(signed(design.rails), shape, count=MASKS_SHOWN)
+        heading = f"{point.title} at {photons_text(photons)} photons"
+        words = f"Masks of {heading}, up to {MASKS_SHOWN} of {design.masks}."
+        yield {"heading": heading, "picture": figures.add(f"masks-{number}", drawn, words)}
 
 
 def _accuracy_panels(results: Results, figures: Figures) -> Iterator[PagePart]:
