@@ -20,7 +20,7 @@ import deepfsi
 from deepfsi.adaptive.posterior import AdaptivePosterior
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import DEVICES
-from deepfsi.counting.checks import LightMonitor, check_light, find_lateness
+from deepfsi.counting.checks import LightMonitor, check_light
 from deepfsi.counting.flux import FALSE_ALARMS, Arrivals
 from deepfsi.designfile.distribution import REFUSED, UNSURE, ReadoutDistribution
 from deepfsi.evaluation.confidence import find_distribution
@@ -141,15 +141,6 @@ def gain(rng: np.random.Generator, faulty: bool) -> bool:
     return "gain" in kinds(rng, detectors=4, gains=gains)
 
 
-def late(rng: np.random.Generator, faulty: bool) -> bool:
-    """Alarm of late markers; with the fault by 1 µs."""
-    seconds = np.tile([[1e-5], [FRAME_S - 3e-5], [FRAME_S - 3e-5]], PASSES)
-    means = np.array([[DARK], [DARK], [FLUX]]) * seconds
-    if faulty:
-        means[0] += 1e-6 * FLUX
-    return bool(find_lateness(rng.poisson(means), seconds))
-
-
 def live(rng: np.random.Generator, faulty: bool) -> bool:
     """Alarm of the light of a live run; with the fault one scene's light sags to 0.6."""
     photons, seconds = drawn(rng, sags if faulty else None)
@@ -250,7 +241,6 @@ LAWS = (
     recorded("levels of the lamp", "0.7 of the light from a scene on", "level", lamp=steps),
     recorded("steadiness of a pass", "0.6 of the light in half a pass", "unsteady", lamp=sags),
     Law("gains of 2 × 2 detectors", CERTAIN, "one at 0.8", gain),
-    Law("late markers", CERTAIN, "by 1 µs", late),
     Law("light of a live run", FALSE_ALARMS, "0.6 of the light in half a scene", live),
     Law("stated budget, live", FALSE_ALARMS, "0.6 of the true one", stated, 0.5),
     Law("counts of a scene", UNSURE, "masks in reverse order", partial(consistent, whole=False)),

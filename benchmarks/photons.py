@@ -145,7 +145,7 @@ def compare(path: Path, frame: int, inputs: int, rounds: int) -> None:
     print(
         f"{header.records:,} records ({header.records * 4 / 1e6:.0f} MB), {len(counts)} frames of "
         f"{frame * TICK_S * 1e3:.2f} ms, {sum(contents.photons.values()):,} photons on {inputs} "
-        f"input(s), {contents.overflows:,} overflows; {counts.sum():,} photons in gates\n"
+        f"input(s); {counts.sum():,} photons in gates\n"
         f"memory's bandwidth, a sum over the records: {bandwidth / 1e9:.1f} GB/s; {rounds} rounds\n"
     )
     print("| way | seconds, median | lowest to highest | times ours | records/s | of bandwidth |")

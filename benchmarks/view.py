@@ -73,13 +73,16 @@ def learned(words: dict, folder: Path, epochs: int) -> Path:
 def camera_with(fault: str, patterns: Path, flux: float) -> VirtualCamera:
     """Virtual camera with a fault of its optics."""
     manifest = Patterns.read(patterns).manifest
-    side = min(manifest.grid.width, manifest.grid.height)
+    grid = manifest.grid
+    side = min(grid.width, grid.height)
+    mirrors = manifest.device.columns * manifest.device.rows
+    alike = flux * mirrors / (grid.down * grid.across * grid.mirrors)
     optics = {
         "mirrored left to right": {"view": ((-1, 0, 1), (0, 1, 0), (0, 0, 1))},
         "turned by 180 degrees": {"view": ((-1, 0, 1), (0, -1, 1), (0, 0, 1))},
         "blurred by one cell": {"blur": side},
-        "stray light as strong as the scene": {"ambient": flux / manifest.used},
-        "stray light of three times that": {"ambient": 3 * flux / manifest.used},
+        "stray light as strong as the scene": {"ambient": alike},
+        "stray light of three times that": {"ambient": 3 * alike},
         "corners with 0.4 of the light": {"vignetting": 0.6},
         "corners with 0.6 of the light": {"vignetting": 0.4},
     }

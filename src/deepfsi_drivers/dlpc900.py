@@ -92,24 +92,6 @@ LATEST_S = 5.0
 DLPC900_POLL_S = 0.002
 """Time between two questions, seconds."""
 
-ERRORS = {
-    2: "the device failed",
-    3: "invalid command number",
-    4: "controller and micromirror device do not fit",
-    5: "not allowed in its mode",
-    6: "invalid parameter",
-    8: "out of memory",
-    9: "invalid compression of a picture",
-    10: "bit position is out of range",
-    12: "dark time is out of range",
-    14: "exposure is out of range",
-    15: "pattern number is out of range",
-    16: "invalid pattern",
-    17: "picture is out of the memory's range",
-    255: "internal error",
-}
-"""Error codes that patterns may give, in words."""
-
 
 class _Link:
     """Commands to a DLPC900 as reports of a HID device, and its replies."""
@@ -135,8 +117,10 @@ class _Link:
     def check(self, command: int) -> None:
         """Raise what the last command refused, if it did."""
         if code := self.read(_CommandCode.ERROR_CODE):
-            reason = ERRORS.get(code, f"error {code}")
-            raise InputError(f"the DLPC900 refused command 0x{command:04X}: {reason}")
+            raise InputError(
+                f"the DLPC900 refused command 0x{command:04X} with error {code}: see Read Error "
+                "Code in TI's guide DLPU018J"
+            )
 
     def _send(self, flags: int, command: int, data: bytes = b"") -> None:
         self._sequence = (self._sequence + 1) % 256

@@ -1,24 +1,33 @@
-"""Photon counter that records with its own software, into a PTU file that is read as it grows.
+"""Photon counters over a PTU file that is read as it grows: what is counted is what it holds.
 
-So any PicoQuant counter streams, as long as its software writes records at once and does not hold
-them back: look at how often the file grows before the time that a decision takes is relied on.
+`FollowedCounter` follows a file that a counter's own software writes. So any PicoQuant counter
+streams, as long as its software writes records at once and does not hold them back: look at how
+often the file grows before the time that a decision takes is relied on.
+
+`TappedCounter` takes what a device hands over, and writes the file itself.
 """
 
 import os
 import sys
+import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from io import FileIO
 from pathlib import Path
 
 import numpy as np
 
 from deepfsi.base.errors import InputError
+from deepfsi.counting.events import PtuWriter
 from deepfsi.counting.streaming import FrameCounter, FrameGates
 
 FILE_POLL_S = 0.0001
 """Time between two looks at the file, seconds."""
+
+TAP_POLL_S = 0.0002
+"""Time between two questions to a device, seconds."""
 
 
 class FollowedCounter(AbstractContextManager["FollowedCounter"]):
@@ -109,6 +118,87 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
         if self._file is None or self._frames is None:
             raise InputError("no recording is followed: start one first")
         return self._file, self._frames
+
+
+class TappedCounter(ABC):
+    """Streaming counter of a device that hands events over, which a thread takes all the while."""
+
+    def __init__(self, inputs: tuple[int, ...], marker_bit: int) -> None:
+        self._followed = FollowedCounter(inputs, marker_bit)
+        self._recording = ExitStack()
+        self._fault: Exception | None = None  # of the thread
+
+    def __exit__(self, *error: object) -> None:
+        """End the recording and let go of the device."""
+        try:
+            self._recording.close()
+        finally:
+            self._free()
+
+    def start(self, path: Path) -> None:
+        """Begin to record into a new file."""
+        self.stop()
+        if path.exists():
+            raise InputError(f"{path} is there already: give a new file")
+        with ExitStack() as stack:
+            tick_s, take = self._begin(path, stack)
+            writer = stack.enter_context(PtuWriter(path, tick_s, growing=True))
+            self._followed.start(path)
+            stack.callback(self._followed.stop)
+            ending = threading.Event()
+            thread = threading.Thread(target=self._read, args=(writer, take, ending), daemon=True)
+            thread.start()
+            stack.callback(thread.join)
+            stack.callback(ending.set)
+            self._recording = stack.pop_all()
+
+    def expect(self, gates: FrameGates) -> None:
+        """Tell the gates of the frames that are shown next, before they are shown."""
+        self._followed.expect(gates)
+
+    def counts_since_marker(self, timeout_s: float) -> np.ndarray:
+        """Counts since the last call, as `StreamingCounter` says."""
+        end = time.monotonic() + timeout_s
+        while True:
+            if self._fault is not None:
+                raise self._fault
+            left = end - time.monotonic()
+            # Time between two looks for a fault of the thread, seconds
+            found = self._followed.counts_since_marker(min(max(left, 0.0), 0.05))
+            if len(found) or left <= 0:
+                return found
+
+    def stop(self) -> None:
+        """End the recording; its file is then whole. Without one, do nothing."""
+        self._recording.close()
+        fault = self._fault
+        self._fault = None
+        if fault is not None:
+            raise fault
+
+    def _read(
+        self, writer: PtuWriter, take: Callable[[PtuWriter], None], ending: threading.Event
+    ) -> None:
+        """Write all events until the end; the other side gets errors."""
+        try:
+            while not ending.wait(TAP_POLL_S):
+                take(writer)
+            self._finish()
+            take(writer)
+        except Exception as error:
+            self._fault = error
+
+    @abstractmethod
+    def _begin(self, path: Path, stack: ExitStack) -> tuple[float, Callable[[PtuWriter], None]]:
+        """Begin a recording, which the stack ends: its tick, s, and what writes new events."""
+
+    @abstractmethod
+    def _finish(self) -> None:
+        """Wait until all events of what has come can be taken."""
+
+    @abstractmethod
+    def _free(self) -> None:
+        """Let go of the device."""
 
 
 def open_followed(inputs: tuple[int, ...], marker_bit: int) -> FollowedCounter:

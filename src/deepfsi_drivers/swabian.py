@@ -13,9 +13,8 @@ channel 1 becomes input 1. The first tag is at 0. A recording lasts 10 hours at 
 """
 
 import importlib
-import threading
-import time
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
@@ -27,9 +26,8 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_toml
 from deepfsi.base.models import UserModel
 from deepfsi.counting.events import PtuWriter
-from deepfsi.counting.streaming import FrameGates
 from deepfsi_drivers.device_errors import refusals
-from deepfsi_drivers.file_tail import FollowedCounter
+from deepfsi_drivers.file_tail import TappedCounter
 
 MODULES = "Swabian.TimeTagger", "TimeTagger"
 """The library as installed by pip, and by the vendor's installer."""
@@ -39,9 +37,6 @@ TICK_S = 1e-12
 
 MOST_TAGS = 2**22
 """Tags that may wait for the thread."""
-
-TAGGER_POLL_S = 0.0002
-"""Time between two questions for tags, seconds."""
 
 ERROR = 1
 """Type of a tag of an error; those above tell of tags that were lost, and 0 is a signal's."""
@@ -53,7 +48,7 @@ class TaggerSettings(UserModel):
     trigger_levels: dict[int, FiniteFloat]  # of channels, V; the others have the device's own
 
 
-class TaggerCounter(AbstractContextManager["TaggerCounter"]):
+class TaggerCounter(TappedCounter):
     """Streaming counter of a Time Tagger. Untested on hardware: see the module."""
 
     def __init__(
@@ -71,13 +66,11 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
                 f"channel {trigger} for the trigger is not allowed: give one that is no detector's "
                 f"({', '.join(map(str, channels))}), negative for falling edges"
             )
+        super().__init__(inputs, marker_bit)
         self._codes = {trigger: -marker_bit, **dict(zip(channels, inputs, strict=True))}
         self._levels = {} if settings is None else settings.trigger_levels
-        self._followed = FollowedCounter(inputs, marker_bit)
         self._module: Any = None
         self._tagger: Any = None
-        self._recording = ExitStack()
-        self._fault: Exception | None = None  # of the thread
 
     def __enter__(self) -> Self:
         """Take hold of the first device that is found."""
@@ -95,73 +88,16 @@ class TaggerCounter(AbstractContextManager["TaggerCounter"]):
             raise
         return self
 
-    def __exit__(self, *error: object) -> None:
-        """End the recording and let go of the device."""
-        try:
-            self._recording.close()
-        finally:
-            self._free()
-
-    def start(self, path: Path) -> None:
-        """Begin to record into a new file."""
+    def _begin(self, path: Path, stack: ExitStack) -> tuple[float, Callable[[PtuWriter], None]]:
         if self._tagger is None:
             raise InputError("the Time Tagger is not open: use `with` to open it")
-        self.stop()
-        if path.exists():
-            raise InputError(f"{path} is there already: give a new file")
-        with ExitStack() as stack:
-            with _refusals("record these channels"):
-                self._sync()  # levels are settled, and what came before is gone
-                stream = self._module.TimeTagStream(self._tagger, MOST_TAGS, list(self._codes))
-            stack.callback(stream.stop)
-            writer = stack.enter_context(PtuWriter(path, TICK_S, growing=True))
-            self._followed.start(path)
-            stack.callback(self._followed.stop)
-            tags = _Tags(stream, writer, self._codes, path)
-            ending = threading.Event()
-            thread = threading.Thread(target=self._read, args=(tags, ending), daemon=True)
-            thread.start()
-            stack.callback(thread.join)
-            stack.callback(ending.set)
-            self._recording = stack.pop_all()
+        with _refusals("record these channels"):
+            self._finish()  # levels are settled, and what came before is gone
+            stream = self._module.TimeTagStream(self._tagger, MOST_TAGS, list(self._codes))
+        stack.callback(stream.stop)
+        return TICK_S, _Tags(stream, self._codes, path).take
 
-    def expect(self, gates: FrameGates) -> None:
-        """Tell the gates of the frames that are shown next, before they are shown."""
-        self._followed.expect(gates)
-
-    def counts_since_marker(self, timeout_s: float) -> np.ndarray:
-        """Counts since the last call, as `StreamingCounter` says."""
-        end = time.monotonic() + timeout_s
-        while True:
-            if self._fault is not None:
-                raise self._fault
-            left = end - time.monotonic()
-            # Time between two looks for a fault of the thread, seconds
-            found = self._followed.counts_since_marker(min(max(left, 0.0), 0.05))
-            if len(found) or left <= 0:
-                return found
-
-    def stop(self) -> None:
-        """End the recording; its file is then whole. Without one, do nothing."""
-        self._recording.close()
-        fault = self._fault
-        self._fault = None
-        if fault is not None:
-            raise fault
-
-    def _read(self, tags: "_Tags", ending: threading.Event) -> None:
-        """Write all tags until the end; the other side gets errors."""
-        try:
-            with _refusals("hand over its tags"):
-                while not ending.wait(TAGGER_POLL_S):
-                    tags.take()
-                self._sync()
-                tags.take()
-        except Exception as error:
-            self._fault = error
-
-    def _sync(self) -> None:
-        """Wait until all tags of what has come are handed over."""
+    def _finish(self) -> None:
         if not self._tagger.sync(5000):  # milliseconds
             raise InputError("the Time Tagger does not answer within 5 s: check its cable")
 
@@ -192,16 +128,16 @@ def open_tagger(
 class _Tags:
     """Tags of a recording, from the device's stream to the file."""
 
-    def __init__(self, stream: Any, writer: PtuWriter, codes: dict[int, int], path: Path) -> None:
+    def __init__(self, stream: Any, codes: dict[int, int], path: Path) -> None:
         self._stream = stream
-        self._writer = writer
         self._codes = codes
         self._path = path
         self._first: int | None = None  # time of the first tag, ps
 
-    def take(self) -> None:
+    def take(self, writer: PtuWriter) -> None:
         """Write what has come; raise `InputError` if something was lost."""
-        block = self._stream.getData()
+        with _refusals("hand over its tags"):
+            block = self._stream.getData()
         if not block.size:
             return
         types = block.getEventTypes()
@@ -212,7 +148,10 @@ class _Tags:
         if self._first is None:
             self._first = int(times[0])
         times = times - self._first
-        self._write(times[:whole], channels[:whole])
+        codes = np.zeros(whole, np.int64)
+        for channel, code in self._codes.items():
+            codes[channels[:whole] == channel] = code
+        writer.write(times[:whole], codes)
         if len(lost):
             at_s = times[whole] * TICK_S
             missed = int(block.getMissedEvents().sum())
@@ -222,12 +161,6 @@ class _Tags:
                 f"{self._path}: more tags came than the {MOST_TAGS} that may wait, and some were "
                 "lost: give less light, or free the computer of other work"
             )
-
-    def _write(self, times: np.ndarray, channels: np.ndarray) -> None:
-        codes = np.zeros(len(channels), np.int64)
-        for channel, code in self._codes.items():
-            codes[channels == channel] = code
-        self._writer.write(times, codes)
 
 
 def _describe(kind: int, at_s: float, missed: int) -> str:

@@ -299,11 +299,6 @@ class VialuxLooks(_Board):
         """Show a list of frames when the last list has ended; may return before its end."""
         # frames (F,); dwells_s (F,)
         picture_us, repeats = self._plan(dwells_s)
-        if len(frames) != len(dwells_s) or not np.isin(frames, np.arange(self._frames)).all():
-            raise InputError(
-                f"frames {frames!s:.40} cannot be shown: give one for each time, of those loaded, "
-                f"0 to {self._frames - 1}"
-            )
         places = np.repeat(frames, repeats)
         (sequence,) = self._sequences
         with _refusals("show patterns"):
@@ -324,8 +319,6 @@ class VialuxLooks(_Board):
         """Picture time, µs, and the repeats of each frame that hold it long enough."""
         if not self._sequences:
             raise InputError("no patterns on the Vialux device: load a pattern folder first")
-        if not (np.isfinite(dwells_s).all() and (dwells_s > 0).all()):
-            raise InputError("frames are held for times that are none: give seconds above 0")
         wanted_us = dwells_s * 1e6
         picture_us = max(self._shortest_us, int(wanted_us.sum() // self._entries))
         while (repeats := _repeats(wanted_us, picture_us)).sum() > self._entries >= len(repeats):

@@ -96,7 +96,7 @@ def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
     assert abs(off_by(bare, shown, rates)).max() > 10
     assert abs(off_by(counts, shown, rates)).max() < 5
     flux = rates[:, 0] - rates[:, 1]
-    assert bare.on_rate.mean() < 0.9 * flux.mean()
+    assert bare.flux.mean() < 0.9 * flux.mean()
     seconds = 2 * shown.manifest.picture_s[0] * len(rates)
     error = 5 * np.sqrt(2 / (flux.mean() * seconds))
     assert counts.flux.mean() == pytest.approx(flux.mean(), rel=error)

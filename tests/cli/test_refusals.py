@@ -99,8 +99,6 @@ REFUSED = {
     """,
     "camera count run": """
         --exposure 10s | give at most
-        --input 9 | no light on input 9
-        --marker 4 | --marker 4: give 3 or less
         --dead-time 1us --dead-time-model nosuch | dead_time_model = 'nosuch'
         --dead-time-model paralysable | give --dead-time, such as 20ns
         --background nosuch | unknown scene 'nosuch'

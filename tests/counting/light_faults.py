@@ -81,7 +81,8 @@ class Lit:
     def starts(self) -> np.ndarray:
         """Starts of frames (S, F) after the first marker, seconds."""
         begins = np.arange(self.scenes) * self.pass_s
-        return begins[:, None] + self.patterns.manifest.starts_s
+        pictures = self.patterns.manifest.picture_s
+        return begins[:, None] + np.cumsum(pictures) - pictures
 
     def record(self, folder: Path, patterns_folder: Path) -> None:
         """Write the folder of the acquisition."""

@@ -146,7 +146,7 @@ class StreamedFile(PtuStream):
             ptu.Header.read(path)  # refused, as a file that ends within its header
         self.header = replace(self.header, size=path.stat().st_size)
 
-    def parts(self, progress: Progress = SILENT, ordered: bool = True) -> Iterator[Part]:
+    def parts(self, progress: Progress = SILENT) -> Iterator[Part]:
         yield from super().parts()
         for piece in self.pieces:
             self.feed(piece)

@@ -22,7 +22,7 @@ run, whole = recording_samples.run, recording_samples.whole
         ({"repeats": 99}, "acquisition.json: 99 repeats do not fit"),
         ({"inputs": [0, 1]}, "acquisition.json has 2 inputs"),
         ({"inputs": [3]}, "no light on input 4: .* 25764 photons on input 3"),
-        ({"marker_bit": 1}, "0 frame markers on .* 0; there are some on 2: give --marker 2"),
+        ({"marker_bit": 1}, "0 frame markers on .* 0; there are some on 2: write .* 4 into"),
         ({"manifest_sha256": "0" * 64}, "manifest.json is not the one"),
         ({"schema_version": 2}, "has schema 2, and this deepfsi reads schema 1"),
     ],

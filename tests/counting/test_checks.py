@@ -13,7 +13,6 @@ from scipy.stats import binom
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.counting import checks, flux
-from deepfsi.counting.checks import find_lateness
 from deepfsi.counting.counts import Counts
 from deepfsi.counting.flux import FALSE_ALARMS
 from deepfsi.counting.recording import Recording
@@ -130,28 +129,6 @@ def test_law_few_photons_alone_are_no_gain(seconds):
 
     assert sum(bool(found(1.0, 20)) for _ in range(300)) == 0
     assert all(found(0.3, 2e3) for _ in range(20))
-
-
-@pytest.mark.parametrize("longer", [1.0, 20.0])
-def test_law_lateness_is_certain_at_six_standard_deviations_of_sound_draws(longer):
-    """The guard is `longer` than usual; the counts of the dark frame err, too."""
-    scenes = 400
-    seconds = np.tile([[1e-5 * longer], [9.7e-4], [9.7e-4]], scenes)
-    mean = np.rint(np.array([[1e5], [1e5], [1e6]]) * seconds).astype(int)
-    share = seconds[0, 0] / seconds[1, 0]
-    draws = np.random.default_rng(3).poisson
-    guards = draws(mean[0, 0], (20_000,))
-    others = draws(mean[0, 0] / share, (20_000,))
-    spread = float((guards - share * others).std()) * (scenes - 1) ** 0.5
-
-    def named(excess: float) -> bool:
-        photons = mean.copy()
-        photons[0] += round(excess) // scenes
-        photons[0, : round(excess) % scenes] += 1
-        return bool(find_lateness(photons, seconds))
-
-    assert not named(5.3 * spread)
-    assert named(6.7 * spread)
 
 
 def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp_path):

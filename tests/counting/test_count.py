@@ -1,7 +1,5 @@
 """Photons of a recording: each counted for its readout, or its exposure given up."""
 
-import json
-
 import numpy as np
 import pytest
 import recording_samples
@@ -25,8 +23,6 @@ def test_every_photon_of_a_frame_is_counted_for_its_readout(run):
     assert (counts.counts[:, 0, rail, mask] == shown[:, column]).all()
     assert counts.counts.sum() == shown.sum()  # a rail is dark
     seconds = DWELL - 3e-5  # less settling and guard
-    assert np.allclose(counts.on_rate, run.photons[:, 0, 0] / seconds, rtol=2e-3)
-    assert np.allclose(counts.off_rate, 3 / seconds, rtol=2e-3)
     flux = (run.photons[:, 0, 0] - 3).mean() / seconds
     assert counts.photons == pytest.approx(flux * counts.exposure_s, rel=2e-3)
     dark = counts.background
@@ -45,7 +41,7 @@ def test_a_run_whose_markers_are_one_frame_off_is_refused(run, pauses, trouble):
     markers = np.append(markers[1:], markers[-1] + step) if step > 0 else markers
     markers = np.append(markers[0] + step, markers[:-1]) if step < 0 else markers
     run.record(starts, markers, run.photons)
-    run.refused("bright all-OFF frames|follow the schedule")
+    run.refused("no light on input 3: |follow the schedule")
 
 
 def test_a_recording_of_other_patterns_is_refused(run):
@@ -70,24 +66,6 @@ def test_counts_are_of_the_acquisition_and_the_photons_beside_them(run):
     refuse(run.folder, r"counts\.npz is of another photons\.ptu")
     photons.unlink()  # kept elsewhere
     assert (Recording.read(run.folder).read_counts().counts == wanted).all()
-
-
-EDITS = {
-    "scenes swapped": lambda held, about: held.update(counts=held["counts"][[1, 0, 2]]),
-    "brighter": lambda held, about: held.update(on_rate=10 * held["on_rate"]),
-    "exposure": lambda held, about: about.update(exposure_s=2 * about["exposure_s"]),
-}
-
-
-@pytest.mark.parametrize("change", EDITS.values(), ids=EDITS)
-def test_edited_counts_are_refused(run, change):
-    path = run.folder / "counts.npz"
-    with np.load(path) as file:
-        held = dict(file)
-    about = json.loads(held["about"].tobytes())
-    change(held, about)
-    np.savez(path, **held | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
-    refuse(run.folder, r"counts\.npz was changed after it was written")
 
 
 def test_cut_or_missing_counts_are_refused(run):

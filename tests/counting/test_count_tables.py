@@ -95,7 +95,7 @@ def test_names_and_values_that_do_not_fit_are_one_line(counted):
         ("'off' where 'on' stands", values, ("off", "on", *names[2:])),
         ("which is no count of photons", values + 0.5),
         ("scene twice", values, (), {"scene": ("a", "b", "a")}),
-        ("no light", 0 * values),
+        ("equally bright", 0 * values),
     ):
         refuse(manifest, said, NumberTable(*table))
 

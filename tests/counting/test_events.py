@@ -69,9 +69,6 @@ BACK = r"time runs back on channel 8, event \d+: from"
         # sorted by time, parts of a recording would lie over each other:
         (FAR % 2**29, CHANNELS, (8,), BACK),
         (np.where(np.arange(500) < 250, FAR, FAR - FAR[250]), CHANNELS, (8,), BACK),
-        # events that stand twice:
-        (np.repeat(FAR, 2), np.repeat(CHANNELS, 2), (8,), "channel 8 has .* once"),
-        (np.r_[0, np.repeat(FAR, 2)], np.r_[8, np.full(1000, 1)], (8,), "1 has 50. of its 1000"),
     ],
 )
 def test_channels_and_clocks_that_cannot_be_are_refused(tmp_path, times, channels, wanted, said):

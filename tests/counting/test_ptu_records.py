@@ -59,8 +59,7 @@ def counted(found: list[tuple[str, int, int]], starts, stops, inputs) -> np.ndar
 def test_damaged_records_are_named_and_nothing_is_counted(
     tmp_path, monkeypatch, words, bad, chunk, opened
 ):
-    monkeypatch.setattr(ptu, "RECORDS_IN_MEMORY", chunk)
-    monkeypatch.setattr(ptu, "RECORDS_IN_CACHE", chunk // 3 + 1)
+    monkeypatch.setattr(ptu, "RECORDS_AT_ONCE", chunk)
     path = save(tmp_path / "bad.ptu", T2, words)
     with pytest.raises(InputError, match=f"record {bad} has"):
         count_windows(opened(path), np.array([0]), np.array([99]))
@@ -79,7 +78,8 @@ def test_one_record_can_stand_for_very_many_overflows(tmp_path, opened):
         path = save(tmp_path / "a.ptu", kind, [special(63, wraps), special(1, 4), photon(5)])
         late = wraps * kind.wrap
         assert read_markers(opened(path))[0] == [late + 4]
-        assert summarise(opened(path)).last == late + 5
+        found = summarise(opened(path))
+        assert found.span_s == (late + 5) * found.tick_s
         edges = np.array([late, late + 5, late + 6])
         assert count_windows(opened(path), edges[:-1], edges[1:]).ravel().tolist() == [0, 1]
 
@@ -87,8 +87,7 @@ def test_one_record_can_stand_for_very_many_overflows(tmp_path, opened):
 @every_source
 @pytest.mark.parametrize("chunk", [1, 2, 2**17])
 def test_markers_may_stand_a_little_beside_their_time(tmp_path, monkeypatch, chunk, opened):
-    monkeypatch.setattr(ptu, "RECORDS_IN_MEMORY", chunk)
-    monkeypatch.setattr(ptu, "RECORDS_IN_CACHE", chunk // 3 + 1)
+    monkeypatch.setattr(ptu, "RECORDS_AT_ONCE", chunk)
     start = 3 * TICK
     words = [
         photon(start),
@@ -150,8 +149,7 @@ def test_mutated_files_are_read_right_or_refused(tmp_path, code):
     for seed in range(FUZZ // len(ptu.KINDS)):
         path.write_bytes(mangled(random.Random(f"{code} {seed}"), sound))
         chunk, began = (16, 2**17)[seed % 2], time.process_time()
-        at_once = {"RECORDS_IN_MEMORY": chunk, "RECORDS_IN_CACHE": chunk // 3 + 1}
-        with mock.patch.multiple(ptu, **at_once):
+        with mock.patch.object(ptu, "RECORDS_AT_ONCE", chunk):
             said = [read(path, edges, opened) for opened in SOURCES.values()]
         assert time.process_time() - began < 20
         assert said[0] == said[1], seed

@@ -6,8 +6,6 @@ import types
 
 import numpy as np
 
-from deepfsi_drivers import swabian
-
 STARTED_PS = 5 * 10**17  # tags count from the start-up of the device: it has been on for days
 TAG, ERROR, OVERFLOW_BEGIN, OVERFLOW_END, MISSED = range(5)
 COLUMNS = ("times", np.int64), ("channels", np.int32), ("types", np.uint8), ("missed", np.uint16)
@@ -117,5 +115,4 @@ def install(monkeypatch, trigger=8) -> Device:
     module.createTimeTagger, module.freeTimeTagger = device.create, device.free
     monkeypatch.setitem(sys.modules, "Swabian", types.ModuleType("Swabian"))
     monkeypatch.setitem(sys.modules, "Swabian.TimeTagger", module)
-    monkeypatch.setattr(swabian, "TAGGER_POLL_S", 0.0001)
     return device

@@ -45,7 +45,7 @@ def show(folder, passes=1, while_it_runs=lambda: None):
     ("status", "settings"),
     [
         *((1, {"light": light, "format": form})
-          for light in ("equal-dwell", "free-dwell") for form in ("npy", "png", "planes")),
+          for light in ("equal-dwell", "free-dwell") for form in ("npy", "bmp", "planes")),
         # 5, 24, 25 and 400 frames, the most that the table takes
         *((1, {"light": "equal-dwell", "masks": masks, "dwell": 105e-6})
           for masks in (1, 20, 21, 396)),
@@ -86,9 +86,8 @@ def test_every_picture_is_decoded_to_itself():
 @pytest.mark.parametrize(
     ("trouble", "words"),
     [
-        ({"refuse": {0x0206: 3}}, "0x0206: invalid command number"),
-        ({"refuse": {0x1A2A: 8}}, "0x1A2A: out of memory"),
-        ({"refuse": {0x1A24: 77}}, "0x1A24: error 77"),
+        ({"refuse": {0x0206: 3}}, "0x0206 with error 3"),
+        ({"refuse": {0x1A2A: 8}}, "0x1A2A with error 8"),
         *(({"silent": {command}}, "does not answer") for command in (0x206, 0x1A0C)),
         ({"hardware": 5}, "hardware type 5"),
         ({"status": 3}, "hardware status 0x03"),

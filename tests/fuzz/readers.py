@@ -147,7 +147,6 @@ READERS = {
                                 (changed_json,)),
     "mirrors": Reader("npy/mirrors.npy", use_patterns, (mangled,), 2),
     "frames": Reader("npy/frames.npy", check_patterns, (mangled,), 1),
-    "png frames": Reader("png/frames/0002.png", check_patterns, (mangled,), 1),
     "planes": Reader("planes/images/0000.bmp", check_patterns, (mangled,), 1),
     "bmp frames": Reader("bmp/frames/0002.bmp", check_patterns, (mangled,), 1),
     "table of planes": Reader("planes/patterns.csv", check_patterns, (mangled,), 1),
@@ -255,7 +254,7 @@ def make_samples(folder: Path) -> None:
     Recording.read(folder / "both-rails").count()
     device, rails = find_device("24x16"), design_rails(folder / "fixed.safetensors")
     packed = device.model_copy(update={"controller": "dlpc900"})
-    for kind, shown in {"npy": device, "png": device, "bmp": device, "planes": packed}.items():
+    for kind, shown in {"npy": device, "bmp": device, "planes": packed}.items():
         Patterns.from_rails(rails, shown, 1e-3, format=kind).write(folder / kind)
     points = [a_point(photons=photons, masks=4) for photons in (1e2, 1e4)]
     written = some_results(points, data={"image_shape": (4, 4)}).as_dict()

@@ -29,7 +29,7 @@ EXPORTED = {
     },
     "a device file": ("single", "--device loading.toml"),
     "raw, inverted": ("single", "--device 64x48 --format raw --invert"),
-    "png, flipped": ("single", "--device 64x48 --format png --flip"),
+    "bmp, flipped": ("single", "--device 64x48 --format bmp --flip"),
     "bmp, turned": ("single", "--device 64x48 --format bmp --rotate 90"),
     "planes": ("dual", "--device dlp4500"),
     "region": ("dual", "--device 64x48 --region 32x32+4+8"),

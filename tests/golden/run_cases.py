@@ -46,16 +46,14 @@ COUNTED = {
         "--dead-time 200ns",
         "--dead-time 0",
         "--dead-time 200ns --dead-time-model paralysable",
-        "--exposure 5ms --settle 30us",
-        "--repeats 2 --exposure 2ms",
+        "--exposure 2ms",
     ),
-    "both-rails": ("", "--repeats 1", "--exposure 1ms", "--tolerance 30us"),
-    "two-arms": ("", "--dead-time 100ns", "--input 2 --input 1"),
+    "both-rails": ("", "--exposure 1ms"),
+    "two-arms": ("", "--dead-time 100ns"),
     "paralysable": ("", "--dead-time 1us --dead-time-model paralysable", "--dead-time 2us"),
-    "gains": ("", "--dead-time 1us", "--input 4 --input 3 --input 2 --input 1"),
+    "gains": ("", "--dead-time 1us"),
     "clicks": ("", "--exposure 5ms"),
-    "drifting": ("", "--tolerance 5us"),
-    "edges": ("", "--settle 10us --dead-time 50ns"),
+    "edges": ("", "--dead-time 50ns"),
     "ambient": ("", "--background dark/dark.png", "--background dark/dark.png --dead-time 1us"),
 }
 """Options of `camera count` that stored runs are counted with, beside none."""
@@ -69,7 +67,6 @@ def counted(name: str) -> dict[str, Any]:
     for words in COUNTED.get(name, ("",)):
         said = {"count": answer("camera", "count", run, *words.split())}
         if Path(run, "counts.npz").exists():
-            said["file"] = Path(run, "counts.npz").read_bytes()
             said["arrays"] = arrays(Path(run, "counts.npz"))
         said["classes"] = answer("camera", "classify", file_of(design), run)
         if "code" in said["classes"]:

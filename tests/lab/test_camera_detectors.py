@@ -1,7 +1,5 @@
 """Several detectors in the virtual camera, its file and its counts: parts of one detector's law."""
 
-import struct
-
 import numpy as np
 import pytest
 from virtual_samples import (
@@ -14,9 +12,7 @@ from virtual_samples import (
     scenes,
 )
 
-from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
-from deepfsi.counting import ptu
 from deepfsi.counting.recording import Recording
 from deepfsi.lab import virtual_optics as camera_module
 from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera, arrival_rates
@@ -96,12 +92,3 @@ def test_stray_light_on_one_detector_is_found_where_all_together_hide_it(tmp_pat
     [fault] = Recording.read(run).count().faults
     assert (fault.kind, fault.scene, fault.frame) == ("brighter", scene, 4)
     assert f"on input {hit + 1}" in fault.detail
-
-
-def test_a_counter_with_too_few_inputs_is_refused(tmp_path):
-    export(tmp_path / "p", "two-arm")
-    path = record(tmp_path, scenes(1), camera=IDEAL, flux=FLUX, exposure_s=EXPOSURE) / "photons.ptu"
-    kinds = [struct.pack("<q", kind.code) for kind in (ptu.GENERIC_T2, ptu.PICOHARP_T2)]
-    path.write_bytes(path.read_bytes().replace(*kinds, 1))
-    with pytest.raises(InputError, match=r"PicoHarp 300 T2.* has up to 5 inputs, .* need 8"):
-        Recording.read(tmp_path / "run").count()

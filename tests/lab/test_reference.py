@@ -95,7 +95,7 @@ def test_mirrors_of_the_other_polarity_are_named_and_corrected(tmp_path, inverte
     if inverted:
         assert found(tmp_path, camera).fits
     else:
-        with pytest.raises(InputError, match=r"mirrors are inverted.* with --invert"):
+        with pytest.raises(InputError, match=r"with --invert if mirrors are inverted"):
             found(tmp_path, camera)
 
 

@@ -9,6 +9,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.dead_time import DeadTime
 from deepfsi.counting.events import PtuWriter
 from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.counting.windows import Windows
 from deepfsi.lab.calibration import find_gains
 from deepfsi.lab.registration import check_view
 from deepfsi.lab.virtual_optics import CAMERAS
@@ -24,7 +25,10 @@ LIGHT = {"flux": FLUX, "exposure_s": EXPOSURE, "camera": CAMERAS["ideal"]}
 def gate(run, gates):
     """Leave in a photon file the first photon of each gate, as a gated detector records."""
     recording = Recording.read(run)
-    plan = recording.acquisition.gates(recording.manifest).with_clicks(recording.manifest, gates)
+    plan = recording.acquisition.gates(recording.manifest)
+    windows = Windows.of_clicks(recording.manifest, plan, gates)
+    width, number_of = np.zeros(len(recording.manifest.frames)), np.bincount(windows.frame)
+    width[windows.frame] = windows.length_s
     with ptufile.PtuFile(run / "photons.ptu") as file:
         events = file.decode_records()
     events = events[(events["channel"] >= 0) | (events["marker"] > 0)]
@@ -32,8 +36,8 @@ def gate(run, gates):
     frame = np.cumsum(marked) - 1
     place = frame % len(recording.manifest.frames)
     since = times - times[marked][frame] - plan.settle_s * 1e12 + 0.5  # edges are whole ticks
-    number = np.floor(since * 1e-12 / plan.click_width_s[place]).astype(int)
-    open_ = (number >= 0) & (number < (plan.clicks * plan.click_exposures)[place]) & ~marked
+    number = np.floor(since * 1e-12 / width[place]).astype(int)
+    open_ = (number >= 0) & (number < number_of[place]) & ~marked
     gates_of = np.stack([frame, number, events["channel"]])[:, open_]
     kept = marked.copy()
     kept[np.flatnonzero(open_)[np.unique(gates_of, axis=1, return_index=True)[1]]] = True
@@ -102,7 +106,7 @@ def test_what_is_of_photons_refuses_clicks(tmp_path):
     patterns(tmp_path / "p")
     run = record(tmp_path, scenes(), repeats=1, **LIGHT)
     dead = DeadTime(seconds=2e-8)
-    with pytest.raises(InputError, match="dead time is of photon counts"):
+    with pytest.raises(InputError, match="are of photon counts, and clicks"):
         Recording.read(run).count(CountSettings(clicks=GATES, dead_time=dead))
     assert not (run / "counts.npz").exists()
     Recording.read(run).count(CountSettings(clicks=GATES))

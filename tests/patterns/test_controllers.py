@@ -64,7 +64,7 @@ def test_tables_that_were_changed_are_found(tmp_path, name):
     export(tmp_path / "p", device=family("dlp6500"), format="bmp")
     path = tmp_path / "p" / name
     path.write_text(path.read_text().replace("1", "2"))
-    with pytest.raises(InputError, match=f"{name} does not say what manifest.json says"):
+    with pytest.raises(InputError, match=f"{name} is not what was exported"):
         Patterns.read(tmp_path / "p").check()
     path.unlink()
     with pytest.raises(InputError, match=f"{name} is missing"):

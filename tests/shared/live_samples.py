@@ -8,7 +8,7 @@ import numpy as np
 from deepfsi import learn
 from deepfsi.camera.device import find_device
 from deepfsi.counting.acquisition import Scene
-from deepfsi.counting.reader import count_windows, read_markers
+from deepfsi.counting.reader import PtuFile, count_windows, read_markers
 from deepfsi.counting.recording import Recording
 from deepfsi.lab import live as run
 from deepfsi.lab.design_data import design_rails
@@ -65,7 +65,7 @@ class Counted:
         """The photon file of the run has the same counts, by the gates of its log."""
         shown = [each for scene in read_log(folder) for each in scene.lists]
         recorded = Recording.read(folder)
-        photons, settings = recorded.open_photons(), recorded.acquisition
+        photons, settings = PtuFile(recorded.photons), recorded.acquisition
         times, bits = read_markers(photons.header.path)
         times = times[bits & settings.marker_bit != 0]
         markers = np.concatenate([each.markers for each in shown])

@@ -135,7 +135,7 @@ class ExportPatterns(Command):
     rotate: int = fields.option("turn the masks, degrees clockwise: 0, 90, 180, 270", 0)
     invert: bool = fields.option("write 0 for a mirror that sends light to the detector", False)
     kind: str | None = fields.option(
-        "npy, raw (packed bits), png, bmp, or planes (24 frames a picture); default: the device's",
+        "npy, raw (packed bits), bmp, or planes (24 frames a picture); default: the device's",
         alias="format",
     )
 

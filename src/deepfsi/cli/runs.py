@@ -38,11 +38,10 @@ class InspectPhotons(Command):
 
 
 class CountRun(Command):
-    """Unless given, inputs and marker are those of the acquisition.
+    """Unless given, the dead time is that of the folder's calibration or of the design's camera.
 
-    The dead time is that of the folder's calibration or of the design's camera. An exposure shorter
-    than the recorded one is counted in more and shorter gates. If all frames last longer or shorter
-    than planned, they are counted as they are, and the drift is printed.
+    An exposure shorter than the recorded one is counted in more and shorter gates. If all frames
+    last longer or shorter than planned, they are counted as they are, and the drift is printed.
 
     For a design of detectors that click, the exposure of a frame is divided into equal gates, and
     only the first photon of each gate counts.
@@ -57,14 +56,7 @@ class CountRun(Command):
     exposure_s: Seconds | None = fields.option(
         "total exposure, such as 10ms; default: the recorded one", alias="exposure"
     )
-    settle_s: fields.SettleTime = None
-    repeats: fields.Repeats = None
-    tolerance_s: Seconds | None = fields.option(
-        "how far a marker may be off; default: 10us or a tenth of a frame", alias="tolerance"
-    )
     background: str | None = fields.option("scene of this run that was dark, to be subtracted")
-    inputs: fields.Inputs = ()
-    marker_bit: fields.MarkerBit = None
     flat: Path | None = fields.option(
         "counted run of uniform white with these patterns: corrects efficiencies of detectors"
     )

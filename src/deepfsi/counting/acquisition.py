@@ -84,17 +84,6 @@ class Acquisition(StrictModel):
             raise ValueError("each detector needs an input of its own")
         return self
 
-    def rewired(self, inputs: tuple[int, ...] | None, marker_bit: int | None) -> Self:
-        """Settings with other inputs of the counter, as far as given, or `InputError`."""
-        needed = len(self.inputs)
-        if inputs is not None and len(inputs) != needed:
-            raise InputError(
-                f"{len(inputs)} inputs are given, and {needed} are needed: one for each detector"
-            )
-        wiring = {"inputs": inputs, "marker_bit": marker_bit}
-        changes = {name: value for name, value in wiring.items() if value is not None}
-        with as_input_error():
-            return type(self).model_validate(self.model_dump() | changes)
 
     @classmethod
     def plan(
@@ -116,7 +105,11 @@ class Acquisition(StrictModel):
             exposure = max(longest, 0) / (repeats or 1)
         gates = GatePlan.of(manifest, exposure, settle, repeats)
         countable = max(MOST_READOUTS // (len(scenes) * manifest.readouts), 1)
-        manifest.check_inputs(MOST_INPUTS, "a counter")
+        if manifest.inputs > MOST_INPUTS:
+            raise InputError(
+                f"a counter has up to {MOST_INPUTS} inputs, and these patterns need "
+                f"{manifest.inputs}, one for each detector: use a design with fewer `detectors`"
+            )
         with as_input_error():
             return cls(
                 scenes=scenes,
@@ -127,23 +120,17 @@ class Acquisition(StrictModel):
             )
 
     def gates(
-        self,
-        manifest: Manifest,
-        exposure_s: float | None = None,
-        settle_s: float | None = None,
-        repeats: int | None = None,
+        self, manifest: Manifest, exposure_s: float | None = None, parts: int = 1
     ) -> GatePlan:
-        """Gates to count it with, for its exposure or another, or `InputError`."""
-        same = exposure_s is None and settle_s is None
-        wanted = self.repeats if repeats is None and same else repeats
+        """Gates to count it with, for its exposure or another, each in equal parts."""
+        wanted = self.repeats if exposure_s is None else None
         exposure = self.exposure_s if exposure_s is None else exposure_s
-        settle = self.settle_s if settle_s is None else settle_s
-        gates = GatePlan.of(manifest, exposure, settle, wanted)
-        most = MOST_READOUTS // (len(self.scenes) * manifest.readouts)
+        gates = GatePlan.of(manifest, exposure, self.settle_s, wanted)
+        most = MOST_READOUTS // (len(self.scenes) * manifest.readouts * parts)
         if most < (wanted or 1):
             raise InputError(
                 f"{len(self.scenes)} scenes with {wanted or 1} repeats are more than "
-                f"{MOST_READOUTS} readouts: give fewer repeats, or split the acquisition"
+                f"{MOST_READOUTS} gates: give fewer repeats, or split the acquisition"
             )
         return gates if gates.repeats <= most else replace(gates, repeats=most)
 

@@ -13,8 +13,8 @@ a live run scene by scene (`LightMonitor`): its frames stand between an all-ON a
 before its first look and two after its last, and the scenes that are planned share the chance.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal, Self
 
@@ -30,12 +30,12 @@ from deepfsi.counting.flux import (
     HARMLESS_DARK,
     Arrivals,
     Background,
-    Curves,
     Flux,
     LightCurve,
     allowed_ratio,
     change_chance,
     excess_chance,
+    light_curves,
 )
 from deepfsi.patterns.manifest import Brightness, Manifest
 
@@ -47,9 +47,9 @@ FaultKind = Literal[
 
 
 class Fault(StrictModel):
-    """Fault of a recording's markers or of its light."""
+    """Fault of a recording's light."""
 
-    # Markers: `late`, all of them. Light: `dark`, there is none; `unsteady`, it changed within the
+    # `late` is of earlier versions. Light: `dark`, there is none; `unsteady`, it changed within the
     # pass; `brighter`, a mask sends more than all mirrors ON; `flicker`, it is unsteady in many
     # passes; `level`, its brightness is another from this scene on; `background`, the scene was
     # dark and is subtracted. Detectors: `blind`, one of several saw almost no light in all scenes
@@ -97,19 +97,18 @@ class PassLight:
 
     def find_faults(self, chance: float) -> list[Fault]:
         """Faults of passes, which are then no more sound; one without light has no other."""
-        dark = self._find_dark()
+        dark = list(self._find_dark())
         without = {fault.scene for fault in dark}
         others = [*self._find_brighter(chance), *self._find_drift(chance)]
         for fault in (*dark, *others):
             self.sound[self.curve.scenes == fault.scene] = False
         return dark + [fault for fault in others if fault.scene not in without]
 
-    def _find_dark(self) -> list[Fault]:
+    def _find_dark(self) -> Iterator[Fault]:
         """Faults of passes that are not lit. A detector that sees a part need not be lit."""
         curve = self.curve
         (on, on_s) = curve.together(curve.bright)
         (off, off_s) = curve.together(curve.dark)
-        faults = []
         for index in [] if curve.sees_part else np.flatnonzero(~self.lit).tolist():
             rate = float(on[index]) / max(float(on_s[index]), 1e-300)
             dark_rate = float(off[index]) / max(float(off_s[index]), 1e-300)
@@ -117,10 +116,9 @@ class PassLight:
                 f"no light{curve.name}: {rate:.4g} counts/s with all light, {dark_rate:.4g} with "
                 "none"
             )
-            faults.append(Fault(kind="dark", scene=int(curve.scenes[index]), detail=detail))
-        return faults
+            yield Fault(kind="dark", scene=int(curve.scenes[index]), detail=detail)
 
-    def _find_brighter(self, chance: float) -> list[Fault]:
+    def _find_brighter(self, chance: float) -> Iterator[Fault]:
         """Faults of passes with masks that send more than all mirrors ON, each with the brightest.
 
         These are stray light, or a lamp that changed.
@@ -132,7 +130,6 @@ class PassLight:
         chances = excess_chance(photons, seconds, on[:, None], on_s[:, None], ratio=1 + HARMLESS)
         brighter = chances * photons.size <= chance
         brighter[:, [*curve.bright, *curve.dark]] = False
-        faults = []
         for index in np.flatnonzero(brighter.any(axis=1)).tolist():
             scale = on_s[index] / max(on[index], 1)
             rates = photons[index] / np.where(seconds[index] > 0, seconds[index], np.inf) * scale
@@ -143,10 +140,9 @@ class PassLight:
                 "the all-ON frames, or a counter that is blind at this rate"
             )
             scene = int(curve.scenes[index])
-            faults.append(Fault(kind="brighter", scene=scene, frame=frame, detail=detail))
-        return faults
+            yield Fault(kind="brighter", scene=scene, frame=frame, detail=detail)
 
-    def _find_drift(self, chance: float) -> list[Fault]:
+    def _find_drift(self, chance: float) -> Iterator[Fault]:
         """Faults of passes whose two bright frames, or else two dark ones, differ."""
         curve = self.curve
         background = self.background
@@ -157,7 +153,6 @@ class PassLight:
         bright = _differ(curve, curve.bright, 1 + HARMLESS, chance)
         ratio = 1 + HARMLESS_DARK * bright_rate / floor
         differ = bright | _differ(curve, curve.dark, ratio, chance)
-        faults = []
         for index in np.flatnonzero(differ).tolist():
             frames = curve.bright if bright[index] else curve.dark
             one, other = curve.photons[index, list(frames)].tolist()
@@ -165,8 +160,7 @@ class PassLight:
                 f"light{curve.name} changed within the pass: {one:.0f} photons in "
                 f"{curve.frames[frames[0]]} at its start, {other:.0f} at its end"
             )
-            faults.append(Fault(kind="unsteady", scene=int(curve.scenes[index]), detail=detail))
-        return faults
+            yield Fault(kind="unsteady", scene=int(curve.scenes[index]), detail=detail)
 
     def measure_flux(self, brightness: Brightness | None, chance: float) -> Flux:
         """Flux of passes, from those whose light was steady if any was."""
@@ -195,15 +189,14 @@ def _differ(
     return np.asarray(chances * len(one) <= chance)
 
 
-def _find_level_changes(flux: Flux) -> list[Fault]:
+def _find_level_changes(flux: Flux) -> Iterator[Fault]:
     """Faults of the scenes from which on the light is another, or of a steady rise or fall."""
     if flux.trend is not None:
         detail = (
             f"all ON {'rises' if flux.trend > 1 else 'falls'} steadily, to {flux.trend:.3g} times "
             "its first brightness: each scene has a budget of its own"
         )
-        return [Fault(kind="level", detail=detail)]
-    faults = []
+        yield Fault(kind="level", detail=detail)
     for before, after in pairwise(flux.levels):
         several = after.last > after.first
         some = f"scenes {after.first} to {after.last}" if several else "this scene"
@@ -211,8 +204,7 @@ def _find_level_changes(flux: Flux) -> list[Fault]:
             f"all ON is {after.rate / max(before.rate, 1e-300):.3g} times as bright as before, "
             f"and scenes do not differ so much: {some} have a budget of their own"
         )
-        faults.append(Fault(kind="level", scene=int(after.first), detail=detail))
-    return faults
+        yield Fault(kind="level", scene=int(after.first), detail=detail)
 
 
 CHECKS = 4
@@ -238,13 +230,13 @@ def _find_restless_lamp(scenes: np.ndarray, lit: np.ndarray, sound: np.ndarray) 
 
 
 @dataclass(frozen=True)
-class _Light:
+class Light:
     """Light of the passes that were recorded."""
 
-    flux: np.ndarray
-    dark_rate: np.ndarray  # counts/s of each input without light
-    lit: np.ndarray  # passes with light
-    faults: tuple[Fault, ...]  # those of the whole recording first, then scene by scene
+    flux: np.ndarray  # counts/s of each pass with all light, (P,)
+    dark_rate: np.ndarray  # counts/s of each input without light, (P, inputs)
+    faults: tuple[Fault, ...] = ()  # those of the whole recording first, then scene by scene
+    lit: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # passes with light
 
 
 def check_light(
@@ -253,16 +245,16 @@ def check_light(
     inputs: Sequence[int],
     *,
     scenes: np.ndarray,
-) -> _Light:
+) -> Light:
     """Check the light of a recording, all passes together."""
     count = manifest.detector_count
     wired = [tuple(inputs[first : first + count]) for first in range(0, len(inputs), count)]
-    curves = Curves.of(arrivals, scenes, wired)
-    chance = FALSE_ALARMS / len(curves.every) / CHECKS
+    curves = light_curves(arrivals, scenes, wired)
+    chance = FALSE_ALARMS / len(curves) / CHECKS
     lights = []
     faults = list[Fault]()
     of_arms = set[tuple[str, int | None]]()
-    for curve in curves.every:
+    for curve in curves:
         light = PassLight.of(curve, Background.of(curve, chance), chance)
         tested = light.sound.copy()
         of_curve = light.find_faults(chance) + _find_restless_lamp(scenes, tested, light.sound)
@@ -272,41 +264,21 @@ def check_light(
             of_arms |= {(fault.kind, fault.scene) for fault in of_curve}
         faults += of_curve
         lights.append(light)
-    arms = lights[: len(curves.arms)]
-    of_inputs = lights[-len(curves.inputs) :]
+    arms = lights[: len(wired)]
+    of_inputs = lights[-len(inputs) :]
     flux = arms[0].measure_flux(manifest.brightness, chance)
     faults += _find_level_changes(flux)
-    if curves.detectors:
+    if count > 1:
         faults += _find_blind_detectors(of_inputs)
         for column in range(0, len(of_inputs), count):
             faults += find_unequal_gains(of_inputs[column : column + count], manifest.detectors)
     faults.sort(key=lambda fault: (fault.scene is not None, fault.scene))
     rates = np.stack([light.background.rate for light in of_inputs], axis=1)
     lit = np.logical_and.reduce([light.lit for light in arms])
-    return _Light(flux.rate, rates, lit, tuple(faults))
+    return Light(flux.rate, rates, tuple(faults), lit)
 
 
-def find_lateness(photons: np.ndarray, seconds: np.ndarray) -> tuple[Fault, ...]:
-    """Name markers that all come late: light of the first mask is in the frame before it."""
-    guard, dark, light = photons
-    guard_s, dark_s, light_s = seconds
-    used = (dark_s > 0) & (light_s > 0)
-    if np.count_nonzero(used) > 1:  # a burst of stray light in one of them is another fault
-        used[np.argmax(np.where(used, guard, -1))] = False
-    share = guard_s[used] / dark_s[used]
-    excess = float((guard[used] - dark[used] * share).sum())
-    noise = float(np.sqrt((dark[used] * share * (1 + share)).sum() + 1))
-    rate = float((light[used] / light_s[used] - dark[used] / dark_s[used]).sum())
-    if excess <= CERTAIN_SIGMAS * noise or rate <= 0:
-        return ()
-    detail = (
-        f"all markers, by {excess / rate * 1e6:.1f} µs: the light of each frame begins before its "
-        "marker; mend the trigger, or count an --exposure that ends earlier"
-    )
-    return (Fault(kind="late", detail=detail),)
-
-
-def _find_blind_detectors(detectors: Sequence[PassLight]) -> list[Fault]:
+def _find_blind_detectors(detectors: Sequence[PassLight]) -> Iterator[Fault]:
     """Detectors that certainly see less than `HARMLESS` of the light that they see in the mean."""
     bright = [light.curve.together(light.curve.bright) for light in detectors]
     photons = np.array([float(counts.sum()) for counts, _ in bright])
@@ -315,14 +287,12 @@ def _find_blind_detectors(detectors: Sequence[PassLight]) -> list[Fault]:
     wanted = HARMLESS * max(float((photons - dark).sum()), 0.0) / max(len(detectors), 1)
     lacks = dark + wanted - photons
     blind = lacks > CERTAIN_SIGMAS * np.sqrt(dark + photons + 1)
-    faults = []
     for index in np.flatnonzero(blind).tolist():
         detail = (
             f"almost no light{detectors[index].curve.name} in all scenes together: their parts "
             "that this detector sees are dark, or it is not wired to that input"
         )
-        faults.append(Fault(kind="blind", detail=detail))
-    return faults
+        yield Fault(kind="blind", detail=detail)
 
 
 def find_unequal_gains(detectors: Sequence[PassLight], trained: DetectorMap | None) -> list[Fault]:
@@ -416,7 +386,7 @@ class LightMonitor:
         )
         self._ends.append(Arrivals.join([first, unknown]))
         self._look_back()
-        arm = self._history.every[0]
+        arm = self._history[0]
         dark = self._backgrounds[0]
         of_inputs = self._backgrounds[-len(self.dark) :]
         self.dark = np.array([one.rate[-1] for one in of_inputs])
@@ -440,18 +410,17 @@ class LightMonitor:
         """Faults of the light of the scene that ends, from all lists of its frames."""
         scene = Arrivals.join(lists)
         last = len(self._ends) - 1
-        frames = len(scene.frames)
-        self._ends[-1] = scene.select([0, 1, frames - 2, frames - 1])
+        self._ends[-1] = Arrivals.join([lists[0], lists[-1]])
         self._look_back()
         faults: list[Fault] = []
         of_arms: set[str] = set()
-        curves = Curves.of(Arrivals.stack([scene]), np.array([last]), self._wired)
-        for index, curve in enumerate(curves.every):
+        curves = light_curves(Arrivals.stack([scene]), np.array([last]), self._wired)
+        for index, curve in enumerate(curves):
             light = PassLight.of(curve, self._backgrounds[index].last, self._chance)
             of_curve = light.find_faults(self._chance)
             self._sound[-1] &= bool(light.sound[0])
             faults += [fault for fault in of_curve if fault.kind not in of_arms]
-            if index == len(curves.arms) - 1:
+            if index == len(self._wired) - 1:
                 of_arms = {fault.kind for fault in faults}
         scenes = np.arange(last + 1)
         lit = np.array(self._lit)
@@ -465,7 +434,7 @@ class LightMonitor:
         brightness = self._manifest.brightness
         if brightness is None:
             return False
-        curve = self._history.every[0]
+        curve = self._history[0]
         used = np.flatnonzero(self._lit)
         used = used[used >= self.since]
         on, on_s = curve.together(curve.bright)
@@ -481,5 +450,5 @@ class LightMonitor:
     def _look_back(self) -> None:
         """Find the curves of the all-ON and all-OFF frames of all scenes, and their backgrounds."""
         ends = Arrivals.stack(self._ends)
-        self._history = Curves.of(ends, np.arange(len(self._ends)), self._wired)
-        self._backgrounds = [Background.of(c, self._chance) for c in self._history.every]
+        self._history = light_curves(ends, np.arange(len(self._ends)), self._wired)
+        self._backgrounds = [Background.of(curve, self._chance) for curve in self._history]

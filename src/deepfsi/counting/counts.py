@@ -16,15 +16,14 @@ clicks. The all-ON and all-OFF frames of a whole run tell the budget: a gate in 
 fires with the probability p has -log(1 - p) photons in the mean. Where gates hold more than one
 photon in the mean, the detector is not gated, and its photons are the budget.
 
-The file carries hashes of what was counted (settings, patterns, photons.ptu) and of its own
-content: counts of something else, and edited ones, are refused.
+The file carries hashes of what was counted (settings, patterns, photons.ptu): counts of something
+else are refused.
 """
 
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 from typing import Any, Self
 
@@ -45,17 +44,6 @@ from deepfsi.patterns.manifest import Frame, Manifest
 
 
 @dataclass(frozen=True)
-class RunLight:
-    """Light of each scene, and all faults."""
-
-    on_rate: np.ndarray  # (S,)
-    off_rate: np.ndarray  # (S,)
-    flux: np.ndarray  # (S,)
-    dark_rate: np.ndarray  # (S, rails[, D])
-    faults: tuple[Fault, ...] = ()
-
-
-@dataclass(frozen=True)
 class Counts:
     """Photon counts of each readout; the axis D is there only of several detectors."""
 
@@ -64,10 +52,8 @@ class Counts:
     variance: np.ndarray
     valid: np.ndarray  # whether all readouts of an exposure were recorded
     gate_s: np.ndarray  # for how long each mask's frame is counted, seconds
-    on_rate: np.ndarray
-    off_rate: np.ndarray
-    flux: np.ndarray
-    dark_rate: np.ndarray
+    flux: np.ndarray  # counts/s of all-ON frames beyond all-OFF ones, (S,)
+    dark_rate: np.ndarray  # counts/s without light, (S, rails[, D])
     ambient: np.ndarray
     ambient_variance: np.ndarray
     exposure_s: float
@@ -106,10 +92,6 @@ class Counts:
         """Budget Φ of an exposure of each scene (S,): flux times exposure."""
         # In counts: the detector's efficiency is part of it
         return self.flux * self.exposure_s
-
-    def faults_of(self, scene: int) -> tuple[Fault, ...]:
-        """Faults of a scene and of the whole recording."""
-        return tuple(fault for fault in self.faults if fault.scene in (scene, None))
 
     @property
     def spoilt(self) -> np.ndarray:
@@ -152,7 +134,7 @@ class Counts:
         )
         arrays["about"] = np.frombuffer(provenance.model_dump_json().encode(), np.uint8)
         file = io.BytesIO()
-        np.savez(file, sha256=_hash_arrays(arrays), **arrays)
+        np.savez(file, **arrays)
         write_atomically(path, file.getvalue())
 
     @classmethod
@@ -160,24 +142,20 @@ class Counts:
         """Read counts of a photon file, where it is there, and of an acquisition with this hash."""
         again = "make it with `deepfsi camera count`"
         arrays: dict[str, Any] = read_npz(path, again)
-        digest = arrays.pop("sha256", None)
-        if (
-            digest is None
-            or "about" not in arrays
-            or not np.array_equal(digest, _hash_arrays(arrays))
-        ):
-            raise InputError(f"{path} was changed after it was written: {again}")
-        about = arrays.pop("about").tobytes()
-        with as_input_error(str(path), again, about):
-            provenance = _Provenance.model_validate_json(about)
+        try:
+            about = arrays.pop("about").tobytes()
+            with as_input_error(str(path), again, about):
+                provenance = _Provenance.model_validate_json(about)
+            # Files of earlier versions hold more
+            stored = {**arrays, **dict(provenance)}
+            counts = cls(**{name: stored[name] for name in cls.__dataclass_fields__})
+        except KeyError as missing:
+            raise InputError(f"{path} has no array {missing}: {again}") from None
         if provenance.acquisition != acquisition:
             raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
         if photons.is_file() and hash_file(photons) != provenance.photons_sha256:
             raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
-        return cls(
-            **arrays,
-            **{name: value for name, value in provenance if name in cls.__dataclass_fields__},
-        )
+        return counts
 
 
 class _Provenance(StrictModel):
@@ -194,15 +172,6 @@ class _Provenance(StrictModel):
     dead_time: DeadTime = NO_DEAD_TIME
     gains: tuple[Positive, ...] = ()
     gates: Count | None = None
-
-
-def _hash_arrays(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Hash of named arrays, their types and shapes, uint8 (32,)."""
-    digest = sha256()
-    for name, array in sorted(arrays.items()):
-        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return np.frombuffer(digest.digest(), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -251,16 +220,6 @@ class Estimate:
 
     arrivals: np.ndarray
     variance: np.ndarray  # of their noise, of the same shape
-
-    @classmethod
-    def of(cls, gated: np.ndarray, factors: CorrectionFactors, manifest: Manifest) -> Self:
-        """Of counts (P, R, f, inputs) of the masks' frames, from factors of all (P, F, inputs)."""
-        of_masks = (slice(None), None, manifest.shown)
-        return cls(gated * factors.arrivals[of_masks], gated * factors.variance[of_masks])
-
-    def by_readout(self, manifest: Manifest) -> Self:
-        """Numbers of readouts, from numbers of masks' frames."""
-        return type(self)(*map(manifest.by_readout, (self.arrivals, self.variance)))
 
 
 @dataclass(frozen=True)
@@ -332,43 +291,29 @@ ENDS = [0, 1, -2, -1]
 
 
 def light_of_clicks(
-    photons: np.ndarray,
-    fired: np.ndarray,
-    gates: np.ndarray,
-    *,
-    width_s: float,
-    scenes: int,
-    manifest: Manifest,
-) -> RunLight:
-    """Light of all scenes together, from the frames of `ENDS`."""
+    photons: np.ndarray, fired: np.ndarray, *, gates: int, width_s: float, manifest: Manifest
+) -> tuple[float, np.ndarray]:
+    """Flux of all exposures (E) together, NaN where it is not told, and dark rates (inputs,)."""
+    # Photons, and gates that fired, (E, 4, inputs), of the frames of `ENDS`
     arm = manifest.arm
-    photons, fired, gates = (
-        counts.reshape(-1, 2, 2, counts.shape[-1]).sum(axis=(0, 1))
-        for counts in (photons, fired, gates)
+    opened = 2 * gates * len(photons)
+    photons, fired = (
+        counts.reshape(-1, 2, 2, counts.shape[-1]).sum(axis=(0, 1)) for counts in (photons, fired)
     )  # (on and off, inputs)
-    mean = photons / np.maximum(gates, 1)
-    share = fired / np.maximum(gates, 1)
+    mean = photons / opened
     with np.errstate(divide="ignore"):
-        rate = np.where(mean > 1, mean, -np.log1p(-share)) / width_s
+        rate = np.where(mean > 1, mean, -np.log1p(-(fired / opened))) / width_s
     dark = manifest.dark_inputs(rate[0], rate[1])
     # 25 gates without a click tell the light to 1 / 5 of a photon in each
-    certain = ((mean > 1) | (gates - fired >= 25))[0, arm].all()
+    certain = ((mean > 1) | (opened - fired >= 25))[0, arm].all()
     flux = float((rate[0] - dark)[arm].sum()) if certain else np.nan
-    on, off = share[:, arm].sum(axis=1) / width_s
-    return RunLight(
-        on_rate=np.full(scenes, on),
-        off_rate=np.full(scenes, off),
-        flux=np.full(scenes, flux if flux > 0 else np.nan),
-        dark_rate=manifest.by_rail(np.tile(dark, (scenes, 1))),
-    )
+    return flux if flux > 0 else np.nan, dark
 
 
-def check_clicks(clicks: int, refused: Mapping[str, bool]) -> None:
-    """Raise `InputError` where what is of photon counts is asked for with clicks."""
-    # refused: whether it was given, by its name
-    for name, asked in refused.items():
-        if asked:
-            raise InputError(
-                f"{name} is of photon counts, and this design reads clicks, of up to {clicks} "
-                "gates a frame, as they are: leave it out"
-            )
+def check_clicks(*of_photons: object) -> None:
+    """Raise `InputError` where what is of photon counts is given for clicks."""
+    if any(given is not None for given in of_photons):
+        raise InputError(
+            "dead time, backgrounds, flat fields, gains and read noise are of photon counts, and "
+            "clicks are read as they are: leave them out"
+        )

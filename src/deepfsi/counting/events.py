@@ -24,21 +24,8 @@ from deepfsi.counting.ptu import GENERIC_T2, MAGIC, TICKS_S
 class PtuWriter:
     """Writer of a T2 file of type Generic, as a context manager.
 
-    The file appears when the block ends. If the block fails there is none.
-
-    Parameters
-    ----------
-    path
-        File to write.
-    tick_s
-        Seconds of a tick, 1e-15 to 1.
-    growing
-        True for a file that is there from the start and is read while it is written.
-
-    Raises
-    ------
-    InputError
-        If the tick is out of range, or the file cannot be written.
+    The file appears when the block ends, and there is none if the block fails; one that is
+    `growing` is there from the start, and is read while it is written.
     """
 
     record_type: ClassVar[str] = GENERIC_T2.name
@@ -76,24 +63,19 @@ class PtuWriter:
                 self._file.write(self._header())
 
     def write(self, times: np.ndarray, codes: np.ndarray) -> None:
-        """Append events.
+        """Append events at ticks (n,) that rise over all calls.
 
-        Parameters
-        ----------
-        times
-            Ticks, integers (n,), from 0 to 2^55. They rise over all calls; equal ones are allowed.
-        codes
-            What each event is, integers (n,): 0 to 63 are a photon on that input, 0 for input 1;
-            -1 to -15 are a marker with the bits of the negative.
-
-        Raises
-        ------
-        InputError
-            If times run back or codes mean nothing.
+        A code, 0 to 63, is a photon on that input, 0 for input 1; -1 to -15 are a marker with the
+        bits of the negative.
         """
         for start in range(0, len(times), 2**18):  # so many are in memory at once
             stop = start + 2**18
             self._append(times[start:stop], codes[start:stop])
+
+    def write_records(self, words: np.ndarray) -> None:
+        """Append records, uint32 (n,), as a device gives them."""
+        self._file.write(words.astype("<u4").tobytes())
+        self._records += len(words)
 
     def _append(self, times: np.ndarray, codes: np.ndarray) -> None:
         """Append events, one or more."""
@@ -121,8 +103,7 @@ class PtuWriter:
         overflows = 1 << 31 | 63 << GENERIC_T2.shift | counts
         words = np.insert(words, np.repeat(late, copies), overflows)
 
-        self._file.write(words.astype("<u4").tobytes())
-        self._records += len(words)
+        self.write_records(words)
         self._latest = int(times[-1])
         self._wraps = int(wraps[-1])
 
@@ -195,7 +176,7 @@ def write_ptu(
     Raises
     ------
     InputError
-        If a channel has no events, stands twice, or its clock runs back.
+        If a channel has no events, is given twice, or its clock runs back.
     """
     times = np.asarray(times)
     if times.dtype.kind == "f":
@@ -217,41 +198,23 @@ def write_ptu(
     codes = np.full(len(times), most)
     for code, channel in enumerate(wanted, start=len(inputs) - len(wanted)):
         events = np.flatnonzero(channels == channel)
-        _check_clock(times, events, channel, is_marker=code < 0, tick_s=tick_s)
         codes[events] = code
+        # Channels may follow each other in a list: each counts its time for itself, to 1 µs
+        own = times[events]
+        slack = max(round(1e-6 / tick_s), 1)
+        back = np.flatnonzero(own[1:] < np.maximum.accumulate(own)[:-1] - slack)
+        if len(back):
+            raise InputError(
+                f"time runs back on channel {channel}, event {events[back[0] + 1] + 1}: from "
+                f"{own[back[0]]} to {own[back[0] + 1]} ticks of {tick_s:g} s. The clock began "
+                "anew or overflowed, or these are several recordings: give each alone, with times "
+                "that count on"
+            )
     kept = np.flatnonzero(codes < most)
     order = kept[np.argsort(times[kept], kind="stable")]
     with PtuWriter(path, tick_s) as writer:
         writer.write(times[order] - times[order[0]], codes[order])
     return inputs
-
-
-def _check_clock(
-    every: np.ndarray, events: np.ndarray, channel: int, *, is_marker: bool, tick_s: float
-) -> None:
-    """Raise `InputError` where the clock of a channel ran back, or its events stand twice."""
-    # Channels may follow each other in a list: each counts its time for itself
-    times = every[events]
-    # By how much a time may be before that of the event before on its channel, seconds
-    slack = max(round(1e-6 / tick_s), 1)
-    back = np.flatnonzero(times[1:] < np.maximum.accumulate(times)[:-1] - slack)
-    if len(back):
-        first = back[0]
-        raise InputError(
-            f"time runs back on channel {channel}, event {events[first + 1] + 1}: from "
-            f"{times[first]} to {times[first + 1]} ticks of {tick_s:g} s. The clock began "
-            "anew or overflowed, or these are several recordings: give each alone, with times "
-            "that count on"
-        )
-    twice = int(np.count_nonzero(np.diff(np.sort(times)) == 0))
-    if (is_marker and twice) or (
-        # Ticks up to which a detector does not see half of its photons two at a time, seconds
-        len(times) > 1 and 2 * twice >= len(times) - 1 and tick_s <= 1e-9
-    ):
-        raise InputError(
-            f"channel {channel} has {twice} of its {len(times)} events at the time of another: "
-            "give each once"
-        )
 
 
 def read_events(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -64,18 +64,8 @@ class Arrivals:
     @classmethod
     def stack(cls, passes: Sequence[Self]) -> Self:
         """Passes over the same frames."""
-        return replace(
-            passes[-1],
-            photons=np.stack([one.photons for one in passes]),
-            variance=np.stack([one.variance for one in passes]),
-            seconds=np.stack([one.seconds for one in passes]),
-        )
-
-    def select(self, indices: Sequence[int]) -> Self:
-        """Some frames of a list."""
-        which = list(indices)
-        selected = (getattr(self, name)[which] for name in self.ARRAYS)
-        return type(self)(tuple(self.frames[index] for index in which), *selected)
+        stacked = (np.stack([getattr(one, name) for one in passes]) for name in cls.ARRAYS)
+        return cls(passes[-1].frames, *stacked)
 
 
 @dataclass(frozen=True)
@@ -97,51 +87,38 @@ class LightCurve:
         return self.photons[:, which].sum(axis=1), self.seconds[:, which].sum(axis=1)
 
 
-@dataclass(frozen=True)
-class Curves:
-    """Curves of each arm's detectors together, and of each detector where an arm has several."""
+def light_curves(
+    arrivals: Arrivals, scenes: np.ndarray, wired: Sequence[tuple[int, ...]]
+) -> list[LightCurve]:
+    """Curves of passes (P) of each arm's detectors together, then of each where there are several.
 
-    arms: tuple[LightCurve, ...]
-    detectors: tuple[LightCurve, ...]
-
-    @classmethod
-    def of(cls, arrivals: Arrivals, scenes: np.ndarray, wired: Sequence[tuple[int, ...]]) -> Self:
-        """Curves of passes (P) of these scenes (P,); `wired`: inputs of each arm's detectors."""
-        last = len(arrivals.frames) - 1
-        on = (0, last - 1)
-        off = (1, last)
-        arms = []
-        detectors = []
-        for arm, inputs in enumerate(wired):
-            first = arm * len(inputs)
-            photons, seconds = _as_poisson(arrivals, slice(first, first + len(inputs)))
-            together = LightCurve(
-                photons,
-                seconds,
-                scenes,
-                bright=on if arm == 0 else off,
-                dark=off if arm == 0 else on,
-                frames=arrivals.frames,
-                name=f" on input {name_inputs(inputs)}" if len(wired) > 1 else "",
+    `scenes` (P,) are those of the passes, `wired` the inputs of each arm's detectors.
+    """
+    last = len(arrivals.frames) - 1
+    on = (0, last - 1)
+    off = (1, last)
+    arms = []
+    detectors = []
+    for arm, inputs in enumerate(wired):
+        first = arm * len(inputs)
+        photons, seconds = _as_poisson(arrivals, slice(first, first + len(inputs)))
+        together = LightCurve(
+            photons,
+            seconds,
+            scenes,
+            bright=on if arm == 0 else off,
+            dark=off if arm == 0 else on,
+            frames=arrivals.frames,
+            name=f" on input {name_inputs(inputs)}" if len(wired) > 1 else "",
+        )
+        arms.append(together)
+        for column, number in enumerate(inputs if len(inputs) > 1 else (), first):
+            photons, seconds = _as_poisson(arrivals, slice(column, column + 1))
+            name = f" on input {number + 1}"
+            detectors.append(
+                replace(together, photons=photons, seconds=seconds, name=name, sees_part=True)
             )
-            arms.append(together)
-            for column, number in enumerate(inputs if len(inputs) > 1 else (), first):
-                photons, seconds = _as_poisson(arrivals, slice(column, column + 1))
-                name = f" on input {number + 1}"
-                detectors.append(
-                    replace(together, photons=photons, seconds=seconds, name=name, sees_part=True)
-                )
-        return cls(tuple(arms), tuple(detectors))
-
-    @property
-    def inputs(self) -> tuple[LightCurve, ...]:
-        """Curve of each input by itself."""
-        return self.detectors or self.arms
-
-    @property
-    def every(self) -> tuple[LightCurve, ...]:
-        """Curves of arms, then of detectors."""
-        return self.arms + self.detectors
+    return arms + detectors
 
 
 def _as_poisson(arrivals: Arrivals, columns: slice) -> tuple[np.ndarray, np.ndarray]:

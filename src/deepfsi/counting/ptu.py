@@ -19,11 +19,8 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import open_regular
 
-RECORDS_IN_MEMORY = 2**19
-"""Records in memory at once."""
-
-RECORDS_IN_CACHE = 2**17
-"""Records scanned at once: they and what is made of them stay in the processor's cache."""
+RECORDS_AT_ONCE = 2**15
+"""Records decoded at once: they and what is made of them stay in the processor's cache."""
 
 LATEST_TICK = 2**61
 """Latest time that is read, ticks."""
@@ -68,28 +65,6 @@ class Kind:
         return (1 << self.time_bits) - 1
 
 
-PICOHARP_T2 = Kind(
-    name="PicoHarp 300 T2",
-    code=0x00010203,
-    shift=28,
-    time_bits=28,
-    wrap=210_698_240,
-    inputs=5,
-)
-"""Record of a PicoHarp 300 in T2 mode."""
-
-PICOHARP_T3 = Kind(
-    name="PicoHarp 300 T3",
-    code=0x00010303,
-    mode="T3",
-    shift=28,
-    time_bits=16,
-    wrap=65_536,
-    first=1,
-    inputs=4,
-)
-"""Record of a PicoHarp 300 in T3 mode."""
-
 GENERIC_T2 = Kind("Generic T2", 0x00010207)
 """Record of a recent device in T2 mode, as files are written here."""
 
@@ -104,8 +79,8 @@ def _both_modes(name: str, code: int) -> tuple[Kind, Kind]:
 KINDS = {
     kind.code: kind
     for kind in (
-        PICOHARP_T2,
-        PICOHARP_T3,
+        Kind("PicoHarp 300 T2", 0x00010203, "T2", 28, 28, wrap=210_698_240, inputs=5),
+        Kind("PicoHarp 300 T3", 0x00010303, "T3", 28, 16, wrap=1 << 16, first=1, inputs=4),
         *_both_modes("HydraHarp V2", 0x01010204),
         *_both_modes("TimeHarp 260 N", 0x00010205),
         *_both_modes("TimeHarp 260 P", 0x00010206),
@@ -172,12 +147,6 @@ class Header:
                 "of a HydraHarp with software 1"
             )
         kind = KINDS[code]
-        if _integer(tags, "TTResultFormat_BitsPerRecord", path, 32) not in (0, 32):
-            raise InputError(f"{path} has records that are not of 32 bits")
-        if _integer(tags, "Measurement_Mode", path, int(kind.mode[1])) != int(kind.mode[1]):
-            raise InputError(
-                f"{path} has {kind.name} records but another measurement mode: it is damaged"
-            )
         tick = tags.get("MeasDesc_GlobalResolution")
         if not (isinstance(tick, float) and TICKS_S[0] <= tick <= TICKS_S[1]):
             raise InputError(f"{path} is damaged: its time resolution is {tick}, not 1e-15 to 1 s")
@@ -237,83 +206,23 @@ def _integer(
     return value
 
 
-@dataclass(frozen=True)
-class _Runs:
-    """Photons between two specials; runs without any are left out."""
-
-    begin: np.ndarray  # (r,): index of the first photon among the records
-    end: np.ndarray  # (r,): index after the last
-    base: np.ndarray  # (r,): tick from which their time fields count
-    low: np.ndarray  # (r,): time of the first photon, ticks
-    high: np.ndarray  # (r,): time of the last
-
-
 @dataclass
 class Part:
-    """Some records that follow each other, decoded as far as is needed to count."""
+    """Some records that follow each other, decoded."""
 
-    kind: Kind  # type of the records
-    words: np.ndarray  # records, uint32 (n,)
-    places: np.ndarray
-    times: np.ndarray
-    bits: np.ndarray
-    sync: np.ndarray
-    wraps: np.ndarray
-    runs: _Runs  # photons between the specials
+    records: int
+    times: np.ndarray  # of the photons, ticks (n,), which rise
+    inputs: np.ndarray  # of the photons, 0 for input 1
+    marks: np.ndarray  # times of the markers, ticks, int64 (k,), in the order of the records
+    bits: np.ndarray  # of the markers, 1 to 15, uint8 (k,)
+    last: int  # latest time of a photon, marker or sync event
     reached: int  # tick before which no photon or sync event of later parts is
     fault: str = ""  # what is wrong with the record that follows
-
-    @property
-    def markers(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times of the markers in ticks, int64 (n,), and their bits, uint8 (n,)."""
-        which = np.flatnonzero(self.bits)
-        return self.times[which], self.bits[which].astype(np.uint8)
 
     def check(self, name: object) -> None:
         """Raise `InputError`, in which the file has this name, if there is a fault."""
         if self.fault:
             raise InputError(f"{name} is damaged: {self.fault}; record again")
-
-    def find(self, edges: np.ndarray) -> np.ndarray:
-        """Places of the first photons at or after some times, none later than the last photon."""
-        run = np.searchsorted(self.runs.high, edges)
-        wanted = edges - self.runs.base[run]
-        low = self.runs.begin[run]
-        high = self.runs.end[run] - 1
-        for _ in range(int((high - low).max(initial=0)).bit_length()):
-            middle = (low + high) >> 1
-            later = self.words[middle] & self.kind.time_mask < wanted
-            low = np.where(later, middle + 1, low)
-            high = np.where(later, high, middle)
-        return low
-
-    def count(self, number: int, places: np.ndarray) -> tuple[np.ndarray, int]:
-        """Photons on an input before each place, and in the whole part."""
-        field = self.kind.first + number
-        counted = self.words < np.uint32(field + 1 << self.kind.shift)
-        if field:
-            counted &= self.words >= np.uint32(field << self.kind.shift)
-        total = int(np.count_nonzero(counted))
-        if total == len(self.words) - len(self.places):  # all photons
-            return places - np.searchsorted(self.places, places), total
-        if not (total and len(places)):
-            return np.zeros(len(places), np.int64), total
-        return np.searchsorted(np.flatnonzero(counted), places), total
-
-    @property
-    def totals(self) -> np.ndarray:
-        """Photons on each input that there can be, int64 (inputs,)."""
-        fields = self.kind.first + self.kind.inputs
-        channels = np.bincount(self.words >> self.kind.shift, minlength=fields)
-        return channels[self.kind.first : fields]
-
-    def photons(self, number: int) -> np.ndarray:
-        """Times of the photons on an input, int64 (n,)."""
-        lengths = self.runs.end - self.runs.begin
-        skipped = self.runs.begin - (np.cumsum(lengths) - lengths)
-        words = self.words[np.repeat(skipped, lengths) + np.arange(lengths.sum())]
-        times = np.repeat(self.runs.base, lengths) + (words & np.uint32(self.kind.time_mask))
-        return times[words >> np.uint32(self.kind.shift) == self.kind.first + number]
 
 
 class Decoder:
@@ -322,22 +231,17 @@ class Decoder:
     Where a record is damaged, the part ends before it with a `fault`, and no more can be decoded.
     """
 
-    def __init__(self, kind: Kind, tick_s: float, ordered: bool = True) -> None:
+    def __init__(self, kind: Kind, tick_s: float) -> None:
         self._kind = kind
-        self._ordered = ordered
         self._slack = marker_slack(tick_s)
         self._records = 0
         self._wraps = 0  # overflows so far
-        self._latest = 0  # time of the last photon or sync event
-        self._after = 0  # the same, or earliest time that may follow a marker if that was last
+        self._reached = 0
 
     def parts(self, words: np.ndarray) -> Iterator[Part]:
-        """Decode records, uint32 (n,), that follow those before, and hold on to them.
-
-        No part follows one with a `fault`.
-        """
-        for start in range(0, len(words), RECORDS_IN_MEMORY):
-            part = self._decode(words[start : start + RECORDS_IN_MEMORY])
+        """Decode records, uint32 (n,), that follow those before."""
+        for start in range(0, len(words), RECORDS_AT_ONCE):
+            part = self._decode(words[start : start + RECORDS_AT_ONCE])
             yield part
             if part.fault:
                 return
@@ -345,31 +249,35 @@ class Decoder:
     def _decode(self, words: np.ndarray) -> Part:
         """Decode records up to the first that is damaged."""
         kind = self._kind
-        places, back = _scan(kind, words, self._ordered)
-        wraps, bits, sync, values = _specials(kind, words[places].astype(np.int64))
-        damages = [(places[~((wraps > 0) | (bits > 0) | sync)], "no known meaning")]
+        photon = words < np.uint32(kind.first + kind.inputs << kind.shift)
+        if kind.first:
+            photon &= words >= np.uint32(kind.first << kind.shift)
+        places = np.flatnonzero(~photon)
+        wraps, bits, sync = _specials(kind, words[places].astype(np.int64))
+        marked = places[bits > 0]
+        overflown = places[wraps > 0]
 
+        # An overflow, and what follows it up to the next one, counts from the same tick
+        latest = LATEST_TICK // kind.wrap
         total = self._wraps + np.cumsum(wraps)
-        damages.append(
-            (places[total > LATEST_TICK // kind.wrap], f"a time beyond {LATEST_TICK} ticks")
+        bases = kind.wrap * np.minimum(np.append(self._wraps, total), latest)
+        lengths = np.diff(places, prepend=0, append=len(words))
+        times = np.repeat(bases, lengths) + (words & np.uint32(kind.time_mask))
+
+        # No event may be before one that was recorded before it; markers are less exact
+        ends = np.append(self._reached, times)
+        ends[overflown + 1] = 0
+        ends[marked + 1] -= self._slack
+        ends = np.maximum.accumulate(ends)
+        early = times < ends[:-1]
+        early[overflown] = False
+        early[marked] = times[marked] + self._slack < ends[marked]
+
+        damages = (
+            (places[~((wraps > 0) | (bits > 0) | sync)], "no known meaning"),
+            (places[total > latest], f"a time beyond {LATEST_TICK} ticks"),
+            (np.flatnonzero(early), "a time before that of the record before"),
         )
-        bases = kind.wrap * np.minimum(np.append(self._wraps, total), LATEST_TICK // kind.wrap)
-        times = bases[1:] + values
-
-        runs = _Runs(*np.zeros((5, 0), np.int64))
-        latest = after = 0
-        if self._ordered:
-            runs = _find_runs(words, places, bases, kind.time_mask)
-            exact = _merge(
-                (runs.begin, runs.low, runs.high), (places[sync], times[sync], times[sync])
-            )
-            marked = times[bits > 0]
-            loose = _merge(exact, (places[bits > 0], marked + self._slack, marked - self._slack))
-            late, latest = _follow(exact, self._latest)
-            later, after = _follow(loose, self._after)
-            early = np.concatenate([back, late, later])
-            damages.append((np.sort(early), "a time before that of the record before"))
-
         starts = [(int(where[0]), how) for where, how in damages if len(where)]
         if starts:
             first, how = min(starts)
@@ -378,18 +286,16 @@ class Decoder:
             return part
         self._records += len(words)
         self._wraps = int(bases[-1]) // kind.wrap
-        self._latest = latest
-        self._after = after
+        self._reached = max(int(bases[-1]), int(ends[-1]))
+        photons = times[photon]
         return Part(
-            kind=kind,
-            words=words,
-            places=places,
-            times=times,
-            bits=bits,
-            sync=sync,
-            wraps=wraps,
-            runs=runs,
-            reached=max(int(bases[-1]), latest, after),
+            records=len(words),
+            times=photons,
+            inputs=(words[photon] >> np.uint32(kind.shift)) - np.uint32(kind.first),
+            marks=times[marked],
+            bits=bits[bits > 0].astype(np.uint8),
+            last=int(max(photons.max(initial=0), times[places[wraps == 0]].max(initial=0))),
+            reached=self._reached,
         )
 
 
@@ -398,67 +304,11 @@ def marker_slack(tick_s: float) -> int:
     return round(max(1e-6, tick_s) / tick_s)
 
 
-def _find_runs(words: np.ndarray, places: np.ndarray, bases: np.ndarray, mask: int) -> _Runs:
-    """Photons between specials at some places, whose times count from `bases`."""
-    begin = np.append(0, places + 1)
-    end = np.append(places, len(words))
-    full = begin < end
-    begin = begin[full]
-    end = end[full]
-    base = bases[full]
-    low = base + (words[begin] & mask)
-    high = base + (words[end - 1] & mask)
-    return _Runs(begin=begin, end=end, base=base, low=low, high=high)
-
-
-def _scan(kind: Kind, words: np.ndarray, ordered: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Places of the specials, and of photons earlier than a photon right before them."""
-    # The latter are not looked for unless `ordered`
-    specials = [np.zeros(0, np.int64)]
-    backs = [np.zeros(0, np.int64)]
-    for start in range(0, len(words), RECORDS_IN_CACHE):
-        block = words[start : start + RECORDS_IN_CACHE + 1]  # and the first of the next
-        special = block >= np.uint32(kind.first + kind.inputs << kind.shift)
-        if kind.first:
-            special |= block < np.uint32(kind.first << kind.shift)
-        specials.append(np.flatnonzero(special[:RECORDS_IN_CACHE]) + start)
-        if not ordered:
-            continue
-        times = block & np.uint32(kind.time_mask)
-        back = (times[1:] < times[:-1]) > (special[1:] | special[:-1])
-        if back.any():
-            backs.append(np.flatnonzero(back) + start + 1)
-    return np.concatenate(specials), np.concatenate(backs)
-
-
-_Events = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Places of photons and other events among the records, first times and last times."""
-
-
-def _merge(one: _Events, other: _Events) -> _Events:
-    """Join events in the order of records."""
-    if not len(other[0]):
-        return one
-    places, lows, highs = (np.concatenate(pair) for pair in zip(one, other, strict=True))
-    order = np.argsort(places, kind="stable")
-    return places[order], lows[order], highs[order]
-
-
-def _follow(events: _Events, latest: int) -> tuple[np.ndarray, int]:
-    """Places of events that begin before the one before has ended, and the end of the last."""
-    places, lows, highs = events
-    ends = np.append(latest, highs)
-    return places[lows < ends[:-1]], int(ends[-1])
-
-
-def _specials(
-    kind: Kind, words: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Overflows, marker bits, sync events (bool) and times of records that are special."""
-    # All but the times are 0 of a record that has no meaning
-    times = words & kind.time_mask
+def _specials(kind: Kind, words: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Overflows, marker bits and sync events (bool) of records that are special."""
+    # All are 0 of a record that has no meaning
     codes = words >> kind.shift
-    if kind in (PICOHARP_T2, PICOHARP_T3):
+    if kind.inputs < 64:  # PicoHarp 300
         valid = codes == 15
         bits = words & 15 if kind.mode == "T2" else words >> kind.time_bits & 0xFFF
         wraps = (valid & (bits == 0)).astype(np.int64)
@@ -467,6 +317,6 @@ def _specials(
         codes = codes & 63
         valid = codes != 63
         bits = codes
-        wraps = np.where(valid, 0, np.maximum(times, 1))
+        wraps = np.where(valid, 0, np.maximum(words & kind.time_mask, 1))
         sync = (codes == 0) & (kind.mode == "T2")
-    return wraps, np.where(valid & (bits < 16), bits, 0), sync, times
+    return wraps, np.where(valid & (bits < 16), bits, 0), sync

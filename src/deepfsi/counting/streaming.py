@@ -58,27 +58,21 @@ class _DueFrame(NamedTuple):
 class FrameCounter:
     """Counter of photons frame by frame in a PTU file whose bytes arrive in any cuts.
 
-    Parameters
-    ----------
-    inputs : sequence of int
-        Inputs of the counter whose photons are counted, from 0.
-    marker_bit : int
-        Marker input of the device's trigger: 1, 2, 4 or 8.
-    stream : str, path or PtuStream
-        Where the bytes come from, or what errors call it.
+    The inputs of the counter are numbered from 0; the marker bit of the device's trigger is 1, 2, 4
+    or 8. `stream` is the name by which errors call it.
     """
 
     def __init__(
         self,
         inputs: Sequence[int],
         marker_bit: int = 1,
-        stream: str | os.PathLike[str] | PtuStream = "the stream",
+        stream: str | os.PathLike[str] = "the stream",
     ) -> None:
         self._inputs = tuple(inputs)
         self._bit = marker_bit
-        self._stream = stream if isinstance(stream, PtuStream) else PtuStream(stream)
+        self._stream = PtuStream(stream)
         self._windows: WindowCounter | None = None  # is made when the header has arrived
-        self._early: list[FrameGates] = []  # told before
+        self._told: list[FrameGates] = []  # lists of frames that are not due yet
         self._due: deque[_DueFrame] = deque()
         self._frame: _DueFrame | None = None  # the frame whose marker came last
         self._last = EARLIEST_TICK  # that marker
@@ -90,23 +84,13 @@ class FrameCounter:
 
     def expect(self, gates: FrameGates) -> None:
         """Count frames that are shown after those before. To be told before they are shown."""
-        self._early.append(gates)
-        if self._stream.begun:
-            self._open()
+        self._told.append(gates)
 
     def feed(self, data: bytes | bytearray | memoryview) -> np.ndarray:
         """Read the next bytes; give the counts (F, inputs) of frames whose gates ended."""
         self._stream.feed(data)
         none = np.zeros((0, len(self._inputs)), np.int64)
         return np.concatenate([none, *(self._add(part) for part in self._stream.parts())])
-
-    def _open(self) -> WindowCounter:
-        """Counter of windows, with the frames that were told before the header came."""
-        if self._windows is None:
-            self._windows = WindowCounter(self._stream, self._inputs)
-        while self._early:
-            self._plan(self._early.pop(0))
-        return self._windows
 
     @property
     def _tick_s(self) -> float:
@@ -135,10 +119,13 @@ class FrameCounter:
 
     def _add(self, part: Part) -> np.ndarray:
         """Count the next records; give the frames whose gates, and pictures, have ended."""
-        windows = self._open()
+        if self._windows is None:
+            self._windows = WindowCounter(self._stream, self._inputs)
+        windows = self._windows
+        while self._told:
+            self._plan(self._told.pop(0))
         part.check(self._stream.header.path)
-        times, bits = part.markers
-        begun = map(self._begin, times[bits & self._bit != 0].tolist())
+        begun = map(self._begin, part.marks[part.bits & self._bit != 0].tolist())
         gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
         windows.expect(*gates.T)
         windows.add(part)

@@ -9,8 +9,8 @@ the time T_f, becomes that of its gate,
 and the budget is the flux times E: all the light of these frames.
 """
 
-from dataclasses import dataclass
-from typing import ClassVar, Self
+from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from deepfsi.base.quantities import time_text
 from deepfsi.base.tables import NumberTable
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.counting.acquisition import MOST_READOUTS, Scene
-from deepfsi.counting.checks import Fault, check_light
+from deepfsi.counting.checks import Light, check_light
 from deepfsi.counting.counts import (
     ALL_OFF,
     ALL_ON,
@@ -29,7 +29,6 @@ from deepfsi.counting.counts import (
     Corrections,
     Counts,
     Estimate,
-    RunLight,
     check_clicks,
     light_of_clicks,
 )
@@ -88,18 +87,39 @@ def count_table(
             "`read_noise`"
         )
     if settings.clicks is not None:
-        of_photons = {
-            "`background`": settings.background is not None,
-            "`dead_time`": dead_time,
-            "`gain` or `read_noise`": settings.analogue,
-        }
-        check_clicks(settings.clicks, of_photons)
-    exposures = _Exposures.read(table, manifest, settings, name)
-    scenes, scene_of = _find_scenes(table, len(exposures.values), settings, name)
-    frames = exposures.correct()
-    light = _find_light(exposures, frames, scene_of)
-    ambient = Ambient.none(manifest)
+        check_clicks(settings.background, settings.gain, settings.read_noise, dead_time or None)
+    values = _arrange(table, manifest, name)
+    with_ends = values.shape[1] == len(manifest.frames)
+    if not with_ends:
+        values = np.pad(values, ((0, 0), (2, 2), (0, 0)))
+    _check_values(values, manifest, settings, name)
+    seconds = np.asarray(manifest.picture_s - settings.settle_s)  # of each frame (F,)
+    if seconds.min() <= 0:
+        raise InputError(
+            f"`settle` {time_text(settings.settle_s)} leaves nothing of the shortest frame: "
+            f"give less than {manifest.picture_s.min():g}"
+        )
+    masks = manifest.shown
+    exposure_s = float(seconds[masks].sum() / manifest.shares.sum())
+    scenes, scene_of = _find_scenes(table, len(values), settings, name)
+    frames = _correct(values, seconds, manifest, settings, name)
+    lengths_s = manifest.shares * exposure_s
+    scale = (lengths_s / seconds[masks])[:, None]
+    if settings.clicks is not None:
+        scale = np.ones_like(scale)  # they are not in proportion to the time
     repeats = np.bincount(scene_of)
+    if with_ends:
+        light = _find_light(frames, seconds, scene_of, manifest, settings)
+    else:
+        unknown = np.full(len(repeats), (settings.photons or np.nan) / exposure_s)
+        light = Light(unknown, np.zeros((len(repeats), manifest.inputs)))
+    if settings.background is not None:
+        dark = np.full_like(light.dark_rate, settings.background / exposure_s)
+        flux = light.flux
+        if with_ends:
+            flux = flux + (light.dark_rate - dark)[:, manifest.arm].sum(axis=1)
+        light = replace(light, flux=flux, dark_rate=dark)
+    ambient = Ambient.none(manifest)
     valid = np.arange(repeats.max()) < repeats[:, None]
 
     def by_scene(of_frames: np.ndarray) -> np.ndarray:
@@ -109,17 +129,18 @@ def count_table(
         out[valid] = readouts
         return out
 
-    gated = exposures.in_gates(frames)
     counts = Counts(
-        **vars(light),
-        counts=by_scene(exposures.values[:, manifest.shown]),
-        arrivals=by_scene(gated.arrivals),
-        variance=by_scene(gated.variance),
+        flux=light.flux,
+        dark_rate=manifest.by_rail(light.dark_rate),
+        faults=light.faults,
+        counts=by_scene(values[:, masks]),
+        arrivals=by_scene(frames.arrivals[:, masks] * scale),
+        variance=by_scene(frames.variance[:, masks] * scale**2),
         valid=valid,
-        gate_s=exposures.lengths_s,
-        exposure_s=exposures.exposure_s,
+        gate_s=lengths_s,
+        exposure_s=exposure_s,
         settle_s=settings.settle_s,
-        lengths_s=manifest.lengths_by_readout(exposures.lengths_s),
+        lengths_s=manifest.lengths_by_readout(lengths_s),
         drift=0.0,
         ambient=ambient.counts,
         ambient_variance=ambient.variance,
@@ -127,81 +148,28 @@ def count_table(
         dead_time=settings.dead_time,
         gates=settings.clicks,
     )
-    if settings.photons is None and not exposures.sentinels:
-        raise InputError(
-            f"{name} has no all-ON and all-OFF frames, which tell the budget: give `photons`"
-        )
-    if settings.photons is None and counts.gates is not None:
-        counts.check_budget(name)
     if settings.photons is None and not (counts.flux > 0).any():
         raise InputError(
-            f"{name} has no light: its all-ON frames are not brighter than the all-OFF ones; look "
-            "at the order of frames, or give `photons`"
+            f"{name} does not tell its budget: it has no all-ON and all-OFF frames, or they are "
+            "equally bright, or all gates click; look at the order of frames, or give `photons`"
         )
     return counts, scenes
 
 
-@dataclass(frozen=True)
-class _Exposures:
-    """Frames of the exposures in a table, each counted as one window."""
-
-    values: np.ndarray  # (E, F, inputs): Counts; 0 in all-ON and all-OFF frames that are not there
-    sentinels: bool  # whether these are there
-    seconds: np.ndarray  # (F,): For how long each frame was counted
-    manifest: Manifest
-    settings: TableSettings
-    name: str
-
-    @classmethod
-    def read(
-        cls, table: NumberTable, manifest: Manifest, settings: TableSettings, name: str
-    ) -> Self:
-        """Exposures of a table, or `InputError` if it does not hold them."""
-        values = _arrange(table, manifest, name)
-        sentinels = values.shape[1] == len(manifest.frames)
-        if not sentinels:
-            values = np.pad(values, ((0, 0), (2, 2), (0, 0)))
-        _check_values(values, manifest, settings, name)
-        seconds = np.asarray(manifest.picture_s - settings.settle_s)
-        if seconds.min() <= 0:
-            raise InputError(
-                f"`settle` {time_text(settings.settle_s)} leaves nothing of the shortest frame: "
-                f"give less than {manifest.picture_s.min():g}"
-            )
-        return cls(values, sentinels, seconds, manifest=manifest, settings=settings, name=name)
-
-    @property
-    def exposure_s(self) -> float:
-        """Total exposure: all the light of the masks' frames is counted."""
-        return float(self.seconds[self.manifest.shown].sum() / self.manifest.shares.sum())
-
-    @property
-    def lengths_s(self) -> np.ndarray:
-        """Gates (f,) that have the masks' shares of the exposure."""
-        return self.manifest.shares * self.exposure_s
-
-    def correct(self) -> Estimate:
-        """Arrivals (E, F, inputs) in all frames."""
-        values = self.values
-        settings = self.settings
-        if settings.clicks is not None:
-            return Estimate(values, values * (1 - values / settings.clicks))
-        if settings.analogue:
-            counts = values * (settings.gain or 1.0)
-            return Estimate(counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2)
-        rates = values / self.seconds[:, None]
-        corrections = Corrections.of(settings.dead_time, self.manifest)
-        corrections.check(rates, self.manifest.frames, range(self.manifest.inputs), self.name)
-        factors = corrections.factors(rates)
-        return Estimate(values * factors.arrivals, values * factors.variance)
-
-    def in_gates(self, frames: Estimate) -> Estimate:
-        """Arrivals (E, f, inputs) of the masks' frames in their gates; clicks as they are."""
-        masks = self.manifest.shown
-        scale = (self.lengths_s / self.seconds[masks])[:, None]
-        if self.settings.clicks is not None:
-            scale = np.ones_like(scale)
-        return Estimate(frames.arrivals[:, masks] * scale, frames.variance[:, masks] * scale**2)
+def _correct(
+    values: np.ndarray, seconds: np.ndarray, manifest: Manifest, settings: TableSettings, name: str
+) -> Estimate:
+    """Arrivals (E, F, inputs) in all frames."""
+    if settings.clicks is not None:
+        return Estimate(values, values * (1 - values / settings.clicks))
+    if settings.analogue:
+        counts = values * (settings.gain or 1.0)
+        return Estimate(counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2)
+    rates = values / seconds[:, None]
+    corrections = Corrections.of(settings.dead_time, manifest)
+    corrections.check(rates, manifest.frames, range(manifest.inputs), name)
+    factors = corrections.factors(rates)
+    return Estimate(values * factors.arrivals, values * factors.variance)
 
 
 def _arrange(table: NumberTable, manifest: Manifest, name: str) -> np.ndarray:
@@ -272,55 +240,36 @@ def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings,
         )
 
 
-def _find_light(exposures: _Exposures, frames: Estimate, scene_of: np.ndarray) -> RunLight:
-    """Light of each scene, from the frames of its exposures; scene_of (E,)."""
-    manifest = exposures.manifest
-    settings = exposures.settings
+def _find_light(
+    frames: Estimate,
+    seconds: np.ndarray,
+    scene_of: np.ndarray,
+    manifest: Manifest,
+    settings: TableSettings,
+) -> Light:
+    """Light of each scene, from the all-ON and all-OFF frames of its exposures; scene_of (E,)."""
     scenes = int(scene_of[-1]) + 1
     arm = manifest.arm
-    exposure_s = exposures.exposure_s
-    stated = None if settings.background is None else settings.background / exposure_s
-    dark = np.full((scenes, manifest.inputs), stated or 0.0)
-    if not exposures.sentinels:
-        return RunLight(
-            on_rate=np.full(scenes, np.nan),
-            off_rate=np.full(scenes, np.nan),
-            flux=np.full(scenes, (settings.photons or np.nan) / exposure_s),
-            dark_rate=manifest.by_rail(dark),
-        )
     if settings.clicks is not None:
         clicks = frames.arrivals[:, ENDS]
-        gates = np.full((len(clicks), len(ENDS), 1), settings.clicks)
-        width = float(exposures.seconds[0]) / settings.clicks
-        return light_of_clicks(
-            clicks, clicks, gates, width_s=width, scenes=scenes, manifest=manifest
+        width = float(seconds[0]) / settings.clicks
+        flux, dark = light_of_clicks(
+            clicks, clicks, gates=settings.clicks, width_s=width, manifest=manifest
         )
+        return Light(np.full(scenes, flux), np.tile(dark, (scenes, 1)))
     photons, variance = np.zeros((2, scenes, *frames.arrivals.shape[1:]))
     np.add.at(photons, scene_of, frames.arrivals)
     np.add.at(variance, scene_of, frames.variance)
-    spent = np.bincount(scene_of)[:, None] * exposures.seconds
+    spent = np.bincount(scene_of)[:, None] * seconds
+    if not settings.analogue:
+        arrivals = Arrivals(manifest.frames, photons=photons, variance=variance, seconds=spent)
+        return check_light(arrivals, manifest, range(manifest.inputs), scenes=np.arange(scenes))
+    # Means over the table: the light's checks are of photons
     on, off = (
         photons[:, ends].sum(axis=1) / spent[:, ends].sum(axis=1, keepdims=True)
         for ends in (ALL_ON, ALL_OFF)
     )
-    faults: tuple[Fault, ...] = ()
-    if settings.analogue:  # means over the table: the light's checks are of photons
-        measured = off.copy()
-        measured[:, arm.stop :] = on[:, arm.stop :]  # the second arm is dark when all are ON
-        measured[:] = measured.mean(axis=0)
-        flux = np.full(scenes, (on - off)[:, arm].sum(axis=1).mean())
-    else:
-        arrivals = Arrivals(manifest.frames, photons=photons, variance=variance, seconds=spent)
-        light = check_light(arrivals, manifest, range(manifest.inputs), scenes=np.arange(scenes))
-        measured = light.dark_rate
-        flux = light.flux
-        faults = light.faults
-    if stated is None:
-        dark = measured
-    return RunLight(
-        on_rate=on[:, arm].sum(axis=1),
-        off_rate=off[:, arm].sum(axis=1),
-        flux=flux + (measured - dark)[:, arm].sum(axis=1),
-        dark_rate=manifest.by_rail(dark),
-        faults=faults,
-    )
+    dark = off.copy()
+    dark[:, arm.stop :] = on[:, arm.stop :]  # the second arm is dark when all are ON
+    dark[:] = dark.mean(axis=0)
+    return Light(np.full(scenes, (on - off)[:, arm].sum(axis=1).mean()), dark)

@@ -11,12 +11,11 @@ its first marker from one that lacks its last, when all frames are equally long.
 
 A marker may come late, and what is counted up to the next one then holds some light of the next
 frame: a microsecond of 1e7 photons/s looks like thousands of dark counts/s in an all-OFF frame. So
-windows other than gates end a *guard*, the tolerance of the markers, before the next frame. The
-guard of the all-OFF frames is counted by itself: light in it tells by how much markers are late.
+windows other than gates end a *guard*, the tolerance of the markers, before the next frame.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -24,7 +23,7 @@ import numpy as np
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.quantities import time_text
-from deepfsi.counting.acquisition import MOST_READOUTS, Acquisition
+from deepfsi.counting.acquisition import Acquisition
 from deepfsi.counting.reader import PhotonSource, count_windows, read_markers
 from deepfsi.patterns.manifest import GatePlan, Manifest
 
@@ -36,49 +35,45 @@ class Windows:
     frame: np.ndarray  # (g,): Of each window
     offset_s: np.ndarray  # (g,): When it opens after the start of its frame
     length_s: np.ndarray  # (g,)
-    # Of windows of gates, (g,), bool: readouts of the masks' frames, and ends of all-OFF frames
-    gate: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
-    guard: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
+    gate: np.ndarray  # (g,), bool: readouts of the masks' frames
 
     @classmethod
     def of_gates(cls, manifest: Manifest, gates: GatePlan, starts: "FrameStarts") -> Self:
-        """Found gates of a manifest's frames, and what each gate leaves of its frame."""
-        dark = np.flatnonzero([frame.role == "off" for frame in manifest.frames])
+        """Found gates of a manifest's frames, and what they leave of each frame."""
         count = np.ones(len(manifest.frames), np.int64)
         count[manifest.shown] += gates.repeats
-        count[dark] += 1
         frame = np.repeat(np.arange(len(count)), count)
         first = np.cumsum(count) - count
         gated = first[manifest.shown][:, None] + np.arange(gates.repeats)  # (f, R)
-        guards = first[dark] + 1
         # A guard takes up to half of a frame after settling
-        guard_s = np.minimum(starts.tolerance_s, 0.5 * (starts.pictures_s - gates.settle_s))
+        guard_s = np.minimum(manifest.usual_tolerance_s, 0.5 * (starts.pictures_s - gates.settle_s))
         ends = starts.pictures_s - guard_s
         offset = np.full(len(frame), gates.settle_s)
         offset[gated] = gates.starts_s
         offset[gated[:, -1] + 1] = gates.settle_s + gates.repeats * gates.length_s
-        offset[guards] = ends[dark]
         length = np.maximum(ends[frame] - offset, 0.0)
         length[gated] = gates.length_s[:, None]
-        length[guards] = guard_s[dark]
-        gate, guard = np.zeros((2, len(frame)), bool)
+        gate = np.zeros(len(frame), bool)
         gate[gated] = True
-        guard[guards] = True
-        return cls(frame, offset, length, gate=gate, guard=guard)
+        return cls(frame, offset, length, gate)
 
     @classmethod
-    def of_clicks(cls, gates: GatePlan, scenes: int) -> Self:
-        """Gates of clicks, or `InputError` if the scenes have too many."""
-        count = gates.clicks * gates.click_exposures
-        if scenes * count.sum() > MOST_READOUTS:
-            raise InputError(
-                f"{scenes * count.sum()} gates of {scenes} scenes are more than {MOST_READOUTS}: "
-                "count fewer --repeats, or split the acquisition"
-            )
+    def of_clicks(cls, manifest: Manifest, gates: GatePlan, clicks: int) -> Self:
+        """Equal parts of each gate, and as many of other frames: a detector clicks once in each."""
+        # Of an all-ON or all-OFF frame they are parts of what settling and the usual tolerance of
+        # markers leave of it
+        width = (manifest.picture_s - gates.settle_s - manifest.usual_tolerance_s) / clicks
+        width[manifest.shown] = gates.length_s / clicks
+        count = np.full(len(width), clicks)
+        count[manifest.shown] *= gates.repeats
         frame = np.repeat(np.arange(len(count)), count)
         order = np.arange(len(frame)) - (np.cumsum(count) - count)[frame]
-        width = gates.click_width_s[frame]
-        return cls(frame, offset_s=gates.settle_s + order * width, length_s=width)
+        return cls(
+            frame,
+            offset_s=gates.settle_s + order * width[frame],
+            length_s=width[frame],
+            gate=np.isin(frame, manifest.shown),
+        )
 
 
 @dataclass(frozen=True)
@@ -89,30 +84,16 @@ class WindowCounts:
     open_s: np.ndarray  # (P, g): How long each window was open
     windows: Windows
 
-    def select(self, passes: np.ndarray) -> Self:
-        """Some of the passes, a mask (P,) of bools."""
-        return replace(self, photons=self.photons[passes], open_s=self.open_s[passes])
-
     def per_frame(self) -> tuple[np.ndarray, np.ndarray]:
-        """Photons (P, F, inputs) of whole frames but guards, and how long they were counted."""
+        """Photons (P, F, inputs) of whole frames, and how long they were counted."""
         first = np.flatnonzero(np.diff(self.windows.frame, prepend=-1))
-        counted = ~self.windows.guard
-        photons = np.add.reduceat(self.photons * counted[:, None], first, axis=1)
-        return photons, np.add.reduceat(self.open_s * counted, first, axis=1)
+        photons = np.add.reduceat(self.photons, first, axis=1)
+        return photons, np.add.reduceat(self.open_s, first, axis=1)
 
     def gates(self, repeats: int) -> np.ndarray:
         """Photons (P, R, f, inputs) in the gates of the masks' frames."""
         gated = self.photons[:, self.windows.gate]
         return gated.reshape(len(gated), -1, repeats, gated.shape[-1]).swapaxes(1, 2)
-
-    def around_first_mask(self, arm: slice) -> tuple[np.ndarray, np.ndarray]:
-        """Photons of an arm, and how long they were counted, as `find_lateness` takes them."""
-        photons, spent = self.per_frame()
-        guard = np.argmax(self.windows.guard)
-        dark, light = photons[:, 1:3, arm].sum(axis=-1).T
-        of_guard = self.photons[:, guard, arm].sum(axis=-1)
-        seconds = np.stack([self.open_s[:, guard], *spent[:, 1:3].T])
-        return np.stack([of_guard, dark, light]), seconds
 
 
 MOST_DRIFT = 2e-4
@@ -131,7 +112,6 @@ class FrameStarts:
 
     starts_s: np.ndarray  # (S, F): Seconds on the counter's clock
     pictures_s: np.ndarray  # (F,): Picture times on the counter's clock
-    tolerance_s: float  # by how much a marker may be off
     drift: float  # by how much passes last longer than planned, as a share: their median
 
     @classmethod
@@ -140,8 +120,6 @@ class FrameStarts:
         source: PhotonSource,
         acquisition: Acquisition,
         manifest: Manifest,
-        tolerance_s: float | None = None,
-        *,
         progress: Progress = SILENT,
     ) -> Self:
         """Frames of a recording by its markers."""
@@ -151,36 +129,28 @@ class FrameStarts:
             advice = "wire the device's trigger to the counter"
             others = [str(number) for number in range(4) if (bits & 1 << number).any()]
             if others:
-                advice = f"there are some on {' and '.join(others)}: give --marker {others[0]}"
+                bit = 1 << int(others[0])
+                advice = (
+                    f'there are some on {" and ".join(others)}: write "marker_bit": {bit} into '
+                    "acquisition.json"
+                )
             raise InputError(
                 f"{source.header.path} has 0 frame markers on marker input "
                 f"{acquisition.marker_bit.bit_length() - 1}; {advice}"
             )
         times_s = np.sort(times[wired] * source.header.tick_s)
         try:
-            return cls.of(times_s, manifest, len(acquisition.scenes), tolerance_s)
+            return cls.of(times_s, manifest, len(acquisition.scenes))
         except InputError as error:
             raise InputError(
                 f"{source.header.path} has {len(times_s)} frame markers: {error}"
             ) from None
 
     @classmethod
-    def of(
-        cls,
-        times_s: np.ndarray,
-        manifest: Manifest,
-        scenes: int,
-        tolerance_s: float | None = None,
-    ) -> Self:
+    def of(cls, times_s: np.ndarray, manifest: Manifest, scenes: int) -> Self:
         """Frames that markers (n,) start, each where the schedule has it, or `InputError`."""
         planned = manifest.picture_s
-        tolerance = manifest.usual_tolerance_s if tolerance_s is None else tolerance_s
-        most = 0.2 * float(planned.min())
-        if not 0 < tolerance <= most:
-            raise InputError(
-                f"a tolerance of {tolerance!r} s is not allowed: give more than 0, up to a fifth "
-                f"of the shortest frame ({time_text(most)})"
-            )
+        tolerance = manifest.usual_tolerance_s
         # A pass that was begun after the last one is left out
         whole, begun = divmod(len(times_s), len(planned))
         starts = times_s[: len(times_s) - begun].reshape(whole, len(planned))
@@ -194,8 +164,8 @@ class FrameStarts:
                 f"they are of {whole} whole passes, and there are {scenes} scenes: record again, "
                 "or keep the scenes that were recorded in acquisition.json"
             )
-        drifts = np.ptp(starts, axis=1) / np.ptp(manifest.starts_s) - 1
-        return cls(starts, pictures, tolerance, drift=float(np.median(drifts)))
+        drifts = np.ptp(starts, axis=1) / np.cumsum(planned)[-2] - 1
+        return cls(starts, pictures, drift=float(np.median(drifts)))
 
     def count_in(
         self,

@@ -310,7 +310,7 @@ def _answers(
         answer = ClassifiedScene(
             name=scene.name,
             label=scene.label,
-            faults=counts.faults_of(index),
+            faults=tuple(fault for fault in counts.faults if fault.scene in (index, None)),
             unsure=None if consistency is None else False,
             trained_on=trained[index],
         )

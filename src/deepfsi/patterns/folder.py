@@ -18,9 +18,9 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from itertools import chain
 from pathlib import Path
-from typing import Any, ClassVar, Self, get_args
+from tempfile import TemporaryDirectory
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -30,7 +30,6 @@ from deepfsi.base.files import (
     check_unpacked,
     hash_file,
     new_folder,
-    read_regular,
     read_text,
 )
 from deepfsi.base.progress import SILENT, Progress
@@ -43,36 +42,22 @@ from deepfsi.patterns.frames import (
     FRAME_FORMATS,
     Format,
     make_frames,
-    recount,
-    unpack,
 )
-from deepfsi.patterns.manifest import MOST_FRAMES, SENTINELS, GatePlan, Manifest
+from deepfsi.patterns.manifest import MOST_FRAMES, SENTINELS, Manifest
 from deepfsi.patterns.rails import LEAST_DIMMED, DesignRails
 
 
 @dataclass(frozen=True)
 class Patterns:
-    """What a device shows: the manifest of its frames, and the mirrors ON in each cell.
-
-    Parameters
-    ----------
-    manifest : Manifest
-        Device, and frames in the order in which they are shown.
-    on : array of uint32 (f, N)
-        Mirrors ON in each cell of each mask's frame.
-    folder : path, optional
-        Folder that holds them.
-    design : bytes, optional
-        Design file that is written beside them.
-    """
+    """What a device shows: the manifest of its frames, and the mirrors ON in each cell."""
 
     DESIGN: ClassVar[str] = "design.safetensors"
     """File of the design in a folder of patterns."""
 
     manifest: Manifest
-    on: np.ndarray
-    folder: Path | None = None
-    design: bytes | None = None
+    on: np.ndarray  # uint32 (f, N): mirrors ON in each cell of each mask's frame
+    folder: Path | None = None  # that holds them
+    design: bytes | None = None  # content of the design file that is written beside them
 
     @classmethod
     def from_rails(
@@ -84,38 +69,20 @@ class Patterns:
         format: Format = "npy",
         layout: DmdLayout = USUAL_LAYOUT,
     ) -> Self:
-        """Patterns that show rails on a device, not written yet.
+        """Patterns that show rails on a device, for `dwell_s` a frame in the mean; not written yet.
 
         Where the shares of the exposure would sum to more than 1 (`column`), all are dimmed by the
         common factor `manifest.dimmed`.
-
-        Parameters
-        ----------
-        rails : DesignRails
-            Rails of the design.
-        device : Device
-            Device that shows the frames.
-        dwell_s : float
-            Mean picture time of the masks' frames, seconds.
-        format
-            Files of the frames.
-        layout : DmdLayout
-            How the cells lie on the device.
-
-        Raises
-        ------
-        InputError
-            If the design is dark, or the device cannot show its frames.
         """
         if not 0 < dwell_s <= LONGEST_PICTURE_S:
             raise InputError(
                 f"dwell {dwell_s!r} is not allowed: give seconds above 0, up to "
                 f"{LONGEST_PICTURE_S:g}"
             )
-        check_choice("format", format, get_args(Format))
+        check_choice("format", format, tuple(FRAME_FORMATS))
         if format == "planes" and not device.packed:
             raise InputError(
-                f"{device.name} takes no pictures of 24 bit-planes: use format npy, raw, png or bmp"
+                f"{device.name} takes no pictures of 24 bit-planes: use format npy, raw or bmp"
             )
         frames = rails.in_mirrors(find_grid(device, rails.image_shape, layout).mirrors)
         if not frames.mask_rails:
@@ -140,29 +107,19 @@ class Patterns:
         return cls(manifest, frames.on, design=rails.file)
 
     def write(self, folder: str | os.PathLike[str], progress: Progress = SILENT) -> Self:
-        """Write the frames into a new folder; gives the patterns with the frames' hashes.
-
-        Raises
-        ------
-        InputError
-            If the folder exists, or the disk is full; nothing is then written.
-        """
+        """Write the frames into a new folder, all or none; gives the patterns with their hashes."""
         manifest = self.manifest
-        device = manifest.device
-        grid = manifest.grid
         total = len(manifest.frames)
-        ends = np.full_like(self.on[0], grid.mirrors), np.zeros_like(self.on[0])
-        frames = make_frames(chain(ends, self.on, ends), device, grid)
         hashes: list[str] = []
 
         def hashed() -> Iterator[np.ndarray]:
-            for frame in frames:
+            for frame in self.frames():
                 hashes.append(sha256(frame.data).hexdigest())
                 yield frame
                 progress(len(hashes) / total)
 
         with new_folder(folder) as draft:
-            FRAME_FORMATS[manifest.format].write(draft, hashed(), total, device)
+            FRAME_FORMATS[manifest.format].write(draft, hashed(), total, manifest.device)
             shown = tuple(
                 frame.model_copy(update={"sha256": digest})
                 for frame, digest in zip(manifest.frames, hashes, strict=True)
@@ -184,13 +141,7 @@ class Patterns:
 
     @classmethod
     def read(cls, folder: str | os.PathLike[str]) -> Self:
-        """Read the patterns of a folder, without its frames.
-
-        Raises
-        ------
-        InputError
-            If they were changed after they were written.
-        """
+        """Read the patterns of a folder, without its frames."""
         path = Path(folder) / "manifest.json"
         content = read_text(path, 2**29, "make patterns with `deepfsi dmd export`")
         with as_input_error(str(path), AGAIN, content):
@@ -222,50 +173,33 @@ class Patterns:
         return cls(manifest, on, Path(folder))
 
     def frames(self) -> Iterator[np.ndarray]:
-        """Packed frames, uint8 (rows, bytes of a row) each.
-
-        Raises
-        ------
-        InputError
-            If a frame is not the one that was exported.
-        """
+        """Packed frames, uint8 (rows, bytes of a row), in the order in which they are shown."""
         manifest = self.manifest
-        assert self.folder is not None
-        stored = FRAME_FORMATS[manifest.format].read(
-            self.folder, len(manifest.frames), manifest.device
+        if manifest.selection == "random" or manifest.format not in FRAME_FORMATS:
+            raise InputError(f"{self.folder} has frames of an earlier version: {AGAIN}")
+        grid = manifest.grid
+        masks = iter(self.on)
+        ends = {"on": np.full_like(self.on[0], grid.mirrors), "off": np.zeros_like(self.on[0])}
+        shown = (
+            next(masks) if frame.role == "mask" else ends[frame.role] for frame in manifest.frames
         )
-        for index, (packed, frame) in enumerate(zip(stored, manifest.frames, strict=True)):
-            if sha256(packed.data).hexdigest() != frame.sha256:
-                raise InputError(
-                    f"frame {index} of {self.folder} ({frame}) is not what was exported: {AGAIN}"
-                )
-            yield packed
+        return make_frames(shown, manifest.device, grid)
 
     def check(self, progress: Progress = SILENT) -> Self:
-        """Compare every file of the folder with the manifest and the mirrors ON."""
-        manifest = self.manifest
+        """Compare every file of the folder with what is written anew from its mirrors."""
         folder = self.folder
         assert folder is not None
-        manifest.check_limits()
-        masks = iter(self.on)
-        for index, packed in enumerate(self.frames()):
-            frame = manifest.frames[index]
-            all_on = manifest.grid.mirrors * (frame.role == "on")
-            wanted = next(masks) if frame.role == "mask" else all_on
-            lit = unpack(packed, manifest.device) ^ manifest.layout.invert
-            on = recount(lit, manifest.grid)
-            if (on != wanted).any() or np.count_nonzero(lit) != on.sum():
-                raise InputError(
-                    f"frame {index} of {folder} ({frame}) does not show what manifest.json and "
-                    f"mirrors.npy say: {AGAIN}"
-                )
-            progress((index + 1) / len(manifest.frames))
-        for name, table in _tables(manifest).items():
-            content = table.encode()
-            if read_regular(folder / name, 2 * len(content), AGAIN) != content:
-                raise InputError(f"{folder / name} does not say what manifest.json says: {AGAIN}")
+        self.manifest.check_limits()
+        with TemporaryDirectory() as temporary:
+            anew = Path(temporary) / "anew"
+            self.write(anew, progress)
+            (anew / "manifest.json").unlink()  # `read` checks it
+            for path in sorted(anew.rglob("*.*")):
+                stored = folder / path.relative_to(anew)
+                if hash_file(stored) != hash_file(path):
+                    raise InputError(f"{stored} is not what was exported: {AGAIN}")
         design = folder / self.DESIGN
-        if manifest.design_sha256 and hash_file(design) != manifest.design_sha256:
+        if self.manifest.design_sha256 and hash_file(design) != self.manifest.design_sha256:
             raise InputError(f"{design} is not the one that was exported: {AGAIN}")
         return self
 
@@ -290,42 +224,54 @@ class Patterns:
         return self.rails, self.manifest.image_shape, self.manifest.dimmed
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON types only: what is shown, for how long, and what it costs."""
+        """JSON types only: what is shown, and for how long."""
         manifest = self.manifest
         device = manifest.device
-        cost = self._cost
         times = [frame.picture_us for frame in manifest.frames]
         return {
             "frames": len(manifest.frames),
             "mask_frames": len(manifest.shown),
             "mean_picture_s": float(manifest.picture_s[manifest.shown].mean()),
             "pass_s": manifest.pass_s,
-            "longest_exposure_s": None if cost is None else self._longest_s,
-            "uncounted": cost,
+            "longest_exposure_s": None if manifest.looks else self._longest_s,
             "dimmed": manifest.dimmed,
             "looks": manifest.looks.count if manifest.looks else 1,
             "load_s": device.load_us and device.load_us * 1e-6,
             "device": device.name,
             "cell": [manifest.grid.height, manifest.grid.width],
-            "aspect": manifest.grid.aspect,
-            "used": manifest.used,
             "layout": manifest.layout.model_dump(),
             "most_frames": device.patterns,
             "picture_us": [min(times), max(times)],
         }
 
     def lines(self) -> Iterator[str]:
-        """Say what is shown, for how long, and what it costs."""
+        """Say what is shown, and for how long."""
         manifest = self.manifest
         device = manifest.device
         grid = manifest.grid
-        yield from self._pass_lines()
-        square = abs(grid.aspect - 1) < 1e-9
-        shape = "square" if square else f"{grid.aspect:.3g} times as wide as high"
+        looks = manifest.looks
+        frames = (
+            f"{plural(len(manifest.shown), 'frame')} of masks and "
+            f"{len(manifest.frames) - len(manifest.shown)} all-ON and all-OFF ones"
+        )
+        if looks is None:
+            yield (
+                f"{frames}, {time_text(manifest.pass_s)} a pass, exposures up to "
+                f"{time_text(self._longest_s)}"
+            )
+        elif looks.dictionary:
+            yield (
+                f"{frames}: {plural(looks.count, 'look')}, each at one of these masks by its "
+                "index; show them with `deepfsi camera live`"
+            )
+        else:
+            yield (
+                f"{frames}: the mask of the first look, of {looks.count}; `deepfsi camera live` "
+                f"loads a new one before each look, {device.load_us} µs a frame on {device.name}"
+            )
         yield (
-            f"cells of {grid.width} x {grid.height} mirrors, {shape}, on "
-            f"{grid.across * grid.width} x {grid.down * grid.height} of {device.columns} x "
-            f"{device.rows} mirrors: {manifest.used:.1%} of the device's light is used"
+            f"cells of {grid.width} x {grid.height} mirrors on {grid.across * grid.width} x "
+            f"{grid.down * grid.height} of {device.columns} x {device.rows} mirrors"
         )
         if manifest.dimmed < LEAST_DIMMED:
             yield (
@@ -338,54 +284,6 @@ class Patterns:
     def _longest_s(self) -> float:
         """Longest exposure that the frames hold, seconds."""
         return self.manifest.longest_exposure_s(self.manifest.device.settle_us * 1e-6)
-
-    @property
-    def _cost(self) -> dict[str, float] | None:
-        """Shares of a pass that this exposure does not count; None of adaptive masks."""
-        manifest = self.manifest
-        if manifest.looks is not None:
-            return None
-        gates = GatePlan.of(manifest, self._longest_s)
-        masks_s = float(manifest.picture_s[manifest.shown].sum())
-        settling_s = gates.settle_s * len(manifest.shown)
-        idle_s = masks_s - settling_s - gates.repeats * float(gates.length_s.sum())
-        total_s = manifest.pass_s
-        return {
-            "sentinels": (total_s - masks_s) / total_s,
-            "settling": settling_s / total_s,
-            "idle": max(idle_s, 0.0) / total_s,
-        }
-
-    def _pass_lines(self) -> Iterator[str]:
-        """Say the frames of a pass, its longest exposure and what it costs."""
-        manifest = self.manifest
-        device = manifest.device
-        looks = manifest.looks
-        frames = (
-            f"{plural(len(manifest.shown), 'frame')} of masks and "
-            f"{len(manifest.frames) - len(manifest.shown)} all-ON and all-OFF ones"
-        )
-        cost = self._cost
-        if looks and looks.dictionary:
-            yield (
-                f"{frames}: {plural(looks.count, 'look')}, each at one of these masks by its "
-                "index; show them with `deepfsi camera live`"
-            )
-        elif looks:
-            yield (
-                f"{frames}: the mask of the first look, of {looks.count}; `deepfsi camera live` "
-                f"loads a new one before each look, {device.load_us} µs a frame on {device.name}"
-            )
-        elif cost is not None:
-            yield (
-                f"{frames}, {time_text(manifest.pass_s)} a pass, exposures up to "
-                f"{time_text(self._longest_s)}"
-            )
-            yield (
-                f"cost in time: at that exposure {sum(cost.values()):.1%} of a pass is not "
-                f"counted: {cost['sentinels']:.1%} for all-ON and all-OFF frames, "
-                f"{cost['settling']:.1%} for mirrors to settle, {cost['idle']:.1%} beyond the gates"
-            )
 
 
 def _times_us(

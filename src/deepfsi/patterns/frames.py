@@ -7,18 +7,17 @@ where a scene varies within a cell.
 Bits are packed along rows, the leftmost mirror in the highest bit of a byte, ON as 1 unless the
 layout inverts them; each row begins a new byte.
 
-`FRAME_FORMATS` is the table of files. Another one is a class with the methods of `_Pictures`, and
-its line in the table:
+Files of frames are for those who load them with other programs: they are written and not read, as
+frames are made from the mirrors ON. `FRAME_FORMATS` is the table of files. Another one is a class
+with the methods of `_Bitmaps`, and its line in the table:
 
 npy    frames.npy, uint8 (frames, rows, bytes of a row)
 raw    frames.bin, the same bytes without the header, top row first
-png    frames/0000.png ..., one bit a pixel, ON white
-bmp    frames/0000.bmp ..., the same as Windows bitmaps, which programs of controllers read
+bmp    frames/0000.bmp ..., one bit a pixel, ON white
 planes images/0000.bmp ..., 24 bits a pixel: each bit of a pixel is a mirror of another frame
 """
 
 import io
-import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -28,8 +27,6 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from deepfsi.base.arrays import npy_header
-from deepfsi.base.errors import InputError
-from deepfsi.base.files import open_regular
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdGrid
 
@@ -60,15 +57,6 @@ def _pack(lit: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
 def unpack(frame: np.ndarray, device: Device) -> np.ndarray:
     """Mirrors, bool (rows, columns), True where a packed frame (rows, bytes of a row) has a 1."""
     return np.unpackbits(frame, axis=1, count=device.columns).view(np.bool_)
-
-
-def recount(mirrors: np.ndarray, grid: DmdGrid) -> np.ndarray:
-    """Mirrors ON in each cell, uint32 (N,), of a frame's mirrors, bool (rows, columns)."""
-    window = mirrors[grid.window].view(np.uint8)
-    cells = window.reshape(grid.down, grid.height, grid.across, grid.width)
-    out = np.empty(grid.pixels.size, dtype=np.uint32)
-    out[grid.pixels] = cells.sum(axis=(1, 3), dtype=np.uint32)
-    return out
 
 
 @lru_cache(maxsize=4)
@@ -159,52 +147,28 @@ class _OneFile:
             for frame in frames:
                 stream.write(frame.data)
 
-    def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """Read the packed frames."""
-        path = folder / self.name
-        shape = device.frame_shape
-        header = npy_header("|u1", (total, *shape)) if self.header else b""
-        with open_regular(path, advice=AGAIN) as file:
-            size = os.fstat(file.fileno()).st_size - len(header)
-            if file.read(len(header)) != header or size != total * device.frame_bytes:
-                raise InputError(f"{path} does not hold the {total} frames of the export: {AGAIN}")
-            for _ in range(total):
-                content = file.read(device.frame_bytes)
-                yield np.frombuffer(content, dtype=np.uint8).reshape(shape)
-
     def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
         """File of a frame; no bit, as it holds all frames."""
         return self.name, None
 
 
-@dataclass(frozen=True)
-class _Pictures:
-    """A picture for each frame, with a bit a pixel."""
-
-    ending: Literal["png", "bmp"]
+class _Bitmaps:
+    """A bitmap for each frame, with a bit a pixel."""
 
     def write(self, folder: Path, frames: Iterable[np.ndarray], total: int, device: Device) -> None:
         """Write packed frames one at a time."""
         from PIL import Image
 
-        options = {"compress_level": 1} if self.ending == "png" else {}  # no larger
         (folder / "frames").mkdir()
         for index, frame in enumerate(frames):
             picture = Image.frombytes("1", (device.columns, device.rows), frame.tobytes())
             name, _ = self.location(index, total, device)
-            _save_picture(picture, folder / name, **options)
-
-    def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """Read the packed frames."""
-        for index in range(total):
-            name, _ = self.location(index, total, device)
-            content = _read_picture(folder / name, device, "1").tobytes()
-            yield np.frombuffer(content, dtype=np.uint8).reshape(device.frame_shape)
+            _save_bitmap(picture, folder / name)
 
     def location(self, index: int, total: int, device: Device) -> tuple[str, int | None]:
         """File of a frame, numbered with as many digits as the last one, and the bit in it."""
         digits = max(4, len(str(total - 1)))
-        return f"frames/{index:0{digits}d}.{self.ending}", 0
+        return f"frames/{index:0{digits}d}.bmp", 0
 
 
 class _Planes:
@@ -220,7 +184,7 @@ class _Planes:
 
         (folder / "images").mkdir()
         for image, picture in enumerate(self.pictures(frames, total, device)):
-            _save_picture(Image.fromarray(picture), folder / f"images/{image:04d}.bmp")
+            _save_bitmap(Image.fromarray(picture), folder / f"images/{image:04d}.bmp")
 
     def pictures(
         self, frames: Iterable[np.ndarray], total: int, device: Device
@@ -236,14 +200,6 @@ class _Planes:
                 yield picture
                 picture = np.zeros_like(picture)
 
-    def read(self, folder: Path, total: int, device: Device) -> Iterator[np.ndarray]:
-        """Read the packed frames."""
-        for index in range(total):
-            name, bit = self.location(index, total, device)
-            if bit == 0:
-                picture = np.asarray(_read_picture(folder / name, device, "RGB"))
-            yield np.packbits(picture[..., self._channel(device, bit)] >> bit % 8 & 1, axis=1)
-
     def location(self, index: int, total: int, device: Device) -> tuple[str, int]:
         """File of a frame, and the bit position in it."""
         image, bit = divmod(index, device.packed_frames(total))
@@ -256,47 +212,21 @@ class _Planes:
 
 
 Format = Literal["npy", "raw", "png", "bmp", "planes"]
-"""Files of the frames."""
+"""Files of the frames; `png` is of earlier versions."""
 
 PLANES_FORMAT = _Planes()
 
-FRAME_FORMATS: dict[Format, _OneFile | _Pictures | _Planes] = {
+FRAME_FORMATS: dict[Format, _OneFile | _Bitmaps | _Planes] = {
     "npy": _OneFile("frames.npy", header=True),
     "raw": _OneFile("frames.bin", header=False),
-    "png": _Pictures("png"),
-    "bmp": _Pictures("bmp"),
+    "bmp": _Bitmaps(),
     "planes": PLANES_FORMAT,
 }
 """Files of frames by name."""
 
 
-def _save_picture(picture: "Image", path: Path, **options: int) -> None:
-    """Write a picture in the format that its name ends in."""
-    from PIL import Image
-
+def _save_bitmap(picture: "Image", path: Path) -> None:
+    """Write a picture."""
     file = io.BytesIO()  # Pillow itself loses what a full disk does not take
-    picture.save(file, Image.registered_extensions()[path.suffix], **options)
+    picture.save(file, "BMP")
     path.write_bytes(file.getvalue())
-
-
-def _read_picture(path: Path, device: Device, mode: str) -> "Image":
-    """Picture of a frame, or of several, that has a device's size and this mode."""
-    from PIL.BmpImagePlugin import BmpImageFile
-    from PIL.PngImagePlugin import PngImageFile
-
-    opener = PngImageFile if path.suffix == ".png" else BmpImageFile
-    with open_regular(path, 2**31, AGAIN) as file:
-        try:
-            picture = opener(file)
-            fits = (picture.mode, picture.size) == (mode, (device.columns, device.rows))
-            if fits:
-                picture.load()
-        except (OSError, SyntaxError, ValueError) as error:
-            raise InputError(f"{path} cannot be read ({error}): {AGAIN}") from None
-    if not fits:
-        depth = "one bit" if mode == "1" else "24 bits"
-        raise InputError(
-            f"{path} is a {picture.size[0]} x {picture.size[1]} {picture.format} of mode "
-            f"{picture.mode}, not {device.columns} x {device.rows} at {depth} a pixel: {AGAIN}"
-        )
-    return picture

@@ -16,7 +16,7 @@ all OFF.
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, Self, get_args
 
@@ -174,13 +174,6 @@ class Manifest(StrictModel):
         """Cells of the masks."""
         return find_grid(self.device, self.image_shape, self.layout)
 
-    @property
-    def used(self) -> float:
-        """Share of the device's mirrors that are of a cell, and of its light where that is even."""
-        grid = self.grid
-        device = self.device
-        return grid.down * grid.across * grid.mirrors / (device.columns * device.rows)
-
     @cached_property
     def shown(self) -> np.ndarray:
         """Indices of the masks' frames among all, shape (f,)."""
@@ -207,11 +200,6 @@ class Manifest(StrictModel):
     def picture_s(self) -> np.ndarray:
         """Picture times of the frames in seconds, shape (F,)."""
         return np.array([frame.picture_us for frame in self.frames]) * 1e-6
-
-    @cached_property
-    def starts_s(self) -> np.ndarray:
-        """Start of each frame in its pass, seconds, shape (F,)."""
-        return np.concatenate([[0.0], np.cumsum(self.picture_s)[:-1]])
 
     @property
     def pass_s(self) -> float:
@@ -291,14 +279,6 @@ class Manifest(StrictModel):
         room = (self.picture_s[self.shown] - settle_s) / self.shares
         return float(room.min())
 
-    def check_inputs(self, most: int, name: str) -> None:
-        """Raise `InputError` if a counter, or its files, have fewer inputs than are needed."""
-        if self.inputs > most:
-            raise InputError(
-                f"{name} has up to {most} inputs, and these patterns need {self.inputs}, one for "
-                "each detector: use a counter with more, or a design with fewer `detectors`"
-            )
-
     def check_limits(self) -> None:
         """Raise `InputError` unless the device can show all of the frames."""
         device = self.device
@@ -341,9 +321,6 @@ class GatePlan:
     settle_s: float  # time before the first gate of each frame
     length_s: np.ndarray  # duration of a gate of each mask's frame, (f,): share times exposure
     repeats: int  # R, gates that follow each other in every mask's frame
-    clicks: int = 0  # parts of each gate
-    click_width_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    click_exposures: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @classmethod
     def of(
@@ -371,17 +348,6 @@ class GatePlan:
         if repeats is not None and not 1 <= repeats <= fit:
             raise InputError(f"{repeats} repeats do not fit: give 1 to {fit}")
         return cls(settle, manifest.shares * exposure_s, repeats or fit)
-
-    def with_clicks(self, manifest: Manifest, number: int) -> Self:
-        """Gates that are each cut in a number of equal parts, in which a detector fires once."""
-        # An all-ON or all-OFF frame has as many parts of what settling and the usual tolerance of
-        # markers leave of it
-        left = manifest.picture_s - self.settle_s - manifest.usual_tolerance_s
-        width = left / number
-        width[manifest.shown] = self.length_s / number
-        exposures = np.ones(len(width), np.int64)
-        exposures[manifest.shown] = self.repeats
-        return replace(self, clicks=number, click_width_s=width, click_exposures=exposures)
 
     @property
     def starts_s(self) -> np.ndarray:
