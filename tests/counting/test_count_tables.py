@@ -93,7 +93,7 @@ def test_names_and_values_that_do_not_fit_are_one_line(counted):
     names = tables.column_names(manifest)
     for said, *table in (
         ("'off' where 'on' stands", values, ("off", "on", *names[2:])),
-        ("which is no count of photons", values + 0.5),
+        ("is no count: give whole numbers, 0 or more", values + 0.5),
         ("scene twice", values, (), {"scene": ("a", "b", "a")}),
         ("equally bright", 0 * values),
     ):

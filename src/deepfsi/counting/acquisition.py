@@ -84,7 +84,6 @@ class Acquisition(StrictModel):
             raise ValueError("each detector needs an input of its own")
         return self
 
-
     @classmethod
     def plan(
         cls,

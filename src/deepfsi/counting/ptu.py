@@ -36,14 +36,8 @@ LONGEST_HEADER = 2**22
 TICKS_S = (1e-15, 1.0)
 """Shortest and longest tick that is believed, seconds."""
 
-_EIGHT_BYTES = (
-    *(0xFFFF0008, 0x00000008, 0x10000008, 0x11000008),  # Empty8, Bool8, Int8, BitSet64
-    *(0x12000008, 0x20000008, 0x21000008),  # Color8, Float8, TDateTime
-)
-"""Types of tags whose value is their 8 bytes."""
-
 _LONGER = (0x2001FFFF, 0x4001FFFF, 0x4002FFFF, 0xFFFFFFFF)  # Float8Array, two strings, BinaryBlob
-"""Types of tags whose 8 bytes are the number of bytes that follow."""
+"""Types of tags whose 8 bytes are the number of bytes that follow; of others they are the value."""
 
 
 @dataclass(frozen=True)
@@ -140,23 +134,19 @@ class Header:
     def parse(cls, path: str | os.PathLike[str]) -> Generator[int, bytes, "Header"]:
         """Parse a header: yields how many bytes it needs, and is sent them, or fewer at the end."""
         tags, offset = yield from _parse_numbers(path)
-        code = _integer(tags, "TTResultFormat_TTTRRecType", path)
-        if code not in KINDS:
+        code = tags.get("TTResultFormat_TTTRRecType")
+        if not isinstance(code, int) or code not in KINDS:
             raise InputError(
-                f"{path} has records of unknown type {code:#010x}: the file is damaged, newer, or "
-                "of a HydraHarp with software 1"
+                f"{path} has records of unknown type {code}: the file is damaged, newer, or of a "
+                "HydraHarp with software 1"
             )
-        kind = KINDS[code]
+        claimed = tags.get("TTResult_NumberOfRecords", 0)
+        if not isinstance(claimed, int):
+            raise InputError(f"{path} is damaged: its NumberOfRecords is {claimed}")
         tick = tags.get("MeasDesc_GlobalResolution")
         if not (isinstance(tick, float) and TICKS_S[0] <= tick <= TICKS_S[1]):
             raise InputError(f"{path} is damaged: its time resolution is {tick}, not 1e-15 to 1 s")
-        return cls(
-            path=Path(path),
-            kind=kind,
-            offset=offset,
-            tick_s=tick,
-            claimed=_integer(tags, "TTResult_NumberOfRecords", path, 0),
-        )
+        return cls(path=Path(path), kind=KINDS[code], offset=offset, tick_s=tick, claimed=claimed)
 
 
 def _parse_numbers(
@@ -186,24 +176,9 @@ def _parse_numbers(
             if len(content) != size:
                 raise InputError(f"{path} is damaged: its tag {name!r} is of {size} bytes")
             offset += size
-        elif code not in _EIGHT_BYTES:
-            raise InputError(f"{path} is damaged: its tag {name!r} is of unknown type {code:#010x}")
         if index < 0:
             form = {0x10000008: "<q", 0x20000008: "<d"}.get(code)
             numbers[name] = struct.unpack(form, value)[0] if form else None
-
-
-def _integer(
-    numbers: dict[str, int | float | None],
-    name: str,
-    path: str | os.PathLike[str],
-    default: int | None = None,
-) -> int:
-    """Integer of a tag, or the default."""
-    value = numbers.get(name, default)
-    if not isinstance(value, int):
-        raise InputError(f"{path} is damaged: its tag {name!r} is not an integer")
-    return value
 
 
 @dataclass

@@ -92,7 +92,7 @@ def count_table(
     with_ends = values.shape[1] == len(manifest.frames)
     if not with_ends:
         values = np.pad(values, ((0, 0), (2, 2), (0, 0)))
-    _check_values(values, manifest, settings, name)
+    _check_values(values, settings, name)
     seconds = np.asarray(manifest.picture_s - settings.settle_s)  # of each frame (F,)
     if seconds.min() <= 0:
         raise InputError(
@@ -220,23 +220,17 @@ def _find_scenes(
     return tuple(scenes), scene_of
 
 
-def _check_values(read: np.ndarray, manifest: Manifest, settings: TableSettings, name: str) -> None:
+def _check_values(read: np.ndarray, settings: TableSettings, name: str) -> None:
     """Raise `InputError` for too many values, and for photon counts or clicks that are none."""
     if read[:, 2:-2].size > MOST_READOUTS:
         raise InputError(f"{name} holds more than {MOST_READOUTS} values: split it")
-    wrong = read[(read < 0) | (read % 1 != 0)]
+    most = settings.clicks or np.inf
+    wrong = read[(read < 0) | (read % 1 != 0) | (read > most)]
     if wrong.size and not settings.analogue:
+        allowed = f"to {settings.clicks} clicks" if settings.clicks else "or more"
         raise InputError(
-            f"{name} holds {wrong[0]:g}, which is no count of photons: give whole numbers, 0 or "
-            "more, or `gain` and `read_noise` of an analogue detector"
-        )
-    most = settings.clicks
-    if most is not None and (read > most).any():
-        row, value = np.argwhere(read.reshape(len(read), -1) > most)[0].tolist()
-        raise InputError(
-            f"{name} has {read[row].ravel()[value]:g} counts in {column_names(manifest)[value]} of "
-            f"exposure {row + 1}, and a detector of this design clicks at most {most} times in a "
-            f"frame: give clicks from 0 to {most}"
+            f"{name} holds {wrong[0]:g}, which is no count: give whole numbers, 0 {allowed}, or "
+            "`gain` and `read_noise` of an analogue detector"
         )
 
 
