@@ -416,7 +416,9 @@ class LightMonitor:
         of_arms: set[str] = set()
         curves = light_curves(Arrivals.stack([scene]), np.array([last]), self._wired)
         for index, curve in enumerate(curves):
-            light = PassLight.of(curve, self._backgrounds[index].last, self._chance)
+            so_far = self._backgrounds[index]
+            dark = Background(so_far.photons[-1:], so_far.seconds[-1:], [slice(0, 1)])
+            light = PassLight.of(curve, dark, self._chance)
             of_curve = light.find_faults(self._chance)
             self._sound[-1] &= bool(light.sound[0])
             faults += [fault for fault in of_curve if fault.kind not in of_arms]

@@ -153,30 +153,10 @@ def write_ptu(
 ) -> tuple[int, ...]:
     """Write the events of another make of counter as a PTU file, as `camera count` reads it.
 
-    Parameters
-    ----------
-    path : path
-        File, whose clock begins with the first event.
-    times : array, shape (n,)
-        Time of each event, in any order of channels: integers are ticks, floats are seconds.
-    channels : array of int, shape (n,)
-        Channel of each event.
-    marker : int, optional
-        Channel of the device's trigger, which becomes marker 0.
-    inputs : sequence of int
-        Channel of each detector, in order: input 1, 2, …. Default: all but the trigger.
-    tick_s : float
-        Seconds of a tick, 1e-15 to 1.
-
-    Returns
-    -------
-    tuple of int
-        Channel of each input.
-
-    Raises
-    ------
-    InputError
-        If a channel has no events, is given twice, or its clock runs back.
+    Times (n,), in any order of channels, are ticks if they are integers, and seconds if they are
+    floats; the clock begins with the first event. The channel of the device's trigger becomes
+    marker 0, and those of the detectors, in order, inputs 1, 2, …: all others unless given. Gives
+    the channel of each input.
     """
     times = np.asarray(times)
     if times.dtype.kind == "f":

@@ -295,11 +295,6 @@ class Background:
         """Counts/s, (P,)."""
         return self.photons / np.where(self.seconds > 0, self.seconds, 1.0)
 
-    @property
-    def last(self) -> "Background":
-        """That of the last pass."""
-        return Background(self.photons[-1:], self.seconds[-1:], [slice(0, 1)])
-
 
 def _usual_light(curve: LightCurve) -> float:
     """Median over passes of the rate with all light less that with none, counts/s."""

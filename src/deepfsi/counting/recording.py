@@ -40,7 +40,7 @@ from deepfsi.counting.counts import (
     light_of_clicks,
 )
 from deepfsi.counting.flux import Arrivals, name_inputs
-from deepfsi.counting.reader import PtuFile, summarise
+from deepfsi.counting.reader import PtuFile
 from deepfsi.counting.windows import MOST_DRIFT, FrameStarts, Windows
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.manifest import GatePlan, Manifest
@@ -259,19 +259,16 @@ def _find_frames(
     return source, starts
 
 
-def _check_lit(recording: Recording, source: PtuFile, lit: np.ndarray) -> None:
-    """Raise `InputError` if no pass has light, saying which inputs have photons."""
-    if lit.any():
-        return
-    photons = sorted(summarise(source).photons.items())
-    there = ", ".join(f"{number} photons on input {k + 1}" for k, number in photons)
-    inputs = name_inputs(recording.acquisition.inputs)
-    raise InputError(
-        f"{recording.photons} has no light on input {inputs}: no all-ON frame is brighter than the "
-        f"all-OFF ones. The file holds {there or 'no photons'}: give the input that the detector "
-        "is wired to in acquisition.json and the patterns that were shown, export them with "
-        "--invert if mirrors are inverted, or switch on the lamp"
-    )
+def _check_lit(recording: Recording, lit: np.ndarray) -> None:
+    """Raise `InputError` if no pass has light."""
+    if not lit.any():
+        raise InputError(
+            f"{recording.photons} has no light on input "
+            f"{name_inputs(recording.acquisition.inputs)}: no all-ON frame is brighter than the "
+            "all-OFF ones. Write the input of the detector, as `deepfsi camera inspect` lists "
+            "them, into acquisition.json, give the patterns that were shown, export them with "
+            "--invert if mirrors are inverted, or switch on the lamp"
+        )
 
 
 def _counts_of_scenes(
@@ -356,7 +353,7 @@ def _count_photons(
         seconds=spent[passes],
     )
     light = check_light(arrivals, manifest, acquisition.inputs, scenes=passes)
-    _check_lit(recording, source, light.lit)
+    _check_lit(recording, light.lit)
     return _counts_of_scenes(
         recording,
         gates,
@@ -391,7 +388,7 @@ def _count_clicks(
     shortest_s = float(windows.length_s.min())
     source, starts = _find_frames(recording, gates, shortest_s, progress.between(0.0, 0.4))
     gated = starts.count_in(source, windows, acquisition.inputs, progress.between(0.4, 1.0))
-    _check_lit(recording, source, gated.photons)
+    _check_lit(recording, gated.photons)
     fired = replace(gated, photons=np.minimum(gated.photons, 1))
     parts = fired.gates(gates.repeats * clicks)
     parts = parts.reshape(scenes, gates.repeats, clicks, *parts.shape[2:])

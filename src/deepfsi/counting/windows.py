@@ -126,17 +126,10 @@ class FrameStarts:
         times, bits = read_markers(source, progress)
         wired = bits & acquisition.marker_bit != 0
         if not wired.any():
-            advice = "wire the device's trigger to the counter"
-            others = [str(number) for number in range(4) if (bits & 1 << number).any()]
-            if others:
-                bit = 1 << int(others[0])
-                advice = (
-                    f'there are some on {" and ".join(others)}: write "marker_bit": {bit} into '
-                    "acquisition.json"
-                )
             raise InputError(
                 f"{source.header.path} has 0 frame markers on marker input "
-                f"{acquisition.marker_bit.bit_length() - 1}; {advice}"
+                f"{acquisition.marker_bit.bit_length() - 1}: write the bit of another one, as "
+                "`deepfsi camera inspect` lists them, into acquisition.json, or wire the trigger"
             )
         times_s = np.sort(times[wired] * source.header.tick_s)
         try:
