@@ -11,7 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMANDS = """
-dmd export raster --size 8x8 --device dlp7000 -o scan
+dmd export raster --size 8x8 --dmd dlp7000 -o scan
 dmd check scan
 data export digits --per-class 1 -o images
 camera simulate scan --scene images --flux 1e7 --exposure 10ms --virtual ideal -o run

@@ -13,7 +13,7 @@ LIGHT = "--exposure 10ms --flux 1e7 --virtual ideal"
 CORE = f"""
 design --data digits --masks 4 --photons 1e4 --light free-dwell --epochs 1 -o a.safetensors
 evaluate a.safetensors --photons 1e4
-dmd export a.safetensors --device dlp7000 --exposure 10ms -o frames
+dmd export a.safetensors --dmd dlp7000 --exposure 10ms -o frames
 data export digits --per-class 1 -o images
 camera record frames --scene images {LIGHT} -o run
 camera classify frames run

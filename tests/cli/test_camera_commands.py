@@ -27,7 +27,7 @@ def lab(tmp_path_factory, made, digits):
     firsts = {label: digits.x_test[(digits.y_test == int(label)).argmax()] for label in "037"}
     pictures = {f"{label}/one.png": x.reshape(8, 8) for label, x in firsts.items()}
     write_pictures(pictures, folder / "images")
-    words = ["dmd", "export", folder / "design.safetensors", "--device", "64x48"]
+    words = ["dmd", "export", folder / "design.safetensors", "--dmd", "64x48"]
     assert CliRunner().invoke(app, [*map(str, words), "-o", str(folder / "p")]).exit_code == 0
     return folder
 
@@ -41,7 +41,7 @@ def acquire(done, lab):
         if design is not None:
             file, patterns = folder.with_suffix(".safetensors"), folder.with_suffix(".p")
             design.save(file)
-            done("dmd", "export", file, "--device", "64x48", "-o", patterns)
+            done("dmd", "export", file, "--dmd", "64x48", "-o", patterns)
         done("camera", "simulate", patterns, "--scene", lab / "images", *LIGHT, "-o", folder)
         done("camera", "count", folder)
         return folder
@@ -64,7 +64,7 @@ def test_a_dimmed_design_reads_its_own_counts(made, tmp_path, done):
     """One device shows a column design with less light: as if at so much smaller a budget."""
     column, file = made("deepfsi", "column", "dual"), tmp_path / "column.safetensors"
     column.save(file)
-    assert "cost" in done("dmd", "export", file, "--device", "64x48", "-o", tmp_path / "p")
+    assert "cost" in done("dmd", "export", file, "--dmd", "64x48", "-o", tmp_path / "p")
     patterns = Patterns.read(tmp_path / "p")
     dimmed, shown = patterns.manifest.dimmed, column.as_shown(*patterns.realised)
     counts = np.full((1, 2, column.masks), 30.0)
@@ -108,7 +108,7 @@ def test_a_camera_is_calibrated_by_files_alone(done, tmp_path):
     p, run, out = (tmp_path / name for name in ("p", "run", "calibration"))
     spots = p / "spots"
     (tmp_path / "tilted.toml").write_text(f"view = {TILTED}\ndark = 1e3\n")
-    device = ["--size", "8x8", "--device", "64x64", "--dwell", "20ms"]
+    device = ["--size", "8x8", "--dmd", "64x64", "--dwell", "20ms"]
     done("dmd", "export", "hadamard", *device, "-o", p)
     light = ["--flux", 1e7, "--exposure", "2s", "--repeats", 1]
     camera = ["--virtual", tmp_path / "tilted.toml"]
@@ -162,7 +162,7 @@ def test_scenes_have_the_white_of_the_design(done, digits, tmp_path):
     words = ["--noise", "poisson", "--photons", 1e4, "--masks", 4, "--light", "equal-dwell"]
     design, p = tmp_path / "d.safetensors", tmp_path / "p"
     done("design", "--design", "pca", "--data", tmp_path / "train", *words, "-o", design)
-    done("dmd", "export", design, "--device", "64x48", "-o", p)
+    done("dmd", "export", design, "--dmd", "64x48", "-o", p)
     words = ["--flux", 1e6, "--exposure", "2ms", "--virtual", "ideal", "-o", tmp_path / "run"]
     said = done("camera", "simulate", p, "--scene", tmp_path / "dim", *words)
     assert "4 images of 8x8 pixels" in said

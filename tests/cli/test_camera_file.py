@@ -42,7 +42,7 @@ def test_a_camera_file_drives_a_run_as_its_options_do(done, lab, tmp_path):
     ):
         design, patterns, run = tmp_path / f"{name}.safetensors", tmp_path / name, tmp_path / "run"
         done("design", *camera, *TRAINED, "-o", design)
-        exported = told and ("--device", "dlp7000", "--exposure", "10ms")
+        exported = told and ("--dmd", "dlp7000", "--exposure", "10ms")
         done("dmd", "export", design, *exported, "-o", patterns)
         done("camera", "simulate", patterns, "--scene", lab / "images", *told, "-o", run)
         done("camera", "count", run, *told[-2:])

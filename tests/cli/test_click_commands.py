@@ -38,7 +38,7 @@ def lab(tmp_path_factory):
     (folder / "clicks.toml").write_text(CAMERA)
     words = ("--data", "digits", "--camera", folder / "clicks.toml", *words)
     say("design", *words, "-o", folder / "d.safetensors")
-    device = ("--device", "64x48", "--dwell", "1ms")
+    device = ("--dmd", "64x48", "--dwell", "1ms")
     say("dmd", "export", folder / "d.safetensors", *device, "-o", folder / "p")
     say("data", "export", "digits", "--per-class", SCENES // 10, "-o", folder / "images")
     light = ["--exposure", "25ms", "--flux", PHOTONS / 25e-3]

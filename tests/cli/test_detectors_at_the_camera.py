@@ -32,7 +32,7 @@ def lab(tmp_path_factory, digits):
     write_pictures(pictures, folder / "images")
     for name, design in made.items():
         path = design.save(folder / f"{name}.safetensors")
-        words = ["dmd", "export", path, "--device", "64x48", "-o", folder / name]
+        words = ["dmd", "export", path, "--dmd", "64x48", "-o", folder / name]
         assert CliRunner().invoke(app, [str(word) for word in words]).exit_code == 0
     return folder
 
@@ -73,7 +73,7 @@ def test_a_calibration_tells_a_design_which_detector_sees_what(done, refuse, tmp
     )
     spots = scan / "spots"
     camera.write_text("detectors = [[3, 0], [1, 2]]\ndark = 100.0\n")
-    words = ["--size", "8x8", "--device", "64x48", "--detectors", 4, "-o", scan]
+    words = ["--size", "8x8", "--dmd", "64x48", "--detectors", 4, "-o", scan]
     done("dmd", "export", "hadamard", *words)
     given = ["--scene", spots, "--flux", 6e6, "--exposure", "100ms", "--virtual", camera, "-o", run]
     done("camera", "simulate", scan, *given)
@@ -86,7 +86,7 @@ def test_a_calibration_tells_a_design_which_detector_sees_what(done, refuse, tmp
     words = ["--photons", 1e4, "--masks", 2, "--light", "free-dwell", "--rails", "single"]
     words += ["--epochs", 1, "--detectors", out / "detectors.npy"]
     done("design", "--data", "digits", *words, "-o", path)
-    done("dmd", "export", path, "--device", "64x48", "-o", frames)
+    done("dmd", "export", path, "--dmd", "64x48", "-o", frames)
     assert Patterns.read(frames).manifest.detectors.cells == tuple(tiles.ravel().tolist())
     camera.write_text("detectors = [[0, 1, 2]]")
     given = ["--scene", spots, "--flux", 1e6, "--exposure", "1ms", "--virtual", camera]

@@ -27,7 +27,7 @@ def test_a_dictionary_is_exported_whole_or_not_at_all(call, ready, tmp_path, hel
     device = tmp_path / "small.toml"
     device.write_text(f"columns = 64\nrows = 48\npatterns = {held}\n")
     out = tmp_path / "patterns"
-    code, told, errors = call("dmd", "export", ready, "--device", device, "-o", out)
+    code, told, errors = call("dmd", "export", ready, "--dmd", device, "-o", out)
     if said is None:
         assert code == 0
         assert "60 frames of masks" in told

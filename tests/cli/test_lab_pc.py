@@ -18,7 +18,7 @@ dmd export raster --size 8x8 -o scan
 dmd check scan
 data export digits --per-class 1 -o images
 camera describe single.safetensors
-dmd export single.safetensors --device dlp7000 --dwell 1ms -o frames
+dmd export single.safetensors --dmd dlp7000 --dwell 1ms -o frames
 camera simulate frames --scene images {LIGHT} -o run
 camera inspect run/photons.ptu
 camera count run

@@ -44,7 +44,7 @@ SHOWN = ("--flux", "1e7", "--exposure", "5ms", "--virtual", "ideal")
 def patterns(done, pictures, file, tmp_path):
     """Patterns of a design of the pictures, on a small device."""
     done("design", "--data", pictures, *TRAINED, *OPTICS, "-o", file)
-    words = ("--device", "64x48", "--dwell", "4ms", "-o", tmp_path / "patterns")
+    words = ("--dmd", "64x48", "--dwell", "4ms", "-o", tmp_path / "patterns")
     done("dmd", "export", file, *words)
     return tmp_path / "patterns"
 
@@ -191,7 +191,7 @@ def test_pictures_that_were_trained_on_are_told_apart_in_a_live_run(done, pictur
     frames, run = tmp_path / "patterns", tmp_path / "run"
     adaptive = ("--light", "free-dwell", "--design", "adaptive")
     done("design", "--data", pictures, *LIT, *adaptive, "-o", file)
-    done("dmd", "export", file, "--device", "dlp7000", "--dwell", "4ms", "-o", frames)
+    done("dmd", "export", file, "--dmd", "dlp7000", "--dwell", "4ms", "-o", frames)
     words = ("--scene", pictures / "oak", *SHOWN, "-o", run, "--json")
     told = json.loads(done("camera", "live", frames, *words))
     trained_on = [scene["trained_on"] for scene in told["scenes"]]

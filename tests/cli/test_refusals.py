@@ -85,13 +85,13 @@ REFUSED = {
     "predict a.safetensors nosuch --photons 1e4": "| there is nothing at nosuch",
     "dmd nonsense": "| see `deepfsi dmd --help`",
     "dmd export": """
-        a.safetensors --device nosuch | unknown device 'nosuch'
-        a.safetensors --device 64x48 --rotate 45 | rotate = 45: give 0, 90, 180 or 270
-        a.safetensors --device 64x48 --format jpg | unknown format 'jpg'
-        a.safetensors --device 64x48 --size 8x8 | has its cells and detectors; leave them out
-        hadamard --size 16x16 --device dlp6500 | 515 frames do not fit dlp6500
-        hadamard --size 8x8 --device none.toml | is missing: give a TOML file
-        hadamard --size 8x8 --device broken.toml | is no TOML file
+        a.safetensors --dmd nosuch | unknown device 'nosuch'
+        a.safetensors --dmd 64x48 --rotate 45 | rotate = 45: give 0, 90, 180 or 270
+        a.safetensors --dmd 64x48 --format jpg | unknown format 'jpg'
+        a.safetensors --dmd 64x48 --size 8x8 | has its cells and detectors; leave them out
+        hadamard --size 16x16 --dmd dlp6500 | 515 frames do not fit dlp6500
+        hadamard --size 8x8 --dmd none.toml | is missing: give a TOML file
+        hadamard --size 8x8 --dmd broken.toml | is no TOML file
     """,
     "data export": """
         digits --seed -1 | seed

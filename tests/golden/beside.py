@@ -122,7 +122,7 @@ def _be_reference(source: str) -> None:
     """Import the reference in this process, and in those that it starts."""
     sys.path[:0] = [source, str(HERE.parent)]
     os.environ |= {"PYTHONPATH": os.pathsep.join(sys.path[:2]), "MPLBACKEND": "Agg"}
-    os.environ |= {"OMP_NUM_THREADS": "1", "COLUMNS": "80"}
+    os.environ |= {"OMP_NUM_THREADS": "1", "COLUMNS": "80", "DEEPFSI_REFERENCE": REFERENCE}
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
     import deepfsi
 

@@ -21,28 +21,28 @@ CASES = Cases()
 
 EXPORTED = {
     **{
-        device: ("single", f"--device {device}")
+        device: ("single", f"--dmd {device}")
         for device in (
             "dlp7000", "dlp9500", "dlp650lnir", "dlp6500", "dlp6500-dlpc910", "dlp9000",
             "dlp9000x", "dlp670s", "dlp500yx", "dlp4500", "dlp3010", "dlp4710",
         )
     },
-    "a device file": ("single", "--device loading.toml"),
-    "raw, inverted": ("single", "--device 64x48 --format raw --invert"),
-    "bmp, flipped": ("single", "--device 64x48 --format bmp --flip"),
-    "bmp, turned": ("single", "--device 64x48 --format bmp --rotate 90"),
-    "planes": ("dual", "--device dlp4500"),
-    "region": ("dual", "--device 64x48 --region 32x32+4+8"),
-    "stretch": ("dual", "--device 64x48 --stretch"),
-    "arms": ("arms", "--device 64x48"),
-    "detectors": ("quad", "--device 64x48"),
-    "image": ("image", "--device 64x48"),
-    "clicks": ("click", "--device 64x48"),
-    "adaptive": ("adaptive", "--device dlp7000"),
-    "passing": ("passing", "--device 64x48"),
-    "grey levels": ("dual", "--device 16x16"),
-    "too small": ("dual", "--device 4x4"),
-    "too short": ("dual", "--device dlp4710 --exposure 1us"),
+    "a device file": ("single", "--dmd loading.toml"),
+    "raw, inverted": ("single", "--dmd 64x48 --format raw --invert"),
+    "bmp, flipped": ("single", "--dmd 64x48 --format bmp --flip"),
+    "bmp, turned": ("single", "--dmd 64x48 --format bmp --rotate 90"),
+    "planes": ("dual", "--dmd dlp4500"),
+    "region": ("dual", "--dmd 64x48 --region 32x32+4+8"),
+    "stretch": ("dual", "--dmd 64x48 --stretch"),
+    "arms": ("arms", "--dmd 64x48"),
+    "detectors": ("quad", "--dmd 64x48"),
+    "image": ("image", "--dmd 64x48"),
+    "clicks": ("click", "--dmd 64x48"),
+    "adaptive": ("adaptive", "--dmd dlp7000"),
+    "passing": ("passing", "--dmd 64x48"),
+    "grey levels": ("dual", "--dmd 16x16"),
+    "too small": ("dual", "--dmd 4x4"),
+    "too short": ("dual", "--dmd dlp4710 --exposure 1us"),
 }  # fmt: skip
 """Patterns: design, and options of `dmd export`."""
 

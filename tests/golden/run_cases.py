@@ -119,7 +119,7 @@ def without_torch() -> dict[str, Any]:
     """Commands of a camera's computer that has no torch: patterns and counts."""
     run = recording("one-arm", "single")
     lines = {
-        "export": f"dmd export {file_of('single')} --device 64x48 --exposure 10ms -o p",
+        "export": f"dmd export {file_of('single')} --dmd 64x48 --exposure 10ms -o p",
         "count": f"camera count {run}",
     }
     words, asked = [sys.executable, "-c", WITHOUT_TORCH], "\n".join(lines.values())
@@ -302,7 +302,7 @@ def calibrated() -> dict[str, Any]:
     Path("tilted.toml").write_text(
         "view = [[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]]\ndark = 1e3\n"
     )
-    device = ("--device", "64x64", "--dwell", "2ms")
+    device = ("--dmd", "64x64", "--dwell", "2ms")
     out = {
         "export": answer("dmd", "export", "hadamard", "--size", "8x8", *device, "-o", "p"),
     }

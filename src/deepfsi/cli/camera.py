@@ -116,12 +116,12 @@ class ExportPatterns(Command):
     A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan. Its folder
     spots has the pictures to show: bright spots, all white, all black.
 
-    Example: deepfsi dmd export one-dmd.safetensors --device dlp7000 --exposure 10ms -o patterns
+    Example: deepfsi dmd export one-dmd.safetensors --dmd dlp7000 --exposure 10ms -o patterns
     """
 
     file: Path = fields.argument("design file; or raster or hadamard, to calibrate with")
     settings: Annotated[
-        dict[str, Any], fields.camera_options("camera", "device", "exposure", "region", "stretch")
+        dict[str, Any], fields.camera_options("camera", "dmd", "exposure", "region", "stretch")
     ]
     out: fields.NewFolder = fields.option("folder for the patterns, new", ...)
     size: fields.HeightWidth | None = fields.option("cells of raster or hadamard; default: 32x32")
@@ -151,7 +151,8 @@ class ExportPatterns(Command):
                     "cells and detectors; leave them out"
                 )
             rails = design_rails(source)
-        camera = camera_of(source, self.settings)
+        told = {"device" if key == "dmd" else key: each for key, each in self.settings.items()}
+        camera = camera_of(source, told)
         device = camera.device or find_device("dlp7000")
         with as_input_error():
             turned = self.model_dump(include={"flip", "rotate", "invert"})
