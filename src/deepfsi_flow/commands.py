@@ -83,8 +83,6 @@ class FindTransits(Command):
                 counter_input=self.counter_input - 1,
                 report=report,
             )
-        saved = []
         if self.out is not None:
             write_atomically(self.out, record.as_csv().encode())
-            saved = [f"saved: {self.out}"]
-        return Outcome(record.as_dict(), [*record.lines(), *saved])
+        return Outcome(record.as_dict(), record.lines())

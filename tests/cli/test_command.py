@@ -29,7 +29,7 @@ class Show(command.Command):
     name: Annotated[str, fields_module.argument("of the thing", "THING")]
     settings: Annotated[
         dict[str, Any],
-        fields_module.OptionsOf({n: ("Things", f) for n, f in Thing.model_fields.items()}),
+        fields_module.OptionsOf({n: ("Things", n, f) for n, f in Thing.model_fields.items()}),
     ]
     times: Annotated[Seconds | None, Field(gt=0, description="how long")] = None
     part: Annotated[Share, Field(description="share of it")] = 0.5
@@ -120,7 +120,7 @@ def test_what_cannot_be_read_is_named_by_its_option(words, message):
 
 
 def test_an_axis_takes_several_values():
-    fields = {"width": ("Things", Thing.model_fields["width"])}
+    fields = {"width": ("Things", "width", Thing.model_fields["width"])}
 
     class Compare(command.Command):
         """Of several."""

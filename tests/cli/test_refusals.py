@@ -80,7 +80,7 @@ REFUSED = {
         a --photons 1e3 | did you mean a.safetensors?
         a.safetensors --photons 1e4 --draws 0 | --draws 0: give
         a.safetensors --photons 1e3 --ideal --noise gaussian | leave --ideal out
-        a.safetensors --photons 1e3 --data small.npz | has scenes of shape (9,) and the design (8, 8)
+        a.safetensors --photons 1e3 --data small.npz | (8, 8)
     """,
     "predict a.safetensors nosuch --photons 1e4": "| there is nothing at nosuch",
     "dmd nonsense": "| see `deepfsi dmd --help`",

@@ -22,7 +22,7 @@ from deepfsi.base.registry import installed, require_extras
 
 
 @functools.cache
-def _entries() -> dict[str, dict[str, Any]]:
+def _entries() -> dict[str, dict[str, tuple[str, str]]]:
     """Commands and groups by name, under headings; other packages come last."""
     core = tomllib.loads(Path(__file__).with_name("commands.toml").read_text(encoding="utf-8"))
     return {**core, "Beside the core": installed().commands}
@@ -38,7 +38,7 @@ def _print_help(ctx: click.Context) -> None:
 class Group(click.Group):
     """Commands under headings, each with its whole sentence."""
 
-    def __init__(self, name: str, help: str, above: tuple[str, ...] = ()) -> None:
+    def __init__(self, name: str, help: str, above: str = "") -> None:
         super().__init__(
             name,
             help=help,
@@ -47,12 +47,11 @@ class Group(click.Group):
             subcommand_metavar="COMMAND [ARGS]...",
             context_settings={"help_option_names": ["-h", "--help"]},
         )
-        # By heading and name: target and summary, of a group its summary alone
-        self.headings: dict[str, dict[str, Any]] = {}
+        self.headings: dict[str, dict[str, tuple[str, str]]] = {}  # target, or "", and summary
         for heading, entries in _entries().items():
             for words, entry in entries.items():
-                *first, last = words.split()
-                if tuple(first) == above:
+                first, _, last = words.rpartition(" ")
+                if first == above:
                     self.headings.setdefault(heading, {})[last] = entry
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -61,12 +60,12 @@ class Group(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of a name, or the group."""
-        entry = next((each[cmd_name] for each in self.headings.values() if cmd_name in each), None)
-        if entry is None:
+        named = {name: entry for each in self.headings.values() for name, entry in each.items()}
+        if cmd_name not in named:
             return None
-        if isinstance(entry, str):
-            return Group(cmd_name, entry, (cmd_name,))
-        target, summary = entry
+        target, summary = named[cmd_name]
+        if not target:
+            return Group(cmd_name, summary, cmd_name)
         gc.disable()  # what imports make stays: to look through it takes a seventh of their time
         try:
             from deepfsi.cli.command import ClickCommand  # slow: pydantic
@@ -81,10 +80,7 @@ class Group(click.Group):
         for heading, entries in self.headings.items():
             with formatter.section(heading):
                 formatter.write_dl(
-                    [
-                        (name.ljust(width), entry if isinstance(entry, str) else entry[1])
-                        for name, entry in entries.items()
-                    ]
+                    [(name.ljust(width), words) for name, (_, words) in entries.items()]
                 )
 
 

@@ -54,10 +54,7 @@ class DescribeCamera(Command):
 
 
 class CalibrateCamera(Command):
-    """`deepfsi design --view` then trains on what the camera sees.
-
-    Of several detectors, the cells that each sees are written to detectors.npy, for
-    `deepfsi design --detectors`.
+    """For `deepfsi design --view`, and of several detectors a map for `design --detectors`.
 
     Example: deepfsi camera calibrate run_spots --spots scan/spots -o calibration
     """
@@ -110,11 +107,8 @@ class CheckView(Command):
 class ExportPatterns(Command):
     """Without options, the design's camera gives device, region and exposure; else it is a DLP7000.
 
-    Cells are square. Where `camera check` finds that your camera shows scenes turned or flipped,
-    export again with the --flip and --rotate that it names.
-
-    A calibration needs no design: deepfsi dmd export hadamard --size 32x32 -o scan. Its folder
-    spots has the pictures to show: bright spots, all white, all black.
+    Give the --flip and --rotate that `camera check` names. A calibration needs no design: deepfsi
+    dmd export hadamard --size 32x32 -o scan. Its folder spots has the pictures to show.
 
     Example: deepfsi dmd export one-dmd.safetensors --dmd dlp7000 --exposure 10ms -o patterns
     """

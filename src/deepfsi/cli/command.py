@@ -1,8 +1,7 @@
 """Commands: a model of the settings, with what it does; its options, and how it is run.
 
-A command is one class. Its fields are arguments and options, `run` does the work and gives an
-`Outcome`. All that commands have in common is here: what `--help` says of a field, the reading of
-texts, `--json`, and the checks of what is written to.
+A command is one class: its fields are arguments and options, `run` gives an `Outcome`. Here is what
+all have in common: `--help`, the reading of texts, `--json`, and checks of what is written to.
 """
 
 import inspect
@@ -73,7 +72,7 @@ class ClickCommand(click.Command):
                 named = isinstance(each, click.Option)
                 self.headings["Options" if named else "Arguments"].append(each)
                 continue
-            for key, (heading, of_model) in source.fields.items():
+            for key, (heading, _, of_model) in source.fields.items():
                 axis = source.axes and key not in ("camera", "hidden")
                 each = _parameter(key, of_model, False, axis=axis, default=heading != "Camera")
                 self.headings.setdefault(heading, []).append(each)

@@ -59,18 +59,14 @@ class LearnDesign(Command):
             checkpoint.unlink(missing_ok=True)
         with terminal.progress(f"{job.design}, {job.masks} masks") as report:
             design = learn_job(
-                job,
-                scenes,
-                device=self.device,
-                report=report,
-                checkpoint=checkpoint,
-                **own,
+                job, scenes, device=self.device, report=report, checkpoint=checkpoint, **own
             )
         lowest = design.info["job"]["photons"]
         design.save(self.out)
         budgets = list(dict.fromkeys((lowest, job.exposure.highest(lowest))))
+        draws = 1 if job.code.adaptive else 3  # a look takes a millisecond
         with terminal.progress("test") as report:
-            results = evaluate(design, scenes, budgets, draws=job.draws, report=report)
+            results = evaluate(design, scenes, budgets, draws=draws, report=report)
         lit = min(sum(light > 0 for light in each.photons_per_mask) for each in results)
         return Outcome(
             {
@@ -139,15 +135,11 @@ class ShowDesign(Command):
         out = self.out or Path(f"{self.file.stem}.png")
         fields.Output((".png", ".svg", ".pdf")).check(out, self.force)
         check_report()
-        from deepfsi.design.design import load_design
+        from deepfsi.lab.design_data import open_design
         from deepfsi.report.masks import design_figure
         from deepfsi.report.style import write_figure
 
-        design = load_design(self.file)
-        if design.exposure.makes_masks:
-            raise InputError(
-                "adaptive masks are made for each scene: see them on a page, by deepfsi page"
-            )
+        design = open_design(self.file, static=True)
         write_figure(design_figure(design, self.count), out)
         return Outcome({"picture": str(out)})
 

@@ -99,22 +99,14 @@ class PredictClasses(Command):
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
         with terminal.progress("predict"):
-            predictions = predict(
-                design,
-                self.pictures,
-                self.photons,
-                seed=self.seed,
-                **self.settings,
-            )
+            settings = {"seed": self.seed, **self.settings}
+            predictions = predict(design, self.pictures, self.photons, **settings)
         if self.out is not None:
             write_atomically(self.out, predictions.as_csv().encode())
         table = None if self.out is None else str(self.out)
         return Outcome(
             {"design": str(self.file), "table": table, **predictions.as_dict()},
-            [
-                *predictions.lines(f"{design.name}, {design.exposure.size_text}"),
-                *([] if self.out is None else [f"table: {self.out}"]),
-            ],
+            predictions.lines(f"{design.name}, {design.exposure.size_text}"),
         )
 
 

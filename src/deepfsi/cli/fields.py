@@ -1,8 +1,7 @@
 """Settings of commands: how one is declared, the kinds that many have, and their checks.
 
-A setting is a field of a model. Its type is what is read of a text; its words are what `--help`
-shows. Options of what has a model in a lower room are not written again: `OptionsOf` takes them
-from there.
+A setting is a field of a model: its type is what is read of a text, its words are in `--help`.
+Settings that have a model in a lower room are not written again: `OptionsOf` takes them from there.
 """
 
 import re
@@ -42,7 +41,7 @@ def argument(words: str, metavar: str = "", default: Any = ...) -> Any:
 class OptionsOf:
     """Options made from fields of models, for a command's `dict` of those that were given."""
 
-    fields: Mapping[str, tuple[str, FieldInfo]]  # by name: heading, and field
+    fields: Mapping[str, tuple[str, str, FieldInfo]]  # by name: heading, name in its table, field
     axes: bool = False  # True if each takes several values
 
 
@@ -64,15 +63,14 @@ JOB_OPTIONS = {
 
 def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
     """Options of the settings of a job: its camera, its exposure and its training."""
-    given = {name: one for name, one in JOB_OPTIONS.items() if name not in leave}
-    return OptionsOf({name: (heading, field) for name, (heading, _, field) in given.items()}, axes)
+    return OptionsOf({name: JOB_OPTIONS[name] for name in JOB_OPTIONS if name not in leave}, axes)
 
 
 def camera_options(*names: str) -> OptionsOf:
     """Options of fields of a camera, and of the camera itself by the name `camera`."""
     fields = {"camera": Job.model_fields["camera"], **Camera.model_fields}
     fields["dmd"] = fields["device"]
-    return OptionsOf({name: ("Camera", fields[name]) for name in names})
+    return OptionsOf({name: ("Camera", name, fields[name]) for name in names})
 
 
 @dataclass(frozen=True)
@@ -180,6 +178,7 @@ Force = Annotated[bool, option("replace what is at --out")]
 
 # acquisitions
 
+DeadTimes = Annotated[dict[str, Any], camera_options("camera", "dead_time", "dead_time_model")]
 PatternFolder = Annotated[Path, argument("folder of patterns")]
 RunFolder = Annotated[Path, argument("acquisition folder, with photons.ptu in it")]
 SettleTime = Annotated[
@@ -214,10 +213,3 @@ ExposureBudget = Annotated[
 # studies
 
 Ratios = Annotated[NumberList | None, option("readouts divided by pixels, such as 0.01,0.04,0.09")]
-Folds = Annotated[
-    Annotated[int, Field(ge=1, le=100)] | None,
-    option(
-        "parts of the scenes, each tested by designs that are trained on the others; 1 for none; "
-        "default: 5 where a test part was drawn from the scenes and has fewer than 300"
-    ),
-]

@@ -3,7 +3,7 @@
 from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.models import Seconds, WholeNumber
@@ -93,9 +93,6 @@ class SimulateRun(_Run):
 class _DeviceRun(_Run):
     """A run with devices, virtual or real."""
 
-    OF_VIRTUAL: ClassVar = ("flux", "dark", "virtual", "seed")
-    """Settings that only virtual devices take."""
-
     projector: str = fields.option("virtual, or a driver: vialux,version=4.1", "virtual")
     counter: str = fields.option("virtual, or a driver: swabian,trigger=8", "virtual")
     marker_bit: fields.MarkerBit = None
@@ -109,7 +106,7 @@ class _DeviceRun(_Run):
             raise InputError("virtual and real devices do not go together: give both, or neither")
         if is_virtual:
             return None
-        for setting in self.OF_VIRTUAL:
+        for setting in ("flux", "dark", "virtual", "seed"):
             if setting in self.settings.keys() | self.model_fields_set:
                 raise InputError(f"`{setting}` is for virtual devices: leave it out")
         return installed().open_device(role, self.projector)
@@ -173,9 +170,7 @@ class RecordRun(_DeviceRun):
 
 
 class RunLive(_DeviceRun):
-    """A design of adaptive masks makes the next mask from the counts so far.
-
-    Prints each decision when it is made. Ctrl-C keeps the scenes that are finished.
+    """Prints each decision when it is made. Ctrl-C keeps the scenes that are finished.
 
     Example: deepfsi camera live patterns --scene images --exposure 10ms --flux 1e6 -o run_0002
     """

@@ -1,7 +1,6 @@
 """Commands that read what was recorded: photon files, runs and tables of counts."""
 
 from pathlib import Path
-from typing import Annotated, Any
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.models import Count, Seconds
@@ -22,9 +21,7 @@ class InspectPhotons(Command):
     Example: deepfsi camera inspect photons.ptu
     """
 
-    file: fields.DesignPath = fields.argument(
-        "design that was shown, or the folder of its patterns"
-    )
+    file: Path = fields.argument("PicoQuant .ptu file")
 
     def run(self, terminal: Terminal) -> Outcome:
         with terminal.progress("records") as report:
@@ -40,19 +37,14 @@ class InspectPhotons(Command):
 class CountRun(Command):
     """Unless given, the dead time is that of the folder's calibration or of the design's camera.
 
-    An exposure shorter than the recorded one is counted in more and shorter gates. If all frames
-    last longer or shorter than planned, they are counted as they are, and the drift is printed.
-
-    For a design of detectors that click, the exposure of a frame is divided into equal gates, and
-    only the first photon of each gate counts.
+    A shorter exposure is counted in more gates. For a design of detectors that click, only the
+    first photon of each gate counts.
 
     Example: deepfsi camera count run_0001 --exposure 1ms
     """
 
     folder: fields.RunFolder
-    settings: Annotated[
-        dict[str, Any], fields.camera_options("camera", "dead_time", "dead_time_model")
-    ]
+    settings: fields.DeadTimes
     exposure_s: Seconds | None = fields.option(
         "total exposure, such as 10ms; default: the recorded one", alias="exposure"
     )
@@ -83,12 +75,8 @@ class ClassifyRun(Command):
     Example: deepfsi camera classify one-dmd.safetensors run_0001
     """
 
-    settings: Annotated[
-        dict[str, Any], fields.camera_options("camera", "dead_time", "dead_time_model")
-    ]
-    file: fields.DesignPath = fields.argument(
-        "design file whose patterns were shown, or the folder of its patterns"
-    )
+    settings: fields.DeadTimes
+    file: fields.DesignPath = fields.argument("design that was shown, or folder of its patterns")
     counted: Path = fields.argument(
         "counted run; or counts, a row for each exposure, .csv .parquet .npy .mat (FILE:VARIABLE)",
         "RUN|TABLE",

@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from contextlib import nullcontext
-from dataclasses import replace
 from importlib.resources import as_file, files
 from importlib.resources.abc import Traversable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
+
+from pydantic import Field
 
 from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.files import read_toml
@@ -23,8 +24,8 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.sweeps.plan import check_settings, with_adaptive
 from deepfsi.sweeps.recipe import Recipe, only
-from deepfsi.sweeps.records import Record, write_table
-from deepfsi.sweeps.results import Results, write_results
+from deepfsi.sweeps.records import write_table
+from deepfsi.sweeps.results import write_results
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.summary import check_target, needs_of, needs_table
 
@@ -36,12 +37,26 @@ class _Study(Command):
     workers: fields.WorkerCount = None
     device: fields.TorchDevice = "auto"
 
-    def train(
-        self, terminal: Terminal, recipe: Recipe, scenes: Dataset, **others: Any
-    ) -> tuple[Results, list[Record]]:
-        """Results and records of the trials."""
+    def study(
+        self,
+        terminal: Terminal,
+        recipe: Recipe,
+        scenes: Dataset,
+        *,
+        target: float | None = None,
+        table: Path | None = None,
+        **others: Any,
+    ) -> Outcome:
+        """Train; write the results, their page and a table of the records; what a target needs."""
+        from deepfsi.report.comparison_page import (
+            comparison_lines,
+            scenes_text,
+            verdict_of,
+            write_report,
+        )
+
         with terminal.progress("trials") as report:
-            return compare(
+            results, records = compare(
                 recipe,
                 scenes,
                 self.out,
@@ -51,17 +66,38 @@ class _Study(Command):
                 report=report,
                 **others,
             )
+        if table is not None:
+            write_table(records, table)
+        write_results(self.out / "results.json", results)
+        page = write_report(self.out)
+        notes = [scenes_text(results.data)]
+        content = results.as_dict()
+        for point in content["points"]:
+            point.pop("terms", None)
+        needs = [] if target is None else needs_of(results, target)
+        return Outcome(
+            {
+                "report": str(page),
+                "verdict": verdict_of(results).text,
+                **({} if target is None else {"target": target, "needs": needs}),
+                **content,
+                "notes": notes,
+            },
+            [
+                *data_lines(results.data, notes),
+                *comparison_lines(results),
+                *([] if target is None else [needs_table(target, needs)]),
+                f"report: {page}",
+            ],
+        )
 
 
 class CompareDesigns(_Study):
     """The mask count of each design is chosen on validation data; the test set is read once.
 
-    Adaptive masks are among the designs where the camera can show them and the data has at most
-    5000 scenes. Data with values (an .npz whose y are floats) are reported by R². A stopped
-    comparison goes on where it was when run again with the same output folder.
-
-    Without ratios, masks and trials: on digits the ratios 6, 16 and 36 % with three trials of 30
-    epochs, on other data the paper's ratios 1, 4, 9, … 100 % with one trial.
+    Adaptive masks are among the designs of at most 5000 scenes. A stopped comparison goes on where
+    it was when run again with the same output folder. Without ratios, masks and trials: on digits
+    the ratios 6, 16 and 36 % with three trials of 30 epochs, else 1, 4, 9, … 100 % with one trial.
 
     Example: deepfsi compare --data mnist --photons 1e3,1e4 --ratios 0.01,0.04 -o runs/mnist
     """
@@ -73,7 +109,10 @@ class CompareDesigns(_Study):
     designs: fields.Names | None = fields.option("names, separated by commas")
     ratios: fields.Ratios = None
     trials: Count | None = fields.option("training seeds for each point")
-    folds: fields.Folds = None
+    folds: Annotated[int, Field(ge=1, le=100)] | None = fields.option(
+        "parts of the scenes, each tested by designs that are trained on the others; 1 for none; "
+        "default: 5 where a test part was drawn from the scenes and has fewer than 300"
+    )
     matrix: fields.Matrix = None
     target: float | None = fields.option("accuracy, such as 0.9: say what light and masks it needs")
 
@@ -90,25 +129,21 @@ class CompareDesigns(_Study):
             recipe = with_adaptive(recipe, scenes)
         if self.target is not None:
             check_target(self.target, recipe, scenes)
-        results, _ = self.train(terminal, recipe, scenes, matrix=self.matrix)
-        return _results_outcome(results, self.out, self.target)
+        return self.study(terminal, recipe, scenes, target=self.target, matrix=self.matrix)
 
 
 class SweepRecipe(_Study):
     """It may be stopped: run again with the same output folder, it goes on where it was.
 
-    After a change of the recipe, trials that are still in it are used; the records of others stay
-    in the folder. Several processes may work on one folder.
+    Trials that are still in a changed recipe are used. Several processes may work on one folder.
 
     Example: deepfsi sweep baseline -o runs/baseline --table runs/baseline.csv
     """
 
     recipe: str = fields.argument("name of a recipe, such as mnist, or TOML file; lists are axes")
     part_name: str | None = fields.option("part of a recipe that has several", alias="part")
-    camera: str | None = fields.option("a camera in place of the recipe's: preset or TOML file")
     quick: bool = fields.option("the recipe's coarse version, where it has one", False)
     out: Annotated[Path, fields.Output()] = fields.option("output folder", Path("runs/sweep"))
-    folds: fields.Folds = None
     ray: fields.Ray = None
     table: Annotated[Path | None, fields.Output((".csv", ".parquet"))] = fields.option(
         "write all records as one table, .csv or .parquet"
@@ -117,15 +152,9 @@ class SweepRecipe(_Study):
 
     def run(self, terminal: Terminal) -> Outcome:
         check_report()
-        file = read_recipe(self.recipe)
-        changes = self.explicit(("camera", "folds"))
-        recipe, scenes = check_settings(only(file, self.part_name, self.quick) | changes, _load)
-        results, records = self.train(terminal, recipe, scenes, ray=self.ray)
-        outcome = _results_outcome(results, self.out)
-        if self.table is None:
-            return outcome
-        write_table(records, self.table)
-        return replace(outcome, lines=[*outcome.lines, f"table: {self.table}"])
+        settings = only(read_recipe(self.recipe), self.part_name, self.quick)
+        recipe, scenes = check_settings(settings, _load)
+        return self.study(terminal, recipe, scenes, table=self.table, ray=self.ray)
 
 
 # recipes
@@ -174,39 +203,3 @@ def _recipe_settings(options: Mapping[str, str]) -> dict[str, Any]:
 def _load(recipe: Recipe) -> Dataset:
     names = ("size", "split", "images")
     return load_dataset(recipe.data, **{name: getattr(recipe, name) for name in names})
-
-
-# results
-
-
-def _results_outcome(results: Results, folder: Path, target: float | None = None) -> Outcome:
-    """Write the results of trials and their page, and say them, with what a target needs."""
-    from deepfsi.report.comparison_page import (
-        comparison_lines,
-        scenes_text,
-        verdict_of,
-        write_report,
-    )
-
-    write_results(folder / "results.json", results)
-    page = write_report(folder)
-    notes = [scenes_text(results.data)]
-    content = results.as_dict()
-    for point in content["points"]:
-        point.pop("terms", None)
-    needs = [] if target is None else needs_of(results, target)
-    return Outcome(
-        {
-            "report": str(page),
-            "verdict": verdict_of(results).text,
-            **({} if target is None else {"target": target, "needs": needs}),
-            **content,
-            "notes": notes,
-        },
-        [
-            *data_lines(results.data, notes),
-            *comparison_lines(results),
-            *([] if target is None else [needs_table(target, needs)]),
-            f"report: {page}",
-        ],
-    )

@@ -93,12 +93,7 @@ DESIGNS: dict[str, Code] = {
         scaled=True,
     ),
     "hadamard": Code(
-        "HB",
-        "Hadamard basis",
-        _hadamard,
-        most=_padded_pixels,
-        complete=True,
-        rails="dual",
+        "HB", "Hadamard basis", _hadamard, most=_padded_pixels, complete=True, rails="dual"
     ),
     "truncated-hadamard": Code("TH", "truncated Hadamard", _hadamard, most=_padded_pixels),
     "pca": Code(

@@ -4,9 +4,8 @@
     Range     the same for a range of budgets, and the network is told the budget
     SharedLight  adaptive masks whose exposures end when a class is sure, at a mean budget
 
-A kind is here what is asked for, its settings, and what a design file's header says of it, its
-entry. An entry and the tensors beside it rebuild the exposure of a trained design: nothing of a
-field's name, order or default may change, as files are read again by them. What a trained design
+A kind has settings, which are asked for, and an entry in the header of a design file. Files are
+read again by entries: nothing of a field's name, order or default may change. What a trained design
 does with its masks is in `exposure`.
 """
 
@@ -132,15 +131,13 @@ class Range(Exposure):
 
     def faults(self, job: "Job") -> Iterator[str]:
         """Refuse a training noise other than MLGauss, and the control group's."""
+        alone = "a range of budgets is trained under ml_gauss: leave out"
         if job.code.learned_under:
-            left = f"{job.design}, whose masks learn under {job.code.learned_under} noise"
+            yield f"{alone} {job.design}, whose masks learn under {job.code.learned_under} noise"
         elif not find_noise(job.noise).stands_for:
-            left = f"{job.noise} noise, or train under ml_gauss"
+            yield f"{alone} {job.noise} noise, or train under ml_gauss"
         elif job.camera.fluctuation:
-            left = "fluctuation"
-        else:
-            return
-        yield f"a range of budgets is trained under ml_gauss: leave out {left}"
+            yield f"{alone} fluctuation"
 
 
 class ConditionedEntry(Entry):
@@ -200,10 +197,7 @@ class SharedLight(Exposure):
     def faults(self, job: "Job") -> Iterator[str]:
         """Refuse masks that are not adaptive."""
         if not job.code.adaptive:
-            yield (
-                "`cap` is of exposures that may end early: leave it out, or give "
-                '`design="adaptive"`'
-            )
+            yield '`cap` is of exposures that may end early: give `design="adaptive"` or no cap'
 
 
 class AdaptiveMasks(UserModel):
@@ -244,9 +238,9 @@ class AdaptiveMasks(UserModel):
     def check_camera(camera: Camera) -> None:
         """Raise `InputError` where a camera shows no binary masks, or has read noise."""
         if not LIGHT_LAWS[camera.light].looks:
+            advice = "give the light law free-dwell or two-arm"
             raise InputError(
-                f"adaptive masks are shown by one device, not {camera.light}: give the light law "
-                "free-dwell or two-arm"
+                f"adaptive masks are shown by one device, not {camera.light}: {advice}"
             )
         noise = camera.noise_facts
         if not noise.counting or (noise.read_noise and camera.sigma):

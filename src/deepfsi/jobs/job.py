@@ -20,7 +20,7 @@ from deepfsi.camera.names import LIGHT_LAWS, check_light_law, find_noise, noise_
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.designs import DESIGNS, Code, check_count, check_design, count_allowed
 from deepfsi.jobs.exposures import AdaptiveMasks, AnyExposure, Fixed, SharedLight, find_exposure
-from deepfsi.jobs.training import MLP, TUNED, Training, part_name
+from deepfsi.jobs.training import MLP, TUNED, Training, find_classifier, part_name
 
 FEW_SCENES = 1000
 """Training sets below this size are learned by heart, so folds of them calibrate a design."""
@@ -98,11 +98,6 @@ class Job(UserModel):
         return DESIGNS[self.design]
 
     @property
-    def draws(self) -> int:
-        """Noise draws of a test of this design: one of adaptive masks, which take milliseconds."""
-        return 1 if self.code.adaptive else 3
-
-    @property
     def noise(self) -> str:
         """Name of the noise that is trained under."""
         if self.training.noise is not None:
@@ -125,11 +120,6 @@ class Job(UserModel):
         elif self.camera.rails == "single":
             changes |= {"readout": "difference"}
         return self.camera.model_copy(update=changes)
-
-    @property
-    def resolved(self) -> "Job":
-        """The job with the camera as the design has it: what its record is a hash of."""
-        return self.model_copy(update={"camera": self.optics})
 
     @property
     def start_matrix(self) -> str:
@@ -160,7 +150,7 @@ class Job(UserModel):
 
         Whether a user's own matrix (m, N) breaks the light law is seen when it is shown.
         """
-        faults = [*self._classifier_faults(), *self.exposure.faults(self), *self._noise_faults()]
+        faults = [*self._own_faults(), *self.exposure.faults(self)]
         if self.training.counts is not None:
             faults += self._few_counts_faults(data.image_shape)
         if data.values:
@@ -194,11 +184,13 @@ class Job(UserModel):
             wanted = f"({self.masks}, {data.pixels}) finite real numbers that are not all zero"
             raise InputError(f"a matrix of shape {given.shape} does not fit: give {wanted}")
 
-    def _classifier_faults(self) -> Iterator[str]:
+    def _own_faults(self) -> Iterator[str]:
+        """Everything in a job that cannot be had on any data."""
         training = self.training
-        facts = training.classifier_facts
+        name = part_name(training.classifier)
+        facts = find_classifier(name)
         if facts.features != self.exposure.features:
-            name, seen = part_name(training.classifier), self.exposure.features or "whole scenes"
+            seen = self.exposure.features or "whole scenes"
             yield f"{name} does not read features of {seen}: give another `classifier`"
         if training.balance and training.loss is not None:
             yield "`balance` weighs the usual loss: leave it out, or `loss`"
@@ -207,8 +199,6 @@ class Job(UserModel):
         if not training.is_custom and not (whole and sizes.keys() <= {*facts.sizes}):
             names = ", ".join(facts.sizes) or "none"
             yield f"{training.classifier} cannot have {sizes}: give whole numbers of {names}"
-
-    def _noise_faults(self) -> Iterator[str]:
         if self.code.rails == "dual" and self.camera.rails == "single":
             yield f"{self.design} is signed: use dual rails, or the s-matrix"
         noises = [find_noise(noise) for noise in (self.noise, self.mask_job().noise)]

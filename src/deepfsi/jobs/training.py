@@ -9,13 +9,7 @@ from dataclasses import dataclass
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    PlainSerializer,
-    WithJsonSchema,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, WithJsonSchema
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.models import Amount, Count, Positive, StrictModel, UserModel
@@ -41,13 +35,13 @@ class ClassifierFacts:
     network: str = ""
 
 
-MLP_FACTS, CUSTOM_CLASSIFIER = ClassifierFacts(), ClassifierFacts()
+CUSTOM_CLASSIFIER = ClassifierFacts()
 
 
 def find_classifier(name: str) -> ClassifierFacts:
     """Facts of a classifier that settings or a design file name."""
     if name == MLP:
-        return MLP_FACTS
+        return ClassifierFacts()
     path = installed().parts["classifier"].get(name)
     return resolve_name(path) if path else CUSTOM_CLASSIFIER
 
@@ -114,14 +108,10 @@ class Training(UserModel):
 
     epochs: int = Field(default=40, ge=1, le=100_000, description="passes over the training scenes")
     batch: int | None = Field(
-        default=None,
-        ge=2,
-        description="scenes of a step; default: a hundredth of all, 32 to 500",
+        default=None, ge=2, description="scenes of a step; default: a hundredth, 32 to 500"
     )
     lr: Positive = Field(
-        default=1e-2,
-        description="peak learning rate of a one-cycle schedule; the default holds where none was "
-        "tuned for the design",
+        default=1e-2, description="peak learning rate of one cycle, unless tuned for the design"
     )
     mask_lr: Positive = Field(
         default=1e-1, description="peak learning rate of the masks, relative to their rms"
@@ -143,8 +133,7 @@ class Training(UserModel):
     )
     decay: Amount = Field(default=0.0, description="decoupled weight decay of the classifier")
     balance: bool = Field(
-        default=False,
-        description="weigh training scenes so that all classes count alike in the loss",
+        default=False, description="weigh scenes so that all classes count alike in the loss"
     )
     counts: Positive | None = Field(
         default=None,
@@ -158,26 +147,22 @@ class Training(UserModel):
     start_counts: Positive = Field(
         default=10.0,
         exclude_if=lambda times: times == 10,  # keys and files of before it stay as they are
-        description="of few counts: masks start at this multiple of the counts asked for, unless "
-        "nine tenths of all gates would click",
+        description="of few counts: masks start at this multiple of them, if gates allow it",
     )
     clusters: Count | None = Field(
         default=None,
-        description="of adaptive masks: the prior has the centres of this many clusters of each "
-        "class; default: all training scenes",
+        description="of adaptive masks: centres of a class as prior; default: all scenes",
     )
     dictionary: int | None = Field(
         default=None,
         ge=1,
         le=MOST_READY,
         exclude_if=lambda count: count is None,
-        description="of adaptive masks: each look shows one of this many masks, which stay on the "
-        "device; default: masks are made anew",
+        description="of adaptive masks: so many masks stay on the device; default: made anew",
     )
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         default="auto",
-        description="number type of the products of learned masks and of wide networks: float32, "
-        "bfloat16, or auto (bfloat16 where its rounding is below the noise)",
+        description="type of products: float32, bfloat16, or auto (bfloat16 below the noise)",
     )
     loss: Annotated[OwnPart, AfterValidator(_own)] = Field(
         default=None,
@@ -186,19 +171,14 @@ class Training(UserModel):
     )
     noise: NoiseSetting | None = Field(
         default=None,
-        description="noise of the training, if other than the camera's: ml_gauss, poisson, "
-        "gaussian, camera or none; default: ml_gauss stands for photon noise",
+        description="noise of the training, if other than the camera's; default: ml_gauss for "
+        "photon noise",
     )
 
     @property
     def is_custom(self) -> bool:
         """True if the classifier is a user's own."""
-        return self.classifier_facts is CUSTOM_CLASSIFIER
-
-    @property
-    def classifier_facts(self) -> ClassifierFacts:
-        """Facts of the classifier."""
-        return find_classifier(part_name(self.classifier))
+        return find_classifier(part_name(self.classifier)) is CUSTOM_CLASSIFIER
 
 
 TrainingSource = Training | Mapping[str, Any]

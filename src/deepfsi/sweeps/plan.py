@@ -185,7 +185,8 @@ def _jobs(
                     seed=seed,
                 )
                 variants = (named.variant, training_variant, exposure_variant)
-                yield named, ", ".join(filter(None, variants)), job.resolved
+                optics = {"camera": job.optics}  # as the design has it: records are hashes of it
+                yield named, ", ".join(filter(None, variants)), job.model_copy(update=optics)
 
 
 def _goes_with(design: str, camera: Camera, data: Dataset) -> bool:
