@@ -40,7 +40,8 @@ def test_a_scene_that_is_left_out_is_further_than_one_that_is_known(prior):
     settings = AdaptiveMasks(looks=LOOKS)
     exposure = AdaptiveExposure(prior, settings, (PIXELS,), torch.zeros(LOOKS), Camera())
     unknown = adaptive.LeftOutScenes(ordered, prior.labels, rows)
-    left_out, _, _ = adaptive.measure(exposure, [optics], unknown, generator(3))
+    *_, misfits = adaptive.measure(exposure, [optics], unknown, generator(3))
+    left_out = adaptive.UsualMisfit.of(np.array([1e5]), misfits).logarithms
     away, _ = distances(prior, scenes, optics)
     assert left_out[0, 0, -1] > float(away.sum(dim=0).log().mean()) + 1
 

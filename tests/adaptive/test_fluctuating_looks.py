@@ -7,7 +7,6 @@ from scipy.stats import nbinom
 
 from conftest import generator
 from deepfsi.adaptive import posterior
-from deepfsi.base.errors import InputError
 
 PIXELS = 12
 SIGMA = 0.2
@@ -71,12 +70,6 @@ def test_readouts_of_a_look_have_one_light_and_looks_have_their_own(prior, field
     shift, unknown = state._shift[0].double(), state.unknown(torch.eye(size)[None])[0].double()
     assert torch.allclose(shift, (weights @ (reading - mean))[:size], rtol=2e-3, atol=2e-3)
     assert torch.allclose(unknown, covariance[:size, :size], atol=2e-3)
-
-
-def test_a_prior_without_spread_is_refused():
-    exact = posterior.ScenePrior(np.eye(10, PIXELS), np.arange(10) % 2, 2, components=PIXELS)
-    with pytest.raises(InputError, match="light that fluctuates needs a prior with a spread"):
-        posterior.AdaptivePosterior(exact, 1, optics())
 
 
 def test_looks_vary_as_their_light_does(prior):

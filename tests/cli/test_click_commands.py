@@ -90,12 +90,3 @@ def test_a_table_of_clicks_is_classified(done, refuse, lab, tmp_path):
     assert [each["class"] for each in table["scenes"]] == [each["class"] for each in run["scenes"]]
     for option in (["--background", 3], ["--gain", 2]):
         assert "are of photon counts, and clicks" in refuse(*words, *option)
-
-
-@pytest.mark.parametrize(("photons", "full"), [(3000, True), (200, False)])
-def test_full_gates_are_told_when_a_design_is_learned(done, tmp_path, photons, full):
-    """Forty gates of a design for 3000 photons nearly all click, and those for 200 do not."""
-    (tmp_path / "clicks.toml").write_text(CAMERA)
-    words = ("--camera", tmp_path / "clicks.toml", "--masks", 10, "--epochs", 1)
-    said = done("design", *words, "--photons", photons, "-o", tmp_path / "clicks.safetensors")
-    assert ("of the gates click, which tells little of a scene" in said) == full

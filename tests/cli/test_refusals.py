@@ -77,7 +77,7 @@ REFUSED = {
         tens.npy | give 64 whole numbers
     """,
     "evaluate": """
-        a --photons 1e3 | did you mean a.safetensors?
+        a --photons 1e3 | no design file at a: give one
         a.safetensors --photons 1e4 --draws 0 | --draws 0: give
         a.safetensors --photons 1e3 --ideal --noise gaussian | leave --ideal out
         a.safetensors --photons 1e3 --data small.npz | (8, 8)

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import PHOTONS, every_optics, light_on, once
+from conftest import PHOTONS, every_optics, light_on
 from deepfsi import Design, evaluate, load_design, predict
 from deepfsi.base.errors import InputError
-from deepfsi.physics.detection import Detection
 from shared.design_files import refused, rewrite
 from shared.jobs import learn
 
@@ -119,13 +118,3 @@ def test_pictures_are_predicted_as_their_counts_are_classified(digits, exposure)
     for bad, words in ((images[..., :7], r"give \(..., 8, 8\)"), (2 * images, "in .0, 1.$")):
         with pytest.raises(InputError, match=words):
             made.expose(bad, 1e4)
-
-
-def test_the_light_of_all_detectors_is_that_of_one(digits):
-    """Tiles divide the light, they do not add to it."""
-    design = once(digits, masks=6, light="free-dwell", rails="single", detectors="2x2")
-    one = replace(design, exposure=replace(design.exposure, detection=Detection()))
-    x = torch.from_numpy(digits.x_train[:200])
-    rates = [each.exposure.rates(each.scanner("none"), x) for each in (design, one)]
-    assert torch.allclose(rates[0].unflatten(-1, (6, 4)).sum(dim=-1), rates[1], rtol=1e-5)
-    assert float(design.exposure.shares.sum()) <= 1 + 1e-6

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import PHOTONS, every_optics, generator
+from conftest import PHOTONS, generator
 from deepfsi import Design
 from deepfsi.camera.light import photons_per_pixel
 from deepfsi.design.onnx import to_onnx
@@ -29,15 +29,6 @@ def counted(design: Design, x: np.ndarray, photons: np.ndarray) -> np.ndarray:
     scenes = light * torch.from_numpy(photons)[:, None]
     counts = design.scanner().counts(scenes, generator(1)).numpy()
     return counts.reshape(len(counts), *design.counts_shape)
-
-
-@every_optics
-def test_every_optics_as_torch_has_it(digits, made, light, rails):
-    """Probabilities as `classify` gives them, to the rounding of sums of hundreds of terms."""
-    design, budgets = made("deepfsi", light, rails), np.geomspace(10, 1e6, 40).astype(np.float32)
-    counts = counted(design, digits.x_test[:40], budgets)
-    [found] = opened(to_onnx(design)).run(None, {"counts": counts, "photons": budgets})
-    np.testing.assert_allclose(found, design.classify(counts, budgets), atol=1e-3)
 
 
 def test_the_example_in_the_docs(good, digits, tmp_path):

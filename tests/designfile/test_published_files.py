@@ -28,12 +28,9 @@ def test_two_small_designs_come_with_the_package():
         assert find_design(name).stat().st_size < 9e5
 
 
-def test_what_cannot_be_found_is_said_in_one_line(tmp_path):
-    with pytest.raises(InputError, match=r"no published design .*: did you mean .dmd-mnist"):
+def test_what_cannot_be_found_is_said_in_one_line():
+    with pytest.raises(InputError, match=r"no design file at dmd-mnis: give one, or dmd-mnist"):
         load_design("dmd-mnis")
-    (tmp_path / "small.safetensors").touch()
-    with pytest.raises(InputError, match="no design file at small: did you mean"):
-        load_design("small")
 
 
 @real_mnist

@@ -1,7 +1,5 @@
 """The paper's claims as laws, over all designs and all light laws at once."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -11,25 +9,19 @@ from conftest import (
     FLOAT32,
     OPTICS,
     PHOTONS,
-    RECIPE,
     every_design,
     every_passive_design,
     generator,
     light_on,
     quick,
-    real_mnist,
     synthetic,
 )
-from deepfsi import Scanner, evaluate
-from deepfsi.datasets.load import load_dataset
-from deepfsi.exposure.training_set import TrainingSet
+from deepfsi import Scanner
 from deepfsi.jobs.designs import sensing_matrix
 from deepfsi.physics import detection
 from deepfsi.physics import noise as noise_module
 from deepfsi.physics.detection import Rails
 from deepfsi.physics.laws import LearnedMasks, frames, light_law
-from deepfsi.training.learning import train
-from shared.jobs import job as job_of
 
 N = 64
 DRAWS = 20_000
@@ -206,25 +198,6 @@ def test_coded_counts_are_impulse_counts_routed_at_random(made, digits, light, r
     for drawn in (routed[:, :-1], every[:, : len(shown)][:, shown].numpy()):
         assert np.all(abs(drawn.mean(axis=0) - rates) <= 5 * np.sqrt(rates / draws))
         assert np.all(abs(np.cov(drawn.T) - np.diag(rates)) <= 5 * power)
-
-
-@real_mnist
-@pytest.mark.usefixtures("uncharacterised")
-def test_mnist_photon_noise_orders_designs_as_the_paper():
-    whole = load_dataset("mnist")
-    few = {f"{name}_train": getattr(whole, f"{name}_train")[:3_000] for name in "xy"}
-    test = {f"{name}_test": getattr(whole, f"{name}_train")[-1_000:] for name in "xy"}
-    data = replace(whole, **few, **test)
-    training_set = TrainingSet(data, "cpu")
-    settings = {**RECIPE, "epochs": 6, "lr": 1e-2, "mask_lr": 0.1, "hidden": (40, 128)}
-    accuracy = []
-    counts = {"impulse": 1024, "deepfsi": 10, "pca": 10, "truncated-hadamard": 41, "raster": 1024}
-    for design, masks in counts.items():
-        job = job_of(design=design, masks=masks, photons=PHOTONS, **settings)
-        (one,) = train(training_set, [job])
-        accuracy.append(evaluate(one, data, PHOTONS, draws=1)[0].accuracy)
-    assert accuracy == sorted(accuracy, reverse=True)
-    assert accuracy[1] > 0.86
 
 
 @pytest.mark.usefixtures("uncharacterised", "trained_once")

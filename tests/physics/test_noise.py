@@ -44,8 +44,7 @@ ALL = [
     noise_module.make_noise("click", gates=5),
 ]
 FLUCTUATING = [
-    *(noise_module.make_noise(name, fluctuation=0.3) for name in ("none", "poisson", "ml_gauss")),
-    noise_module.make_noise("gaussian", sigma=3.0, fluctuation=0.3),
+    noise_module.make_noise("none", fluctuation=0.3),
     noise_module.make_noise("camera", sigma=2.0, dark=40.0, fluctuation=0.3),
 ]
 READ = detection.Readouts(
@@ -118,12 +117,3 @@ def test_float32_keeps_mean_and_variance_up_to_1e10(name, rate, dtype):
     if name == "poisson":
         assert (counts == counts.round()).all()
         assert (counts >= 0).all()
-
-
-@pytest.mark.parametrize("rate", [0.05, 1.0, 4.0])
-def test_faint_counts_follow_poissons_law(rate):
-    counts = Poisson().draw(torch.full((DRAWS,), rate, dtype=torch.float64), generator(4))
-    for k in range(4):
-        share = math.exp(-rate) * rate**k / math.factorial(k)
-        found = float((counts == k).double().mean())
-        assert abs(found - share) <= 5 * math.sqrt(share * (1 - share) / DRAWS)

@@ -131,8 +131,8 @@ def test_dark_rails_and_dark_scenes_give_finite_gradients(light, rails, name):
     ("photons", "match"),
     [
         (torch.ones(5, 3), r"shape \(5, 3\) do not fit masks of 2 pixels"),
-        (torch.ones(5, 2).numpy(), "ndarray: give a tensor"),
-        (torch.ones(5, 2, dtype=torch.int64), r"give photons.float\(\)"),
+        (torch.ones(5, 2).numpy(), "give torch.as_tensor"),
+        (torch.ones(5, 2, dtype=torch.int64), "type torch.int64 were given"),
     ],
 )
 def test_photons_of_another_shape_or_kind_are_refused(photons, match):
@@ -144,7 +144,6 @@ def test_photons_of_another_shape_or_kind_are_refused(photons, match):
     ("make", "match"),
     [
         (lambda: Scanner.from_rails(torch.ones(3, 3, 64)), "3 rails"),
-        (lambda: Scanner(torch.ones(2, 3, 64)), "give Scanner.from_rails"),
         (lambda: LearnedMasks(-torch.ones(3, 64), "column", "single"), "negative entries"),
     ],
 )

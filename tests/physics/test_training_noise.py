@@ -49,17 +49,6 @@ def test_training_draws_what_the_scanner_does(kind):
         assert torch.allclose(claimed[job], power / gain**2)
 
 
-@pytest.mark.parametrize("kind", ["ml_gauss", "gaussian"])
-def test_a_noise_that_does_not_count_deviates_as_counts_over_the_gain(kind):
-    mean, light = (each @ SCENE for each in (TRAINED.difference, TRAINED.total))
-    read = detection.Detection().readouts(TRAINED)
-    found = side_by_side(kind).deviation(mean, light, read).square()
-    for job, gain in enumerate(GAINS):
-        lit = (RAILS.amax(dim=-1) > 0).sum(dim=0)
-        power = light[0] * gain if kind == "ml_gauss" else lit * NUMBERS[kind][job]["sigma"] ** 2
-        assert torch.allclose(found[job].double(), power.double() / gain**2)
-
-
 @pytest.mark.parametrize("kind", ["poisson", "camera"])
 def test_training_follows_mean_light_and_time(kind):
     """E[y²] = μ² + (L + σ² / Φ + d / Φ) / Φ a feature: slopes 2 μ in μ, 1 / Φ in L and in d / Φ."""

@@ -6,13 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from torch.nn.functional import cross_entropy
 
 import deepfsi
 from conftest import (
     FLOAT32,
     PHOTONS,
-    RECIPE,
     every_optics,
     generator,
     light_on,
@@ -23,12 +21,9 @@ from conftest import (
 )
 from deepfsi import Camera, evaluate
 from deepfsi.base.errors import InputError
-from deepfsi.datasets.arrays import from_arrays
 from deepfsi.evaluation.page_data import check_playable
-from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics.laws import light_law
 from deepfsi.training import characterisation
-from shared.jobs import learn
 
 
 @every_optics
@@ -102,37 +97,12 @@ def test_learned_masks_beat_their_start_in_dim_light(digits):
     assert accuracy[0] > accuracy[1]
 
 
-def test_two_arms_that_are_both_read_start_where_one_arm_does(digits):
-    """Masks that hardly learn are the frames of one arm, within the range of a start."""
-    still = {**RECIPE, "photons": 1e3, "masks": 6, "epochs": 1, "mask_lr": 1e-9}
-    one = learn(digits, light="free-dwell", rails="single", **still).rails.stacked[0]
-    lit = one.amax(dim=0) > 0
-    start = (one / one.amax(dim=-1, keepdim=True))[:, lit]
-    for readout, alike in (("both", True), ("difference", False)):
-        rails = learn(digits, light="two-arm", readout=readout, **still).rails.stacked
-        shown = (rails[0] / rails.sum(dim=0).amax(dim=-1, keepdim=True))[:, lit]
-        assert bool((shown - start).abs().max() < 0.11) == alike
-
-
 def test_brightness_tells_scenes_from_classes():
     """Scenes of 1, 3 and 8 pixels' light, classes of 2, 8 and 4 in the mean, all of 4."""
     x = np.array([[1, 0], [2, 1], [4, 4], [1, 3]])
     found = characterisation.brightness(x, np.array([0, 0, 1, 2]))
     assert found == pytest.approx({"low": 1 / 4, "high": 8 / 4, "between": 8 / 2, "within": 1 / 2})
     assert characterisation.brightness(np.array([[1.0], [0.0]]), np.array([0, 1])) is None
-
-
-def test_the_weighted_loss_is_that_of_scenes_repeated():
-    """Scenes of two rare classes, shown two and four times: what weights 1, 2 and 4 are for."""
-    labels = torch.tensor([0] * 8 + [1] * 4 + [2] * 2)
-    logits = torch.randn(len(labels), 3, generator=generator())
-    often = torch.tensor([1, 2, 4])[labels]
-    repeated = cross_entropy(logits.repeat_interleave(often, 0), labels.repeat_interleave(often))
-    pixels = np.random.default_rng(0).random((len(labels), 2, 2))
-    data = from_arrays(pixels, labels.numpy(), pixels, labels.numpy())
-    weights = TrainingSet(data, "cpu").class_weights
-    weighted = cross_entropy(logits, labels, weights, reduction="sum") / len(labels)
-    assert weighted.item() == pytest.approx(repeated.item(), rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,6 @@ from deepfsi.adaptive.posterior import (
     LookOptics,
     ScenePrior,
 )
-from deepfsi.base.arrays import check_memory, free_memory
 from deepfsi.base.errors import InputError
 
 COMPARED_SCENES = (16, 32)
@@ -72,12 +71,6 @@ class _MaskTables:
         """Tables of masks (P, N) for a share of the exposure."""
         many = len(masks)
         scenes = len(prior)
-        check_memory(
-            4 * scenes * (3 * many + 6 * TABLED),
-            free_memory(),
-            "the tables of these masks and scenes",
-            "give fewer scenes, or a smaller `dictionary`",
-        )
         gain = optics.photons / prior.summed_reflectance * share
         dark = optics.dark_sum * share
         least = LEAST_LIGHT * float(prior.mean.sum())
@@ -87,7 +80,10 @@ class _MaskTables:
         power = POWER if prior.spread else 1.0
         by_count = np.empty((many, scenes), np.float32)
         constant = np.empty_like(by_count)
-        sizes = [len(each) for each in np.array_split(np.arange(many), _parts(many, scenes))]
+        # each decision compares one part: about 500 masks, or more where the probabilities of many
+        # scenes take longer
+        parted = max(1, round(many / max(500, scenes / 30)))
+        sizes = [len(each) for each in np.array_split(np.arange(many), parted)]
         scales = [np.empty((scenes, size), np.float32) for size in sizes]
         noise = np.empty(many, np.float32)
         ends = np.cumsum(sizes)
@@ -118,12 +114,6 @@ class _MaskTables:
             starts=[0, *ends[:-1].tolist()],
             members=members,
         )
-
-
-def _parts(masks: int, scenes: int) -> int:
-    """Parts of a dictionary; each decision compares one."""
-    # about 500 masks are compared, or more where the probabilities of many scenes take longer
-    return max(1, round(masks / max(500, scenes / 30)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,25 +199,16 @@ class DictionaryPosterior(AdaptivePosterior):
         self._sums = np.zeros((-(-len(prior) // SUMMED), SUMMED), np.float32)
         self._powers = self._sums.reshape(-1)[: len(prior)]
         self._change = np.empty(len(prior), np.float32)
-        # the last masks that were asked for, and their indices
-        self._chosen: tuple[Tensor | None, list[int]] = (None, [])
 
     def next_masks(self, share: float, generator: torch.Generator) -> Tensor:
         """The next masks (b, N); nothing is drawn."""
-        indices = self.choose()
-        [first, *others] = indices or [0]
-        masks = self.dictionary.masks[indices if others else slice(first, first + len(indices))]
-        self._chosen = (masks, indices)
-        return masks
+        return self.dictionary.masks[self.choose()]
 
     def update(self, masks: Tensor, counts: Tensor, share: float) -> None:
         """Take in counts (b, 1) behind masks (b, N) that were shown for a share of the exposure."""
         if not math.isclose(share, self.tables.share, rel_tol=SAME_SHARE):
             self.tables = self.dictionary.tables(self.prior, self.optics, share)
-        shown, indices = self._chosen
-        if shown is not masks:
-            indices = self.dictionary.indices(masks)
-        self.take(indices, counts[:, 0].tolist())
+        self.take(self.dictionary.indices(masks), counts[:, 0].tolist())
 
     def take(self, indices: Sequence[int], counts: Sequence[float]) -> None:
         """Take in counts (b,) of a look behind masks of these indices (b,)."""

@@ -83,6 +83,12 @@ class UsualMisfit:
     budgets: np.ndarray  # (B,)
     logarithms: np.ndarray  # (2, B, K): mean and standard deviation of its logarithm
 
+    @classmethod
+    def of(cls, budgets: np.ndarray, misfits: Tensor) -> "UsualMisfit":
+        """Usual misfit of looks (B, K, S) at scenes: the logarithm of their sum is near normal."""
+        logs = misfits.cumsum(dim=1).clamp(min=SMALLEST_MISFIT).log()
+        return cls(budgets, torch.stack([logs.mean(dim=-1), logs.std(dim=-1)]).numpy())
+
     @property
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays as a design file takes them."""
@@ -119,29 +125,30 @@ def measure(
     optics: Sequence[LookOptics],
     left_out: "LeftOutScenes",
     generator: torch.Generator,
-) -> tuple[np.ndarray, Tensor, Tensor]:
-    """Misfit, counts and answers of S scenes that the prior lacks, in looks at several budgets.
+    report: Progress = SILENT,
+    misfit: bool = True,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Expose S scenes that the prior lacks, to their last look, at several budgets.
 
-    Mean and standard deviation (2, B, K) of the logarithm of the misfit after each look, which is
-    nearly normal; mean counts (B, K) of each look; log odds (B, K, S, C) of the classes after it.
+    Log odds (B, K, S, C) of the classes after each look, counts (B, K, S) of the look without dark
+    ones, and its misfit (B, K, S), 0 if that is not asked for.
     """
     settings = exposure.settings
-    scenes = left_out.scenes
-    totals = torch.zeros(len(optics), settings.looks, len(scenes), dtype=torch.double)
-    counted = torch.zeros(len(optics), settings.looks, dtype=torch.double)
-    odds = torch.zeros(*totals.shape, exposure.prior.classes)
+    size = len(optics), settings.looks, len(left_out.scenes)
+    odds = torch.zeros(*size, exposure.prior.classes)
+    counted, misfits = torch.zeros(2, *size, dtype=torch.double)
     for row, each in enumerate(optics):
-        for rows, some in left_out.parts(exposure.prior.exposed_at_once):
+        for rows, some in left_out.parts(exposure.prior.exposed_at_once, report):
             state = exposure.posterior(len(rows), each)
             some.leave(state)
             for look, share in enumerate(settings.shares):
                 masks, counts, light = state.look_at(some.scenes, share, generator)
-                totals[row, look, rows] = state.misfit(masks, counts, share).double()
-                counted[row, look] += light.double().sum() / len(scenes)
+                if misfit:
+                    misfits[row, look, rows] = state.misfit(masks, counts, share).double()
                 state.update(masks, counts, share)
+                counted[row, look, rows] = light.double().sum(dim=1)
                 odds[row, look, rows] = state.odds
-    logs = totals.cumsum(dim=1).clamp(min=SMALLEST_MISFIT).log()
-    return torch.stack([logs.mean(dim=-1), logs.std(dim=-1)]).numpy(), counted, odds
+    return odds, counted, misfits
 
 
 def _looks(
@@ -192,14 +199,10 @@ class AdaptiveExposure(ExposureKind):
     makes_masks: ClassVar[bool] = True
     comparable: ClassVar[bool] = False
     refusals: ClassVar[dict[Use, str]] = {
-        "masks": f"this design {MASKS_ARE_MADE}",
-        "frames": f"this design {MASKS_ARE_MADE}",
-        "graph": f"this design {MASKS_ARE_MADE}",
-        "comparison": f"this design {MASKS_ARE_MADE}",
-        "ideal observer": (
-            "adaptive masks are answered by the posterior of the ideal observer, after all looks: "
-            "leave `ideal` out"
-        ),
+        use: f"this design {MASKS_ARE_MADE}" for use in ("masks", "frames", "graph", "comparison")
+    } | {
+        "ideal observer": "adaptive masks are answered by the posterior of the ideal observer, "
+        "after all looks: leave `ideal` out"
     }
 
     @classmethod
@@ -257,11 +260,6 @@ class AdaptiveExposure(ExposureKind):
         most = f" of at most {self.settings.cap:g} budgets" if self.settings.cap > 1 else ""
         choice = "" if self.dictionary is None else f" of {len(self.dictionary)} masks"
         return f"{self.count} looks{most}{choice}, {len(self.prior)} scenes known"
-
-    @property
-    def size_text(self) -> str:
-        """Number of looks."""
-        return f"{self.count} looks"
 
     def optics_at(self, photons: float, camera: Camera | None = None) -> LookOptics:
         """Optics of a look at a budget of a whole exposure, of another camera if one is given."""
@@ -372,37 +370,31 @@ class LeftOutAnswers(NamedTuple):
     budgets: np.ndarray  # (B,)
     odds: Tensor  # (B, K, S, C), log odds of the classes after each look, or at the end (K = 1)
     labels: Tensor  # (S,)
-
-
-class _LongestExposures(NamedTuple):
-    """Exposures of S scenes that end after all looks: log odds (S, K, C), light (S, K)."""
-
-    odds: Tensor
-    light: Tensor
-    labels: Tensor
-    photons: float
+    counted: Tensor | None = None  # (B, K, S), counts of each look without dark ones
 
     def confidence(self, prior: ScenePrior) -> np.ndarray:
-        """Calibrated confidence (S, K) after each look."""
-        looks = enumerate(self.odds.unbind(1), start=1)
-        chances = [prior.calibrated(odds, taken, self.photons) for taken, odds in looks]
+        """Calibrated confidence (S, K) after each look, at the first budget."""
+        photons = float(self.budgets[0])
+        looks = enumerate(self.odds[0], start=1)
+        chances = [prior.calibrated(odds, taken, photons) for taken, odds in looks]
         return confidence_of(torch.stack(chances, dim=1)).numpy()
 
-    def answers(self, made: AdaptiveExposure) -> LeftOutAnswers:
+    def ended(self, made: AdaptiveExposure) -> "LeftOutAnswers":
         """Answers where the exposures end that are made."""
         sure = self.confidence(made.prior)
         ends = torch.from_numpy(_last_looks(sure, made.settings.until))
-        odds = self.odds[torch.arange(len(ends)), ends]
-        return LeftOutAnswers(np.array([self.photons]), odds[None, None], self.labels)
+        odds = self.odds[0, ends, torch.arange(len(ends))]
+        return LeftOutAnswers(self.budgets, odds[None, None], self.labels)
 
     def shared(self, made: AdaptiveExposure) -> AdaptiveExposure:
         """The kind whose exposures stop so that these scenes take the budget in the mean."""
+        assert self.counted is not None
         sure = self.confidence(made.prior)
         threshold = sharing_threshold(np.cumsum(made.settings.shares), sure, 1.0)
         going = torch.arange(made.count) <= torch.from_numpy(_last_looks(sure, threshold))[:, None]
-        counted = (self.light * going).mean(dim=0) / self.photons
+        counted = (self.counted[0].T.float().contiguous() * going).mean(dim=0)
         settings = made.settings.model_copy(update={"until": threshold})
-        return replace(made, settings=settings, shares=counted)
+        return replace(made, settings=settings, shares=counted / float(self.budgets[0]))
 
 
 class AdaptiveTraining:
@@ -426,23 +418,13 @@ class AdaptiveTraining:
             places if self.settings.clusters is None else None,
         )
 
-    @torch.no_grad()
-    def longest(self, made: AdaptiveExposure, job: Job, report: Progress) -> _LongestExposures:
+    def longest(self, made: AdaptiveExposure, job: Job, report: Progress) -> LeftOutAnswers:
         """Exposures that do not stop, by which a job's light is shared among scenes."""
         generator = torch.Generator().manual_seed(job.seed ^ 2**31)
         left_out = self.left_out(SHARING_SCENES, generator)
-        size = len(left_out.scenes), self.settings.looks
-        optics = made.optics_at(job.photons, job.optics)
-        odds = torch.empty(*size, self.prior.classes)
-        light = torch.empty(size)
-        for rows, some in left_out.parts(made.prior.exposed_at_once, report):
-            state = made.posterior(len(rows), optics)
-            some.leave(state)
-            looks = _looks(state, some.scenes, self.settings.shares, generator)
-            for index, look in enumerate(looks):
-                odds[rows, index] = state.odds
-                light[rows, index] = look.light.sum(dim=1)
-        return _LongestExposures(odds, light, left_out.labels, job.photons)
+        optics = [made.optics_at(job.photons, job.optics)]
+        odds, counted, _ = measure(made, optics, left_out, generator, report, misfit=False)
+        return LeftOutAnswers(np.array([job.photons]), odds, left_out.labels, counted)
 
     @torch.no_grad()
     def dictionary(self, job: Job) -> MaskDictionary | None:
@@ -488,10 +470,11 @@ class AdaptiveTraining:
             left_out = self.left_out(256, generator)  # they tell misfit and temperatures
         budgets = np.array(MISFIT_BUDGETS) * job.photons
         optics = [LookOptics.of(job.optics, shape, each) for each in budgets.tolist()]
-        logarithms, counts, odds = measure(made, optics, left_out, generator)
-        shares = (counts[MISFIT_BUDGETS.index(1.0)] / job.photons).float()
+        odds, counted, misfits = measure(made, optics, left_out, generator)
+        at_budget = counted[MISFIT_BUDGETS.index(1.0)].mean(dim=1)
+        shares = (at_budget / job.photons).float()
         few = len(left_out.scenes) < 50  # fewer measure nothing
-        misfit = None if few else UsualMisfit(budgets, logarithms)
+        misfit = None if few else UsualMisfit.of(budgets, misfits)
         answers = LeftOutAnswers(budgets, odds, left_out.labels)
         return replace(made, shares=shares, usual_misfit=misfit), answers
 
@@ -500,9 +483,4 @@ def training_of(clicks: bool) -> type[AdaptiveTraining]:
     """Training of masks before a detector that counts, or that clicks, of a package beside."""
     if not clicks:
         return AdaptiveTraining
-    if "click" not in installed().parts["adaptive"]:
-        raise InputError(
-            "adaptive masks for clicks are in deepfsi_clicks, which is not installed; install "
-            "deepfsi again"
-        )
     return resolve_name(installed().parts["adaptive"]["click"])

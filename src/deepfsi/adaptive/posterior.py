@@ -125,12 +125,6 @@ class ScenePrior:
         """Exposures at a time: memory holds their likelihoods, caches their masks."""
         return max(1, min(MOST_EXPOSURES, LIKELIHOODS_AT_ONCE // len(self)))
 
-    def with_temperatures(self, temperatures: Temperatures) -> "ScenePrior":
-        """These scenes with the temperatures of a budget."""
-        own = copy(self)
-        own.temperatures = temperatures
-        return own
-
     def calibrated(self, odds: Tensor, looks: int, photons: float) -> Tensor:
         """Probabilities (..., C) of the classes of log odds (..., C) after some looks at a budget.
 
@@ -173,13 +167,12 @@ class ScenePrior:
         levels = (self.coefficients / steps).round().to(torch.int8)
         tensors = {"mean": self.mean, "components": self.components}
         tensors |= {"steps": steps, "levels": levels}
-        numbers = [self.summed_reflectance, self.spread]
         temperatures = vars(self.temperatures) if self.temperatures else {}
         return {
             **{name: each.numpy() for name, each in tensors.items()},
             "sizes": np.array(self.sizes),
             "members": self.members.numpy().astype(np.int32),
-            "numbers": np.array(numbers),
+            "numbers": np.array([self.summed_reflectance, self.spread]),
             **{f"temperature_{name}": each for name, each in temperatures.items()},
         }
 
@@ -195,15 +188,10 @@ class ScenePrior:
         prior.components = torch.from_numpy(arrays["components"])
         levels = torch.from_numpy(arrays["levels"]).float()
         prior.coefficients = levels * torch.from_numpy(arrays["steps"])
-        temperatures = {
-            name: arrays[f"temperature_{name}"]
-            for name in ("logs", "budgets")
-            if f"temperature_{name}" in arrays
-        }
         prior.temperatures = None
-        if temperatures:
-            looks = len(temperatures["logs"])
-            prior.temperatures = Temperatures.restored(temperatures, looks)
+        if "temperature_logs" in arrays:
+            fitted = {name: arrays[f"temperature_{name}"] for name in ("logs", "budgets")}
+            prior.temperatures = Temperatures.restored(fitted, len(fitted["logs"]))
         return prior
 
     def subset(self, count: int, seed: int = 0) -> "ScenePrior":
@@ -339,8 +327,6 @@ class AdaptivePosterior:
     """Posterior of the scene in b exposures that see masks of their own."""
 
     def __init__(self, prior: ScenePrior, exposures: int, optics: LookOptics) -> None:
-        if optics.fluctuation and not prior.spread:
-            raise InputError("light that fluctuates needs a prior with a spread: give one above 0")
         self.prior = prior
         self.optics = optics
         # counts of one fully reflecting pixel in a whole exposure

@@ -17,6 +17,7 @@ from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.datasets.catalog import list_datasets
 from deepfsi.datasets.display import write_display
 from deepfsi.datasets.load import load_dataset
+from deepfsi.designfile.design_file import find_design
 from deepfsi.lab.calibration import SCAN_NAMES, calibrate, scan_rails, write_spots
 from deepfsi.lab.design_data import camera_of, design_rails
 from deepfsi.lab.registration import check_view, write_reference
@@ -138,7 +139,7 @@ class ExportPatterns(Command):
             source = self.file
             rails = scan_rails(str(source), self.size or (32, 32), self.detectors or 1)
         else:
-            source = fields.check_design_file(self.file)
+            source = find_design(self.file)
             if self.size or self.detectors:
                 raise InputError(
                     f"--size and --detectors are for {' and '.join(SCAN_NAMES)}: {source} has its "

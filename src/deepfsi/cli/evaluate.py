@@ -106,7 +106,7 @@ class PredictClasses(Command):
         table = None if self.out is None else str(self.out)
         return Outcome(
             {"design": str(self.file), "table": table, **predictions.as_dict()},
-            predictions.lines(f"{design.name}, {design.exposure.size_text}"),
+            predictions.lines(f"{design.name}, {design.exposure.title}"),
         )
 
 
@@ -126,9 +126,6 @@ def evaluation_lines(
     noise: str,
     bounds: Sequence[Result] = (),
 ) -> Iterator[str | Table]:
-    """Say how a design tests, and at which budgets nearly all its gates click."""
-    title = f"{design.name}, {design.exposure.size_text}, {noise} noise"
+    """Say how a design tests."""
+    title = f"{design.name}, {design.exposure.title}, {noise} noise"
     yield from results_lines(results, title=title, classes=design.classes, bounds=bounds)
-    for result in results:
-        if result.clicks and (remark := design.exposure.full_gates(result.counts, result.photons)):
-            yield f"note: {remark}"

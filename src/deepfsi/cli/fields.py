@@ -101,14 +101,6 @@ class Output:
             ) from None
 
 
-def check_design_file(path: Path) -> Path:
-    """Path of a design file, of a folder of patterns, or of a published design by its name."""
-    file = find_design(path)
-    if not file.exists():
-        raise InputError(f"no design file at {path}: make one with `deepfsi design`")
-    return file
-
-
 def split_commas(text: str) -> list[str]:
     """Parts of a text between commas; `ValueError` if one is empty."""
     parts = [part.strip() for part in text.split(",")]
@@ -156,7 +148,7 @@ View = Annotated[
 
 # a design and its test
 
-DesignPath = Annotated[Path, AfterValidator(check_design_file)]
+DesignPath = Annotated[Path, AfterValidator(find_design)]
 DesignOrPatterns = Annotated[DesignPath, argument("design file, or a folder of its patterns")]
 NoiseSeed = Annotated[WholeNumber, option("seed of the noise")]
 Matrix = Annotated[

@@ -463,10 +463,7 @@ def _check_readouts(
     counts: Any, photons: Any, wanted: tuple[int, ...], parts: tuple[int, ...] = ()
 ) -> tuple[Tensor, Tensor]:
     """Counts (..., *parts, *wanted) and budgets (..., 1), checked."""
-    try:
-        arrays = [np.asarray(values, np.float32).copy() for values in (counts, photons)]
-    except (TypeError, ValueError):
-        raise InputError("counts and photons must be arrays of numbers") from None
+    arrays = [np.asarray(values, np.float32).copy() for values in (counts, photons)]
     read, budget = map(torch.from_numpy, arrays)
     shape = (*parts, *wanted)
     if tuple(read.shape[-len(shape) :]) != shape:

@@ -1,12 +1,10 @@
 """A design and its file: what the file keeps of a design, and a design of a file."""
 
-from collections.abc import Mapping
 from importlib.metadata import version
 from math import prod
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -64,43 +62,24 @@ def file_of(design: "Design") -> DesignFile:
             values=design.values.names if design.values else (),
             **words,
         )
-        arrays |= _network_arrays(design, classifier)
+        tensors = {"classifier": classifier.weights, "exposure": masks.weights}
+        arrays |= {
+            f"{owner}.{name}": tensor.detach().cpu().contiguous().numpy()
+            for owner, state in tensors.items()
+            for name, tensor in state.items()
+        }
+        parts = {
+            "values": design.values,
+            "distribution": design.distribution,
+            "scenes": design.scene_model,
+            "temperatures": design.temperatures,
+        }
+        for owner, part in parts.items():
+            if part is not None:
+                arrays |= {f"{owner}.{name}": array for name, array in part.arrays.items()}
     if design.training_scenes is not None:
         arrays |= {SCENE_HASHES: design.training_scenes}
     return DesignFile(header, arrays)
-
-
-def _network_arrays(design: "Design", classifier: Classifier) -> dict[str, np.ndarray]:
-    """Arrays of the classifier, of values, and of what was fitted to counts and logits."""
-    networks: dict[str, Mapping[str, Tensor]] = {
-        "classifier": classifier.weights,
-        "exposure": design.mask_exposure.weights,
-        "values": design.values.tensors if design.values else {},
-    }
-    arrays = {
-        f"{network}.{name}": _as_array(tensor)
-        for network, state in networks.items()
-        for name, tensor in state.items()
-    }
-    fitted = {
-        "distribution": design.distribution,
-        "scenes": design.scene_model,
-        "temperatures": design.temperatures,
-    }
-    for owner, part in fitted.items():
-        if part is not None:
-            arrays |= {f"{owner}.{name}": array for name, array in part.arrays.items()}
-    return arrays
-
-
-def _as_array(tensor: Tensor) -> np.ndarray:
-    """A tensor as NumPy, or `InputError` where NumPy has no such numbers."""
-    try:
-        return tensor.detach().cpu().contiguous().numpy()
-    except TypeError:
-        raise InputError(
-            f"weights of type {tensor.dtype} cannot be saved: give a classifier of float32"
-        ) from None
 
 
 def fields_of(file: DesignFile) -> dict[str, Any]:

@@ -8,7 +8,6 @@ masks are known: before an exposure (`MaskHeader`), or only while the camera loo
 import json
 import math
 import os
-import re
 from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,7 +21,7 @@ from pydantic import AfterValidator, Field, SerializeAsAny, model_validator
 from safetensors.numpy import save
 
 from deepfsi.base.arrays import read_tensors
-from deepfsi.base.errors import InputError, closest_choice, other_version
+from deepfsi.base.errors import InputError, other_version
 from deepfsi.base.models import Count, StrictModel, of_kinds
 from deepfsi.base.registry import IMPORT_PATH
 from deepfsi.camera.camera import Camera
@@ -200,8 +199,6 @@ class DesignFile:
     @classmethod
     def read(cls, path: str | os.PathLike[str], arrays: Container[str] | None = None) -> Self:
         """Read a design file, or a part of one."""
-        if not Path(path).exists():
-            raise InputError(f"no design file at {path}: make one with `deepfsi design -o {path}`")
         text = ""
         try:
             text, tensors = read_tensors(path, "deepfsi", "give a design file", arrays)
@@ -344,22 +341,14 @@ SHIPPED_DESIGNS = Path(str(files(__package__) / "shipped"))
 
 
 def find_design(given: str | os.PathLike[str]) -> Path:
-    """Path of a design file, or of a published design by its name.
-
-    A name has no ending and no separator, and nothing is at that path.
-    """
-    name = os.fspath(given)
+    """Path of a design file, or of a published design by its name, where no file has this name."""
     path = Path(given)
+    shipped = SHIPPED_DESIGNS / f"{path.name}.safetensors"
     if path.exists():
         return path
-    if path.name and (longer := path.with_name(f"{path.name}.safetensors")).is_file():
-        raise InputError(f"no design file at {name}: did you mean {longer}?")
-    if not re.fullmatch("[A-Za-z0-9_-]+", name):
-        return path
-    names = sorted(file.stem for file in SHIPPED_DESIGNS.iterdir())
-    if name not in names:
-        raise InputError(
-            f"no design file and no published design {name!r}: {closest_choice(name, names)}; "
-            "make a file with `deepfsi design`"
-        )
-    return SHIPPED_DESIGNS / f"{name}.safetensors"
+    if os.fspath(given) == path.name and shipped.exists():
+        return shipped
+    raise InputError(
+        f"no design file at {path}: give one, or dmd-mnist or adaptive-mnist, or make one with "
+        "`deepfsi design`"
+    )

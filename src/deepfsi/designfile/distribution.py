@@ -115,7 +115,6 @@ class ReadoutCounts:
     counts: np.ndarray  # (n, R), photons, less the background
     expected: np.ndarray  # (n,)
     dark: np.ndarray  # (n, R), background that was subtracted
-    weights: np.ndarray  # (n, R), how long each readout was counted over its usual time
 
     def rows(self, index: np.ndarray | slice) -> "ReadoutCounts":
         """Some of the exposures."""
@@ -156,19 +155,17 @@ class ReadoutModel:
         """Brightness and pattern of counts, each a squared distance (n,) from the mean."""
         counts = exposures.counts
         dark = exposures.dark
-        weights = exposures.weights
-        complete = exposures.expected * (weights @ self.share)
-        power = (1 + dark.sum(axis=1) / complete) / complete
+        expected = exposures.expected * (np.ones_like(counts) @ self.share)  # 1 but for rounding
+        power = (1 + dark.sum(axis=1) / expected) / expected
         power += self.spread**2 + 0.1**2  # dead time in the all-ON frame
         power += self.fluctuation**2 * np.square(self.share).sum()
-        bright = counts.sum(axis=1) / complete
+        bright = counts.sum(axis=1) / expected
         brightness = np.square(bright - 1) / power
-        counted = weights > 0
-        scale = np.where(counted, weights, 1.0) * exposures.expected[:, None]
-        off = np.where(counted, counts / scale - bright[:, None] * self.share, 0.0)
+        scale = exposures.expected[:, None]
+        off = counts / scale - bright[:, None] * self.share
         floor = self.rest + np.square(0.02 * self.share)  # rounded masks, dead time
         floor = floor + np.square(self.fluctuation * self.share)
-        noise = np.where(counted, (self.share + dark / scale) / scale + floor, np.inf)
+        noise = (self.share + dark / scale) / scale + floor
         if (noise == noise[0]).all():  # most often of fixed dwells: one matrix serves them all
             return brightness, _distance(off, noise[0], self.directions)
         distances = []
@@ -272,20 +269,9 @@ class ReadoutDistribution:
             spread = np.broadcast_to(np.asarray(values, dtype=float), every.shape)
             return spread.reshape(len(budget), -1)[:, lit]
 
-        single = ReadoutCounts(
-            counts=of_lit(every),
-            expected=budget * model.total,
-            dark=of_lit(background),
-            weights=of_lit(1.0),
-        )
-        sums = budget.sum(axis=0)[None]
-        usual = budget @ single.weights
-        together = ReadoutCounts(
-            counts=single.counts.sum(axis=0)[None],
-            expected=sums * model.total,
-            dark=single.dark.sum(axis=0)[None],
-            weights=(usual / sums)[None],
-        )
+        single = ReadoutCounts(of_lit(every), budget * model.total, of_lit(background))
+        together = ReadoutCounts(*(part.sum(axis=0)[None] for part in vars(single).values()))
+        usual = np.full_like(model.share, budget.sum())  # photons behind each readout
         chances, of_worst_class = self._chances(model, single)
         alike = self._alike(model, single)
         apart = 1.0 if alike < REFUSED else _fisher(of_worst_class)
@@ -300,8 +286,8 @@ class ReadoutDistribution:
     def _chances(self, model: ReadoutModel, exposures: ReadoutCounts) -> np.ndarray:
         """p-values (2, n) of exposures, among all scenes and in the worst class."""
         statistics = model.statistics(exposures)
-        usual = (exposures.weights @ model.share)[:, None]
-        noise = _mean_counts(exposures.expected, exposures.dark / usual)
+        whole = (np.ones_like(exposures.counts) @ model.share)[:, None]
+        noise = _mean_counts(exposures.expected, exposures.dark / whole)
         brightness, pattern = (
             [_survival(statistic, noise, tail) for tail in self.tails[:, k].astype(float)]
             for k, statistic in enumerate(statistics)

@@ -137,21 +137,11 @@ class _RightAnswers:
     answers: int  # to all their exposures
     scenes: int
 
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval of the share that is right, over scenes as the trials (Wilson)."""
-        return wilson(self.right / self.answers, self.scenes)
-
-    def line(self, what: str) -> str:
-        """Sentence on the right answers, such as to ``new pictures``, with their interval."""
-        low, high = self.interval
-        share = f"{self.right / self.answers:.2f}, 95 % {low:.2f} to {high:.2f}"
-        return f"right: {self.right} of {self.answers} {what} ({share})"
-
     def as_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        low, high = self.interval if self.answers else (None, None)
+        """Numbers, with the share that is right and its 95 % interval; JSON types only."""
         share = self.right / self.answers if self.answers else None
+        # exposures of one scene are alike: scenes are the trials
+        low, high = (None, None) if share is None else wilson(share, self.scenes)
         return {**vars(self), "share": share, "low": low, "high": high}
 
 
@@ -182,28 +172,14 @@ class Score:
 
     def lines(self, noun: str) -> list[str]:
         """Sentences on the score, new scenes first; the noun is a picture or an exposure."""
-        new = self.new
-        trained = self.trained_on
-        unknown = self.unknown
-        lines = []
-        if new.answers:
-            also = f"new {noun}s" if trained.answers else f"{noun}s, none of them trained on"
-            lines.append(new.line(also))
-        if trained.answers and new.answers:
-            lines.append(
-                f"{trained.answers} of these {new.answers + trained.answers} {noun}s were trained "
-                f"on ({trained.right} right); of the other {new.answers}, {new.right} are right"
-            )
-        elif trained.answers:
-            lines.append(
-                f"all {trained.answers} {noun}s were trained on ({trained.right} right): "
-                f"{NO_MEASURE}"
-            )
-        if unknown.answers:
-            lines.append(
-                f"{unknown.line(noun + 's')}; whether the design was trained on them is not known"
-            )
-        return lines
+        kinds = {
+            f"new {noun}s": self.new,
+            f"{noun}s that were trained on, no measure of the design": self.trained_on,
+            f"{noun}s that may have been trained on": self.unknown,
+        }
+        line = "right: {right} of {answers} {0} ({share:.2f}, 95 % {low:.2f} to {high:.2f})"
+        told = [(words, kind.as_dict()) for words, kind in kinds.items() if kind.answers]
+        return [line.format(words, **numbers) for words, numbers in told]
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""

@@ -16,6 +16,7 @@ the counts as well, the fault is named and the run is not refused.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from math import log
 
 import numpy as np
@@ -54,7 +55,7 @@ class _ViewFault:
     """Fault in how a camera sees scenes."""
 
     words: str  # "... of the picture on the device"
-    # Of scenes as images (..., h, w), linear in them
+    # Of scenes as images (n, h, w), linear in them
     see: Callable[[np.ndarray], np.ndarray]
     stray: float = 0.0  # even light beside that of the scenes, over their mean light
 
@@ -63,6 +64,8 @@ def view_faults(
     image_shape: tuple[int, ...], sizes: _FaultSizes = FAULTY_SIZES
 ) -> Iterator[_ViewFault]:
     """Faults of the view of scenes of a shape; spectra are images of one row."""
+    from scipy.ndimage import gaussian_filter, shift
+
     height, width = _rows(image_shape)
     flat = height == 1
     across, down = (
@@ -75,21 +78,23 @@ def view_faults(
         sides |= {"bottom": (1, 0), "top": (-1, 0)}
     for cells in sizes.blurs:
         words = f"blurred by about {cells:g} cells (standard deviation)"
-        yield _ViewFault(words, _blur(cells, flat))
+        sigma = (0.0, 0.0 if flat else cells, cells)
+        yield _ViewFault(words, partial(gaussian_filter, sigma=sigma, mode="constant"))
     for share in sizes.stray:
         words = f"mixed with stray light of about {share:g} of the scenes'"
         yield _ViewFault(words, lambda x: x, share)
     for lost in sizes.corners:
         light = 1 - lost * radius
-        yield _ViewFault(f"darker at its corners, to about {1 - lost:g}", _times(light))
+        words = f"darker at its corners, to about {1 - lost:g}"
+        yield _ViewFault(words, partial(np.multiply, light))
     for tilt in sizes.tilts:
         for side, (dy, dx) in sides.items():
             light = 1 + tilt * (dy * down + dx * across)
-            yield _ViewFault(f"lit unevenly, brighter at the {side}", _times(light))
+            yield _ViewFault(f"lit unevenly, brighter at the {side}", partial(np.multiply, light))
     for share in sizes.shifts:
         for side, (dy, dx) in sides.items():
-            see = _shift(dy * share * height, dx * share * width)
-            yield _ViewFault(f"shifted to the {side}", see)
+            moved = (0.0, dy * share * height, dx * share * width)
+            yield _ViewFault(f"shifted to the {side}", partial(shift, shift=moved, order=1))
 
 
 def orientation_faults(image_shape: tuple[int, ...]) -> Iterator[_ViewFault]:
@@ -111,29 +116,6 @@ def orientation_faults(image_shape: tuple[int, ...]) -> Iterator[_ViewFault]:
 def _rows(image_shape: tuple[int, ...]) -> tuple[int, int]:
     height, width = (1, *image_shape)[-2:]
     return height, width
-
-
-def _blur(cells: float, flat: bool) -> Callable[[np.ndarray], np.ndarray]:
-    from scipy.ndimage import gaussian_filter
-
-    def see(x: np.ndarray) -> np.ndarray:
-        sigma = (*[0.0] * (x.ndim - 2), 0.0 if flat else cells, cells)
-        return np.asarray(gaussian_filter(x, sigma, mode="constant"))
-
-    return see
-
-
-def _times(light: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda x: x * light
-
-
-def _shift(down: float, across: float) -> Callable[[np.ndarray], np.ndarray]:
-    from scipy.ndimage import shift
-
-    def see(x: np.ndarray) -> np.ndarray:
-        return np.asarray(shift(x, (*[0.0] * (x.ndim - 2), down, across), order=1))
-
-    return see
 
 
 @dataclass(frozen=True)
@@ -242,7 +224,7 @@ class ViewResult:
     @property
     def likeliest(self) -> str:
         """The fault that explains the counts best."""
-        return self.faults[int((self.odds + self.before).argmax())]
+        return self.faults[int(self.odds.argmax())]
 
     @property
     def refusal(self) -> str:
@@ -375,7 +357,7 @@ class ViewTest:
             scenes=self._scenes,
             faults=self._faults,
             odds=odds,
-            # Every fault is as likely as another
+            # every fault is as likely as another
             before=np.log([1 / len(odds)] * len(odds)),
             alike=alike,
             ever=self._refused,

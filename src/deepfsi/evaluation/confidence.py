@@ -246,7 +246,7 @@ def _calibrate(
     for place, counts in enumerate(TAIL_COUNTS):
         expected = np.full(len(rates), counts * rates.shape[1])
         read = exposed(float(expected[0]))
-        seen = ReadoutCounts(read, expected, np.zeros_like(read), np.ones_like(read))
+        seen = ReadoutCounts(read, expected, np.zeros_like(read))
         values = np.empty((2, len(rates)))
         for fold, model in zip(folds, models, strict=True):
             values[:, fold] = model.statistics(seen.rows(fold))

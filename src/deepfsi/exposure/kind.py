@@ -24,7 +24,7 @@ from deepfsi.designfile.provenance import click_gates
 from deepfsi.jobs.exposures import ConditionedEntry, Entry
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
-from deepfsi.physics.noise import NoiseFunction, full_gates, noise_of, to_training_light
+from deepfsi.physics.noise import NoiseFunction, noise_of, to_training_light
 from deepfsi.physics.scanner import Scanner
 
 Use = Literal["masks", "frames", "graph", "page", "comparison", "ideal observer"]
@@ -93,21 +93,12 @@ class ExposureKind(ABC):
 
     @property
     @abstractmethod
-    def size_text(self) -> str:
-        """Masks, or looks, and detectors: 5 masks, 4 detectors, both rails read."""
-
-    @property
-    @abstractmethod
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays that the kind keeps in a design file."""
 
     @abstractmethod
     def exposures(self, scenes: Tensor, camera: Camera, network: Network) -> Exposures:
         """Exposures of scenes (n, N) by a camera; a network answers counts of known masks."""
-
-    def full_gates(self, counts: float, photons: float) -> str | None:
-        """Warning if nearly all gates of an exposure click, else None."""
-        return None
 
     def quantised(self, levels: int) -> "ExposureKind":
         """The kind as a device with these grey levels shows it."""
@@ -170,16 +161,6 @@ class MaskExposure(ExposureKind):
         """Number and shape of the masks, and their light law."""
         shape = "x".join(map(str, self.mask_shape))
         return f"{self.count} masks of {shape}, {self.light}, {self.rails.kind} rails"
-
-    @property
-    def size_text(self) -> str:
-        """Masks, and detectors if there are several."""
-        parts = [f"{self.count} masks"]
-        if self.detection.count > 1:
-            parts.append(f"{self.detection.count} detectors")
-        if self.rails.count == 2 and self.detection.readout == "both":
-            parts.append("both rails read")
-        return ", ".join(parts)
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
@@ -293,12 +274,6 @@ class MaskExposure(ExposureKind):
         return expose
 
     # Answering
-
-    def full_gates(self, counts: float, photons: float) -> str | None:
-        """Warning if nearly all gates of an exposure click, else None."""
-        if self.clicks is None:
-            return None
-        return full_gates(counts / (prod(self.counts_shape) * self.clicks.gates), photons)
 
     def features(self, counts: Tensor) -> Tensor:
         """Features (..., k) of counts (..., [2,] m [, D])."""

@@ -131,10 +131,12 @@ class ExposureTraining(ABC):
         return self.trained(self.statistics())
 
     def learned_masks(self) -> LearnedMasks:
-        """Masks that learn under the camera's light law."""
+        """Masks (R, m, P) that learn under the light law, of the pixels that they may light."""
         camera = self.camera
+        pixels = self.scenes.pixels(camera.light).cpu()
+        signed = self.detection.of_pixels(pixels).arrange(self._matrices()[..., pixels])
         return LearnedMasks(
-            self.start(),
+            signed.expand(len(self.jobs), -1, -1).clone(),
             camera.light,
             camera.rails,
             levels=self.levels,
@@ -142,27 +144,19 @@ class ExposureTraining(ABC):
             contrast=camera.contrast,
         ).to(self.scenes.device)
 
-    def fixed_masks(self, rails: Tensor) -> FixedMasks:
-        """Masks of rails (R or 1, 2 or 1, m, N), in the levels of the device, with its leak."""
+    def fixed_masks(self, matrix: np.ndarray | None = None) -> FixedMasks:
+        """Masks (R or 1, m, N), as shown, of a named design or a user's own matrix (m, N)."""
+        rails_kind = self.camera.rails
+        if matrix is not None:
+            rails = self.law.rails_of(matrix, rails_kind).unsqueeze(0)
+        elif self.job.code.scaled:
+            rails = self._matrices().unsqueeze(1)
+        else:
+            rails = torch.stack([self.law.fit(each, rails_kind) for each in self._matrices()])
         rails = self.law.quantise(rails, self.levels) if self.levels else rails
         if self.camera.contrast is not None:
             rails = self.law.leak(rails, self.camera.contrast)
         return FixedMasks(rails).to(self.scenes.device)
-
-    def named_rails(self, matrix: np.ndarray | None = None) -> Tensor:
-        """Rails (R or 1, 2 or 1, m, N) of a named design or a user's own matrix (m, N)."""
-        if matrix is not None:
-            return self.law.rails_of(matrix, self.camera.rails).unsqueeze(0)
-        signed = self._matrices()
-        if self.job.code.scaled:
-            return signed.unsqueeze(1)
-        return torch.stack([self.law.fit(each, self.camera.rails) for each in signed])
-
-    def start(self) -> Tensor:
-        """Matrices (R, m, P) that masks learn from, of the pixels that they may light."""
-        pixels = self.scenes.pixels(self.camera.light).cpu()
-        signed = self.detection.of_pixels(pixels).arrange(self._matrices()[..., pixels])
-        return signed.expand(len(self.jobs), -1, -1).clone()
 
     def centred(self) -> tuple[Tensor, FixedMasks | LearnedMasks]:
         """Centred scenes and their mean (n + 1, P), and masks, both arranged by detectors."""
@@ -308,7 +302,7 @@ class _FixedTraining(ExposureTraining):
 
     def __init__(self, group: JobGroup) -> None:
         super().__init__(group)
-        self.masks = group.masks or self.fixed_masks(self.named_rails(group.matrix))
+        self.masks = group.masks or self.fixed_masks(group.matrix)
 
     def prepare(self) -> None:
         """Compute the products of all scenes and their statistics."""
@@ -444,11 +438,7 @@ class ConditionedTraining(ExposureTraining):
             for job in self.jobs
         ]
         self.input_count += 2
-        self.masks = (
-            self.learned_masks()
-            if self.learns
-            else self.fixed_masks(self.named_rails(group.matrix))
-        )
+        self.masks = self.learned_masks() if self.learns else self.fixed_masks(group.matrix)
 
     def prepare(self) -> None:
         """Take the centred scenes."""

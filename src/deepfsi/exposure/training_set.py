@@ -76,9 +76,9 @@ class Values:
         return replace(self, mean=self.mean.to(device), std=self.std.to(device))
 
     @property
-    def tensors(self) -> dict[str, Tensor]:
-        """Tensors of a design file."""
-        return {"mean": self.mean, "std": self.std}
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays of a design file."""
+        return {"mean": self.mean.cpu().numpy(), "std": self.std.cpu().numpy()}
 
 
 class TrainingSet:

@@ -252,8 +252,11 @@ def _classify_counts(
     if counts.gates is None:
         remarks = _remarks(consistency, view)
     else:
-        clicks = float(design.readouts(signal)[usable].mean())
-        remarks = _click_remarks(design, clicks / counts.gates, float(budgets[often > 0].mean()))
+        remarks = (
+            "these clicks were not compared with those of the training: the test is of photon "
+            f"counts. They are read for the stated budget: this is {budgets[often > 0].mean():.3g} "
+            f"photons, that of the training was {design.info['job']['photons']:.3g}",
+        )
     return ClassifiedRun(
         design=design.name,
         masks=design.masks,
@@ -350,19 +353,6 @@ def _remarks(consistency: ConsistencyResult | None, view: ViewResult | None) -> 
     if view is not None:
         remark = view.remark
     return (*lines, remark) if remark else tuple(lines)
-
-
-def _click_remarks(design: "Design", share: float, photons: float) -> tuple[str, ...]:
-    """Lines for a reader on clicks in a share of the gates, at a budget."""
-    from deepfsi.physics.noise import full_gates
-
-    full = full_gates(share, photons)
-    read = (
-        "these clicks were not compared with those of the training: the test is of photon counts. "
-        f"They are read for the stated budget: this is {photons:.3g} photons, that of the training "
-        f"was {design.info['job']['photons']:.3g}"
-    )
-    return (read,) if full is None else (read, full)
 
 
 def dim_scenes(design: "Design", budgets: np.ndarray) -> list[Fault]:

@@ -161,14 +161,11 @@ def predict(
         generator = torch.Generator(design.exposure.device).manual_seed(seed)
         scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
         chances = []
-        clicks = 0.0
         for some in scenes.split(EXPOSED_AT_ONCE):
-            answer, light = design.exposures(some, tested)(budget, generator)
+            answer, _ = design.exposures(some, tested)(budget, generator)
             chances.append(answer.chances.cpu())
-            clicks += light.counts
         confidence, best = torch.cat(chances).max(dim=-1)
         remarks = [fault.detail for fault in dim_scenes(design, np.array([budget]))]
-        remarks += filter(None, [design.exposure.full_gates(clicks / len(scenes), budget)])
     labels = shown.labels or [None] * len(shown.names)
     trained = was_trained_on(design.training_scenes, scene_hashes(shown.x, design.image_shape))
     return Predictions(

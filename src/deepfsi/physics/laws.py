@@ -14,7 +14,7 @@ that cannot break the law.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -521,12 +521,10 @@ class LearnedMasks(nn.Module):
         return {**dict(self.named_parameters()), **dict(self.named_buffers())}
 
 
-def _check_tensor(given: Any, what: str, axes: int, shape: str) -> None:
-    """Raise `InputError` unless this is a tensor of real numbers with enough axes."""
-    if not isinstance(given, Tensor) or not given.is_floating_point() or given.ndim < axes:
-        found = tuple(given.shape) if isinstance(given, Tensor) else type(given).__name__
-        kind = f" and type {given.dtype}" if isinstance(given, Tensor) else ""
+def _check_tensor(given: Tensor, what: str, axes: int, shape: str) -> None:
+    """Raise `InputError` unless this tensor is of real numbers and has enough axes."""
+    if not given.is_floating_point() or given.ndim < axes:
         raise InputError(
-            f"{what} of {'shape ' * bool(kind)}{found}{kind} cannot be used: give a tensor of real "
-            f"numbers {shape}"
+            f"{what} of shape {tuple(given.shape)} and type {given.dtype} cannot be used: give a "
+            f"tensor of real numbers {shape}"
         )

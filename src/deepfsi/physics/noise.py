@@ -328,17 +328,14 @@ class _CustomNoise(Noise):
         rates = torch.tensor([0.5, 3.0, 50.0]).repeat(64, 1).requires_grad_(learning)
         try:
             counts = self.draw(rates, torch.Generator().manual_seed(0))
-            finite = counts.shape == rates.shape and bool(torch.isfinite(counts).all())
+            if counts.shape != rates.shape or not bool(torch.isfinite(counts).all()):
+                raise ValueError("it gives no finite counts of the shape of the rates")
         except Exception as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise InputError(
                 f"the noise cannot be used: {reason}; give noise(rates, generator), counts of a "
                 "tensor"
             ) from error
-        if not finite:
-            raise InputError(
-                "the noise gives no finite counts of the shape of the rates: give one that does"
-            )
         if learning and not (
             counts.requires_grad and bool(torch.autograd.grad(counts.sum(), rates)[0].any())
         ):
@@ -449,11 +446,10 @@ def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
         names = {each.name for each in fields(made)}
         noise = made(**{name: one for name, one in numbers.items() if name in names})
     dark = numbers.get("dark", 0.0)
-    if not (isinstance(dark, int | float) and math.isfinite(dark) and dark >= 0):
-        raise InputError(f"{dark!r} dark counts are not allowed: give 0 or more for an exposure")
-    if dark and "dark" not in noise.settings:
+    if dark and ("dark" not in noise.settings or not 0 < dark < math.inf):
         raise InputError(
-            f'dark counts are not of {noise.name} noise: give `noise="camera"` with them'
+            f"{dark!r} dark counts of {noise.name} noise are not allowed: give 0 or more, and "
+            '`noise="camera"` with them'
         )
     fluctuation = numbers.get("fluctuation", 0.0)
     return Fluctuation(noise, fluctuation) if fluctuation else noise
@@ -502,18 +498,6 @@ class _Root(torch.autograd.Function):
 
 def _normal(like: Tensor, random: Random) -> Tensor:
     return torch.randn(like.shape, generator=random, device=like.device, dtype=like.dtype)
-
-
-def full_gates(share: float, photons: float) -> str | None:
-    """Warning if nearly all gates click, else None."""
-    # With r photons a gate, the information on log r is r² e⁻ʳ / (1 − e⁻ʳ): highest at a share of
-    # 0.80, and at 0.95 only 0.73 of its maximum
-    if share <= 0.95:
-        return None
-    return (
-        f"at {photons:.3g} photons {share:.0%} of the gates click, which tells little of a scene: "
-        "give more `gates`, or a lower `photons`"
-    )
 
 
 def to_training_light(

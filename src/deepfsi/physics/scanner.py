@@ -51,11 +51,6 @@ class Scanner(nn.Module):
         detection: Detection | None = None,
     ) -> None:
         super().__init__()
-        if not isinstance(masks, nn.Module):
-            raise InputError(
-                f"masks were given as {type(masks).__name__}, not as a module: for a tensor "
-                "of rails give Scanner.from_rails(rails)"
-            )
         self.masks = masks
         self.noise = make_noise(noise, sigma=sigma, dark=dark)
         self.detection = detection or Detection()
@@ -87,8 +82,8 @@ class Scanner(nn.Module):
         arranged = rails.map(seen.arrange)
         read = seen.readouts(arranged)
         if noise.draws_rails:
-            rates = self._rates(photons, rails)
-            counts = seen.features(self._drawn(rates, rails, generator))
+            rates = self.rates(photons, rails)
+            counts = seen.features(self.read(rates, generator, rails))
             if not noise.unbiased:  # its draws bring a gradient
                 return counts
             light = Expectation(seen.features(rates), seen.totals(rates), read)
@@ -107,13 +102,18 @@ class Scanner(nn.Module):
         """
         return self.read(self.rates(photons), generator)
 
-    def rates(self, photons: Tensor) -> Tensor:
-        """Expected counts of each rail; shapes as `counts`."""
-        return self._rates(photons, self.masks())
+    def rates(self, photons: Tensor, rails: Rails | None = None) -> Tensor:
+        """Expected counts of each rail; shapes as `counts`. Rails that are known save time."""
+        known = rails or self.masks()
+        frames = self.detection.arrange(known.stacked)
+        return project(self._light(photons, known), frames, self.detection.count)
 
-    def read(self, rates: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    def read(
+        self, rates: Tensor, generator: torch.Generator | None = None, rails: Rails | None = None
+    ) -> Tensor:
         """Noisy counts of rails from their expected counts; shapes as `counts`."""
-        return self._drawn(rates, self.masks(), generator)
+        read = self._readouts(rates.shape[-2], rails or self.masks())
+        return self.noise.sample(rates, read, self.noise.dark_counts(read.time), generator)
 
     def dark_counts(self, rails: int) -> Tensor:
         """Expected dark counts (rails, m · D) of an exposure; a dark rail is not read out."""
@@ -127,14 +127,6 @@ class Scanner(nn.Module):
         power = self.noise.variance(Expectation(rates, rates, alone))
         power = torch.where(read.active, power, 0.0).expand_as(rates)
         return self.detection.features(self.noise.mean(rates)), self.detection.totals(power)
-
-    def _rates(self, photons: Tensor, rails: Rails) -> Tensor:
-        frames = self.detection.arrange(rails.stacked)
-        return project(self._light(photons, rails), frames, self.detection.count)
-
-    def _drawn(self, rates: Tensor, rails: Rails, generator: torch.Generator | None) -> Tensor:
-        read = self._readouts(rates.shape[-2], rails)
-        return self.noise.sample(rates, read, self.noise.dark_counts(read.time), generator)
 
     def _readouts(self, count: int, rails: Rails) -> Readouts:
         """Readouts (..., rails, m · D): which rails are read out, and for how long."""
@@ -150,13 +142,11 @@ class Scanner(nn.Module):
 
 def _flat(photons: Any, pixels: int) -> Tensor:
     """Photons (..., N) of scenes (..., N) or images (..., H, W)."""
-    if not isinstance(photons, Tensor):
+    if not isinstance(photons, Tensor) or not photons.is_floating_point():
+        kind = getattr(photons, "dtype", type(photons).__name__)
         raise InputError(
-            f"photons were given as {type(photons).__name__}: give a tensor, such as "
-            "torch.as_tensor(photons)"
+            f"photons of type {kind} were given: give torch.as_tensor(photons).float()"
         )
-    if not photons.is_floating_point():
-        raise InputError(f"photons of type {photons.dtype} were given: give photons.float()")
     if photons.ndim > 0 and photons.shape[-1] == pixels:
         return photons
     if photons.ndim > 1 and photons.shape[-2] * photons.shape[-1] == pixels:

@@ -62,7 +62,8 @@ class TrainingNoise:
         """Noisy features (B, R, k)."""
         if self.kind.draws_rails:
             return self.counted(mean, total, read)
-        return mean + self.deviation(mean, total, read) * normal(mean.shape[-1])
+        deviation = self.kind.deviation(Expectation(mean, total, read, self.gain))
+        return mean + deviation * normal(mean.shape[-1])
 
     def counted(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
         """Features (B, R, k) from counts of two rails."""
@@ -128,10 +129,6 @@ class TrainingNoise:
     def expected(self, mean: Tensor, total: Tensor) -> Tensor:
         """Mean counts (R,) of an exposure, over noise and scenes, from products (B, R, k)."""
         return self.kind.mean(self._rates(mean, total)).sum(dim=(0, 3)).mean(dim=0)
-
-    def deviation(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
-        """Standard deviation of features (..., R, k), for a noise that does not count."""
-        return self.kind.deviation(Expectation(mean, total, read, self.gain))
 
     def variance(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
         """Variance of features (..., R, k); a user's noise has none."""

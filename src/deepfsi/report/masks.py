@@ -111,7 +111,7 @@ def design_figure(design: "Design", count: int) -> Figure:
     exposure = design.mask_exposure
     matrix, shape, dwells = exposure.drawing()
     budget = design.info.get("job", {}).get("photons")
-    title = f"{design.name}, {exposure.size_text}, {exposure.light}" + (
+    title = f"{design.name}, {exposure.title}" + (
         f", {budget_text(budget)} photons" if budget else ""
     )
     lit = lit_masks(design.rails.stacked.cpu().numpy())

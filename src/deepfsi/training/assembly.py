@@ -10,7 +10,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import LightLawName, find_noise
-from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.design.networks import OwnClassifier, make_custom
@@ -64,22 +63,36 @@ def design_of(
     """
     budget = check_budget(photons)
     scenes = as_dataset(data)
+    detection = scanner.detection
+    with torch.no_grad():
+        rails = Rails.of(scanner.masks().stacked.clone())
+    shape = tuple(rails.difference.shape)
+    if len(shape) != 2 or shape[-1] != scenes.pixels:
+        raise InputError(
+            f"masks of shape {shape} do not fit {scenes.name}: give (masks, {scenes.pixels})"
+        )
     light = scanner.masks.law.name if isinstance(scanner.masks, LearnedMasks) else light
-    rails = _rails(scanner, scenes, light)
+    light_law(light).check(rails.stacked)
     training_set = TrainingSet(scenes, rails.device)
     s = training_set.summed_reflectance
     mean = torch.from_numpy(scenes.x_train.mean(axis=0))
-    read = rails.masks * scanner.detection.width(rails.count)
-    job = _job(scanner, rails, budget, light)
-    front = Scanner.from_rails(rails.stacked, detection=scanner.detection)
-    counts = scanner.detection.totals(front.rates(mean.to(rails.difference)))
+    read = rails.masks * detection.width(rails.count)
+    noise = find_noise(scanner.noise.name).stands_for or scanner.noise.name
+    optics: dict[str, Any] = {"light": light, "noise": noise, **scanner.noise.settings}
+    optics |= {"rails": rails.kind, "readout": detection.readout}
+    if detection.labels is not None:
+        optics["detectors"] = detection.labels
+    camera = Camera.load(**optics)
+    job = Job(design="custom", masks=rails.masks, photons=budget, camera=camera)
+    front = Scanner.from_rails(rails.stacked, detection=detection)
+    counts = detection.totals(front.rates(mean.to(rails.difference)))
     info = provenance(job, scenes, rails.device)
     exposure = MaskExposure(
         entry=FixedEntry(),
         rails=rails,
         light=light,
         image_shape=scenes.image_shape,
-        detection=scanner.detection,
+        detection=detection,
         summed_reflectance=s,
         mean=torch.zeros(read, device=rails.device),
         std=torch.full((read,), 1 / budget, device=rails.device),
@@ -117,37 +130,11 @@ def designs_of(exposure: ExposureTraining, classifiers: Sequence[nn.Module]) -> 
     ]
 
 
-def _job(scanner: Scanner, rails: Rails, photons: float, light: LightLawName) -> Job:
-    """The known settings of a training elsewhere."""
-    detection = scanner.detection
-    noise = find_noise(scanner.noise.name).stands_for or scanner.noise.name
-    optics: dict[str, Any] = {"light": light, "noise": noise, **scanner.noise.settings}
-    optics |= {"rails": rails.kind, "readout": detection.readout}
-    if detection.labels is not None:
-        optics["detectors"] = detection.labels
-    camera = Camera.load(**optics)
-    return Job(design="custom", masks=rails.masks, photons=photons, camera=camera)
-
-
-def _rails(scanner: Scanner, data: Dataset, light: LightLawName) -> Rails:
-    """Rails of the masks (m, N) of a scanner, or `InputError` if scenes or law forbid them."""
-    with torch.no_grad():
-        rails = Rails.of(scanner.masks().stacked.clone())
-    shape = tuple(rails.difference.shape)
-    if len(shape) != 2 or shape[-1] != data.pixels:
-        raise InputError(
-            f"masks of shape {shape} do not fit {data.name}: give (masks, {data.pixels})"
-        )
-    light_law(light).check(rails.stacked)
-    return rails
-
-
 def _copy(classifier: nn.Module, features: int, classes: int) -> OwnClassifier:
     """Copy of a user's module with its import path."""
     if not isinstance(classifier, OwnClassifier):
         return make_custom(classifier, {}, features, classes)
-    if classifier.module is None:
-        raise InputError("the classifier's code was not run: give its module")
+    assert classifier.module is not None
     own = make_custom(classifier.module, {}, features, classes)
     own.factory = classifier.factory
     own.arguments = classifier.arguments

@@ -5,6 +5,7 @@ is trained on all scenes.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from math import prod
@@ -76,29 +77,23 @@ def find_temperatures(
     allow no test.
     """
     budgets = calibration_budgets(job.photons, job.exposure.highest(job.photons))
-    scenes = _calibration_scenes(design, job, data, left_out)
-    if left_out or data.held_out:
-        fitted = fit_temperatures(scenes, budgets, trained_on=False)
-        return fitted, measure_left_out(scenes, fitted, job.photons, _guess(data))
-    return fit_temperatures(scenes, budgets, trained_on=True), None
-
-
-def _calibration_scenes(
-    design: Design, job: Job, data: Dataset, left_out: Sequence[tuple[Dataset, Design]]
-) -> CalibrationScenes:
-    """Scenes that calibrate a design."""
-    if left_out and not data.held_out:
+    held = data.held_out > 0
+    if left_out and not held:
         parts = [Exposed(made, job.camera, fold.x_test, fold.y_test) for fold, made in left_out]
         # about 1000 exposures in all
         draws = max(1, 1000 // sum(len(fold.x_test) for fold, _ in left_out))
-        return CalibrationScenes.of(parts, job.seed, draws, DOUBT)
-    held = data.held_out > 0
-    x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
-    readouts = prod(design.counts_shape) * prod(design.mask_exposure.part_axis)
-    rows = sample_scenes(len(x), readouts, job.seed)
-    part = Exposed(design, job.camera, x[rows], labels[rows])
-    doubt = DOUBT if held and len(x) < LEFT_OUT else 0.0
-    return CalibrationScenes.of([part], job.seed, doubt=doubt)
+        scenes = CalibrationScenes.of(parts, job.seed, draws, DOUBT)
+    else:
+        x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
+        readouts = prod(design.counts_shape) * prod(design.mask_exposure.part_axis)
+        rows = sample_scenes(len(x), readouts, job.seed)
+        part = Exposed(design, job.camera, x[rows], labels[rows])
+        doubt = DOUBT if held and len(x) < LEFT_OUT else 0.0
+        scenes = CalibrationScenes.of([part], job.seed, doubt=doubt)
+    fitted = fit_temperatures(scenes, budgets, trained_on=not (left_out or held))
+    if not (left_out or held):
+        return fitted, None
+    return fitted, measure_left_out(scenes, fitted, job.photons, _guess(data))
 
 
 def _model_counts(training_set: TrainingSet, designs: Sequence[Design]) -> None:
@@ -175,7 +170,8 @@ def calibrate_posterior(
     ends = job.photons / CALIBRATION_REACH, job.photons * CALIBRATION_REACH
     temperatures = Temperatures(logs, np.array([ends[0], *answers.budgets, ends[1]]))
     test = measure_left_out(scenes, temperatures, job.photons, _guess(data))
-    prior = made.prior.with_temperatures(temperatures)
+    prior = copy(made.prior)
+    prior.temperatures = temperatures
     return replace(made, prior=prior), asdict(test)
 
 

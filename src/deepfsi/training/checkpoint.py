@@ -14,11 +14,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from safetensors.numpy import save as to_bytes
 from torch import Tensor, nn
 
@@ -112,19 +110,6 @@ class LoopState:
         self.step = step
 
 
-class _Header(BaseModel):
-    """Header of a checkpoint."""
-
-    model_config = ConfigDict(strict=True, extra="forbid")
-
-    schema_number: Literal[1] = 1
-    key: str  # hash of everything that the bits depend on
-    title: str
-    steps: list[int] = Field(min_length=1)  # steps done in each loop
-    seconds: FiniteFloat = Field(ge=0)  # duration so far
-    content: str  # hash of the arrays
-
-
 class Checkpoint:
     """File for the state of a training while it runs; without a path it keeps nothing."""
 
@@ -164,23 +149,24 @@ class Checkpoint:
         advice = "give the path of a checkpoint, or of a new file"
         try:
             text, arrays = read_tensors(self.path, HEADER, advice)
-            header = _Header.model_validate_json(text)
-        except ValueError as error:
-            if isinstance(error, InputError):
-                raise
+            header = json.loads(text)
+            if header["content"] != _content(arrays):
+                raise self._damaged()
+            key, title, steps = header["key"], header["title"], header["steps"]
+            self.seconds = header["seconds"]
+        except InputError:
+            raise
+        except (ValueError, KeyError, TypeError) as error:
             raise self._damaged() from error
-        if header.content != _content(arrays):
-            raise self._damaged()
-        if header.key != self.key:
+        if key != self.key:
             raise InputError(
-                f"{self.path} is of another training ({header.title}; other settings, data, torch "
+                f"{self.path} is of another training ({title}; other settings, data, torch "
                 "or device): resume that one, or remove the file to begin anew"
             )
-        self.seconds = header.seconds
         self._before = [
             (step, {name.partition("/")[2]: array for name, array in arrays.items()
                     if name.startswith(f"{place}/")})
-            for place, step in enumerate(header.steps)
+            for place, step in enumerate(steps)
         ]  # fmt: skip
 
     def _damaged(self) -> InputError:
@@ -214,15 +200,15 @@ class Checkpoint:
             for place, (_, state) in enumerate(loops)
             for name, array in state.items()
         }
-        header = _Header(
-            key=self.key,
-            title=self.title,
-            steps=[step for step, _ in loops],
-            seconds=self.seconds + time.monotonic() - self._began,
-            content=_content(arrays),
-        )
+        header = {
+            "key": self.key,  # hash of everything that the bits depend on
+            "title": self.title,
+            "steps": [step for step, _ in loops],  # done in each loop
+            "seconds": self.seconds + time.monotonic() - self._began,
+            "content": _content(arrays),
+        }
         try:
-            write_atomically(self.path, to_bytes(arrays, {HEADER: header.model_dump_json()}))
+            write_atomically(self.path, to_bytes(arrays, {HEADER: json.dumps(header)}))
         except InputError as error:  # the next write may have room again
             warnings.warn(f"{error}; the training goes on", stacklevel=2)
         else:

@@ -1,6 +1,6 @@
 """Epochs of a training, which a user's callback follows and may end.
 
-After each epoch the designs, as if the training ended there, classify the held-out scenes
+After each epoch the design, as if the training ended there, classifies the held-out scenes
 (`Dataset.hold_out`). This draws from a separate generator, and the generators of the training are
 set back, so that a callback changes no bit of it.
 """
@@ -8,7 +8,6 @@ set back, so that a callback changes no bit of it.
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import torch
@@ -43,12 +42,12 @@ class Epoch:
 
 @dataclass
 class EpochWatch:
-    """A user's callback in the loops of a training, and the epochs that they took."""
+    """A user's callback in the loops of a training of one design, and the epochs that they took."""
 
     callback: Callable[[Epoch], bool | None] | None = None
     most: tuple[int, ...] = ()  # largest number of epochs of each loop
     lengths: list[int] = field(default_factory=list)  # epochs of each finished loop
-    history: list[list[Epoch]] = field(default_factory=list)  # last loop, for each design
+    history: list[Epoch] = field(default_factory=list)  # of the last loop
 
     def for_fold(self) -> "EpochWatch":
         """Watch of a fold: it takes as many epochs and tells nobody."""
@@ -56,7 +55,7 @@ class EpochWatch:
 
 
 class LoopWatch:
-    """Epochs of a loop that trains R designs side by side."""
+    """Epochs of a loop."""
 
     def __init__(
         self,
@@ -67,17 +66,17 @@ class LoopWatch:
         loss: SceneLoss,
         networks: Sequence[nn.Module],
     ) -> None:
-        self.callback = watch.callback
+        self.watch = watch
         self.most = watch.most[len(watch.lengths)] if watch.most else None
+        watch.history = []
         self.exposure = exposure
         self.state = state
         self.loss = loss
         self.networks = networks
         self.steps = state.draws.steps
-        self.history: list[list[Epoch]] = [[] for _ in exposure.jobs]
         self._losses: list[Tensor] = []
         self._lr = 0.0
-        self._fixed: list[Design] | None = None
+        self._fixed: Design | None = None
 
     @property
     def number(self) -> int:
@@ -85,42 +84,37 @@ class LoopWatch:
         return self.state.step // self.steps
 
     def take(self, losses: Tensor) -> None:
-        """Note losses (B · R,) of a step."""
-        if self.callback is not None:
+        """Note losses of a step."""
+        if self.watch.callback is not None:
             # they stay on the device, and are read once an epoch
-            self._losses.append(losses.detach().view(-1, len(self.exposure.jobs)).mean(dim=0))
+            self._losses.append(losses.detach().mean())
             self._lr = self.state.optimiser.param_groups[0]["lr"]
 
     def ends(self) -> bool:
         """Whether the loop ends after this step."""
         if self.state.step % self.steps:
             return False
-        if self.callback is None:
+        if self.watch.callback is None:
             return self.number == self.most
-        means = torch.stack(self._losses).mean(dim=0).tolist()
+        job = self.exposure.job
+        epoch = Epoch(
+            epoch=self.number,
+            epochs=job.training.epochs,
+            loss=float(torch.stack(self._losses).mean()),
+            lr=self._lr,
+            design=job.design,
+            photons=job.photons,
+            seed=job.seed,
+            **self._validated(),
+        )
         self._losses = []
-        stop = False
-        for job, mean, test, history in zip(
-            self.exposure.jobs, means, self._validated(), self.history, strict=True
-        ):
-            epoch = Epoch(
-                epoch=self.number,
-                epochs=job.training.epochs,
-                loss=mean,
-                lr=self._lr,
-                design=job.design,
-                photons=job.photons,
-                seed=job.seed,
-                **test,
-            )
-            history.append(epoch)
-            stop |= bool(self.callback(epoch))
-        return stop
+        self.watch.history.append(epoch)
+        return bool(self.watch.callback(epoch))
 
-    def _validated(self) -> list[dict[str, float]]:
-        """Validation loss and accuracy of each design; none without held-out scenes."""
+    def _validated(self) -> dict[str, float]:
+        """Validation loss and accuracy; nothing without held-out scenes."""
         if not self.exposure.training_set.data.held_out:
-            return [{} for _ in self.exposure.jobs]
+            return {}
         before = [generator.get_state() for generator in self.state.generators]
         modes = [
             (module, module.training) for network in self.networks for module in network.modules()
@@ -131,28 +125,26 @@ class LoopWatch:
         for network in self.networks:
             network.eval()
         with torch.no_grad():
-            tests = [
-                self._tested(*pair)
-                for pair in zip(self.exposure.jobs, self._designs(), strict=True)
-            ]
+            tested = self._tested(self._design())
         for module, mode in modes:
             module.training = mode
         for generator, state in zip(self.state.generators, before, strict=True):
             generator.set_state(state)
-        return tests
+        return tested
 
-    def _designs(self) -> list[Design]:
-        """Designs as if the training ended here."""
+    def _design(self) -> Design:
+        """The design as if the training ended here."""
         if self._fixed is not None:
             return self._fixed
         exposure = copy.copy(self.exposure)  # the original goes on learning
         exposure.fix()
-        designs = designs_of(exposure, self.networks[: len(exposure.jobs)])
-        self._fixed = None if exposure.learns else designs
-        return designs
+        [design] = designs_of(exposure, self.networks)
+        self._fixed = None if exposure.learns else design
+        return design
 
-    def _tested(self, job: Any, design: Design) -> dict[str, float]:
+    def _tested(self, design: Design) -> dict[str, float]:
         """Loss and accuracy of a design in one exposure of each held-out scene."""
+        job = self.exposure.job
         training_set = self.exposure.training_set
         device = training_set.device
         photons = (job.photons * job.exposure.highest(job.photons)) ** 0.5

@@ -15,12 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from deepfsi.adaptive.exposure import (
-    AdaptiveExposure,
-    AdaptiveTraining,
-    LeftOutAnswers,
-    training_of,
-)
+from deepfsi.adaptive.exposure import training_of
 from deepfsi.base.arrays import check_memory, free_memory
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress, progress_bar
@@ -177,7 +172,12 @@ def learn_job(
             made = train_at(job.photons, bar)
         else:
             share = _first_share(training_set, job, matrix)
-            made = _train_for_counts(counts, share, train_at, bar)
+            for number in range(6):  # the last design is taken as it is
+                photons = counts / share
+                made = train_at(photons, bar.between(1 - 2.0**-number, 1 - 2.0 ** -(number + 1)))
+                share = float(made.exposure.shares.sum())
+                if abs(photons * share / counts - 1) <= NEAR:
+                    break
     state.remove()
     return made
 
@@ -193,7 +193,7 @@ def train(
 ) -> Sequence[Design]:
     """Train designs side by side that differ only in budget, sigma and seed.
 
-    Shapes: matrix (m, N).
+    A callback follows a single design. Shapes: matrix (m, N).
     """
     began = time.perf_counter()
     _check(training_set, jobs, matrix)
@@ -204,10 +204,10 @@ def train(
     epochs = EpochWatch(callback)
     group = JobGroup(training_set, jobs, matrix)
     designs = _designs(group, own, checkpoint=checkpoint, epochs=epochs)
-    for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
+    for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device)
         if callback is not None:
-            design.info["history"] = [asdict(epoch) for epoch in epochs.history[place]]
+            design.info["history"] = [asdict(epoch) for epoch in epochs.history]
         design.training_scenes = training_set.hashes
     left_out = []
     for fold, span in zip(folds, others, strict=True):
@@ -224,19 +224,6 @@ def train(
                 training_set.data.x_train, training_set.data.groups, labels.cpu().numpy()
             )
     return designs
-
-
-def _train_for_counts(
-    counts: float, share: float, train: Callable[[float, Progress], Design], report: Progress
-) -> Design:
-    """Design that counts this many photons, averaged over training scenes, to within `NEAR`."""
-    for number in range(6):  # the last design is taken as it is
-        photons = counts / share
-        design = train(photons, report.between(1 - 2.0**-number, 1 - 2.0 ** -(number + 1)))
-        share = float(design.exposure.shares.sum())
-        if abs(photons * share / counts - 1) <= NEAR:
-            break
-    return design
 
 
 def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
@@ -316,14 +303,23 @@ def _adaptive_designs(
     )
     clicks = first.optics.clicks is not None
     training = training_of(clicks)(data, settings)
+    folds = [] if clicks else folds_of(data)
     designs: list[Design] = []
     for job, span in zip(jobs, report.split(len(jobs)), strict=True):
         info = provenance(job, data, torch.device("cpu"))
         made, answers = training.make(job, span)
-        if clicks:
+        if folds:
+            answers = fold_answers(folds, training, job, made.dictionary)
             made, info["left_out"] = calibrate_posterior(made, answers, data, job)
-        else:
-            made = _counting_exposure(training, job, made, answers, info=info, report=span)
+        if settings.cap > 1:
+            longest = training.longest(made, job, span.between(0.5, 1.0))
+            made = longest.shared(made)
+            answers = longest.ended(made)
+        if not folds:
+            made, info["left_out"] = calibrate_posterior(made, answers, data, job)
+        if made.settings.until < 1:
+            made = longest.shared(made)  # the same light, now by calibrated probabilities
+            info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
         info["seconds"] = (time.perf_counter() - began) / (len(designs) + 1)
         designs.append(
             Design(
@@ -336,33 +332,6 @@ def _adaptive_designs(
         )
         span(1.0)
     return designs
-
-
-def _counting_exposure(
-    training: AdaptiveTraining,
-    job: Job,
-    made: AdaptiveExposure,
-    answers: LeftOutAnswers,
-    *,
-    info: dict[str, Any],
-    report: Progress,
-) -> AdaptiveExposure:
-    """Exposure of a job whose detector counts; `info` receives the measurements."""
-    data = training.data
-    folds = folds_of(data)
-    if folds:
-        answers = fold_answers(folds, training, job, made.dictionary)
-        made, info["left_out"] = calibrate_posterior(made, answers, data, job)
-    if training.settings.cap > 1:
-        longest = training.longest(made, job, report.between(0.5, 1.0))
-        made = longest.shared(made)
-        answers = longest.answers(made)
-    if not folds:
-        made, info["left_out"] = calibrate_posterior(made, answers, data, job)
-    if made.settings.until < 1:
-        made = longest.shared(made)  # the same light, now by calibrated probabilities
-        info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
-    return made
 
 
 def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 1) -> None:

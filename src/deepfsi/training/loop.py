@@ -98,7 +98,6 @@ def optimise(
                 state.total = state.step
                 break
     epochs.lengths.append(watch.number)
-    epochs.history = watch.history
     classify.hand_back()
     for network in classifiers:
         if isinstance(network, Mlp):

@@ -58,7 +58,7 @@ class PatchTraining(ExposureTraining):
         asked = self.job.exposure
         assert isinstance(asked, Patches)
         self.entries = [PatchesEntry(side=asked.patch)]
-        self.masks = self.learned_masks() if self.learns else self.fixed_masks(self.named_rails())
+        self.masks = self.learned_masks() if self.learns else self.fixed_masks()
 
     def prepare(self) -> None:
         """Cut images (n, P, N) to patches of the pixels that the masks have."""
