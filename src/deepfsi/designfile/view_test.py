@@ -29,28 +29,6 @@ MOST_AXES = 40
 
 
 @dataclass(frozen=True)
-class _FaultSizes:
-    """Sizes of faults."""
-
-    blurs: tuple[float, ...]  # cells, standard deviation
-    stray: tuple[float, ...]  # stray light over the scenes' light
-    corners: tuple[float, ...]  # light that the corners lose
-    shifts: tuple[float, ...]  # over the frame's side
-    tilts: tuple[float, ...]  # half of the difference of light between two sides, over the mean
-
-
-FAULTY_SIZES = _FaultSizes(
-    blurs=(1.0, 2.0), stray=(0.5, 1.0, 3.0), corners=(0.4, 0.7), shifts=(1 / 16,), tilts=(0.4,)
-)
-"""Sizes that a run is tested for."""
-
-HARMLESS_SIZES = _FaultSizes(
-    blurs=(0.5,), stray=(0.2,), corners=(0.2,), shifts=(1 / 40,), tilts=(0.15,)
-)
-"""Sizes that pass: a run is refused only if none of these explains its counts."""
-
-
-@dataclass(frozen=True)
 class _ViewFault:
     """Fault in how a camera sees scenes."""
 
@@ -60,12 +38,18 @@ class _ViewFault:
     stray: float = 0.0  # even light beside that of the scenes, over their mean light
 
 
-def view_faults(
-    image_shape: tuple[int, ...], sizes: _FaultSizes = FAULTY_SIZES
-) -> Iterator[_ViewFault]:
-    """Faults of the view of scenes of a shape; spectra are images of one row."""
+def view_faults(image_shape: tuple[int, ...], harmless: bool = False) -> Iterator[_ViewFault]:
+    """Faults of the view of scenes of a shape; spectra are images of one row.
+
+    Harmless ones are small: a run is refused only if none of these explains its counts.
+    """
     from scipy.ndimage import gaussian_filter, shift
 
+    blurs = (0.5,) if harmless else (1.0, 2.0)  # cells, standard deviation
+    strays = (0.2,) if harmless else (0.5, 1.0, 3.0)  # stray light over the scenes' light
+    corners = (0.2,) if harmless else (0.4, 0.7)  # light that the corners lose
+    tilt = 0.15 if harmless else 0.4  # half of the difference of light of two sides, over the mean
+    share = 1 / 40 if harmless else 1 / 16  # shift over the frame's side
     height, width = _rows(image_shape)
     flat = height == 1
     across, down = (
@@ -76,25 +60,23 @@ def view_faults(
     sides = {"right": (0, 1), "left": (0, -1)}
     if not flat:
         sides |= {"bottom": (1, 0), "top": (-1, 0)}
-    for cells in sizes.blurs:
+    for cells in blurs:
         words = f"blurred by about {cells:g} cells (standard deviation)"
         sigma = (0.0, 0.0 if flat else cells, cells)
         yield _ViewFault(words, partial(gaussian_filter, sigma=sigma, mode="constant"))
-    for share in sizes.stray:
-        words = f"mixed with stray light of about {share:g} of the scenes'"
-        yield _ViewFault(words, lambda x: x, share)
-    for lost in sizes.corners:
+    for stray in strays:
+        words = f"mixed with stray light of about {stray:g} of the scenes'"
+        yield _ViewFault(words, lambda x: x, stray)
+    for lost in corners:
         light = 1 - lost * radius
         words = f"darker at its corners, to about {1 - lost:g}"
         yield _ViewFault(words, partial(np.multiply, light))
-    for tilt in sizes.tilts:
-        for side, (dy, dx) in sides.items():
-            light = 1 + tilt * (dy * down + dx * across)
-            yield _ViewFault(f"lit unevenly, brighter at the {side}", partial(np.multiply, light))
-    for share in sizes.shifts:
-        for side, (dy, dx) in sides.items():
-            moved = (0.0, dy * share * height, dx * share * width)
-            yield _ViewFault(f"shifted to the {side}", partial(shift, shift=moved, order=1))
+    for side, (dy, dx) in sides.items():
+        light = 1 + tilt * (dy * down + dx * across)
+        yield _ViewFault(f"lit unevenly, brighter at the {side}", partial(np.multiply, light))
+    for side, (dy, dx) in sides.items():
+        moved = (0.0, dy * share * height, dx * share * width)
+        yield _ViewFault(f"shifted to the {side}", partial(shift, shift=moved, order=1))
 
 
 def orientation_faults(image_shape: tuple[int, ...]) -> Iterator[_ViewFault]:
@@ -285,7 +267,7 @@ class ViewTest:
 
     def __init__(self, model: SceneModel, image_shape: tuple[int, ...]) -> None:
         faults = (*orientation_faults(image_shape), *view_faults(image_shape))
-        harmless = tuple(view_faults(image_shape, HARMLESS_SIZES))
+        harmless = tuple(view_faults(image_shape, harmless=True))
         means = np.asarray(model.means, float)
         shares = np.asarray(model.shares, float)
         self._shares = shares / shares.sum()
