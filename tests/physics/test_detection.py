@@ -6,7 +6,6 @@ import torch
 
 from conftest import FLOAT32, every_optics, generator
 from deepfsi import Scanner
-from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.physics.detection import Detection
 from deepfsi.physics.laws import LearnedMasks, light_law
@@ -115,15 +114,3 @@ def test_a_step_of_training_is_the_scanners_forward_and_its_gradient(
     for one, other in zip(found[0][1], found[1][1], strict=True):
         assert torch.isfinite(one).all()
         assert torch.allclose(one, other, rtol=0, atol=1e-11)
-
-
-@pytest.mark.parametrize(
-    ("detectors", "match"),
-    [
-        ("7x2", "up to 6x8"),
-        (np.array([0, 2] * 24), "without a gap"),
-    ],
-)
-def test_detectors_that_cannot_be_are_refused(detectors, match):
-    with pytest.raises(InputError, match=match):
-        DetectorMap.of(detectors, SHAPE)

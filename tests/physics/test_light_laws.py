@@ -143,16 +143,6 @@ def test_gradients_go_straight_through_the_rounding(light, rails, levels):
 
 
 @every_optics
-@pytest.mark.parametrize("levels", [0, 2, 8])
-def test_replicas_do_not_touch_each_other(light, rails, levels):
-    start = positive(3, 4, 9)
-    start[2] *= 0.1
-    together = LearnedMasks(start, light, rails, levels)().stacked
-    each = [LearnedMasks(one, light, rails, levels)().stacked for one in start]
-    assert torch.allclose(together, torch.stack(each).view_as(together), atol=1e-7)
-
-
-@every_optics
 def test_check_refuses_more_light_than_there_is_and_gives_the_factor(light, rails):
     law = light_law(light)
     fitted = law.fit(positive(4, 9), rails)

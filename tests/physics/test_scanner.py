@@ -52,19 +52,6 @@ def test_counts_and_features_have_the_moments_of_the_noise(name, rate):
     assert (features[:, 3] == 0).all()
 
 
-@every_noise
-@every_optics
-def test_replicas_give_an_axis_before_the_masks(name, light, rails):
-    start = torch.rand(3, 4, 6, generator=generator()) + 0.1
-    scanner = Scanner(LearnedMasks(start, light, rails), name)
-    photons = torch.full((7, 6), 30.0)
-    assert scanner(photons, generator()).shape == (7, 3, 4)
-    count = 2 if rails == "dual" else 1
-    assert scanner.counts(photons, generator()).shape == (7, 3, count, 4)
-    each = [Scanner(LearnedMasks(one, light, rails), "none")(photons) for one in start]
-    assert torch.allclose(Scanner(scanner.masks, "none")(photons), torch.stack(each, dim=1))
-
-
 def learned(light: str, rails: str, single_signed: bool = False) -> LearnedMasks:
     start = torch.randn(3, 4, generator=generator(2), dtype=torch.float64)
     if rails == "single" or single_signed:
