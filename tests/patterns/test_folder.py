@@ -181,3 +181,17 @@ def test_equal_dwell_holds_every_frame_for_whole_microseconds_that_the_device_ca
     """Rounded up, but not by floating point."""
     manifest = export(tmp_path / "p", grey() / 20, "equal-dwell", dwell_s=dwell).manifest
     assert {frame.picture_us for frame in manifest.frames} == {us}
+
+
+def test_frames_of_a_video_last_whole_refreshes(tmp_path):
+    """Each as few as hold its time, the all-ON and all-OFF ones, too."""
+    usual, video = (
+        export(
+            tmp_path / f"{step}", grey() / 20, "free-dwell",
+            device=SMALL.model_copy(update={"step_us": step}), dwell_s=40e-3,
+        ).manifest
+        for step in (1, 16667)
+    )  # fmt: skip
+    for any_time, whole in zip(usual.frames, video.frames, strict=True):
+        assert whole.picture_us % 16667 == 0
+        assert 0 <= whole.picture_us - any_time.picture_us < 16667

@@ -40,6 +40,8 @@ class Device(UserModel):
     shortest_us: int = Field(default=44, ge=1, le=LONGEST_PICTURE_US)
     # Longest picture time, µs
     longest_us: int = Field(default=LONGEST_PICTURE_US, ge=1, le=LONGEST_PICTURE_US)
+    # Picture times are multiples of it, µs: the refresh of a projector that is a second screen
+    step_us: int = Field(default=1, ge=1, le=10**6, exclude_if=lambda step: step == 1)
     # Time after the start of a frame in which mirrors still move, µs
     settle_us: float = Field(default=10.0, ge=0, allow_inf_nan=False)
     # Frames that the controller holds for one sequence; None where as many fit as its memory allows
@@ -81,6 +83,12 @@ class Device(UserModel):
     def packed(self) -> bool:
         """True where the controller takes 24 frames as the bit-planes of a picture."""
         return self.controller in ("dlpc900", "dlpc350", "dlpc347x")
+
+    def whole_us(self, least_us: float) -> int:
+        """Shortest picture time of the device that is no shorter than one, µs."""
+        # Rounded to 1e-6 µs first: floating point adds less
+        steps = math.ceil(round(max(least_us, self.shortest_us), 6) / self.step_us)
+        return steps * self.step_us
 
     def packed_frames(self, total: int) -> int:
         """Frames in each 24-bit picture of a sequence."""

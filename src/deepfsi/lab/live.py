@@ -253,10 +253,10 @@ class _DeviceFrames:
     def _pictures_s(self, asked: FrameList) -> np.ndarray:
         """Times for which frames, and the all-OFF one after them, are held, whole µs in seconds."""
         device = self._manifest.device
-        us = np.ceil((asked.gate_ns + margin_ns(asked.gate_ns)) * 1e-3 + device.settle_us)
+        us = (asked.gate_ns + margin_ns(asked.gate_ns)) * 1e-3 + device.settle_us
         if asked.look < 0:
             us = np.array([self._manifest.frames[index].picture_us for index in asked.frames])
-        return np.append(np.maximum(us, device.shortest_us), device.shortest_us) * 1e-6
+        return np.array([device.whole_us(each) for each in (*us.tolist(), 0.0)]) * 1e-6
 
 
 class _CountedFrames:

@@ -291,8 +291,7 @@ def _times_us(
 ) -> tuple[list[int], int]:
     """Picture times of the masks' frames and of a sentinel, µs: one for all in a video."""
     # Under `equal-dwell` all frames last the mean time. Otherwise what a picture lasts beyond the
-    # time to settle is in proportion to its share (f,) of the exposure. Times are rounded up to
-    # whole microseconds and to the device's shortest
+    # time to settle is in proportion to its share (f,) of the exposure
     mean = max(dwell_s * 1e6, device.shortest_us)
     rest = mean - device.settle_us
     if rest <= 0:
@@ -309,9 +308,8 @@ def _times_us(
             f"{time_text(wanted.max() / 1e6)}, and {device.name} allows "
             f"{time_text(device.longest_us / 1e6)}: give a shorter --exposure"
         )
-    # Rounded to 1e-6 µs first: floating point adds less
-    pictures = [max(device.shortest_us, math.ceil(round(us, 6))) for us in wanted.tolist()]
-    sentinel = max(device.shortest_us, math.ceil(round(dwell_s * 1e6, 6)))
+    pictures = [device.whole_us(us) for us in wanted.tolist()]
+    sentinel = device.whole_us(dwell_s * 1e6)
     if not device.video_us:
         return pictures, sentinel
     total = len(shares) + SENTINELS
