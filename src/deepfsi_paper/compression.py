@@ -4,14 +4,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from deepfsi.base.intervals import (
-    Difference,
-    accuracy_difference,
-    all_above,
-    mean_of_trials,
-)
+from deepfsi.base.intervals import Difference, all_above, mean_of_trials
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps.results import Point, Results, accuracy_difference
 from deepfsi_paper.experiment import NOTHING, Experiment, Finding, budgets, points
 from deepfsi_paper.report.maps import accuracy_grid, heat_figure
 from deepfsi_paper.report.section import Claim, Picture

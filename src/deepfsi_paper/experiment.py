@@ -13,15 +13,15 @@ import polars
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import write_atomically
-from deepfsi.base.intervals import Difference, accuracy_difference, all_above
+from deepfsi.base.intervals import Difference, all_above
 from deepfsi.base.progress import SILENT, Progress
-from deepfsi.datasets.catalog import list_datasets
+from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.recipe import Recipe, only, parts
 from deepfsi.sweeps.records import write_table
-from deepfsi.sweeps.results import Point, Results, read_results, write_results
+from deepfsi.sweeps.results import Point, Results, accuracy_difference, read_results, write_results
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.summary import provenance_of
 from deepfsi_paper.report.section import Claim, Picture, Section, Table, english_list
@@ -189,7 +189,7 @@ def _load(
 
 def cifar10_here(recipe: Recipe) -> Recipe:
     """The recipe on the copy of CIFAR-10 in JPEG, where that is at hand and the original is not."""
-    here = {info.name for info in list_datasets() if info.where != "not here"}
+    here = {name for name, named in DATASETS.items() if named.find()}
     if "cifar10" in here or "cifar10-jpeg" not in here:
         return recipe
     return recipe.model_copy(update={"data": "cifar10-jpeg"})

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from deepfsi.base.intervals import Difference, accuracy_difference, all_above
+from deepfsi.base.intervals import Difference, all_above
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps.results import Point, Results, accuracy_difference
 from deepfsi_paper.experiment import Experiment, Finding, points
 from deepfsi_paper.report.maps import Pair, difference_figure, pair
 from deepfsi_paper.report.section import Claim, Picture, Table

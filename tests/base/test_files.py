@@ -6,7 +6,6 @@ import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import (
-    WINDOWS_ENCODING,
     GrowingFile,
     new_folder,
     read_text,
@@ -80,5 +79,5 @@ def test_text_is_the_same_from_every_editor(tmp_path, encoding, end):
 def test_what_is_no_text_is_one_line(tmp_path, content):
     (tmp_path / "file").write_bytes(content)
     with pytest.raises(InputError, match="no text in UTF-8: save it again") as error:
-        read_text(tmp_path / "file", 100, "save it again", WINDOWS_ENCODING)
+        read_text(tmp_path / "file", 100, "save it again")
     assert "\n" not in str(error.value)

@@ -9,7 +9,6 @@ from scipy.stats import binom, binomtest
 
 from deepfsi.base.intervals import (
     Difference,
-    accuracy_difference,
     accuracy_interval,
     all_above,
     balanced_interval,
@@ -22,6 +21,7 @@ from deepfsi.base.intervals import (
     unpack_values,
     wilson,
 )
+from deepfsi.sweeps.results import accuracy_difference
 from shared.results import a_point
 
 

@@ -137,7 +137,7 @@ CELLS = {
         ("s.mat", CELLS, "but none"),
         ("z.mat", {"counts": VALUES * 1j}, "but none"),
         ("cut.parquet", b"PAR1", "as a table"),
-        ("none.csv", None, "there is no file"),
+        ("none.csv", None, "none.csv is missing"),
         ("run.ptu", None, "is no table: give a file ending in .csv"),
     ],
 )

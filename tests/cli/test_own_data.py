@@ -138,7 +138,7 @@ def test_a_design_says_when_it_is_told_otherwise(done, refuse, pictures, file, t
     assert "has changed since the design was trained" in out
     assert "divided by 4095 (12 bits)" in out
     Image.fromarray(np.full((8, 8), 60_000, np.uint16)).save(pictures / "ash" / "000.png")
-    assert "up to 60000, above white, 4095" in refuse(*words)
+    assert "to 60000; values are allowed from 0 to 4095" in refuse(*words)
     pictures.rename(tmp_path / "moved")
     assert "give the data to test it on" in refuse(*words)
 

@@ -71,7 +71,7 @@ def test_what_is_no_table_of_these_patterns_is_one_line(refuse, lab, classify, v
     assert short in refuse(*classify(values[:, :-1]))
     assert "give --photons" in refuse(*classify(values[:, 2:-2]))
     table = classify(values)
-    assert "there is no file" in refuse(*patterns, tmp_path / "none.csv")
+    assert "none.csv is missing" in refuse(*patterns, tmp_path / "none.csv")
     assert "--background is for tables" in refuse(*patterns, tmp_path / "run", "--background", 2)
     table[2] = lab / "d.safetensors"
     assert "the folder of its patterns" in refuse(*table, "--settle", "1us")

@@ -1,13 +1,10 @@
 """What the header of an image says of its values is followed, or refused in one line."""
 
-import struct
-import zlib
-
 import numpy as np
 import pytest
 import tifffile
 from dataset_samples import refused
-from PIL import Image, PngImagePlugin
+from PIL import Image
 
 from deepfsi.datasets.display import read_display
 
@@ -44,21 +41,6 @@ def test_the_largest_value_of_a_pgm_is_white(tmp_path, largest):
     shown = read_display(tmp_path / "a.pgm").x[0]
     assert shown[:, 0] == pytest.approx([0, largest // 3 / largest], abs=1 / 255)
     assert shown[0, 1] == pytest.approx(1)
-
-
-def test_colours_of_more_than_8_bits_are_refused(tmp_path):
-    """Of which Pillow gives the high bytes without a word."""
-    colours = np.full((5, 7, 3), 4095, np.uint16)
-    tifffile.imwrite(tmp_path / "b.tif", colours, photometric="rgb")
-    rows = b"".join(b"\0" + row.tobytes() for row in colours.astype(">u2"))
-    head = struct.pack(">2I5B", 7, 5, 16, 2, 0, 0, 0)
-    with (tmp_path / "a.png").open("wb") as file:
-        file.write(b"\x89PNG\r\n\x1a\n")
-        for name, content in ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")):
-            PngImagePlugin.putchunk(file, name, content)
-    for name in ("a.png", "b.tif"):
-        with refused(f"{name} has colours of more than 8 bits"):
-            read_display(tmp_path / name)
 
 
 def test_deep_grey_levels_whose_zero_is_white_are_refused(tmp_path):

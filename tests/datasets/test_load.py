@@ -1,5 +1,6 @@
 """Names, paths and tuples are told apart; digits."""
 
+import io
 import zipfile
 
 import numpy as np
@@ -14,13 +15,23 @@ DIGITS_HASH = "a24eb6e0dbf2acc4009205dbb06c1c3e5d3f8a6db4843471cb6da068e8b9c8a2"
 ARRAYS = (X, Y)
 
 
+def zipped(name, content):
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as file:
+        file.writestr(name, content)
+    return made.getvalue()
+
+
 @pytest.mark.parametrize(
     ("source", "options", "parts"),
     [
-        ((X,), {}, ("tuple of 1", "(x, y, x_test, y_test)")),
         ("MNITS", {}, ("unknown data set 'MNITS'", "did you mean 'mnist'?", "digits, mnist")),
         ("zzzz", {}, ("unknown data set 'zzzz'", "give one of digits, mnist, fashion-mnist")),
-        ("no/such/folder", {}, ("no folder and no file at 'no/such/folder'",)),
+        (
+            "no/such/folder",
+            {},
+            ("unknown data set 'no/such/folder'", "or the path of a folder of images"),
+        ),
         ("digits", {"size": 8}, ("digits takes no `size`",)),
         (ARRAYS, {"size": 8}, ("arrays takes no `size`",)),
         ("other.raw", {}, ("other.raw is no data set that is read", ".npz file of arrays")),
@@ -46,21 +57,15 @@ def test_digits():
     assert data.hash == DIGITS_HASH, "records name the data by it"
 
 
-@pytest.mark.parametrize("name", ["a.npz", "a.npy", "a.mat"])
-def test_other_content_behind_a_name_is_refused(tmp_path, name):
-    (tmp_path / name).write_bytes(b"<!DOCTYPE html><html>")
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        *((name, b"<!DOCTYPE html><html>") for name in ("a.npz", "a.npy", "a.mat")),
+        ("a.npz", zipped("x.npy", bytes(1000))[:500]),
+        ("a.npz", zipped("cat/000.png", b"\x89PNG")),
+    ],
+)
+def test_other_content_behind_a_name_is_refused(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
     (tmp_path / "a_gt.npy").write_bytes(b"")
     not_loaded(tmp_path / name, "cannot read", name)
-
-
-def test_a_cut_zip_file_is_named_so(tmp_path):
-    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
-        file.writestr("x.npy", bytes(1000))
-    (tmp_path / "a.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:500])
-    not_loaded(tmp_path / "a.npz", "a.npz", "as a zip file")
-
-
-def test_an_npz_file_of_pictures_is_refused(tmp_path):
-    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
-        file.writestr("cat/000.png", b"\x89PNG")
-    not_loaded(tmp_path / "a.npz", "cannot read", "a.npz", "numpy.savez")

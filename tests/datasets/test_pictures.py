@@ -1,4 +1,4 @@
-"""Folders and lists of images become scenes; every bad one gives one clear line."""
+"""Folders of images become scenes; every bad one gives one clear line."""
 
 import shutil
 import unicodedata
@@ -8,7 +8,6 @@ import pytest
 from dataset_samples import not_loaded
 from PIL import Image
 
-from deepfsi.datasets import pictures
 from deepfsi.datasets.load import load_dataset
 from shared.pictures import save_images
 
@@ -108,11 +107,9 @@ def test_images_of_more_than_8_bits(images, dtype, suffix):
     data = load_dataset(source)
     assert every(data) == pytest.approx(every(load_dataset(images)) * 255 * 13 / 4095, abs=1e-6)
     assert data.white == 4095
-    assert data.preprocessing == (
-        "20 images of 6x8 pixels; 16-bit values from 0 to 3315, divided by 4095 (12 bits)."
-    )
+    assert "values from 0 to 3315, divided by 4095 (12 bits)." in data.preprocessing
     assert load_dataset(source, white=65535).x_train.max() == pytest.approx(3315 / 65535)
-    not_loaded(source, "000", "above white, 1023", white=1023)
+    not_loaded(source, "000", "allowed from 0 to 1023", white=1023)
 
 
 def test_floating_images_are_reflectance(images):
@@ -143,9 +140,9 @@ def test_no_image_of_another_ending_is_lost_in_silence(images, suffix):
 
 
 def test_images_that_need_too_much_memory(images, monkeypatch):
-    monkeypatch.setattr(pictures, "free_memory", lambda: 20 * 48 - 1)
+    monkeypatch.setattr("deepfsi.base.arrays.free_memory", lambda: 20 * 48 - 1)
     not_loaded(images, "20 images of 6x8 pixels need", "smaller size")
-    monkeypatch.setattr(pictures, "free_memory", lambda: 20 * 48)
+    monkeypatch.setattr("deepfsi.base.arrays.free_memory", lambda: 8 * 20 * 48)
     load_dataset(images)
 
 
@@ -177,8 +174,8 @@ def as_it_is(folder): ...
 
 
 BAD_FOLDERS = {
-    "no class": (lambda f: list(map(shutil.rmtree, f.iterdir())), {}, ("no sub-folders", ".csv")),
-    "a class of none": (lambda f: (f / "eel").mkdir(), {}, ("eel", "no images")),
+    "no class": (lambda f: list(map(shutil.rmtree, f.iterdir())), {}, ("needs a sub-folder",)),
+    "a class of none": (lambda f: (f / "eel").mkdir(), {}, ("eel has none",)),
     "a class of few": (
         lambda f: save_images(f / "eel", flat(20, 2)), {}, ("class 'eel' has 2 scenes",)
     ),
@@ -188,11 +185,11 @@ BAD_FOLDERS = {
     ),
     "sizes": (
         lambda f: save_images(f / "cat", np.full((1, 3, 3), 40, np.uint8)), {},
-        ("000.png is 3x3", "001.png is 6x8", "size"),
+        ("others are 3x3", "001.png is 6x8", "size"),
     ),
     "depths": (
         lambda f: save_images(f / "cat", flat(900, dtype="u2"), ".tif"), {},
-        ("differ in depth", "000.tif has more than 8 bits", "one depth"),
+        ("png uint8 and ", "000.tif uint16 have no white in common", "one type"),
     ),
     "a format that is not read": (
         lambda f: Image.new("L", (8, 6)).save(f / "cat" / "000.png", format="ICO"), {},
@@ -203,7 +200,7 @@ BAD_FOLDERS = {
     ),
     "a split": (as_it_is, {"split": "blocks"}, ("takes no `split`",)),
     **{
-        f"size {size}": (as_it_is, {"size": size}, (f"size {size}", "at least 1"))
+        f"size {size}": (as_it_is, {"size": size}, ("size",))
         for size in (0, -3, (4, 0), (4,), (4, 4, 4))
     },
 }  # fmt: skip
@@ -224,7 +221,7 @@ def test_parts_may_have_capitals_and_others_are_named(split):
     (split / "notes").mkdir()
     assert load_dataset(split).hash == whole.hash
     shutil.copytree(split / "Test", split / "val")
-    not_loaded(split, "outside of train and test", "val/")
+    not_loaded(split, "in no folder of a class", "val/")
 
 
 ACUTE = "caf\u00e9"
@@ -240,107 +237,3 @@ def test_a_class_in_two_unicode_spellings_is_one(images):
     data = load_dataset(images)
     assert set(data.classes) == {ACUTE, "dog"}
     assert data.hash == one.hash
-
-
-# ---------------------------------------------------------------- lists
-
-
-def listed(images, path, cells=None, heading="", folder="pets/"):
-    """A .csv file of all images: each with its class, with labels in turn, or with cells."""
-    names = sorted(each.relative_to(images).as_posix() for each in images.rglob("*.png"))
-    if cells is None:
-        rows = [[name, name.split("/")[0]] for name in names]
-    elif callable(cells):
-        rows = [[name, *cells(k)] for k, name in enumerate(names)]
-    else:
-        rows = [[name, cells[k % 2]] for k, name in enumerate(names)]
-    lines = [heading] * bool(heading) + [folder + ",".join(row) for row in rows]
-    path.write_text("\n".join(lines) + "\n", "utf-8")
-    return path
-
-
-def test_a_table_of_file_names_and_labels(images, tmp_path):
-    whole = load_dataset(images)
-    for path, heading, folder in (
-        (images / "labels.csv", "", ""),
-        (images / "labels.csv", "file,label", ""),
-        (tmp_path / "pets.csv", "file,label", ""),  # beside the folder of its name
-        (tmp_path / "mine.csv", "", "pets/"),
-    ):
-        data = load_dataset(listed(images, path, heading=heading, folder=folder))
-        assert data.hash == whole.hash
-        assert data.name == path.stem
-        assert load_dataset(path, size=(3, 2)).image_shape == (3, 2)
-    path.write_text("\ufeff" + path.read_text().replace(",", ";"))  # as Excel writes it in Europe
-    assert load_dataset(path).hash == whole.hash
-    not_loaded(path, "takes no `images`", images=5)
-
-
-@pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        ("", ("give each image all its cells", "its file name and its label")),
-        ("a.txt,cat\n", ("names a.txt, no image",)),
-        ("0,pets/cat/000.png,cat\n1,x,dog", ("names 1, no image",)),
-        ("pets/cat/000.png,cat\npets/cat/001.png,\n", ("all its cells",)),
-        ("pets/cat/000.png,cat\nx.png,cat\ny.png,dog\n", ("2 images that are not there", "x.png")),
-        ("pets/cat/000.png,cat\npets/cat/000.png,dog\n", ("cat/000.png twice",)),
-        ("pets/cat/000.png,1,2\npets/cat/001.png,3,far\n", ("2 columns", "is no number")),
-        ("\0", ("no text in UTF-8",)),
-    ],
-)
-def test_a_bad_table_of_file_names_and_labels(images, tmp_path, text, parts):
-    path = tmp_path / "labels.csv"
-    path.write_text(text)
-    not_loaded(path, str(path), *parts)
-
-
-@pytest.mark.parametrize(
-    ("cells", "heading", "names"),
-    [
-        (lambda k: [f"{k}.5"], "", ("value 1",)),
-        (lambda k: [f"{k}", f"{-k}e-1"], "file,row,column", ("row", "column")),
-        (lambda k: [f"{k % 3}.0"], "file,row", ("row",)),
-    ],
-)
-def test_numbers_with_a_point_and_several_numbers_are_values(
-    images, tmp_path, cells, heading, names
-):
-    data = load_dataset(listed(images, tmp_path / "places.csv", cells, heading))
-    assert data.values == names
-    assert data.classes == ()
-    given = sorted(list(map(float, cells(k))) for k in range(20))
-    truth = np.concatenate([data.y_train, data.y_test])
-    assert np.array(sorted(truth.tolist())) == pytest.approx(np.array(given))
-
-
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
-@pytest.mark.parametrize(("separator", "end"), [(",", "\n"), (";", "\r\n"), ("\t", "\r")])
-def test_a_list_is_the_same_from_every_program(images, tmp_path, encoding, separator, end):
-    (images / "dog").rename(images / "köter")
-    path = listed(images, tmp_path / "mine.csv", heading="file,label")
-    whole = load_dataset(path)
-    assert whole.classes == ("cat", "köter")
-    rows = path.read_text("utf-8").replace("/", "\\").replace(",", separator).split("\n")
-    path.write_bytes(end.join([*rows[:3], "", *rows[3:]]).encode(encoding))
-    assert load_dataset(path).hash == whole.hash
-
-
-@pytest.mark.parametrize(
-    ("labels", "classes"),
-    [
-        (("+1", "-1"), ("+1", "-1")),
-        (("0x10", "0x11"), ("0x10", "0x11")),
-        (("1_0", "1_1"), ("1_0", "1_1")),
-        (("cafe\u0301", "tea "), ("caf\u00e9", "tea")),
-        (('"a, b"', '"c\nd"'), ("a, b", "c\nd")),
-    ],
-)
-def test_whole_numbers_and_words_are_classes(images, tmp_path, labels, classes):
-    data = load_dataset(listed(images, tmp_path / "q.csv", labels))
-    assert (data.classes, data.values) == (classes, ())
-
-
-def test_classes_that_are_written_as_numbers_are_refused(images, tmp_path):
-    path = listed(images, tmp_path / "q.csv", ("1.0", "2.0"), "file,label")
-    not_loaded(path, "if they are classes, give integers")

@@ -93,8 +93,8 @@ def test_what_is_not_the_designs_is_refused(good, digits):
         "and the design answers 0, 1": synthetic((8, 8)),
         "of shape .*4, 16": flat,
         "y holds the label 10": (x, y + 1),
-        "give one label for each": (x, y[:-1]),
-        "give labels that are integers or strings": (x, y.astype(float)),
+        "359,. for 360 scenes": (x, y[:-1]),
+        "give each an integer or a string": (x, y.astype(float)),
         "of shape": (x[:, :-1], y),
     }.items():
         with pytest.raises(InputError, match=match):

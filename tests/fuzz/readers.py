@@ -179,7 +179,6 @@ READERS = {
     "old mat masks": Reader("old.mat", load_masks, (mangled,), 3),
     "csv": Reader("table.csv", load_table, TABLE, 8),
     "parquet": Reader("table.parquet", load_table, (mangled,)),
-    "labels": Reader("folder/labels.csv", load_small, TABLE, 2),
 }  # fmt: skip
 
 
@@ -269,9 +268,6 @@ def _pictures(folder: Path, x: np.ndarray) -> None:
     for place, kind in enumerate(("png", "bmp", "jpg", "gif", "tif")):
         for label in "ab":
             save_images(folder / "folder" / label, x[place::5][:2], f"{place}.{kind}")
-    names = sorted((folder / "folder").glob("*/*.*"))
-    lines = [f"{path.parent.name}/{path.name},{path.parent.name}" for path in names]
-    (folder / "folder" / "labels.csv").write_text("\n".join(lines))
 
 
 def _arrays(folder: Path, rng: np.random.Generator) -> None:

@@ -49,7 +49,7 @@ def test_readers_take_regular_files_alone(name, kind, sample):
         path.mkdir()
     else:
         path.symlink_to("/dev/zero")
-    match = r"cannot be read|no results|holds no images|no images in|has no sub-folders"
+    match = r"cannot be read|no results|holds no images|no images in|needs a sub-folder"
     refused(name, path, match)
 
 

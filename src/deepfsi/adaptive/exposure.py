@@ -28,7 +28,7 @@ from deepfsi.adaptive.posterior import (
     ScenePrior,
     confidence_of,
 )
-from deepfsi.base.arrays import check_memory, free_memory
+from deepfsi.base.arrays import check_memory
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.registry import installed
@@ -52,7 +52,7 @@ def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
     """Prior of the training scenes of a data set, or `InputError` if it does not fit the memory."""
     scenes = len(data.x_train)
     needed = 4 * (scenes * (3 * data.pixels + settings.components) + 6 * LIKELIHOODS_AT_ONCE)
-    check_memory(needed, free_memory(), "the prior of these scenes", "give fewer scenes")
+    check_memory(needed, "the prior of these scenes", "give fewer scenes")
     return ScenePrior(
         np.asarray(data.x_train),
         data.y_train,

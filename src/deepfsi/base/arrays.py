@@ -4,7 +4,6 @@ import io
 import os
 import struct
 import warnings
-import zipfile
 import zlib
 from collections.abc import Container, Sequence
 from pathlib import Path
@@ -35,13 +34,12 @@ def read_array(
     dimensions: Sequence[int],
     variable: str = "",
     *,
-    largest: int,
     usual: str = "",
     advice: str = "",
 ) -> npt.NDArray[Any]:
     """Array of a ``.npy`` file, or a variable of a ``.mat`` file."""
     if path.suffix.lower() != ".mat":
-        return read_npy(path, largest)
+        return read_npy(path)
     found = {name: each for name, each in _read_mat(path).items() if each.ndim in dimensions}
     if not variable:
         variable = next(iter(found)) if len(found) == 1 else usual
@@ -53,7 +51,7 @@ def read_array(
             f"{', '.join(found) or 'none'}: {advice or f'name one as {path}:VARIABLE'}"
         )
     values = found[variable]
-    check_size(f"{path}: {variable}", values.shape, values.dtype.itemsize, largest)
+    check_memory(values.nbytes, f"the values of {path}: {variable}", "give fewer")
     return np.ascontiguousarray(_native(values))
 
 
@@ -63,24 +61,22 @@ def read_npz(
     """Arrays of a ``.npz`` file by their names, all of them in memory."""
     with open_regular(path, LARGEST_ARRAY_FILE, advice) as file:
         try:
-            with zipfile.ZipFile(file) as archive:
-                size = sum(entry.file_size for entry in archive.infolist())
-        except Exception as error:  # zipfile raises almost anything on a damaged directory
-            raise InputError(f"cannot read {path} as a zip file ({error}); {advice}") from None
-    check_unpacked(size, path.stat().st_size, str(path), advice)
-    check_memory(size, free_memory(), f"the arrays of {path}", "give fewer or smaller ones")
-    try:
-        with np.load(path) as arrays:
-            read = {name: _native(arrays[name]) for name in arrays.files}
-        for array in read.values():
-            if array.dtype.kind == "U" and array.nbytes:
-                array.tolist()  # fails at what are no characters
-    except Exception as error:  # numpy's parser raises almost anything on a damaged header
-        raise InputError(f"cannot read {path} ({error}); {advice}") from None
+            with np.load(file) as arrays:  # of a path numpy leaves a damaged file open
+                size = sum(entry.file_size for entry in arrays.zip.infolist())
+                check_unpacked(size, path.stat().st_size, str(path), advice)
+                check_memory(size, f"the arrays of {path}", "give fewer or smaller ones")
+                read = {name: _native(arrays[name]) for name in arrays.files}
+            for array in read.values():
+                if array.dtype.kind == "U" and array.nbytes:
+                    array.tolist()  # fails at what are no characters
+        except InputError:
+            raise
+        except Exception as error:  # zipfile and numpy raise almost anything on damaged files
+            raise InputError(f"cannot read {path} ({error}); {advice}") from None
     return read
 
 
-def read_npy(path: Path, largest: int = 2**30) -> npt.NDArray[Any]:
+def read_npy(path: Path) -> npt.NDArray[Any]:
     """Array of a ``.npy`` file, or `InputError` if it holds something else than real numbers."""
     with open_regular(path, LARGEST_ARRAY_FILE, "give a .npy file"):
         try:
@@ -93,21 +89,13 @@ def read_npy(path: Path, largest: int = 2**30) -> npt.NDArray[Any]:
                 f"cannot read an array of real numbers from {path} ({error}); write it with "
                 "numpy.save"
             ) from error
-    check_size(str(path), values.shape, values.dtype.itemsize, largest)
+    check_memory(values.nbytes, f"the values of {path}", "give fewer")
     return _native(np.array(values))
 
 
 def _native(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Array with the bytes of its values in this machine's order, which torch needs."""
     return values.astype(values.dtype.newbyteorder("="), copy=False)
-
-
-def check_size(what: str, shape: Sequence[int], itemsize: int, largest: int) -> None:
-    """Raise `InputError` for an array that is larger than its reader allows, or than the memory."""
-    size = float(np.prod(shape, dtype=float))
-    if size > largest:
-        raise InputError(f"{what} has the shape {tuple(shape)}: give {largest} values or fewer")
-    check_memory(itemsize * size, free_memory(), f"the values of {what}", "give fewer")
 
 
 def _read_mat(path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -133,7 +121,7 @@ def _read_mat(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 def _check_mat(content: bytes) -> None:
     """Raise `ValueError` for parts of an unknown type: at them scipy ends the process."""
-    # A header of 128 bytes, then variables: a tag of 8 bytes, type and length, and their parts
+    # A header of 128 bytes, then variables; they and their parts begin with type and length
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128], "")
     start = 128
     while order and start + 8 <= len(content):
@@ -181,8 +169,9 @@ def free_memory() -> float:
     return float(psutil.virtual_memory().available)
 
 
-def check_memory(needed: float, free: float, what: str, advice: str) -> None:
-    """Raise `InputError` where something would not fit."""
+def check_memory(needed: float, what: str, advice: str, free: float | None = None) -> None:
+    """Raise `InputError` where something does not fit the free memory, by default the machine's."""
+    free = free_memory() if free is None else free
     if needed > free:
         raise InputError(
             f"{what} need {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} "

@@ -142,12 +142,14 @@ _ADVICE = {
 
 def _words(fault: "ErrorDetails", model: str) -> str:
     """Advice on a fault of a model, or the message of an error that its own check raised."""
+    from pydantic import BaseModel
+
     facts = fault.get("ctx", {})
     error = facts.get("error")
     if isinstance(error, InputError):
         return str(error)
     if fault["type"] == "extra_forbidden":
-        names = _field_names(model) if len(fault["loc"]) == 1 else []
+        names = _field_names(model, BaseModel) if len(fault["loc"]) == 1 else []
         advice = closest_choice(str(fault["loc"][-1]), names) if names else "leave it out"
         return f"there is no such setting: {advice}"
     if fault["type"] == "literal_error":
@@ -162,16 +164,11 @@ def _words(fault: "ErrorDetails", model: str) -> str:
     return f"{fault['msg'][0].lower()}{fault['msg'][1:]}".removeprefix("value error, ")
 
 
-def _field_names(model: str) -> list[str]:
-    """Fields of a model of that name; none if several models have it."""
-    from pydantic import BaseModel
-
-    models = [each for each in _subclasses(BaseModel) if each.__name__ == model]
-    fields = models[0].model_fields if len(models) == 1 else {}
-    return [field.alias or name for name, field in fields.items()]
-
-
-def _subclasses(kind: type["BaseModel"]) -> Iterator[type["BaseModel"]]:
+def _field_names(title: str, kind: type["BaseModel"]) -> list[str]:
+    """Fields of a model of that name among those of a kind."""
     for each in kind.__subclasses__():
-        yield each
-        yield from _subclasses(each)
+        if each.__name__ == title:
+            return [field.alias or name for name, field in each.model_fields.items()]
+        if names := _field_names(title, each):
+            return names
+    return []

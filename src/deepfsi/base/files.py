@@ -27,9 +27,6 @@ from deepfsi.base.errors import InputError
 DESIGN_ENDINGS = (".safetensors",)
 """Ends of the names of design files."""
 
-WINDOWS_ENCODING = "cp1252"
-"""Encoding of text that Windows' programs save for western Europe and America."""
-
 UNPACKED_RATIO = 32
 """Values, or bytes, that a file may unpack to for each of its bytes, beyond some millions."""
 
@@ -69,18 +66,13 @@ def read_regular(path: str | os.PathLike[str], largest: int, advice: str) -> byt
         return file.read()
 
 
-def read_text(path: str | os.PathLike[str], largest: int, advice: str, other: str = "ascii") -> str:
-    """Text of a file of any editor, its lines ended by line feeds alone.
-
-    Text without the byte order mark of UTF-16 is UTF-8, or else of the `other` encoding.
-    """
+def read_text(path: str | os.PathLike[str], largest: int, advice: str) -> str:
+    """Text of a file of any editor, in UTF-8 or UTF-16, its lines ended by line feeds alone."""
     content = read_regular(path, largest, advice)
     marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     text = "\0"
-    for encoding in ("utf-16",) if marked else ("utf-8-sig", other):
-        with suppress(UnicodeDecodeError):
-            text = content.decode(encoding)
-            break
+    with suppress(UnicodeDecodeError):
+        text = content.decode("utf-16" if marked else "utf-8-sig")
     if "\0" in text:
         raise InputError(f"{path} holds no text in UTF-8: {advice}")
     return text.replace("\r\n", "\n").replace("\r", "\n")
@@ -139,18 +131,10 @@ def hash_file(path: Path) -> str:
 @contextmanager
 def open_atomically(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Open a file to write that appears, whole, when the block ends; none if the block fails."""
-    target = Path(path)
-    with _named(target):
-        draft = _draft(target)
-        try:
-            with open(draft, "xb") as file:
-                yield file
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(draft, target)
-        except BaseException:
-            draft.unlink(missing_ok=True)
-            raise
+    with _draft(Path(path)) as draft, open(draft, "xb") as file:
+        yield file
+        file.flush()
+        os.fsync(file.fileno())
 
 
 class GrowingFile(FileIO):
@@ -185,55 +169,50 @@ class GrowingFile(FileIO):
 @contextmanager
 def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Make a folder that takes an empty one's place, or none's, when the block ends well."""
-    import shutil
-
     target = Path(path)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target} exists already: give a new folder")
-    with _named(target):
-        draft = _draft(target)
-        try:
-            draft.mkdir()
-            yield draft
-            if target.exists():
-                target.rmdir()  # Windows puts no folder in place of another
-            os.replace(draft, target)
-        except BaseException:
-            shutil.rmtree(draft, ignore_errors=True)
-            raise
+    with _draft(target) as draft:
+        draft.mkdir()
+        yield draft
+        if target.exists():
+            target.rmdir()  # Windows puts no folder in place of another
 
 
 @contextmanager
-def _named(target: Path) -> Iterator[None]:
-    """Name what the user asked for, and no draft of it, where it cannot be written."""
+def _draft(target: Path) -> Iterator[Path]:
+    """Path of what takes the target's place when the block ends; nothing is left if it fails."""
+    draft = target.parent / f".{target.name[:50]}.{os.urandom(4).hex()}.draft"
     try:
-        yield
-    except OSError as error:
-        if error.filename is not None and not _beside(Path(error.filename), target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _remove_old_drafts(target.parent.resolve())
+        yield draft
+        os.replace(draft, target)
+    except BaseException as error:
+        _remove(draft)
+        if not isinstance(error, OSError):
+            raise
+        name = Path(error.filename or draft)
+        if target.parent not in name.parents and name not in target.parents:
             raise  # of something that was read
         reason = error.strerror or error
         raise InputError(f"cannot write {target}: {reason}; nothing of it was kept") from error
 
 
-def _beside(path: Path, target: Path) -> bool:
-    """True for a draft of the target, what is in it, and the folders above."""
-    return target.parent in path.parents or path in target.parents
-
-
-def _draft(target: Path) -> Path:
-    """Path for what is to become `target`; its folder is made, and cleared of old drafts."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    _remove_old_drafts(target.parent.resolve())
-    return target.parent / f".{target.name[:50]}.{os.urandom(4).hex()}.draft"
-
-
 @cache
 def _remove_old_drafts(folder: Path) -> None:
     """Remove what processes that were killed left in a folder, a day after."""
-    import shutil
-
     for draft in folder.glob(".*.draft"):
         with suppress(OSError):
             if time.time() - draft.lstat().st_mtime > 86400:
-                remove = shutil.rmtree if draft.is_dir() else Path.unlink
-                remove(draft)
+                _remove(draft)
+
+
+def _remove(draft: Path) -> None:
+    import shutil
+
+    with suppress(OSError):
+        if draft.is_dir():
+            shutil.rmtree(draft)
+        else:
+            draft.unlink()

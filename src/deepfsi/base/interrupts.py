@@ -1,13 +1,11 @@
-"""Ctrl-C and SIGTERM on a command line: one line, and the end within two seconds, at any moment.
+"""Ctrl-C and SIGTERM on a command line: one line, and the end; a second signal ends at once.
 
 The exit code is 130 after Ctrl-C and 143 after SIGTERM, as shells have them. Python turns Ctrl-C
-into `KeyboardInterrupt`, which does harm where it comes at a bad moment: within the import of a
-compiled module (a fatal error of Python), in a worker process that just starts (a traceback), in a
-callback (ignored), or late (a long product of matrices). So it is raised only where no import runs,
-workers are started with it blocked, and a thread ends the process that is still there after a
-second. SIGTERM goes the same way: a worker whose parent ends while it starts prints a traceback.
-Files are drafts until they are whole, and locks end with their process, so that a stop at any
-moment leaves nothing half done.
+into `KeyboardInterrupt`, which does harm within the import of a compiled module (a fatal error of
+Python) and in a worker process that just starts (a traceback). So it is raised only where no import
+runs, and workers are started with it blocked. SIGTERM goes the same way: a worker whose parent ends
+while it starts prints a traceback. Files are drafts until they are whole, and locks end with their
+process, so that a stop at any moment leaves nothing half done.
 """
 
 import contextlib
@@ -15,7 +13,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from types import FrameType
 from typing import Any, NoReturn
@@ -27,7 +24,7 @@ STOP_SIGNALS = signal.SIGINT, signal.SIGTERM
 """What stops a command."""
 
 _said = threading.Event()
-_came = signal.SIGINT
+_came: signal.Signals | None = None
 _saved_work = ""
 
 
@@ -35,20 +32,9 @@ def install_handler() -> None:
     """Handle Ctrl-C for the rest of this process, a command line."""
     if sys.platform == "win32":  # has no such signals
         return
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
     for number in STOP_SIGNALS:
         signal.signal(number, _stop)
-    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)  # also while a long call runs
-    threading.Thread(target=_end_in_time, args=(reading,), daemon=True).start()
     sys.warnoptions.append("ignore:resource_tracker")  # it cleans up after us, and says so
-    usual = sys.unraisablehook
-
-    def without_stops(ignored: "sys.UnraisableHookArgs") -> None:
-        if ignored.exc_type is not KeyboardInterrupt:
-            usual(ignored)
-
-    sys.unraisablehook = without_stops
 
 
 def note_saved_work(words: str) -> None:
@@ -78,7 +64,7 @@ def end_process() -> NoReturn:
         say_stopped()
         sys.stderr.flush()
         sys.stdout.flush()
-    os._exit(128 + _came)
+    os._exit(128 + (_came or signal.SIGINT))
 
 
 @contextlib.contextmanager
@@ -104,19 +90,6 @@ def block_ctrl_c() -> Iterator[None]:
             handlers[came[0]](came[0], sys._getframe())
 
 
-@contextlib.contextmanager
-def restore_handlers() -> Iterator[None]:
-    """Take signals again after a block in which a library takes them, as Ray does with SIGTERM."""
-    usual = {number: signal.getsignal(number) for number in STOP_SIGNALS}
-    try:
-        yield
-    finally:
-        if threading.current_thread() is threading.main_thread():
-            for number, handler in usual.items():
-                if handler is not None:
-                    signal.signal(number, handler)
-
-
 def _end_workers() -> None:
     """Kill worker processes, also one that is being started; imports nothing, as one may run."""
     psutil: Any = sys.modules.get("psutil")
@@ -132,6 +105,8 @@ def _stop(number: int, frame: FrameType | None) -> None:
     """Raise `KeyboardInterrupt`, but end the process where an import runs or no command does."""
     global _came
     _came = signal.Signals(number)
+    for each in STOP_SIGNALS:
+        signal.signal(each, signal.SIG_DFL)  # a second one ends the process, whatever it does
     if "deepfsi.cli" not in sys.modules:  # nobody would catch it
         end_process()
     while frame is not None:
@@ -139,14 +114,3 @@ def _stop(number: int, frame: FrameType | None) -> None:
             end_process()
         frame = frame.f_back
     raise KeyboardInterrupt
-
-
-def _end_in_time(reading: int) -> None:
-    """End the process some time after the first signal that stops."""
-    global _came
-    while (number := os.read(reading, 1)[0]) not in STOP_SIGNALS:
-        pass
-    _came = signal.Signals(number)
-    ray = any(word.split("=")[0] == "--ray" for word in sys.argv)  # its cluster has to be told
-    time.sleep(20.0 if ray else 1.2)
-    end_process()

@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,11 +29,6 @@ class Interval(NamedTuple):
     mean: float
     low: float
     high: float
-
-    @property
-    def text(self) -> str:
-        """Mean and ends, with three decimals."""
-        return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
 
 
 def accuracy_interval(right: np.ndarray) -> Interval:
@@ -153,22 +148,6 @@ CONFIDENCE = 0.95
 """Of the intervals."""
 
 
-class _AccuracyTrials(Protocol):
-    """Accuracies of trials, the 95 % interval of their mean, and terms whose means they are."""
-
-    @property
-    def accuracies(self) -> Sequence[float]: ...
-
-    @property
-    def low(self) -> float: ...
-
-    @property
-    def high(self) -> float: ...
-
-    @property
-    def terms(self) -> Sequence[str]: ...
-
-
 @dataclass(frozen=True)
 class Difference:
     """A difference with its standard error."""
@@ -244,25 +223,6 @@ def paired_difference(first: np.ndarray, second: np.ndarray) -> Difference:
     error = math.hypot(*(seeds_error(values, off) for values in (first, second)))
     fewest = min(len(values) for values in (first, second) if len(values) > 1)
     return replace(images, seeds_error=error, seeds_freedom=fewest - 1)
-
-
-def accuracy_difference(first: _AccuracyTrials, second: _AccuracyTrials) -> Difference:
-    """Difference of two accuracies, paired on the images that both were tested with.
-
-    Trials without values of images are paired by seed, and their differences give the error. Of a
-    single such trial the two intervals over images are combined as if they were independent.
-    """
-    if first.terms and second.terms:
-        rows = [
-            np.stack([unpack_values(each) for each in point.terms]) for point in (first, second)
-        ]
-        if rows[0].shape[1] == rows[1].shape[1]:
-            return paired_difference(*rows)
-    one, other = (np.asarray(each.accuracies) for each in (first, second))
-    if len(one) == len(other) > 1:
-        return mean_of_trials((one - other).tolist())
-    half = math.hypot(*((each.high - each.low) / 2 for each in (first, second)))
-    return Difference(float(one.mean() - other.mean()), half / Z_95)
 
 
 def all_above(differences: Iterable[Difference], limit: float = 0.0) -> bool | None:
@@ -351,17 +311,14 @@ def _half_widths(
     """Distance of accuracies to the lower and the upper end of their 95 % interval."""
     from scipy import stats
 
-    z = stats.norm.ppf(0.975)
-    shrunk = 1 / (1 + z**2 / images)  # Wilson's interval, for rates that are no counts
-    middle = shrunk * (fitted + z**2 / (2 * images))
-    half = shrunk * z * np.sqrt(fitted * (1 - fitted) / images + z**2 / (4 * images**2))
+    low, high = np.transpose([_wilson(rate, images) for rate in fitted])
     freedom = sum(len(trials) - 1 for trials in accuracies)
     seeds = np.zeros(len(fitted))
     if freedom:
         squares = sum(float(np.var(trials)) * len(trials) for trials in accuracies)
         counts = np.array([len(trials) for trials in accuracies])
         seeds = stats.t.ppf(0.975, freedom) * np.sqrt(squares / freedom / counts)
-    return np.hypot(fitted - middle + half, seeds), np.hypot(middle + half - fitted, seeds)
+    return np.hypot(fitted - low, seeds), np.hypot(high - fitted, seeds)
 
 
 def pack_values(values: np.ndarray) -> str:

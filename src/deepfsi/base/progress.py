@@ -36,8 +36,8 @@ SILENT = Progress()
 """Shows nothing."""
 
 
-FIRST_LINE_SECONDS = 2.0
-"""Time after which a task says what share is done, where no terminal shows a bar."""
+LINE_SECONDS = 60.0
+"""Time after which a task says again what share is done, where no terminal shows a bar."""
 
 
 @contextmanager
@@ -56,7 +56,15 @@ def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield Progress(_Lines(what))
+        said = time.monotonic()
+
+        def say(share: float, now: str) -> None:
+            nonlocal said
+            if time.monotonic() >= said + LINE_SECONDS:
+                said = time.monotonic()
+                print(f"{what}: {share:.0%}", file=sys.stderr)
+
+        yield Progress(say)
         return
     words = TextColumn("{task.description}", markup=False)
     columns = (SpinnerColumn(), words, BarColumn(), TimeElapsedColumn(), TimeLeft())
@@ -67,30 +75,3 @@ def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
         yield Progress(
             lambda share, now: bar.update(task, completed=share, description=now or None)
         )
-
-
-class _Lines:
-    """Says at times what share of a task is done, from the second second on."""
-
-    def __init__(self, what: str) -> None:
-        self.what = what
-        self.began = time.monotonic()
-        self.due = self.began + FIRST_LINE_SECONDS
-
-    def __call__(self, share: float, _: str) -> None:
-        now = time.monotonic()
-        if now < self.due:
-            return
-        passed = now - self.began
-        self.due = now + min(passed, 300)  # twice the time before
-        left = ""
-        if share >= 0.05:
-            left = f", about {_duration_text(passed / share * (1 - share))} left"
-        print(f"{self.what}: {share:.0%} after {_duration_text(passed)}{left}", file=sys.stderr)
-
-
-def _duration_text(seconds: float) -> str:
-    """Write a time as people do: 40 s, 12 min, 3.5 h."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -17,7 +17,7 @@ import numpy as np
 
 from deepfsi.base.arrays import read_array, split_variable
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import WINDOWS_ENCODING, open_regular, read_text
+from deepfsi.base.files import open_regular, read_text
 
 if TYPE_CHECKING:
     import polars as pl
@@ -31,9 +31,6 @@ LARGEST_TABLE_FILE = 2**31
 
 MOST_COLUMNS = 2**15
 """Columns of a file at most: each takes 8 kB of memory, however few its rows are."""
-
-LABEL_HEADS = ("label", "labels", "class", "classes", "category", "target", "y", "class name")
-"""Words over a column of labels, in lower case."""
 
 SEPARATORS = ";\t,"
 """Characters that may stand between the cells of a line of text."""
@@ -98,8 +95,6 @@ def _read(source: str | Path) -> "tuple[Path, tuple[str, ...], pl.DataFrame]":
     suffix = path.suffix.lower()
     if suffix not in TABLE_ENDINGS:
         raise InputError(f"{path} is no table: give a file ending in {', '.join(TABLE_ENDINGS)}")
-    if not path.exists():
-        raise InputError(f"there is no file {path}: give one ending in {', '.join(TABLE_ENDINGS)}")
     names: tuple[str, ...] = ()
     if suffix in TEXT_ENDINGS:
         names, frame = _read_text(path)
@@ -109,7 +104,7 @@ def _read(source: str | Path) -> "tuple[Path, tuple[str, ...], pl.DataFrame]":
         names = tuple(frame.columns)
     else:
         dimensions = (2,) if suffix == ".mat" else (1, 2)
-        values = read_array(path, dimensions, variable, largest=2**27, usual="counts")
+        values = read_array(path, dimensions, variable, usual="counts")
         if values.ndim not in dimensions:
             raise InputError(
                 f"{path} holds an array of shape {values.shape}: give rows and columns"
@@ -179,7 +174,7 @@ def read_cells(path: Path, advice: str, spaces: bool = False) -> "pl.DataFrame":
     """
     import polars as pl
 
-    text = read_text(path, LARGEST_TABLE_FILE, advice, WINDOWS_ENCODING)
+    text = read_text(path, LARGEST_TABLE_FILE, advice)
     first = next((line for line in text.split("\n") if line.strip() and line[0] != "#"), "")
     separator = next((one for one in SEPARATORS if one in first), ",")
     if spaces and separator not in first:  # as NumPy writes tables

@@ -131,7 +131,7 @@ def _conflict(field: str, value: Any, fields: Fields) -> str:
                 "light fluctuates from frame to frame, and column shows all masks at once: give "
                 "light equal-dwell, free-dwell or two-arm, or leave fluctuation out"
             )
-        case "fluctuation" if value > 0 and not noise.fluctuates:
+        case "fluctuation" if value > 0 and not noise.fluctuation:
             return "clicks have no light that fluctuates here: leave fluctuation or noise out"
         case "contrast" if value is not None and (law.one_device or not law.in_turn):
             return "contrast is of a projector: give light dose, or leave contrast out"
@@ -302,14 +302,8 @@ class Camera(UserModel):
         fields = {**_fields(source), **settings}
         if "noise" in settings:
             noise = find_noise(settings["noise"])
-            has = {
-                "dark": noise.dark,
-                "dead_time": noise.dead_time,  # a gate that fired is blind
-                "gates": noise.gates,
-                "fluctuation": noise.fluctuates,
-            }
-            for name in has.keys() - settings.keys():
-                if not has[name]:
+            for name in {"dark", "dead_time", "gates", "fluctuation"} - settings.keys():
+                if not getattr(noise, name):  # the source has it for another noise
                     fields.pop(name, None)
         is_file = isinstance(source, str | os.PathLike) and str(source).lower().endswith(".toml")
         with as_input_error(str(source) if is_file else ""):

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from deepfsi.base.errors import InputError
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.models import Amount, Share, StrictModel, WholeNumber
 
 MOST_INPUTS = 64
@@ -30,7 +30,7 @@ class DetectorMap(StrictModel):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.cells and {*self.cells} != {*range(self.count)}:
-            raise ValueError("the detectors of the cells are not numbered from 0 without a gap")
+            raise ValueError("number detectors from 0 without a gap: each sees a cell or more")
         if self.shares is not None and {len(self.spread), *map(len, self.shares)} != {self.count}:
             raise ValueError("the light of the classes is of another number of detectors")
         return self
@@ -40,10 +40,16 @@ class DetectorMap(StrictModel):
         """Map on scenes of ROWSxCOLUMNS, a number of bands, or the detector of each pixel."""
         if isinstance(setting, str):
             cells = _divided(setting, image_shape)
+        elif np.size(setting) == math.prod(image_shape):
+            cells = np.ravel(setting)
         else:
-            cells = _listed(np.asarray(setting), image_shape)
+            raise InputError(
+                f"a map of {np.size(setting)} detectors does not fit scenes of "
+                f"{_text(image_shape)}: give {math.prod(image_shape)} whole numbers"
+            )
         count = int(cells.max()) + 1
-        return cls(count=count, cells=tuple(cells.tolist()) if count > 1 else None)
+        with as_input_error():
+            return cls(count=count, cells=tuple(cells.tolist()) if count > 1 else None)
 
     @property
     def labels(self) -> np.ndarray | None:
@@ -70,22 +76,6 @@ def _divided(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
     for number, side in zip(numbers, image_shape, strict=True):
         labels = labels[..., None] * number + np.arange(side) * number // side
     return labels.ravel()
-
-
-def _listed(labels: np.ndarray, image_shape: tuple[int, ...]) -> np.ndarray:
-    """Detector of each pixel (N,), as it was given one by one."""
-    pixels = math.prod(image_shape)
-    if labels.size != pixels:
-        raise InputError(
-            f"a map of {labels.size} detectors does not fit scenes of {_text(image_shape)}: give "
-            f"{pixels} whole numbers"
-        )
-    numbers = np.unique(labels)
-    if not np.array_equal(numbers, np.arange(len(numbers))):
-        raise InputError(
-            "a map of detectors must number them from 0 without a gap: each sees a pixel or more"
-        )
-    return labels.ravel().astype(np.int64)
 
 
 def _text(image_shape: tuple[int, ...]) -> str:

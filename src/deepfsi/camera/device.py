@@ -14,11 +14,8 @@ from pydantic import Field, model_validator
 from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.models import Count, Positive, UserModel
 
-LONGEST_PICTURE_S = 1e3
-"""Longest picture time that is exported, seconds."""
-
 LONGEST_PICTURE_US = 10**9
-"""The same in microseconds."""
+"""Longest picture time that is exported, microseconds."""
 
 BIT_PLANES = 24
 """Bit-planes of a picture of 24 bits a pixel."""
@@ -99,9 +96,6 @@ class Device(UserModel):
 
 
 _CONTENT = tomllib.loads(files(__package__).joinpath("devices.toml").read_text("utf-8"))
-
-DEVICE_SOURCES = {name: fields.pop("sources") for name, fields in _CONTENT.items()}
-"""Where each number of a device is from."""
 
 DEVICES = {name: Device(name=name, **fields) for name, fields in _CONTENT.items()}
 """Devices by name."""

@@ -72,9 +72,4 @@ def photons_per_pixel(x: Array, photons: float, summed_reflectance: float) -> Ar
     >>> deepfsi.photons_per_pixel(numpy.array([0.2, 0.6]), 1e2, 0.8)
     array([25., 75.])
     """
-    if not summed_reflectance > 0:
-        raise InputError(
-            f"summed reflectance {summed_reflectance!r} is not allowed: give a number above 0, "
-            "such as `Design.summed_reflectance`"
-        )
     return x * (check_budget(photons) / summed_reflectance)  # type: ignore[operator, return-value]

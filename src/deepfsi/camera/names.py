@@ -92,7 +92,7 @@ class NoiseFacts:
     read_noise: bool = False
     gates: bool = False
     dead_time: bool = True
-    fluctuates: bool = True
+    fluctuation: bool = True
     steady: bool = True  # False if the light fluctuates from frame to frame, as a camera says
     usual_sigma: float = 1.0  # `sigma` of a camera where it is not given, counts rms per readout
     trains_as: NoiseName | None = None  # noise that is trained under in its place
@@ -123,7 +123,7 @@ NOISES: dict[str, NoiseFacts] = {
         usual_sigma=0.0,
     ),
     "click": NoiseFacts(
-        "click noise", counting=True, gates=True, dead_time=False, fluctuates=False
+        "click noise", counting=True, gates=True, dead_time=False, fluctuation=False
     ),
 }
 """Facts of each noise of the package, by its name."""

@@ -14,7 +14,7 @@ from deepfsi.camera.layout import DmdLayout
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
-from deepfsi.datasets.catalog import list_datasets
+from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.display import write_display
 from deepfsi.datasets.load import load_dataset
 from deepfsi.designfile.design_file import find_design
@@ -197,7 +197,16 @@ class DataList(Command):
     """
 
     def run(self, terminal: Terminal) -> Outcome:
-        entries = [entry._asdict() for entry in list_datasets()]
+        entries = [
+            {
+                "name": each.name,
+                "images": each.images,
+                "pixels": each.pixels,
+                "classes": len(each.classes),
+                "where": each.where,
+            }
+            for each in DATASETS.values()
+        ]
         rows = [tuple(map(str, entry.values())) for entry in entries]
         return Outcome({"data_sets": entries}, [Table("data sets", tuple(entries[0]), rows)])
 

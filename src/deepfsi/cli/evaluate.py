@@ -83,7 +83,7 @@ class PredictClasses(Command):
     settings: Annotated[dict[str, Any], fields.camera_options("noise")]
     file: fields.DesignOrPatterns
     pictures: fields.ExistingPath = fields.argument(
-        "picture, folder of pictures or of a folder for each class, or .csv of names and labels"
+        "picture, or folder of pictures, with or without a folder for each class"
     )
     photons: float | None = fields.option("budget, such as 1e4; default: that of the training")
     out: fields.CsvFile = fields.option("table with a line for each picture, .csv")

@@ -9,20 +9,19 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.arrays import check_memory, free_memory, read_npz
+from deepfsi.base.arrays import check_memory, read_npz
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import normal_name
 from deepfsi.datasets.dataset import Dataset, Ends, Labels, Origin, Reflectance, Truth
 from deepfsi.datasets.levels import (
     AnyArray,
     ValueRange,
-    grey,
     measure_levels,
     reflectance,
 )
 
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
-"""Scenes (n, H, W), (n, H, W, 3) or (n, N), and their labels (n,) or values (n, q)."""
+"""Scenes (n, H, W) or (n, N), and their labels (n,) or values (n, q)."""
 
 TEST_SHARE = 5
 """A test part that is drawn has one scene in five."""
@@ -47,10 +46,9 @@ def from_arrays(
 
     Parameters
     ----------
-    x : array, shape (n, H, W) or (n, H, W, 3) for images, (n, N) for spectra
+    x : array, shape (n, H, W) for images, (n, N) for spectra
         Scenes. Floats are reflectance in [0, 1], truth values 0 and 1; uint8 is divided by 255,
-        other integers by the white of their depth, as `deepfsi.datasets.levels` says. Colours
-        are turned to grey.
+        other integers by the white of their depth, as `deepfsi.datasets.levels` says.
     y : array, shape (n,) or (n, q)
         Labels (n,), integers or strings, whose sorted values become the classes 0 .. C-1. Or
         floats, q values of each scene in units of your own.
@@ -87,27 +85,15 @@ def from_arrays(
     >>> deepfsi.from_arrays(x, [0.1, 0.8] * 10, values=["left pixel"]).values
     ('left pixel',)
     """
-    if any(np.ma.is_masked(given) for given in (x, y, x_test, y_test)):
-        raise InputError(f"{name} hides values under a mask: leave out those scenes")
     return split_arrays(
         (x, y),
-        _test_part(x_test, y_test, name),
+        (x_test, y_test),
         classes=classes,
         values=values,
         name=name,
         seed=seed,
         rescale=rescale,
     )
-
-
-def _test_part(
-    x_test: npt.ArrayLike | None, y_test: npt.ArrayLike | None, name: str
-) -> Scenes | None:
-    if x_test is None and y_test is None:
-        return None
-    if x_test is None or y_test is None:
-        raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
-    return x_test, y_test
 
 
 def as_test_part(
@@ -118,70 +104,60 @@ def as_test_part(
     values: Sequence[str] = (),
 ) -> Dataset:
     """Data set of test scenes (n, H, W) or (n, N) alone, for a design trained on others."""
-    name = "arrays"
     pixels = np.asarray(x)
     if pixels.ndim == 2 and pixels.shape[1] == prod(image_shape):
         x = pixels.reshape(-1, *image_shape)
-    [scenes], described, levels = _scenes([x], name)
-    if values:
-        [truth], values = _read_values([y], values, [scenes], name)
-    else:
-        labels = _labels(y, len(scenes), f"{name}: y")
-        words = labels.astype(str)
-        labels = words if set(words.tolist()) <= set(classes) else labels
-        [truth], classes = _read_classes([labels], classes, [scenes], name)
-    part = scenes, truth
-    data = assemble(
-        name,
+    words = np.asarray(y).astype(str)
+    if set(words.ravel().tolist()) <= set(classes):  # classes that are called "0", "1", ..
+        y = words
+    part = x, y
+    data = split_arrays(
         part,
         part,
-        described=described,
-        rescale=None,
-        classes=tuple(classes),
-        values=tuple(values),
+        classes=classes or None,
+        values=values or None,
+        name="arrays",
     )
-    white = levels.chosen_white
-    return replace(data, x_train=data.x_train[:0], y_train=truth[:0], white=white)
+    return replace(data, x_train=data.x_train[:0], y_train=data.y_train[:0])
 
 
 def split_arrays(
     train: Scenes,
-    test: Scenes | None = None,
+    test: tuple[Any, Any] = (None, None),
     *,
     classes: Sequence[str] | None = None,
     values: Sequence[str] | None = None,
     name: str,
-    seed: int,
-    rescale: Ends | None,
+    seed: int = 0,
+    rescale: Ends | None = None,
     described: str | None = None,
     white: float | None = None,
     levels: ValueRange | None = None,
 ) -> Dataset:
     """Data set of arrays; a test part is drawn unless it is given."""
     check_seed(seed)
-    pairs = [train, test] if test else [train]
+    drawn = all(part is None for part in test)
+    pairs = [train] if drawn else [train, test]
     x, words, levels = _scenes([pair[0] for pair in pairs], name, white, levels)
     y = [pair[1] for pair in pairs]
     truths: Sequence[Truth]
-    if np.asarray(y[0]).dtype.kind == "f":
-        if classes is not None:
-            raise InputError(
-                f"{name}: names of classes go with labels; y is of floats, give `values`"
-            )
+    if values is not None or (classes is None and np.asarray(y[0]).dtype.kind == "f"):
         truths, values = _read_values(y, values, x, name)
     else:
-        if values is not None:
-            raise InputError(
-                f"{name}: names of values go with y of floats; give `classes`, or floats"
-            )
         truths, classes = _read_classes(y, classes, x, name)
-        _check_sizes(truths[0], classes, name, drawn=test is None)
-    if test:
+        sizes = np.bincount(truths[0], minlength=len(classes))
+        if drawn and sizes.min() < TEST_SHARE:  # a fifth of fewer may be none
+            fewest = classes[int(sizes.argmin())]
+            raise InputError(
+                f"{name}: class '{fewest}' has {sizes.min()} scenes; to draw a test part give "
+                f"{TEST_SHARE} or more of each class, or a test part of your own"
+            )
+    if drawn:
+        order, chosen = draw_fifth(len(x[0]), truths[0] if classes else None, seed)
+        tested = x[0][chosen], truths[0][chosen]
+    else:
         order = np.random.default_rng(seed).permutation(len(x[0]))
         tested = x[1], truths[1]
-    else:
-        order, drawn = draw_fifth(len(x[0]), truths[0] if classes else None, seed)
-        tested = x[0][drawn], truths[0][drawn]
     data = assemble(
         name,
         (x[0][order], truths[0][order]),
@@ -191,7 +167,7 @@ def split_arrays(
         classes=tuple(classes or ()),
         values=tuple(values or ()),
     )
-    return replace(data, white=levels.chosen_white, drawn=test is None)
+    return replace(data, white=levels.white if levels.chosen else None, drawn=drawn)
 
 
 def _read_classes(
@@ -205,10 +181,11 @@ def _read_classes(
     labels = [_labels(y, len(x), w) for y, x, w in zip(parts, scenes, whats, strict=False)]
     keys = np.unique(labels[0]).tolist()
     classes = tuple(map(str, keys)) if names is None else tuple(names)
-    if len(classes) < 2:
-        raise InputError(f"{name}: only one class, {', '.join(classes)}; give two or more")
-    if len(set(classes)) < len(classes):
-        raise InputError(f"{name}: classes {', '.join(classes)}; give each its own name")
+    if len(set(classes)) < max(2, len(classes)):
+        raise InputError(
+            f"{name}: the classes are {', '.join(classes)}; give two or more, each with its own "
+            "name"
+        )
     if names is not None:
         keys = list(classes if labels[0].dtype.kind == "U" else range(len(classes)))
     numbers = {label: number for number, label in enumerate(keys)}
@@ -222,19 +199,6 @@ def _read_classes(
     return [np.array(truth, dtype=np.int64) for truth in truths], classes
 
 
-def _check_sizes(truth: Labels, classes: Sequence[str], name: str, drawn: bool) -> None:
-    """Raise `InputError` for a class with too few training scenes, or to draw a fifth of."""
-    sizes = np.bincount(truth, minlength=len(classes))
-    fewest = classes[int(sizes.argmin())]
-    if drawn and sizes.min() < TEST_SHARE:  # a fifth of fewer may be none
-        raise InputError(
-            f"{name}: class '{fewest}' has {sizes.min()} scenes; to draw a test part give "
-            f"{TEST_SHARE} or more of each class, or a test part of your own"
-        )
-    if sizes.min() == 0:
-        raise InputError(f"{name}: class '{fewest}' has no training scenes; give some")
-
-
 def _read_values(
     parts: Sequence[npt.ArrayLike],
     names: Sequence[str] | None,
@@ -244,18 +208,26 @@ def _read_values(
     """Values (n, q) of each part, and their names."""
     truths = []
     for part, x, what in zip(parts, scenes, ("y", "y_test"), strict=False):
-        truth = np.asarray(part, dtype=np.float32)
-        truth = truth[:, None] if truth.ndim == 1 else truth
-        if truth.ndim != 2 or len(truth) != len(x) or not np.isfinite(truth).all():
+        numbers = np.asarray(part)
+        truth = numbers[:, None] if numbers.ndim == 1 else numbers
+        fits = truth.ndim == 2 and len(truth) == len(x) and truth.dtype.kind in "fiu"
+        if not (fits and np.isfinite(truth.astype(np.float32)).all()):
             raise InputError(
                 f"{name}: {what} of shape {np.shape(part)} for {len(x)} scenes; give (scenes,) or "
                 "(scenes, values) finite numbers"
             )
-        truths.append(truth)
+        truths.append(truth.astype(np.float32))
     train = truths[0]
-    if names is None:
-        _check_no_classes(train, f"{name}: y")
     width = train.shape[1]
+    distinct = np.unique(train)
+    few = 1 < len(distinct) <= len(train) / TEST_SHARE
+    one_hot = width > 1 and np.isin(train, (0, 1)).all() and (train.sum(axis=1) == 1).all()
+    # As MATLAB or one-hot codes write classes: a design would estimate them without a word
+    if names is None and (one_hot or (width == 1 and few and not (distinct % 1).any())):
+        raise InputError(
+            f"{name}: y holds whole numbers written as floats: if they are classes, give integers "
+            "(1 and not 1.0, `y.argmax(axis=1)` of one-hot rows) or strings; if values, name them"
+        )
     values = tuple(names or (f"value {k + 1}" for k in range(width)))
     if len(set(values)) != width or truths[-1].shape[1] != width:
         raise InputError(
@@ -268,25 +240,6 @@ def _read_values(
             f"{TEST_SHARE}; give values that differ"
         )
     return truths, values
-
-
-def _check_no_classes(values: npt.NDArray[Any], what: str) -> None:
-    """Raise `InputError` for values (n, q) that are classes, as MATLAB or one-hot codes write them.
-
-    A design would estimate them without a word.
-    """
-    if values.shape[1] > 1 and np.isin(values, (0, 1)).all() and (values.sum(axis=1) == 1).all():
-        raise InputError(
-            f"{what} holds rows with a single 1, which are classes: give their numbers, "
-            "y.argmax(axis=1)"
-        )
-    distinct = np.unique(values)
-    many = 1 < len(distinct) <= len(values) / TEST_SHARE
-    if values.shape[1] == 1 and many and not (distinct % 1).any():
-        raise InputError(
-            f"{what} holds whole numbers written as floats: if they are classes, give integers "
-            "(1 and not 1.0) or strings; if they are values, name them"
-        )
 
 
 def check_seed(seed: object) -> None:
@@ -303,16 +256,12 @@ def _scenes(
 ) -> tuple[list[Reflectance], str, ValueRange]:
     """Reflectance (n, H, W) or (n, N) of each part, a sentence on the changes, and levels."""
     read: dict[str, AnyArray] = {}
-    colours = ""
     for part, what in zip(parts, (f"{name}: x", f"{name}: x_test"), strict=False):
         scenes = np.asarray(part)
-        if scenes.ndim == 4 and scenes.shape[3] in (1, 3, 4) and scenes.size:
-            colours = "; colours turned to grey" if scenes.shape[3] > 1 else ""
-            scenes = grey(scenes, what)
         if scenes.ndim not in (2, 3) or scenes.size == 0:
             raise InputError(
-                f"{what} has shape {scenes.shape}; give (n, H, W) for grey images, (n, H, W, 3) "
-                "for RGB, (n, N) for spectra"
+                f"{what} has shape {scenes.shape}; give (n, H, W) for images, (n, N) for spectra, "
+                "and turn RGB to grey: x @ [0.299, 0.587, 0.114]"
             )
         read[what] = scenes
     shapes = [part.shape[1:] for part in read.values()]
@@ -327,11 +276,10 @@ def _scenes(
     count = sum(len(part) for part in read.values())
     check_memory(
         8 * size,  # two copies of 32 bits
-        free_memory(),
         f"{name}: {count} scenes of {shapes[0]} values",
         "give fewer or smaller ones",
     )
-    return [reflectance(part, levels) for part in read.values()], words + colours, levels
+    return [reflectance(part, levels) for part in read.values()], words, levels
 
 
 def _labels(y: npt.ArrayLike, count: int, what: str) -> npt.NDArray[Any]:
@@ -341,17 +289,13 @@ def _labels(y: npt.ArrayLike, count: int, what: str) -> npt.NDArray[Any]:
         labels = labels.astype(str)
     if labels.shape in ((count, 1), (1, count)):  # MATLAB's vectors
         labels = labels.ravel()
-    if labels.shape != (count,):
+    if labels.shape != (count,) or labels.dtype.kind not in "iuU":
         raise InputError(
-            f"{what} has shape {labels.shape} for {count} scenes; give one label for each"
+            f"{what} is {labels.dtype} of shape {labels.shape} for {count} scenes; give each an "
+            "integer or a string as its label, or floats that are its values"
         )
     if labels.dtype.kind == "U":
         labels = np.array(list(map(normal_name, labels.tolist())))
-    if labels.dtype.kind not in "iuU":
-        raise InputError(
-            f"{what} is {labels.dtype}; give labels that are integers or strings, or values that "
-            "are floats"
-        )
     return labels
 
 
@@ -431,7 +375,7 @@ def load_arrays(path: Path, options: Origin) -> Dataset:
     values = arrays.get("values")
     return split_arrays(
         (arrays["x"], arrays["y"]),
-        _test_part(arrays.get("x_test"), arrays.get("y_test"), name),
+        (arrays.get("x_test"), arrays.get("y_test")),
         values=None if values is None else np.atleast_1d(values).astype(str).tolist(),
         name=name,
         seed=options.seed,

@@ -13,17 +13,20 @@
 """
 
 import gzip
+import hashlib
 import os
 import shutil
 import tarfile
 import tomllib
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from importlib.resources import files
+from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import ClassVar, NamedTuple, cast
+from typing import ClassVar, cast
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -67,7 +70,7 @@ class _NamedDataset(ABC):
     classes: tuple[str, ...]
     folder: str = ""  # name of the folder of its files
     hashes: dict[str, str] = field(default_factory=dict)  # hash of each file, "algorithm:hex"
-    mirrors: tuple[str, ...] = ()  # addresses of folders that have the files
+    mirrors: Sequence[str] = ()  # addresses of folders that have the files
     options: ClassVar[tuple[str, ...]] = ()
     ends: ClassVar[Ends] = (0.0, 1.0)  # reflectance of black and white, unless another is asked for
     shape: ClassVar[PictureSize | None] = None
@@ -75,7 +78,6 @@ class _NamedDataset(ABC):
 
     def __post_init__(self) -> None:
         self.classes = tuple(self.classes)
-        self.mirrors = tuple(self.mirrors)
 
     @abstractmethod
     def load(self, options: Origin) -> Dataset:
@@ -88,6 +90,11 @@ class _NamedDataset(ABC):
                 return folder
         return None
 
+    @property
+    def where(self) -> str:
+        """Where its files are: "embedded", a folder or file, or "not here"."""
+        return str(self.find() or "not here")
+
     def download(self) -> Path:
         """Folder of the files; the cache downloads what is missing or damaged."""
         import pooch
@@ -97,19 +104,16 @@ class _NamedDataset(ABC):
             own = folder != _cache_folder(self.folder)  # a user's file is never replaced
             if own and not pooch.hashes.hash_matches(folder / file, expected):
                 raise InputError(f"{folder / file} is damaged: replace it with the original")
-            failures = []
             for mirror in self.mirrors:
-                try:
+                with suppress(OSError, ValueError):  # no connection, no such file; wrong hash
                     pooch.retrieve(mirror + file, expected, file, folder)
                     break
-                except (OSError, ValueError) as error:  # no connection, no such file; wrong hash
-                    reason = "wrong hash" if isinstance(error, ValueError) else type(error).__name__
-                    failures.append(f"{urlsplit(mirror).netloc} ({reason})")
             else:
+                hosts = " or ".join(urlsplit(mirror).netloc for mirror in self.mirrors)
                 raise InputError(
-                    f"{self.name}: cannot download {file} from {' or '.join(failures)}; try again, "
-                    f"or put the original files into a folder {self.folder} and set DEEPFSI_DATA "
-                    "to the folder that holds it"
+                    f"{self.name}: cannot download {file} from {hosts}; try again, or put the "
+                    f"original files into a folder {self.folder} and set DEEPFSI_DATA to the "
+                    "folder that holds it"
                 )
         return folder
 
@@ -276,11 +280,13 @@ class _IndianPines(_NamedDataset):
     paper pads its own.
 
     The copy in the package ``tensorly`` (BSD 3-Clause) was once transferred as a text: every byte
-    13, a carriage return, became 10, a line feed. None of its 8.4 million bytes is 13. Other copies
-    may have the same origin. A high byte that changed took 768 from a value.
+    13, a carriage return, became 10, a line feed. None of its 8.4 million bytes is 13. A high byte
+    that changed took 768 from a value.
     """
 
     CUBE = "Indian_pines_corrected"  # name of the file, .npy or .mat; the label map has _gt
+    # SHA-256 of the values of a cube that has lost its bytes
+    LOST = "36468dd7336c8bd37a80cced54362ea426f226703f3797ba494556fd8134e77f"
     options = ("split",)
 
     def find(self) -> Path | None:
@@ -309,43 +315,23 @@ class _IndianPines(_NamedDataset):
             )
         words = "Radiance as published, 200 of 220 bands,"
         scene = read_cube(path, name=self.name, classes=self.classes, origin=words)
-        if (scene.cube.astype(np.uint16) >> 8 == 13).any():
+        cube = scene.cube.astype(np.uint16)
+        if hashlib.sha256(cube.tobytes()).hexdigest() != self.LOST:
             return scene
-        restored = restore_high_bytes(scene.cube.astype(np.uint16))
+        restored = _restore_high_bytes(cube)
         return replace(scene, cube=restored, origin=f"{words[:-1]} with its lost bytes restored,")
 
 
-def restore_high_bytes(cube: npt.NDArray[np.uint16], low: int = 10) -> npt.NDArray[np.uint16]:
-    """The cube (H, W, B) with the high bytes 13 that became 10.
-
-    Spectra of a scene are nearly combinations of a few. Each band is predicted from the components
-    of all other bands, fitted to pixels whose value is sure; of the two values that a byte may
-    stand for, 768 apart, the nearer one is taken. On sound bytes one value in 1300 to 22 000 is
-    chosen wrongly, nearly all in the first band.
-    """
-    lower = cube.reshape(-1, cube.shape[2]).astype(float)
-    unsure = (cube >> 8).reshape(lower.shape) == low
-    gap = 256.0 * (13 - 10)
-    fitted = np.arange(len(lower)) % 4 == 0  # of four pixels one is fitted to
-    values = np.where(unsure, 0.0, lower)
-    values = np.where(unsure, values.sum(axis=0) / np.maximum((~unsure).sum(axis=0), 1), lower)
-    for number in range(12):  # in four passes values are expected, in the others chosen
-        scaled = (values - values.mean(axis=0)) / np.maximum(values.std(axis=0), 1.0)
-        axes = np.linalg.eigh(scaled.T @ scaled)[1][:, -20:]  # components of spectra
-        scores = scaled @ axes
-        for band in np.flatnonzero(unsure.any(axis=0)):
-            asked = np.flatnonzero(unsure[:, band])
-            sure = np.flatnonzero(fitted & ~unsure[:, band])
-            known, unknown = (
-                np.c_[scores[rows] - scaled[rows, band, None] * axes[band], np.ones(len(rows))]
-                for rows in (sure, asked)
-            )
-            weights = np.linalg.lstsq(known, lower[sure, band], rcond=None)[0]
-            expected = unknown @ weights
-            either = lower[asked, band]
-            nearer = abs(either + gap - expected) < abs(either - expected)
-            values[asked, band] = expected if number < 4 else either + gap * nearer
-    return values.reshape(cube.shape).astype(np.uint16)
+def _restore_high_bytes(cube: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
+    """The cube (H, W, B) with the high bytes 13 that became 10."""
+    # Which of the bytes 10 were 13 is stored, a bit for each, band by band. It was predicted of the
+    # other bands of the pixel, by `restore_high_bytes` as last in commit fc7d6b34
+    with as_file(files(__package__) / "indian_pines.npz") as path, np.load(path) as arrays:
+        lost = np.unpackbits(arrays["lost"])
+    bands = np.moveaxis(cube, 2, 0).copy()
+    unsure = bands >> 8 == 10
+    bands[unsure] += lost[: np.count_nonzero(unsure)] * np.uint16(768)
+    return np.ascontiguousarray(np.moveaxis(bands, 0, 2))
 
 
 _KINDS: dict[str, type[_NamedDataset]] = {
@@ -361,30 +347,6 @@ _FACTS = tomllib.loads(files(__package__).joinpath("originals.toml").read_text("
 
 DATASETS = {name: kind(name, **_FACTS[name]) for name, kind in _KINDS.items()}
 """Data sets by their names."""
-
-
-class _DatasetInfo(NamedTuple):
-    """Sizes of a named data set, and where it is."""
-
-    name: str
-    images: int
-    pixels: int  # N
-    classes: int
-    where: str  # "embedded", its folder, or "not here"
-
-
-def list_datasets() -> list[_DatasetInfo]:
-    """Data sets that have a name. Files are looked for, but not opened."""
-    return [
-        _DatasetInfo(
-            name,
-            images=named.images,
-            pixels=named.pixels,
-            classes=len(named.classes),
-            where=str(named.find() or "not here"),
-        )
-        for name, named in DATASETS.items()
-    ]
 
 
 def load_indian_pines() -> SpectralImage:

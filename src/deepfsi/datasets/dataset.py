@@ -8,9 +8,10 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BaseModel, ConfigDict, Field
 
 from deepfsi.base.errors import InputError
+from deepfsi.base.models import Count
 
 Reflectance: TypeAlias = npt.NDArray[np.float32]
 Labels: TypeAlias = npt.NDArray[np.int64]
@@ -31,7 +32,7 @@ class Origin(BaseModel):
 
     data: str  # name, or absolute path
     # As in `load_dataset`; white is the one in force, where the type of the values has none
-    size: tuple[int, int] | None = None
+    size: tuple[Count, Count] | None = None
     seed: int = 0
     rescale: Ends | None = None
     images: int | None = None
@@ -43,12 +44,7 @@ class Origin(BaseModel):
     # Absolute path of the calibration folder of the camera that sees the scenes
     view: str | None = None
     # Which of how many folds its test part is, from 0; None, and left out of files, for none
-    fold: tuple[int, int] | None = None
-
-    @model_serializer(mode="wrap")
-    def _without_none(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        fields: dict[str, Any] = dump(self)
-        return {name: fields[name] for name in fields if name != "fold" or fields[name]}
+    fold: tuple[int, int] | None = Field(default=None, exclude_if=lambda fold: fold is None)
 
     @property
     def words(self) -> str:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import new_folder, readable_name
-from deepfsi.base.tables import LABEL_HEADS, normal_name, read_cells
+from deepfsi.base.tables import normal_name, read_cells
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.levels import WRITTEN, PictureSize, ValueRange, measure_levels, reflectance
 from deepfsi.datasets.pictures import (
@@ -54,36 +54,27 @@ def read_display(
     shape: PictureSize | None = None,
     bilinear: bool = False,
 ) -> Display:
-    """Read a picture, a folder or ``.csv`` file of some, or a folder with one for each class.
+    """Read a picture, a folder of some, or a folder with one for each class.
 
-    Parameters
-    ----------
-    path : path
-        Pictures of equal size and depth; colours are turned to grey.
-    white : float, optional
-        Value that is reflectance 1, of more than 8 bits; measured as for `load_dataset` unless
-        given.
-    shape : (int, int), optional
-        Height and width to which they are brought.
-    bilinear : bool
-        Bring them to it bilinearly, and not by averaging over areas.
+    They are of equal size and depth, and turned to grey. `shape` is the height and width that they
+    are brought to, by averaging over areas unless `bilinear`.
     """
     source = Path(path)
-    if source.is_file() and source.suffix.lower() != ".csv":
+    if source.is_file():
         pictures = [Picture(source)]
-    elif not (source.is_file() or source.is_dir()):
+    elif not source.is_dir():
         raise InputError(f"no picture at {source}: give an image file, or a folder of some")
-    elif source.is_dir() and any(is_image(file.name) for file in source.iterdir()):
+    elif any(is_image(file.name) for file in source.iterdir()):
         pictures = [Picture(file) for file in sorted(source.iterdir()) if is_image(file.name)]
     else:
-        pictures = [picture for part in list_pictures(source).parts for picture in part]
+        pictures = [picture for part in list_pictures(source) for picture in part]
     folder = source.parent if source.is_file() else source
     pixels, tally = decode_pictures(pictures, shape, bilinear)
     names = [picture.path.relative_to(folder).as_posix() for picture in pictures]
     levels = tally.levels(white)
     return Display(
         names=tuple(map(readable_name, names)),
-        labels=tuple(p.label for p in pictures if p.label and isinstance(p.label, str)) or None,
+        labels=tuple(picture.label for picture in pictures if picture.label) or None,
         x=reflectance(pixels, levels),
         levels=levels,
         preprocessing=f"{tally.words}{sized_text(shape, bilinear, tally.sizes)}; {levels.words}",
@@ -101,17 +92,14 @@ def read_scene_list(path: Path) -> list[tuple[str, str | None]]:
     cells = read_cells(path, advice)
     if cells.height:
         heads = [(head or "").lower() for head in cells.row(0)]
-        if heads[0] in ("name", "scene") or (len(heads) == 2 and heads[1] in LABEL_HEADS):
+        if heads[0] in ("name", "scene") or heads[1:] in (["label"], ["class"]):
             cells = cells[1:]
     if not cells.height:
         raise InputError(f"{path} has no scenes: {advice}")
     if cells.width > 2 or cells.to_series(0).null_count():
         raise InputError(f"{path} has a line that is not NAME or NAME,LABEL: {advice}")
-    names = cells.to_series(0).to_list()
-    labels = cells.to_series(1).to_list() if cells.width == 2 else [None] * len(names)
     return [
-        (name, normal_name(label) if label else None)
-        for name, label in zip(names, labels, strict=True)
+        (name, normal_name(label[0]) if any(label) else None) for name, *label in cells.iter_rows()
     ]
 
 
@@ -142,20 +130,7 @@ def write_display(
 def write_pictures(
     pictures: Mapping[str, np.ndarray], folder: str | os.PathLike[str]
 ) -> list[Path]:
-    """Write reflectances as grey pictures.
-
-    Parameters
-    ----------
-    pictures : mapping of arrays, shape (H, W)
-        Reflectance in [0, 1], by the names of the files in the folder.
-    folder : path
-        A new one.
-
-    Returns
-    -------
-    list of Path
-        Their files.
-    """
+    """Write reflectances (H, W), by the names of their files, as grey pictures in a new folder."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 

@@ -1,4 +1,4 @@
-"""Levels of pictures and arrays: their range, colours turned to grey, reflectance in [0, 1].
+"""Levels of pictures and arrays: their range, and reflectance in [0, 1].
 
 Reflectance 1, *white*, is 255 for bytes and true for truth values; floats are reflectance as given.
 Integers of any other type hold fewer bits than their type, as a camera of 12 bits writes uint16:
@@ -7,7 +7,6 @@ scenes together, unless it is given. A data set and a design remember it, so tha
 divided by the same.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -45,11 +44,6 @@ class ValueRange(NamedTuple):
     chosen: bool  # whether `white` was measured or given, so that other scenes need it
 
     @property
-    def chosen_white(self) -> float | None:
-        """White, if other scenes need it."""
-        return self.white if self.chosen else None
-
-    @property
     def words(self) -> str:
         """Type, range and division, for a sentence."""
         bits = (int(self.white) + 1).bit_length() - 1
@@ -59,37 +53,19 @@ class ValueRange(NamedTuple):
 
 
 def measure_levels(parts: Mapping[str, AnyArray], white: float | None = None) -> ValueRange:
-    """Range of the scenes' values, and their white."""
-    families = {_family_of(part.dtype, what) for what, part in parts.items()}
+    """Range of the values of scenes, by their names in messages, and their white."""
+    families = {_family_of(part.dtype, what): what for what, part in parts.items()}
     if len(families) > 1:
-        types = " and ".join(f"{what} {part.dtype}" for what, part in parts.items())
+        types = " and ".join(f"{what} {parts[what].dtype}" for what in families.values())
         raise InputError(f"{types} have no white in common; give one type")
-    kind = str(next(iter(parts.values())).dtype)
+    [family] = families
     reach = {what: (float(part.min()), float(part.max())) for what, part in parts.items()}
-    return _levels_of(reach, families.pop(), kind, white)
-
-
-def _levels_of(
-    reach: Mapping[str, tuple[float, float]], family: Family, kind: str, white: float | None
-) -> ValueRange:
-    """Levels of values that reach so far."""
+    most = {"float": 1.0, "integer": white or 2.0 ** BITS[-1] - 1}.get(family, 255.0)
     for what, (low, high) in reach.items():
-        if not (np.isfinite(low) and np.isfinite(high)):
-            raise InputError(f"{what} holds NaN or infinite values; remove those scenes")
-        if family == "float" and (low < -1e-6 or high > 1 + 1e-6):  # but for rounding
+        if not -1e-6 <= low <= high <= most + 1e-6:  # but for rounding; NaN is refused, too
             raise InputError(
-                f"{what} reaches from {low:.4g} to {high:.4g}; reflectance lies in [0, 1]: rescale "
-                "it"
-            )
-        if family == "integer" and not 0 <= low <= high < 2 ** BITS[-1]:
-            raise InputError(
-                f"{what} reaches from {low:.10g} to {high:.10g}; integers are allowed from 0 to "
-                f"2**{BITS[-1]} - 1: subtract the offset, or rescale to [0, 1]"
-            )
-        if family == "integer" and white is not None and high > white:
-            raise InputError(
-                f"{what} reaches up to {high:.10g}, above white, {white:.10g}; give a white that "
-                "no value is above"
+                f"{what} reaches from {low:.10g} to {high:.10g}; values are allowed from 0 to "
+                f"{most:.10g}: rescale them, subtract their offset, or give a higher white"
             )
     low = min(low for low, _ in reach.values())
     high = max(high for _, high in reach.values())
@@ -97,6 +73,7 @@ def _levels_of(
         white = 255.0 if family == "byte" else 1.0
     elif white is None:
         white = float(next(2**bits - 1 for bits in BITS if high < 2**bits))
+    kind = str(next(iter(parts.values())).dtype)
     return ValueRange(kind, low, high, white=white, chosen=family == "integer")
 
 
@@ -117,102 +94,49 @@ def reflectance(values: AnyArray, levels: ValueRange) -> npt.NDArray[np.float32]
     return np.divide(values, levels.white, dtype=np.float32)
 
 
-def grey(values: AnyArray, what: str) -> AnyArray:
-    """Grey levels (n, H, W) of colours (n, H, W, 3), or (n, H, W, 4) whose last is left out.
-
-    Integers keep their type, rounded; `what` is the name of the values in messages.
-    """
-    family = _family_of(values.dtype, what)
-    if values.shape[3] == 1:
-        return values[..., 0]
-    out = np.empty(values.shape[:3], np.float32 if family == "truth" else values.dtype)
-    for first in range(0, len(values), 4096):
-        part = slice(first, first + 4096)
-        mixed = values[part, ..., :3] @ np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, as Pillow
-        out[part] = np.rint(mixed) if family in ("byte", "integer") else mixed
-    return out
-
-
 @dataclass
 class Tally:
-    """Count of pictures that were read, and their range."""
+    """Facts of pictures that were read."""
 
-    count: int = 0  # pictures that were read
     coloured: int = 0
     written: int = 0  # those that `write_pictures` wrote, as reflectance
-    packed: int = 0  # bytes of their files
     sizes: set[PictureSize] = field(default_factory=set)  # heights and widths
-    family: Family | None = None  # type of the values
-    first: str = ""  # name of the first, for messages
-    low: float = math.inf
-    high: float = -math.inf
+    # Smallest and largest value of each before it is resized, by the name of its file
+    reach: dict[str, AnyArray] = field(default_factory=dict)
 
     def grey(self, image: "PillowImage", where: str) -> "PillowImage":
         """Count an image and give it in grey: mode L of 8 bits, else F in its own values."""
         from PIL import Image, ImageOps
 
-        _check_depth(image, where)
         ImageOps.exif_transpose(image, in_place=True)
-        values = _values(image)
-        family = _family_of(values.dtype, where)
-        if self.family not in (None, family):
-            depth = {"byte": "8 bits", "integer": "more than 8 bits", "float": "floats"}
-            raise InputError(
-                f"images differ in depth: {self.first} has {depth[self.family]}, {where} has "
-                f"{depth[family]}; save all with one depth"
-            )
-        self.family = family
-        self.first = self.first or where
-        self.count += 1
+        values = _values(image, where)
+        self.reach[where] = np.array([values.min(), values.max()])
         self.coloured += image.mode not in ("1", "L", "LA", "I", "F") and image.mode[:4] != "I;16"
         self.written += WRITTEN in image.info
-        self.low = min(self.low, float(values.min()))
-        self.high = max(self.high, float(values.max()))
         self.sizes.add((image.height, image.width))
-        return Image.fromarray(values if family == "byte" else values.astype(np.float32))
+        return Image.fromarray(values if values.dtype == np.uint8 else values.astype(np.float32))
 
     def levels(self, white: float | None) -> ValueRange:
-        """Range of all pictures and their white, measured if none is given."""
-        assert self.family is not None
-        name = f"{self.first} and {self.count - 1} others" if self.count > 1 else self.first
-        kind = {"byte": "8-bit", "float": "float"}.get(self.family, "16-bit")
-        if self.family == "integer" and self.high >= 2**16:
-            kind = "32-bit"
-        return _levels_of({name: (self.low, self.high)}, self.family, kind, white)
+        """Range of all pictures, and their white."""
+        levels = measure_levels(self.reach, white)
+        kinds = {"uint8": "8-bit", "float32": "float", "int32": "32-bit"}
+        return levels._replace(kind=kinds.get(levels.kind, "16-bit"))
 
     @property
     def words(self) -> str:
         """Pictures, sizes and colours, as the beginning of a sentence."""
         sizes = [f"{height}x{width} pixels" for height, width in self.sizes]
         size = sizes[0] if len(sizes) == 1 else "several sizes"
-        parts = [f"{plural(self.count, 'image')} of {size}"]
-        if self.coloured:
-            parts.append(f"{self.coloured} in colour, turned to grey")
-        return ", ".join(parts)
+        coloured = f", {self.coloured} in colour, turned to grey" if self.coloured else ""
+        return f"{plural(len(self.reach), 'image')} of {size}{coloured}"
 
 
-def _values(image: "PillowImage") -> npt.NDArray[Any]:
-    """Grey levels of an image: uint8, int64 or float32."""
-    if image.mode == "F":
-        return np.asarray(image)
-    if image.mode == "I" or image.mode.startswith("I;16"):
-        return np.asarray(image).astype(np.int64)
-    return np.asarray(image.convert("L"))
-
-
-def _check_depth(image: Any, where: str) -> None:
-    """Raise `InputError` for an image whose values Pillow would give wrongly.
-
-    It drops the lower bytes of deep colours, and turns a TIFF whose 0 is white only in 8 bits.
-    """
+def _values(image: "PillowImage", where: str) -> AnyArray:
+    """Grey levels of an image: uint8, 16 or 32 bits, or float32."""
+    if image.mode not in ("I", "F") and not image.mode.startswith("I;16"):
+        return np.asarray(image.convert("L"))
     tags = getattr(image, "tag_v2", {})
-    if image.mode in ("I", "F") or image.mode.startswith("I;16"):
-        if tags.get(262) == 0:  # TIFF's tag PhotometricInterpretation: 0 is white
-            raise InputError(f"{where} has 0 for white: save it with 0 for black")
-        return
-    bits = max(tags.get(258, ()), default=8)  # TIFF's tag BitsPerSample
-    tiles = getattr(image, "tile", ())
-    if bits > 8 or any(
-        ";16" in str(tile[3]) or (tile[0] == "ppm" and tile[3][1] > 255) for tile in tiles
-    ):
-        raise InputError(f"{where} has colours of more than 8 bits: save it in grey levels")
+    if tags.get(262) == 0:  # TIFF's PhotometricInterpretation: Pillow turns it over in 8 bits alone
+        raise InputError(f"{where} has 0 for white: save it with 0 for black")
+    values = np.asarray(image)
+    return values.astype(values.dtype.newbyteorder("="))

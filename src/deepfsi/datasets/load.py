@@ -14,7 +14,7 @@ from deepfsi.datasets.arrays import from_arrays, load_arrays
 from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.dataset import Dataset, Ends, Origin
 from deepfsi.datasets.display import Display, array_display, read_display
-from deepfsi.datasets.pictures import as_shape, load_pictures
+from deepfsi.datasets.pictures import load_pictures
 from deepfsi.datasets.spectra import CUBE_ENDINGS, read_cube
 
 
@@ -38,7 +38,6 @@ FILE_KINDS = (
         ("size", "images", "white"),
         load_pictures,
     ),
-    _FileKind("a .csv of their names and labels", (".csv",), ("size", "white"), load_pictures),
     _FileKind(f"a cube ({', '.join(CUBE_ENDINGS)})", CUBE_ENDINGS, ("split",), _load_cube),
     _FileKind("an .npz file of arrays x and y", (".npz",), ("white",), load_arrays),
 )
@@ -70,14 +69,10 @@ def load_dataset(
     source : str, path or tuple
         One of
 
-        - a name that `list_datasets` gives; their module, `deepfsi.datasets.catalog`, says what
-          each is and where its files are found. ``./mnist`` is a folder of that name;
+        - a name of `deepfsi data list`; the module `deepfsi.datasets.catalog` says what each is
+          and where its files are found. ``./mnist`` is a folder of that name;
         - a folder with a sub-folder of images for each class, or with such folders within its own
           ``train/`` and ``test/``. Images of equal depth; colours turn grey;
-        - a ``.csv`` file with the file name and the label of an image in each line, whose names
-          begin in the folder of its own name beside it, ``pets/`` of ``pets.csv``, or in its own.
-          Numbers in place of the label are values where a line has several, or where any has a
-          decimal point or an exponent; a heading names them;
         - a hyperspectral cube (``.mat``, ``.npy``), whose label map lies beside it under the same
           name with ``_gt`` added, as in `spectra.read_cube`;
         - an ``.npz`` file with `x`, `y` and, if it has its own test part, `x_test`, `y_test`, or
@@ -113,47 +108,44 @@ def load_dataset(
             "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays; scenes "
             "and labels of a torch data set make two such arrays"
         )
-    if isinstance(source, tuple) and len(source) not in (2, 4):
-        raise InputError(
-            f"a tuple of {len(source)} arrays was given; give (x, y) or (x, y, x_test, y_test)"
-        )
     name = "arrays" if isinstance(source, tuple) else absolute_source(os.fspath(source))
     with as_input_error():
         options = Origin(
             data=name,
-            size=as_shape(size),
+            size=(size, size) if isinstance(size, int) else size,
             seed=seed,
             rescale=rescale,
             images=images,
             split=split,
             white=white,
         )
+    allowed = () if isinstance(source, tuple) else options_of(os.fspath(source))
+    for option in ("size", "images", "split", "white"):
+        if option not in allowed and getattr(options, option) is not None:
+            raise InputError(f"{Path(name).name} takes no `{option}`: leave it out")
     if isinstance(source, tuple):
-        _refuse(options, name, ())
         return from_arrays(*source, seed=seed, rescale=rescale)
-    _refuse(options, Path(name).name, options_of(os.fspath(source)))
     if name in DATASETS:
         data = DATASETS[name].load(options)
     else:
-        path = _existing(os.fspath(source))
-        data = _kind_of(path).load(path, options)
+        path, kind = _find(os.fspath(source))
+        data = kind.load(path, options)
     return replace(data, origin=options.model_copy(update={"white": data.white}))
 
 
-def _kind_of(path: Path) -> _FileKind:
-    """Kind of a file or folder that is there, or `InputError` where it holds no data set."""
+def _find(source: str) -> tuple[Path, _FileKind]:
+    """Path of a data set that has no name, and its kind; `InputError` where none is there."""
+    path = Path(source).expanduser()
+    if not (source and path.exists()):
+        raise InputError(
+            f"unknown data set '{source}': {closest_choice(source, DATASETS)}; or the path of "
+            f"{SOURCES_OF_PATHS}"
+        )
     ending = "/" if path.is_dir() else path.suffix.lower()
     for kind in FILE_KINDS:
         if ending in kind.endings:
-            return kind
+            return path, kind
     raise InputError(f"{path} is no data set that is read: give {SOURCES_OF_PATHS}")
-
-
-def _refuse(options: Origin, name: str, allowed: tuple[str, ...]) -> None:
-    """Raise `InputError` for an option that is given but not among those that a source takes."""
-    for option in ("size", "images", "split", "white"):
-        if option not in allowed and getattr(options, option) is not None:
-            raise InputError(f"{name} takes no `{option}`: leave it out")
 
 
 def absolute_source(source: str) -> str:
@@ -170,7 +162,7 @@ def options_of(source: str) -> tuple[str, ...]:
     """Options of `load_dataset` that this source takes, and not every one does."""
     if source in DATASETS:
         return DATASETS[source].options
-    return _kind_of(_existing(source)).options
+    return _find(source)[1].options
 
 
 def as_dataset(data: Source) -> Dataset:
@@ -180,21 +172,8 @@ def as_dataset(data: Source) -> Dataset:
 
 def check_source(source: str) -> str:
     """Known name or existing path; else `InputError`."""
-    if source not in DATASETS:
-        _existing(source)
+    options_of(source)
     return source
-
-
-def _existing(name: str) -> Path:
-    path = Path(name).expanduser()
-    if name and path.exists():
-        return path
-    if path.suffix or len(path.parts) > 1:
-        raise InputError(f"there is no folder and no file at '{name}': give {SOURCES_OF_PATHS}")
-    raise InputError(
-        f"unknown data set '{name}': {closest_choice(name, tuple(DATASETS))}; or the path of "
-        f"{SOURCES_OF_PATHS}"
-    )
 
 
 def prepare_display(pictures: Path | npt.NDArray[Any], origin: Origin) -> Display:

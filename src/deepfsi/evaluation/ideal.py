@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from deepfsi.adaptive.posterior import class_chances
-from deepfsi.base.arrays import check_memory, free_memory
+from deepfsi.base.arrays import check_memory
 from deepfsi.base.progress import Progress, progress_bar
 from deepfsi.camera.light import check_budget
 from deepfsi.datasets.load import Source, as_dataset
@@ -133,7 +133,7 @@ def ideal_observer(
         rates = rates_of(torch.from_numpy(np.asarray(scenes.x_train)))
         # arrays as large as the rates of all training scenes
         needed = 4 * rates.numel() * rates.element_size()
-        check_memory(needed, free_memory(), "likelihoods of these scenes", "give fewer scenes")
+        check_memory(needed, "likelihoods of these scenes", "give fewer scenes")
         observer = IdealObserver(rates, torch.from_numpy(scenes.y_train), len(scenes.classes))
         shares = rates.mean(dim=0).flatten(0, -2).sum(dim=0)
         del rates

@@ -16,7 +16,7 @@ def read_matrix(source: str) -> np.ndarray:
     if not path.exists():
         raise InputError(f"no matrix at {path}: give {ways}")
     # A small file may claim more than memory holds
-    masks = read_array(path, (2, 3), variable, largest=2**28)
+    masks = read_array(path, (2, 3), variable)
     if masks.ndim not in (2, 3) or not masks.size:
         raise InputError(f"{path} holds an array of shape {masks.shape}: give {ways}")
     if masks.dtype.kind in "bu" and masks.dtype.itemsize <= 2:  # levels, the last of all light

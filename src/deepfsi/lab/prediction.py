@@ -103,9 +103,9 @@ def predict(
     ----------
     design : Design
     pictures : str, path or array, shape (n, H, W) or (n, N)
-        A picture, a folder of pictures, one with a sub-folder for each class, or a ``.csv`` file of
-        file names and labels. Whole numbers of an array are treated as files are; floats are
-        reflectance in [0, 1] and get no preprocessing. ``deepfsi data export`` mapped its pictures.
+        A picture, a folder of pictures, or one with a sub-folder for each class. Whole numbers of
+        an array are treated as files are; floats are reflectance in [0, 1] and get no
+        preprocessing. ``deepfsi data export`` mapped its pictures.
     photons : float, optional
         Budget Φ. Default: the camera's if the training has it, else the training's lowest.
     camera : Camera, str, path or mapping, optional

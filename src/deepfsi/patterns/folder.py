@@ -34,7 +34,7 @@ from deepfsi.base.files import (
 )
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.quantities import plural, time_text
-from deepfsi.camera.device import LONGEST_PICTURE_S, Device
+from deepfsi.camera.device import LONGEST_PICTURE_US, Device
 from deepfsi.camera.layout import USUAL_LAYOUT, DmdLayout, find_grid
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName
 from deepfsi.patterns.frames import (
@@ -74,10 +74,10 @@ class Patterns:
         Where the shares of the exposure would sum to more than 1 (`column`), all are dimmed by the
         common factor `manifest.dimmed`.
         """
-        if not 0 < dwell_s <= LONGEST_PICTURE_S:
+        if not 0 < dwell_s <= LONGEST_PICTURE_US / 1e6:
             raise InputError(
                 f"dwell {dwell_s!r} is not allowed: give seconds above 0, up to "
-                f"{LONGEST_PICTURE_S:g}"
+                f"{LONGEST_PICTURE_US / 1e6:g}"
             )
         check_choice("format", format, tuple(FRAME_FORMATS))
         if format == "planes" and not device.packed:

@@ -10,7 +10,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.intervals import (
     MOST_CLASSES,
-    accuracy_difference,
     confusion_shares,
     find_crossing,
     frequent_confusions,
@@ -32,7 +31,7 @@ from deepfsi.report.accuracy import (
 from deepfsi.report.masks import masks_figure, signed
 from deepfsi.report.rendering import capital, render
 from deepfsi.report.style import Figures, photons_text
-from deepfsi.sweeps.results import Data, Point, Results, read_results
+from deepfsi.sweeps.results import Data, Point, Results, accuracy_difference, read_results
 
 _SUBJECTS = {"deepfsi": "learned masks (DeepFSI)", "adaptive": "adaptive masks"}
 """Designs whose names in a sentence are masks."""

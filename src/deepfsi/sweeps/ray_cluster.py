@@ -1,14 +1,15 @@
 """Many tasks on a Ray cluster: what is shared is sent once, results come back as they finish."""
 
 import logging
+import signal
 import socket
+import threading
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import islice
 from typing import Any
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.interrupts import restore_handlers
 
 TASKS_AHEAD = 2
 """Tasks submitted for each that can run: the next one waits beside it, a growing cluster sees
@@ -90,9 +91,11 @@ def _connected(address: str) -> Iterator[None]:
     if ray.is_initialized():
         yield
         return
-    with restore_handlers():
-        _join(address)
+    usual = signal.getsignal(signal.SIGTERM)
     try:
+        _join(address)
+        if usual is not None and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, usual)  # Ray takes it
         yield
     finally:
         ray.shutdown()

@@ -1,10 +1,12 @@
 """Results of a comparison: averaged points, data and provenance, as `results.json` holds them."""
 
 import json
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     ConfigDict,
@@ -15,7 +17,13 @@ from pydantic import (
 
 from deepfsi.base.errors import as_input_error
 from deepfsi.base.files import read_text, write_atomically
-from deepfsi.base.intervals import unpack_values
+from deepfsi.base.intervals import (
+    Z_95,
+    Difference,
+    mean_of_trials,
+    paired_difference,
+    unpack_values,
+)
 from deepfsi.base.models import Positive, Share, StrictModel
 from deepfsi.datasets.dataset import MeasureTitle
 from deepfsi.jobs.designs import EVERY_PIXEL
@@ -131,6 +139,25 @@ class Point(_Stored):
     def every_pixel(self) -> bool:
         """True of a design that has a detector for each pixel."""
         return self.design in EVERY_PIXEL
+
+
+def accuracy_difference(first: Point, second: Point) -> Difference:
+    """Difference of two accuracies, paired on the images that both were tested with.
+
+    Trials without values of images are paired by seed, and their differences give the error. Of a
+    single such trial the two intervals over images are combined as if they were independent.
+    """
+    if first.terms and second.terms:
+        rows = [
+            np.stack([unpack_values(each) for each in point.terms]) for point in (first, second)
+        ]
+        if rows[0].shape[1] == rows[1].shape[1]:
+            return paired_difference(*rows)
+    one, other = (np.asarray(each.accuracies) for each in (first, second))
+    if len(one) == len(other) > 1:
+        return mean_of_trials((one - other).tolist())
+    half = math.hypot(*((each.high - each.low) / 2 for each in (first, second)))
+    return Difference(float(one.mean() - other.mean()), half / Z_95)
 
 
 class Data(_Stored):

@@ -339,9 +339,9 @@ def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 
     scenes, pixels = training_set.full.shape
     check_memory(
         footprint(training_set, jobs) * processes - training_set.full.nbytes,
-        memory_for(training_set.device),
         f"{scenes} scenes of {pixels} pixels, {jobs[0].masks} masks and {processes} processes",
         "give fewer or smaller scenes (`size`), fewer `masks` or fewer `workers`",
+        memory_for(training_set.device),
     )
 
 

@@ -11,15 +11,10 @@ from functools import cached_property
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.intervals import (
-    Difference,
-    accuracy_difference,
-    all_above,
-    mean_of_trials,
-)
+from deepfsi.base.intervals import Difference, all_above, mean_of_trials
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.style import INK, photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps.results import Point, Results, accuracy_difference
 from deepfsi_paper.experiment import Compared, Experiment, Finding, best, gains, no_gain
 from deepfsi_paper.indian_pines.measures import Measures, measure
 from deepfsi_paper.report.section import Claim, Picture, Table, english_list

@@ -15,18 +15,13 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from deepfsi.base.intervals import (
-    Difference,
-    accuracy_difference,
-    all_above,
-    mean_of_trials,
-)
+from deepfsi.base.intervals import Difference, all_above, mean_of_trials
 from deepfsi.base.progress import Progress
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.style import photons_text
-from deepfsi.sweeps.results import Point, Results
+from deepfsi.sweeps.results import Point, Results, accuracy_difference
 from deepfsi_paper.experiment import Experiment, Finding, cifar10_here
 from deepfsi_paper.measures import effective_directions
 from deepfsi_paper.ovit.figures import LearnedMasks, patch_masks_figure

@@ -14,9 +14,9 @@ from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
-from deepfsi.base.intervals import Difference, accuracy_difference
+from deepfsi.base.intervals import Difference
 from deepfsi.report import style
-from deepfsi.sweeps.results import Point
+from deepfsi.sweeps.results import Point, accuracy_difference
 from deepfsi_paper.report import scales
 
 LEAST_REACH = 0.05
