@@ -201,7 +201,7 @@ BAD_FOLDERS = {
     "a split": (as_it_is, {"split": "blocks"}, ("takes no `split`",)),
     **{
         f"size {size}": (as_it_is, {"size": size}, ("size",))
-        for size in (0, -3, (4, 0), (4,), (4, 4, 4))
+        for size in (0, (4, 0), (4,), (4, 4, 4))
     },
 }  # fmt: skip
 

@@ -129,7 +129,7 @@ def test_files_side_by_side(tmp_path):
 @pytest.mark.parametrize(
     ("variables", "parts"),
     [
-        ({"a": CUBE, "b": CUBE}, ("not one variable alone", "a, b: save a 3-dimensional one")),
+        ({"a": CUBE, "b": CUBE}, ("not one variable alone", "a, b: save it alone")),
         (
             {"a": LABELS, "word": "cube", "cell": np.array([CUBE], object)},
             ("in 3 dimensions", "but none"),

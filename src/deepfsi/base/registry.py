@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from deepfsi.base.errors import InputError, as_input_error, check_choice
+from deepfsi.base.files import hash_file
 
 IMPORT_PATH = r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*"
 """Form of an import path."""
@@ -90,14 +91,13 @@ def import_path(part: Any) -> str | None:
 
 def source_hash(path: str) -> str:
     """SHA-256 in hex of the file that defines a part, so that records of an older one expire."""
-    import hashlib
     import inspect
 
     try:
         file = inspect.getsourcefile(load_plugin(path))
     except TypeError:
         file = None
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+    return hash_file(Path(file)) if file else ""
 
 
 class Registry:

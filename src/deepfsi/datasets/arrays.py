@@ -229,15 +229,12 @@ def _read_values(
             "(1 and not 1.0, `y.argmax(axis=1)` of one-hot rows) or strings; if values, name them"
         )
     values = tuple(names or (f"value {k + 1}" for k in range(width)))
-    if len(set(values)) != width or truths[-1].shape[1] != width:
+    fits = len(set(values)) == truths[-1].shape[1] == width and len(train) >= TEST_SHARE
+    if not (fits and (np.ptp(train, axis=0) > 0).all()):
         raise InputError(
             f"{name}: {width} values of a training scene, {truths[-1].shape[1]} of a test scene, "
-            f"named {', '.join(values)}; give each value one name of its own, in both parts"
-        )
-    if len(train) < TEST_SHARE or not (np.ptp(train, axis=0) > 0).all():
-        raise InputError(
-            f"{name}: a value is the same of all training scenes, or they are fewer than "
-            f"{TEST_SHARE}; give values that differ"
+            f"named {', '.join(values)}; give as many in both parts, each with a name of its own "
+            f"and not the same of all scenes, which are {TEST_SHARE} or more"
         )
     return truths, values
 

@@ -18,7 +18,7 @@ from deepfsi.base.tables import normal_name, read_cells
 from deepfsi.datasets.dataset import Dataset, Reflectance
 from deepfsi.datasets.levels import WRITTEN, PictureSize, ValueRange, measure_levels, reflectance
 from deepfsi.datasets.pictures import (
-    Picture,
+    class_name,
     decode_pictures,
     is_image,
     list_pictures,
@@ -60,21 +60,23 @@ def read_display(
     are brought to, by averaging over areas unless `bilinear`.
     """
     source = Path(path)
+    labels: tuple[str, ...] | None = None
     if source.is_file():
-        pictures = [Picture(source)]
+        pictures = [source]
     elif not source.is_dir():
         raise InputError(f"no picture at {source}: give an image file, or a folder of some")
     elif any(is_image(file.name) for file in source.iterdir()):
-        pictures = [Picture(file) for file in sorted(source.iterdir()) if is_image(file.name)]
+        pictures = [file for file in sorted(source.iterdir()) if is_image(file.name)]
     else:
         pictures = [picture for part in list_pictures(source) for picture in part]
+        labels = tuple(map(class_name, pictures))
     folder = source.parent if source.is_file() else source
     pixels, tally = decode_pictures(pictures, shape, bilinear)
-    names = [picture.path.relative_to(folder).as_posix() for picture in pictures]
+    names = [picture.relative_to(folder).as_posix() for picture in pictures]
     levels = tally.levels(white)
     return Display(
         names=tuple(map(readable_name, names)),
-        labels=tuple(picture.label for picture in pictures if picture.label) or None,
+        labels=labels,
         x=reflectance(pixels, levels),
         levels=levels,
         preprocessing=f"{tally.words}{sized_text(shape, bilinear, tally.sizes)}; {levels.words}",

@@ -8,7 +8,7 @@ import os
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,13 +32,6 @@ OF_SYSTEMS = ("__MACOSX", "@eaDir", "$RECYCLE.BIN", "System Volume Information",
 """Folders that operating systems and servers put beside those of a user, as do hidden ones."""
 
 
-class Picture(NamedTuple):
-    """Image that is not yet read."""
-
-    path: Path
-    label: str = ""
-
-
 def load_pictures(path: Path, options: Origin, name: str = "", bilinear: bool = False) -> Dataset:
     """Data set of the images of a folder, which gives the name, too."""
     name = name or path.resolve().name
@@ -51,12 +44,12 @@ def load_pictures(path: Path, options: Origin, name: str = "", bilinear: bool = 
                 f"{name}: {images} training images were asked for; that needs images with their "
                 "own train and test folders, leave it out"
             )
-        kept = draw_stratified([p.label for p in train], images, options.seed, name)
+        kept = draw_stratified(list(map(class_name, train)), images, options.seed, name)
         train = [train[i] for i in kept]
-    pictures = [*train, *(test[0] if test else [])]
-    pixels, tally = decode_pictures(pictures, shape, bilinear)
+    paths = [*train, *(test[0] if test else [])]
+    pixels, tally = decode_pictures(paths, shape, bilinear)
     levels = tally.levels(options.white)
-    labels = np.array([picture.label for picture in pictures])
+    labels = np.array(list(map(class_name, paths)))
     n = len(train)
     drawn = "" if images is None else f"{images} training images drawn by class; "
     return split_arrays(
@@ -87,7 +80,12 @@ def _names_text(names: Sequence[str | Path]) -> str:
     return ", ".join(readable_name(str(name)) for name in names[:20]) + more
 
 
-def list_pictures(path: Path) -> list[list[Picture]]:
+def class_name(path: Path) -> str:
+    """Class of an image, the name of its folder."""
+    return normal_name(readable_name(path.parent.name))
+
+
+def list_pictures(path: Path) -> list[list[Path]]:
     """Images of a folder: all in one part, or a training and a test part."""
     parts = {each.name.lower(): each for each in path.iterdir() if each.is_dir()}
     roots = [parts["train"], parts["test"]] if {"train", "test"} <= parts.keys() else [path]
@@ -111,13 +109,9 @@ def list_pictures(path: Path) -> list[list[Picture]]:
             f"{path} needs a sub-folder for each class that holds its images, and "
             f"{_names_text(empty) or 'it'} has none; add them, or give arrays in an .npz file"
         )
-    pictures = [
-        Picture(image, normal_name(readable_name(folder.name)))
-        for folder in classes
-        for image in images[folder]
-    ]
-    pictures.sort(key=lambda each: (each.label, readable_name(each.path.name)))
-    return [[each for each in pictures if each.path.parent.parent == root] for root in roots]
+    paths = [image for folder in classes for image in images[folder]]
+    paths.sort(key=lambda each: (class_name(each), readable_name(each.name)))
+    return [[each for each in paths if each.parent.parent == root] for root in roots]
 
 
 # ---------------------------------------------------------------- reading
@@ -128,7 +122,7 @@ class _Unreadable(InputError):
 
 
 def decode_pictures(
-    pictures: list[Picture], shape: PictureSize | None, bilinear: bool = False
+    paths: list[Path], shape: PictureSize | None, bilinear: bool = False
 ) -> tuple[npt.NDArray[Any], Tally]:
     """Grey images (n, H, W) of equal shape, and a tally of what they were."""
     from PIL import Image
@@ -138,23 +132,23 @@ def decode_pictures(
     grey: npt.NDArray[Any] = np.empty(0)
     with warnings.catch_warnings():
         warnings.simplefilter("error", Image.DecompressionBombWarning)
-        for index, picture in enumerate(pictures):
+        for index, path in enumerate(paths):
             try:
-                image = _read(picture.path, tally, shape, bilinear)
+                image = _read(path, tally, shape, bilinear)
             except _Unreadable as error:
-                bad.append(f"{picture.path} ({error})")
+                bad.append(f"{path} ({error})")
                 continue
             if not grey.size:
                 check_memory(
-                    len(pictures) * image.nbytes,
-                    f"{len(pictures)} images of {image.shape[0]}x{image.shape[1]} pixels",
+                    len(paths) * image.nbytes,
+                    f"{len(paths)} images of {image.shape[0]}x{image.shape[1]} pixels",
                     "give a smaller size, or fewer",
                 )
-                grey = np.empty((len(pictures), *image.shape), image.dtype)
+                grey = np.empty((len(paths), *image.shape), image.dtype)
             if image.shape != grey.shape[1:]:
                 raise InputError(
                     f"images differ in size: others are {grey.shape[1]}x{grey.shape[2]}, "
-                    f"{picture.path} is {image.shape[0]}x{image.shape[1]}; give a size to bring "
+                    f"{path} is {image.shape[0]}x{image.shape[1]}; give a size to bring "
                     "them to one"
                 )
             grey[index] = image

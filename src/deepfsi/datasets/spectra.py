@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -186,8 +186,9 @@ def read_cube(
 ) -> SpectralImage:
     """Read a cube and the label map beside it."""
     label_file = _find_labels(path)
-    cube = _read(path, 3)
-    labels = _read(label_file, 2)
+    advice = "save it alone"
+    cube = read_array(path, (3,), advice=advice)
+    labels = read_array(label_file, (2,), advice=advice)
     # MATLAB's own whole numbers are doubles; others are left for the checks
     if labels.dtype.kind == "f" and (np.abs(labels) < 2**31).all() and not (labels % 1).any():
         labels = labels.astype(np.int64)
@@ -204,8 +205,3 @@ def _find_labels(path: Path) -> Path:
         f"{path} has no label map beside it: put one there as {stems[-1]} with the ending "
         f"{' or '.join(CUBE_ENDINGS)}, 0 where a pixel has no label"
     )
-
-
-def _read(path: Path, dimensions: int) -> npt.NDArray[Any]:
-    advice = f"save a {dimensions}-dimensional one alone"
-    return read_array(path, (dimensions,), advice=advice)
