@@ -105,7 +105,7 @@ ONE_BLOCK = zeros(np.s_[:4, :2], np.s_[:4, 2:4])
         (lambda: IMAGE.parts("random", -1), ("seed -1",)),
         (lambda: image(labels=SMALL).parts(), ("class '1' has 4 pixels", "5 or more")),
         (lambda: image(labels=ONE_BLOCK).parts("blocks"), ("no choice of blocks", "at random")),
-        (lambda: image(cube=np.full((60, 60, 3), 7)).scenes(), ("every value of the cube is 7",)),
+        (lambda: image(cube=np.full((60, 60, 3), 7)).dataset(), ("every value of the cube is 7",)),
     ],
 )
 def test_images_that_do_not_fit_and_options_that_cannot_be(attempt, parts):

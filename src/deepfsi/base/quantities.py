@@ -9,10 +9,6 @@ TIME_UNITS = {"ps": 1e-12, "ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s":
 """Seconds of a unit of time; longer names first."""
 
 
-NAME_WIDTH = 13
-"""Characters of a name in a table, such as that of a class."""
-
-
 def seconds(time: Any) -> float:
     """Seconds of a number, or of a text such as 0.01, 10ms or 44us; `ValueError` for others."""
     text = str(time).strip().lower()
@@ -59,9 +55,9 @@ def plural(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
-def short_name(name: str, width: int = NAME_WIDTH) -> str:
+def short_name(name: str) -> str:
     """Beginning of a long name, for a table."""
-    return name if len(name) <= width else f"{name[: width - 1]}…"
+    return name if len(name) <= 13 else f"{name[:12]}…"
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from deepfsi.base.arrays import read_array
 from deepfsi.base.errors import InputError, check_choice
 from deepfsi.datasets.arrays import TEST_SHARE, assemble, check_seed, draw_fifth
-from deepfsi.datasets.dataset import Dataset, Ends, Reflectance
+from deepfsi.datasets.dataset import Dataset, Ends
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
@@ -65,30 +65,6 @@ class SpectralImage:
         """Names of the C classes that have pixels."""
         names = self.classes
         return tuple(str(k) if names is None else names[k - 1] for k in self.present.tolist())
-
-    @cached_property
-    def reach(self) -> tuple[float, float]:
-        """Values of the cube that become 0 and 1."""
-        low = float(self.cube.min())
-        high = float(self.cube.max())
-        if self.cube.dtype.kind == "f" and 0 <= low <= high <= 1:
-            return 0.0, 1.0
-        if low == high:
-            raise InputError(f"{self.name}: every value of the cube is {low:g}; give spectra")
-        return low, high
-
-    def scenes(self, bands: int | None = None) -> Reflectance:
-        """Every pixel as a scene, (H W, N) float32 in [0, 1], labelled or not, row by row.
-
-        They are padded with darkness to N = `bands`.
-        """
-        lit = self.cube.shape[2]
-        low, high = self.reach
-        spectra = np.zeros((self.labels.size, bands or lit), np.float32)
-        spectra[:, :lit] = self.cube.reshape(-1, lit)
-        spectra[:, :lit] -= low
-        spectra[:, :lit] /= high - low
-        return np.clip(spectra, 0, 1, out=spectra)
 
     def parts(self, split: str = "random", seed: int = 0) -> tuple[Mask, Mask]:
         """Divide the labelled pixels into a training and a test part, where they are in (H, W)."""
@@ -155,19 +131,26 @@ class SpectralImage:
     ) -> Dataset:
         """Make a data set of the labelled pixels."""
         split = split or "random"
-        spectra = self.scenes(bands)
-        y = np.searchsorted(self.present, self.labels.ravel())
+        low, high = float(self.cube.min()), float(self.cube.max())
+        if self.cube.dtype.kind == "f" and 0 <= low <= high <= 1:
+            low, high = 0.0, 1.0
+        elif low == high:
+            raise InputError(f"{self.name}: every value of the cube is {low:g}; give spectra")
+        lit = self.cube.shape[2]
+        x = np.zeros((self.labels.size, bands or lit), np.float32)  # padded with darkness
+        x[:, :lit] = self.cube.reshape(-1, lit)
+        x[:, :lit] -= low
+        x[:, :lit] /= high - low
+        np.clip(x, 0, 1, out=x)
+        y = np.searchsorted(self.present, self.labels.ravel()).astype(np.int64)
         train, test = (np.flatnonzero(part) for part in self.parts(split, seed))
         train = np.random.default_rng(seed).permutation(train)
-        low, high = self.reach
-        lit = self.cube.shape[2]
-        padded = spectra.shape[1]
         scaled = "" if (low, high) == (0, 1) else f" mapped from [{low:g}, {high:g}] to [0, 1]"
-        dark = "" if padded == lit else f", padded with darkness to {padded}"
+        dark = "" if x.shape[1] == lit else f", padded with darkness to {x.shape[1]}"
         return assemble(
             self.name,
-            (spectra[train], y[train].astype(np.int64)),
-            (spectra[test], y[test].astype(np.int64)),
+            (x[train], y[train]),
+            (x[test], y[test]),
             classes=self.class_names,
             described=f"{self.origin}{scaled}, {lit} bands{dark}; {split} split",
             rescale=rescale,

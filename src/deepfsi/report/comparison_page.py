@@ -12,7 +12,6 @@ from deepfsi.base.intervals import (
     MOST_CLASSES,
     confusion_shares,
     find_crossing,
-    frequent_confusions,
 )
 from deepfsi.base.quantities import Table, budget_text, rate_text, short_name
 from deepfsi.camera.names import noise_text
@@ -79,7 +78,6 @@ def _page_text(results: Results, designs: Path, figures: Figures) -> str:
         confused=verdict.best,
         learned=list(_mask_panels(best, verdict.best.photons, designs, figures)),
         most_classes=MOST_CLASSES,
-        mistakes=frequent_confusions,
         shares=confusion_shares,
         adaptive=ADAPTIVE,
     )
