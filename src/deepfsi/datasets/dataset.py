@@ -163,17 +163,12 @@ class Dataset:
         """
         n = len(self.x_train)
         count = n // 6 if count is None else count
-        if not 0 < count < n:
-            raise InputError(
-                f"{self.name}: {count} of {n} training scenes held out for validation; "
-                f"hold out at least 1 and at most {n - 1}"
-            )
         rest = n - count
-        left = np.bincount(self.groups[:rest], minlength=len(self.classes))
-        if not left.all():
+        left = np.bincount(self.groups[: max(rest, 0)], minlength=len(self.classes))
+        if not (0 < count < n and left.all()):
             raise InputError(
-                f"{self.name}: with {count} of {n} training scenes held out, class "
-                f"'{self.classes[left.argmin()]}' has none left to train on; hold out fewer"
+                f"{self.name}: {count} of {n} training scenes held out for validation; hold out 1 "
+                "or more, and leave some of each class to train on"
             )
         return replace(
             self,
