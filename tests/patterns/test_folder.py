@@ -85,7 +85,7 @@ def test_what_is_read_back_is_what_was_written(tmp_path, form, device):
 def test_a_long_sequence_needs_the_memory_of_a_few_frames():
     device, signed = DEVICES["dlp7000"], hadamard(1024).astype(np.float32) / 2047
     rails = np.stack([signed.clip(0), (-signed).clip(0)])
-    whole = 2051 * device.frame_bytes
+    whole = 2051 * np.prod(device.frame_shape)
     with tempfile.TemporaryDirectory() as folder:
         tracemalloc.start()
         export(Path(folder) / "p", rails, "equal-dwell", image_shape=(32, 32), device=device)
@@ -99,7 +99,7 @@ def test_a_long_sequence_needs_the_memory_of_a_few_frames():
     assert count == 2051
     # 4 bytes a cell and frame for the counts of what was written and what was read, a manifest of
     # some kB a frame, and no more than 32 frames
-    some = 2051 * 3e3 + 32 * device.frame_bytes
+    some = 2051 * 3e3 + 32 * np.prod(device.frame_shape)
     assert known < 2 * patterns.on.nbytes + some < whole / 5
     assert reading < patterns.on.nbytes + some
 

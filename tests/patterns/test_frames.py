@@ -31,7 +31,7 @@ def test_frames_are_mirrors_counted_in_cells_and_packed(data):
     for counts, frame in zip(on, make_frames(on, device, grid), strict=True):
         mirrors = unpack(frame, device)
         assert mirrors.shape == (device.rows, device.columns)
-        assert frame.nbytes == device.frame_bytes
+        assert frame.shape == device.frame_shape
         assert np.array_equal(np.packbits(mirrors, axis=1), frame)
         cells = np.kron(counts.reshape(down, across), np.ones((grid.height, grid.width)))
         inside = np.zeros_like(mirrors)

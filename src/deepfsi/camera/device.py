@@ -72,11 +72,6 @@ class Device(UserModel):
         return self.rows, -(-self.columns // 8)
 
     @property
-    def frame_bytes(self) -> int:
-        """Bytes of a frame."""
-        return math.prod(self.frame_shape)
-
-    @property
     def packed(self) -> bool:
         """True where the controller takes 24 frames as the bit-planes of a picture."""
         return self.controller in ("dlpc900", "dlpc350", "dlpc347x")
