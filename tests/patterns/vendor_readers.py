@@ -3,7 +3,6 @@
 bmp          Windows bitmap: header of 54 bytes, rows from the bottom, blue, green, red, each row
              filled to 4 bytes; of one bit a pixel two colours follow the header, and the leftmost
              pixel is the highest bit
-settings     of TI's DLPC900REF-SW: "Normal Mode", then file,bits,exposure,dark,colour,in,out
 video        DLPC347x: bit-planes of one picture after another
 """
 
@@ -40,17 +39,13 @@ def read_bmp(path: Path, depth: int) -> np.ndarray:
     return lines[:, : 3 * width].reshape(height, width, 3) @ np.array([1, 2**8, 2**16])
 
 
-def load_settings(folder: Path) -> list[Shown]:
-    """Frames that TI's program for a DLPC900 shows once it has loaded its pattern settings."""
-    first, *lines = (folder / "settings.txt").read_text().splitlines()
-    assert first == "Normal Mode"
-    out = []
-    for line in lines:
-        name, bits, exposure, dark, colour, trigger_in, trigger_out = line.split(",")
-        assert (bits, trigger_in, trigger_out) == ("1", "0", "1")
-        assert colour in "1234567"
-        out.append(Shown(read_bmp(folder / name, 1), int(exposure), int(dark)))
-    return out
+def play_bitmaps(folder: Path) -> list[Shown]:
+    """Frames that a program shows which loads the bitmaps of a table, a bit a pixel."""
+    with (folder / "patterns.csv").open() as file:
+        return [
+            Shown(read_bmp(folder / row["image"], 1), int(row["exposure_us"]), int(row["dark_us"]))
+            for row in csv.DictReader(file)
+        ]
 
 
 def play_dlpc350(folder: Path) -> list[Shown]:

@@ -5,9 +5,6 @@ mirrors.npy          mirrors ON in each cell of each mask's frame
 design.safetensors   the design, if any
 frames.npy, …        frames of all masks and sentinels, in the format of the export (`frames`)
 patterns.csv         the frames in the order in which they are shown, for those who load them
-settings.txt         of a DLPC900 and one-bit bitmaps: the same as pattern settings of TI's program
-                     DLPC900REF-SW: file, bits, exposure and dark time in µs, colour of the board's
-                     lamps, trigger in, trigger out 2
 """
 
 import csv
@@ -135,8 +132,7 @@ class Patterns:
             if self.design is not None:
                 (draft / self.DESIGN).write_bytes(self.design)
             (draft / "manifest.json").write_bytes(manifest.model_dump_json(indent=1).encode())
-            for name, table in _tables(manifest).items():
-                (draft / name).write_bytes(table.encode())
+            (draft / "patterns.csv").write_bytes(_table(manifest).encode())
         return replace(self, manifest=manifest, folder=Path(folder))
 
     @classmethod
@@ -325,8 +321,8 @@ def _times_us(
     return [one] * len(pictures), one
 
 
-def _tables(manifest: Manifest) -> dict[str, str]:
-    """Files that say how the frames are shown, for those who load them: name and content."""
+def _table(manifest: Manifest) -> str:
+    """How the frames are shown, for those who load them: the content of patterns.csv."""
     device = manifest.device
     # A controller of the DLPC347x family turns all mirrors OFF between frames, for the time in
     # which they settle; the others change from frame to frame
@@ -335,21 +331,14 @@ def _tables(manifest: Manifest) -> dict[str, str]:
     rows = csv.writer(out, lineterminator="\n")
     heads = ("pattern", "image", "bit", "exposure_us", "dark_us", "trigger_out", "new_image")
     rows.writerow([*heads, "shows", "settle_us"])
-    settings = ["Normal Mode"]
     form = FRAME_FORMATS[manifest.format]
     for place, frame in enumerate(manifest.frames):
         image, bit = form.location(place, len(manifest.frames), device)
-        exposure = frame.picture_us - dark
         where = [place, image, "" if bit is None else bit]
         new_image = int(not bit)
         shown = [str(frame), f"{device.settle_us:g}"]
-        rows.writerow([*where, exposure, dark, 1, new_image, *shown])
-        # Colour 1, red: TI's program has none for light from outside
-        settings.append(f"{image},1,{exposure},{dark},1,0,1")
-    tables = {"patterns.csv": out.getvalue()}
-    if (device.controller, manifest.format) == ("dlpc900", "bmp"):
-        tables["settings.txt"] = "\n".join([*settings, ""])
-    return tables
+        rows.writerow([*where, frame.picture_us - dark, dark, 1, new_image, *shown])
+    return out.getvalue()
 
 
 def _digest(manifest: str | bytes) -> str:
