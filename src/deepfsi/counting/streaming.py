@@ -50,7 +50,7 @@ class _DueFrame(NamedTuple):
     offset: int
     length: int
     markers: int
-    picture: int | None  # time from each of its markers to the next
+    picture: int  # time from each of its markers to the next; 0 if that is not checked
     tolerance: int  # by how much that may be off
     follows: bool  # whether it comes as soon as the frame before ends
 
@@ -114,8 +114,7 @@ class FrameCounter:
             tolerances = MOST_RATE * ticks + MOST_EXTRA * ticks.min() + slack
         columns = np.stack([offsets, lengths, gates.markers, pictures, tolerances]).astype(np.int64)
         for number, times in enumerate(columns.T.tolist()):
-            due = _DueFrame._make([*times, number > 0])
-            self._due.append(due if gates.pictures_s is not None else due._replace(picture=None))
+            self._due.append(_DueFrame._make([*times, number > 0]))
 
     def _add(self, part: Part) -> np.ndarray:
         """Count the next records; give the frames whose gates, and pictures, have ended."""
@@ -158,7 +157,7 @@ class FrameCounter:
         self._skipped = frame.markers - 1
         # The counter need not record anything after the last marker of a list: then the counts of
         # a gate that ends after it never come
-        last = frame.follows and frame.picture is not None and not self._followed
+        last = frame.follows and frame.picture and not self._followed
         if (time if last else start) < self._stop:
             raise InputError(
                 f"{self._describe(time)}, before the gate of the frame before has ended: show "
@@ -173,7 +172,7 @@ class FrameCounter:
         """Raise `InputError` if a marker does not come when the picture before it ends."""
         # The first one of a list may come later
         frame = self._frame
-        if frame is None or frame.picture is None:
+        if frame is None or not frame.picture:
             return
         step = time - self._last
         late = step - frame.picture
