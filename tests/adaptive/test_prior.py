@@ -1,12 +1,14 @@
 """Priors of cluster centres: normal scenes about each, and as many as it stands for."""
 
 import numpy as np
+import pytest
 import torch
 from scipy.special import softmax
 from scipy.stats import multivariate_normal
 
 from deepfsi.adaptive import posterior
 from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
+from deepfsi.base.errors import InputError
 
 PIXELS, SIZES = 8, (30, 60, 90)
 
@@ -39,3 +41,20 @@ def test_one_centre_a_class_is_a_normal_law_of_each_class():
     exact = softmax(np.stack(laws, axis=1) + np.log(SIZES), axis=1)
     np.testing.assert_allclose(state.chances, exact, atol=0.05)
     assert (exact.max(axis=1) < 0.9).any(), "some classes are not told apart"
+
+
+@pytest.mark.parametrize(
+    ("scenes", "clusters", "match"),
+    [
+        ([0, 1], None, "from how scenes differ"),  # one of a class
+        ([0, 0, 0, 1, 1, 1], None, "without copies"),
+        ([0, 0, 0, 1, 1, 1], 1, "without copies"),
+        ([0, 2, 2, 1, 3, 3], 3, "give fewer `clusters`"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Number of distinct clusters")
+def test_scenes_that_do_not_differ_are_refused(scenes, clusters, match):
+    """They say nothing of how scenes lie about each other: posteriors were not numbers."""
+    x = np.random.default_rng(0).random((4, PIXELS), np.float32)[scenes]
+    with pytest.raises(InputError, match=match):
+        ScenePrior(x, np.array(scenes) % 2, 2, spread=0.3, clusters=clusters)

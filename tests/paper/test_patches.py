@@ -1,10 +1,11 @@
 """Images seen patch by patch: the physics of the masks behind their training."""
 
+import numpy as np
 import pytest
 import torch
 
 from conftest import FLOAT32, assert_moments, generator, synthetic
-from deepfsi import Scanner
+from deepfsi import Scanner, learn
 from deepfsi.camera.light import photons_per_pixel
 from deepfsi.exposure.training import JobGroup
 from deepfsi.exposure.training_set import TrainingSet
@@ -45,6 +46,16 @@ def test_all_readouts_together_count_at_most_the_images_light(training_set, phot
     if not CODES[design].specific:
         share = 1 / 16 if design == "raster" else 1.0
         assert torch.allclose(counted, share * light, rtol=1e-5)
+
+
+def test_each_exposure_has_its_own_budget(training_set):
+    """As many exposures as an image has patches: a budget is of an exposure, not of a patch."""
+    settings = {"exposure": {"patch": 4}, "training": {"classifier": "vit", "epochs": 1}}
+    design = learn(training_set.data, camera="paper", masks=16, photons=BUDGET, **settings)
+    scenes = training_set.data.x_test[:8]
+    counts, budgets = design.expose(scenes, BUDGET), BUDGET * np.arange(1, 9)
+    alone = [design.classify(one, budget) for one, budget in zip(counts, budgets, strict=True)]
+    np.testing.assert_allclose(design.classify(counts, budgets), alone, rtol=1e-4, atol=1e-6)
 
 
 @every_design

@@ -52,6 +52,7 @@ def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
     """Prior of the training scenes of a data set, or `InputError` if it does not fit the memory."""
     scenes = len(data.x_train)
     needed = 4 * (scenes * (3 * data.pixels + settings.components) + 6 * LIKELIHOODS_AT_ONCE)
+    needed += 16 * data.pixels**2  # covariance and its eigenvectors, float64
     check_memory(needed, "the prior of these scenes", "give fewer scenes")
     return ScenePrior(
         np.asarray(data.x_train),

@@ -221,6 +221,10 @@ class ScenePrior:
                 means = KMeans(clusters, n_init=1, random_state=seed).fit(own.numpy())
             cluster = torch.from_numpy(means.labels_).long()
             members.append(torch.bincount(cluster, minlength=clusters).float())
+            if not members[-1].all():
+                raise InputError(
+                    f"a class has fewer than {clusters} different scenes: give fewer `clusters`"
+                )
             sums = torch.zeros(clusters, own.shape[1]).index_add_(0, cluster, own)
             centres.append(sums / members[-1][:, None])
             found.append(own - centres[-1][cluster])
@@ -243,11 +247,16 @@ class ScenePrior:
             far = torch.cdist(own[rows], own)
             far[torch.arange(len(rows)), rows] = torch.inf
             found.append(own[rows] - own[far.argmin(dim=1)])
-        return torch.cat(found)
+        return torch.cat(found) if found else torch.zeros(1, 1)
 
     def _scale(self, differ: Tensor) -> None:
         """Scale components so that the covariance of differences (n, d) is the identity."""
         differ = differ.double()
+        if not differ.any():
+            raise InputError(
+                "no scene of a class differs from the one most like it, and adaptive masks learn "
+                "from how scenes differ: give more scenes, without copies"
+            )
         covariance = differ.T @ differ / len(differ)
         least = 1e-3 * covariance.diagonal().mean()
         covariance += least * torch.eye(len(covariance), dtype=torch.double)

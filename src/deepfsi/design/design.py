@@ -180,13 +180,16 @@ class Design:
 
     @library_defaults(grad=False)
     def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> tuple[np.ndarray, ...]:
-        """One exposure of a scene (N,) with adaptive masks. Parameters as for `expose`.
+        """One exposure of a scene (H, W) or (N,) with adaptive masks. Parameters as for `expose`.
 
         Returns, for each of K looks, the masks and mean scenes (K, N) of the posterior and the
         class probabilities (K, C).
         """
         generator = torch.Generator().manual_seed(seed)
-        looks = self.prior_exposure.look_by_look(torch.from_numpy(scene), photons, generator)
+        scenes, lead = self._scenes(scene)
+        if lead:
+            raise InputError(f"{len(scenes)} scenes have no looks in common: give one")
+        looks = self.prior_exposure.look_by_look(scenes[0], check_budget(photons), generator)
         parts = list(zip(*looks, strict=True))
         if not parts:
             raise InputError(
@@ -473,6 +476,8 @@ def _check_readouts(
         )
     if not bool(read.isfinite().all() and (budget.isfinite() & (budget > 0)).all()):
         raise InputError("counts must be finite, and photons finite and above 0")
+    if budget.ndim:
+        budget = budget.reshape(*budget.shape, *(1 for _ in parts))
     try:
         budget = budget.expand(read.shape[: -len(wanted)]).unsqueeze(-1)
     except RuntimeError:

@@ -74,4 +74,4 @@ class Vit(Classifier):
     def forward(self, features: Tensor) -> Tensor:
         """Logits (B, C) of standardised features (B, P, m)."""
         tokens = self.encoder(self.embedding(features) + self.position)
-        return self.head(tokens.mean(dim=1))
+        return self.head(tokens.mean(dim=-2))
