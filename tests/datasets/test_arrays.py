@@ -131,6 +131,7 @@ BAD_ARRAYS = {
     ),
     "no scenes": (given(np.ones((0, 4)), Y[:0]), ("(0, 4)",)),
     "dark": (given(X * 0, Y), ("dark",)),
+    "masked": (given(np.ma.masked_greater(X, 0.9), Y), ("hides values under a mask",)),
     "one-hot": (given(X, np.eye(3)[Y]), ("y.argmax(axis=1)",)),
     "lengths": (given(X, Y[:-1]), ("(29,)", "30 scenes")),
     "values of other scenes": (given(X, Y[:-1] / 2), ("(29,)", "30 scenes")),

@@ -85,6 +85,8 @@ def from_arrays(
     >>> deepfsi.from_arrays(x, [0.1, 0.8] * 10, values=["left pixel"]).values
     ('left pixel',)
     """
+    if any(np.ma.is_masked(given) for given in (x, y, x_test, y_test)):
+        raise InputError(f"{name} hides values under a mask: leave out those scenes")
     return split_arrays(
         (x, y),
         (x_test, y_test),
