@@ -61,7 +61,7 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=5)
     arguments = parser.parse_args(words)
 
-    spots, cells = spot_scenes((32, 32)), (arguments.cells, arguments.cells)
+    spots, cells = spot_scenes(), (arguments.cells, arguments.cells)
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
     print("| patterns | photons a spot | spots of 25, least | error (cells) | error it states |")
     print("| --- | --- | --- | --- | --- |")

@@ -160,14 +160,6 @@ def live(rng: np.random.Generator, faulty: bool) -> bool:
     return found
 
 
-def stated(rng: np.random.Generator, faulty: bool) -> bool:
-    """Alarm of a stated budget; with the fault it is 0.6 of the true one."""
-    light, (photons, seconds) = LightMonitor(manifest_of(), (0,), PASSES), drawn(rng)
-    held = photons[0, :2].astype(float)
-    light.begin(Arrivals(manifest_of().frames[:2], held, held, seconds[0, :2]))
-    return light.contradicts((0.6 if faulty else 1.0) * FLUX)
-
-
 @cache
 def readouts() -> tuple[ReadoutDistribution, np.ndarray]:
     """Distribution of the readouts of training digits, and mean counts (n, 1, m) of test digits."""
@@ -242,7 +234,6 @@ LAWS = (
     recorded("steadiness of a pass", "0.6 of the light in half a pass", "unsteady", lamp=sags),
     Law("gains of 2 × 2 detectors", CERTAIN, "one at 0.8", gain),
     Law("light of a live run", FALSE_ALARMS, "0.6 of the light in half a scene", live),
-    Law("stated budget, live", FALSE_ALARMS, "0.6 of the true one", stated, 0.5),
     Law("counts of a scene", UNSURE, "masks in reverse order", partial(consistent, whole=False)),
     Law("counts of ten scenes", REFUSED, "masks in reverse order", partial(consistent, whole=True)),
     Law("misfit of adaptive masks", UNSURE, "negative of the scene", misfit, 0.4),

@@ -27,11 +27,10 @@ from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import (
     LATENCIES,
     Setup,
-    VirtualCounter,
-    VirtualProjector,
+    VirtualBench,
 )
 from deepfsi.lab.live import LiveRun
-from deepfsi.lab.results import LiveScene
+from deepfsi.lab.results import ClassifiedScene
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
 from deepfsi.lab.virtual_optics import (
     EventRecorder,
@@ -50,7 +49,6 @@ BLACKOUT_S = 8e-3
 class Case:
     """What is wrong with a run."""
 
-    stated: float | None = None  # --photons over the budget that is
     camera: dict[str, float | bool] = field(default_factory=dict)
     lamp: tuple[float, float, float] = (1.0, 1.0, 1.0)  # before, from and at the end of the change
     ambient: float = 0.0  # in all-ON frames, over the scenes' mean light
@@ -64,9 +62,6 @@ def step(to: float) -> Case:
 
 CASES = {
     "sound": Case(),
-    "`--photons` twice too small": Case(stated=0.5),
-    "`--photons` twice too large": Case(stated=2.0),
-    "`--photons` ten times too large": Case(stated=10.0),
     "50 ns dead time": Case(camera={"dead_time_s": 50e-9}),
     "100 ns dead time": Case(camera={"dead_time_s": 100e-9}),
     "100 ns dead time, paralysable": Case(camera={"dead_time_s": 100e-9, "paralysable": True}),
@@ -104,7 +99,7 @@ def lamp_of(case: Case, scenes: int) -> np.ndarray:
 
 def run(
     patterns: Path, data: Dataset, case: Case, places: np.ndarray, seed: int
-) -> list[LiveScene]:
+) -> list[ClassifiedScene]:
     """Answers for scenes."""
     x = data.x_test[places].reshape(-1, *data.image_shape)
     camera = VirtualCamera(**case.camera)
@@ -128,20 +123,18 @@ def run(
     rng = np.random.default_rng(seed)
     took = len(x) * 50e-3  # a little more than such a run takes
     outs = rng.uniform(0, took, case.blackouts)
-    setup = VirtualProjector(rates, camera, LATENCIES, seed, made)
+    setup = VirtualBench(rates, camera, LATENCIES, (0,), seed=seed, made=made)
     setup.recorder = Dimmed(camera, np.random.default_rng(seed), (0,))
     edges = np.maximum.accumulate((np.sort(outs)[:, None] + [0, BLACKOUT_S]).ravel())
     setup.recorder.edges = np.rint(edges / DETECTOR_TICK_S).astype(np.int64)
-    counter = VirtualCounter(setup, (0,))
-    bench = Setup(setup, counter, setup.display, lambda: setup.now_s)
-    stated = None if case.stated is None else case.stated * FLUX * EXPOSURE_S
-    live_run = LiveRun(read, named, EXPOSURE_S, photons=stated)
+    bench = Setup(setup, setup, setup.display, lambda: setup.now_s)
+    live_run = LiveRun(read, named, EXPOSURE_S)
     with tempfile.TemporaryDirectory() as folder:
         steps = live_run.steps(Path(folder) / "run", bench)
         return [each.answer for each in steps if each.answer]
 
 
-def row(name: str, found: list[LiveScene]) -> str:
+def row(name: str, found: list[ClassifiedScene]) -> str:
     """Row of the table."""
     told = [each for each in found if each.predicted is not None]
     right = np.mean([each.predicted == each.label for each in told]) if told else np.nan

@@ -128,9 +128,9 @@ def live(patterns: Path, camera: VirtualCamera, flux: float, seed: int) -> Run:
     views, right = [], 0
     with tempfile.TemporaryDirectory() as folder:
         for each in live_run.steps(Path(folder) / "run", devices):
-            if each.answer is not None and each.decision is not None:
-                views.append(each.decision.view)
-                best = data.classes[each.decision.chances.argmax()]
+            if each.final and len(each.chances):
+                views.append(each.view)
+                best = data.classes[each.chances.argmax()]
                 right += best == scenes[each.scene].label
     after = next((k for k, view in enumerate(views, 1) if view.refused), SCENES)
     return Run(views[-1].refused, views[-1].named, after, views[-1].likeliest, right)

@@ -13,7 +13,7 @@ from deepfsi import Design, InputError, evaluate
 from deepfsi.cli import app
 from deepfsi.counting.recording import Recording
 from deepfsi.datasets.display import read_display, write_pictures
-from deepfsi.lab.calibration import calibrate_run
+from deepfsi.lab.calibration import calibrate
 from deepfsi.patterns.folder import Patterns
 
 LIGHT = ["--flux", 1e7, "--exposure", "5ms", "--virtual", "ideal"]
@@ -87,7 +87,7 @@ def test_labels_that_the_design_does_not_know_are_left_out(done, lab, run):
     right, said = sum(guess == label for guess, label in known), done(*words)
     assert scenes[0]["label"] == "cat"
     assert f"right: {right} of {len(known)} new exposures (" in said
-    assert f"{scenes[0]['exposures']} exposures have labels that are none of" in said
+    assert f"{len(scenes[0]['guesses'])} exposures with labels that are none of" in said
 
 
 def test_a_design_without_a_distribution_is_not_tested(done, lab, acquire, tmp_path):
@@ -97,7 +97,7 @@ def test_a_design_without_a_distribution_is_not_tested(done, lab, acquire, tmp_p
     said = done(*words)
     assert "were not compared with those of the training" in said
     assert "use `deepfsi camera check`" in said
-    assert json.loads(done(*words, "--json"))["consistency"] is None
+    assert not {"consistency", "view"} & json.loads(done(*words, "--json")).keys()
 
 
 TILTED = [[0.9, 0.04, 0.03], [-0.03, 0.92, 0.05], [0.01, 0.02, 1.0]]
@@ -123,8 +123,6 @@ def test_a_camera_is_calibrated_by_files_alone(done, tmp_path):
         assert np.abs(ours[:2] / ours[2] - theirs[:2] / theirs[2]).max() < 1 / 20 / 8
     dark_s = 27 * 2 * 20e-3  # all-OFF frames of all scenes
     assert found["dark"] == pytest.approx(1e3, abs=5 * np.sqrt(1e3 / dark_s))
-    gates_s = 2.0  # of the black scene, mirrors half ON
-    assert found["ambient"] < 5 * np.sqrt(1e3 * (1 / gates_s + 1 / dark_s)) * 2
     file, view = tmp_path / "seen.safetensors", ("--view", out)
     done("design", "--photons", "1e4", "--masks", 4, "--epochs", 1, *view, "-o", file)
     assert "calibration" in Design.load(file).info["preprocessing"]
@@ -139,12 +137,12 @@ def lose_passes(run, found, spots):
     shown, counts = read_display(spots), recorded.read_counts()
     lost = [place for place, name in enumerate(names) if name.startswith("spot")][:7]
     counts.valid[lost], counts.dark_rate[lost] = False, 0
-    again = calibrate_run(shown, recorded, counts)
+    again = calibrate(shown, recorded, counts)
     assert again.dark == pytest.approx(found["dark"], rel=0.05)
     assert again.spots == 18
     counts.valid[names.index("white.png")] = False
     with pytest.raises(InputError, match=r"no exposure of white\.png"):
-        calibrate_run(shown, recorded, counts)
+        calibrate(shown, recorded, counts)
 
 
 def deep(folder, pictures, bright):

@@ -32,7 +32,7 @@ def test_each_decision_is_printed_and_a_run_is_classified(done, refuse, lab, mad
     assert len(lines) == 3
     for line in lines:
         assert "confidence 0." in line or "confidence 1." in line
-        assert "3 looks, light 10 ms (100%)" in line
+        assert "3 looks, light 10 ms" in line
     assert "right: " in out
     out = done("camera", "classify", lab / "adaptive.safetensors", run)
     assert "a live run, as it was decided" in out
@@ -65,6 +65,6 @@ def test_a_run_in_which_no_scene_has_light_ends_with_an_error(call, lab, tmp_pat
     words = [lab / "patterns", "--scene", lab / "images", *LIGHT, "--flux", "1e-9"]
     code, out, errors = call("camera", "live", *words, "-o", tmp_path / "run")
     assert code == 2
-    assert {line.rpartition(": ")[2] for line in out.splitlines()} == {"no light"}
+    assert out.count("no light") == 3
     assert "no scene of" in errors
     assert (tmp_path / "run" / "photons.ptu").exists()

@@ -103,7 +103,7 @@ def test_pictures_are_predicted_as_their_counts_are_classified(digits, exposure)
     brief = {} if "design" in exposure else {"epochs": 1}
     made = learn(few, device="cpu", **{**given, **brief, **exposure})
     images = few.x_test.reshape(5, 8, 8, 8)
-    classes = np.array([each.predicted for each in predict(made, few.x_test, 1e4).pictures])
+    classes = np.array([each.predicted for each in predict(made, few.x_test, 1e4).scenes])
     right = (classes == np.array(few.classes)[few.y_test]).mean()
     assert right == pytest.approx(evaluate(made, few, 1e4, draws=1, seed=0)[0].accuracy)
     if "design" in exposure:

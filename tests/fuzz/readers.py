@@ -22,10 +22,11 @@ from deepfsi.counting import reader as photons
 from deepfsi.counting import tables
 from deepfsi.counting.acquisition import Calibration
 from deepfsi.counting.recording import Recording
+from deepfsi.datasets.display import read_scene_list
 from deepfsi.designfile.provenance import trained_on
 from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.lab import results as record
-from deepfsi.lab.design_data import camera_of, design_rails, read_scenes
+from deepfsi.lab.design_data import camera_of, design_rails
 from deepfsi.lab.virtual_optics import VirtualCamera
 from deepfsi.patterns.folder import Patterns
 from deepfsi.report.comparison_page import write_report
@@ -158,7 +159,7 @@ READERS = {
     "shown frames": Reader("live-adaptive/shown.jsonl", use_live, (changed_lines, mangled)),
     "calibration": Reader("calibration/calibration.json",
                           lambda path: Calibration.load(path.parent).doubts, JSON),
-    "scenes": Reader("scenes.csv", read_scenes, TABLE, 3),
+    "scenes": Reader("scenes.csv", read_scene_list, TABLE, 3),
     "camera": Reader("camera.toml", use_camera, TOML),
     "device": Reader("device/device.toml", use_camera, (changed_toml,), 2),
     "detectors": Reader("device/map.npy", use_camera, (mangled,), 1),

@@ -2,20 +2,27 @@
 
 import shutil
 from base64 import b64decode
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from conftest import exposing
-from deepfsi import learn
+from deepfsi import learn, load_design
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import find_device
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.live import LiveRun
 from deepfsi.lab.results import read_log
 from deepfsi.patterns.folder import Patterns
-from shared.live_samples import DEVICE, OPTICS, Counted, live, make_patterns, scenes_of
+from shared.live_samples import (
+    DEVICE,
+    OPTICS,
+    Counted,
+    check_accuracy,
+    live,
+    make_patterns,
+    scenes_of,
+)
 
 LOOKS, FLUX, EXPOSURE_S = 5, 1e7, 10e-3
 
@@ -67,20 +74,9 @@ def test_counts_are_those_of_the_masks_that_were_made(digits, tmp_path, optics, 
 
 def test_decisions_are_those_of_the_design(digits, patterns, tmp_path):
     """Accuracy of the virtual camera, and of the design's own exposures of the same scenes."""
-    from deepfsi import evaluate, load_design
-
     decided = run(tmp_path / "run", patterns, digits, count=100)
-    last = [each.answer for each in decided if each.answer]
-    right = np.mean([each.predicted == each.label for each in last if each.predicted])
-    few = replace(digits, x_test=digits.x_test[:100], y_test=digits.y_test[:100])
     design = load_design(patterns.parent / "adaptive.safetensors")
-    [wanted] = evaluate(design, few, FLUX * EXPOSURE_S, draws=2)
-    # of the same scenes, with counts of their own: at most each wrong answer is another one
-    spread = np.sqrt(2 * wanted.accuracy * (1 - wanted.accuracy) / 100)
-    assert abs(right - wanted.accuracy) < 5 * spread
-    faults = [fault.kind for each in last for fault in each.faults]
-    assert set(faults) <= {"unsure"}
-    assert len(faults) <= 11  # 0.04 of 100 at most, at a chance of 1 in 1000
+    check_accuracy(decided, design, digits, FLUX * EXPOSURE_S)
 
 
 def test_a_device_that_loads_no_frame_while_it_runs_is_refused(patterns, tmp_path):
@@ -110,7 +106,8 @@ def test_the_shortest_look_must_not_be_shorter_than_the_device_allows(digits, tm
     file = exposing(design, settings=uneven).save(tmp_path / "adaptive.safetensors")
     patterns, scenes = tmp_path / "patterns", scenes_of(digits, 1)[1]
     Patterns.from_rails(design_rails(file), DEVICE, 1e-3).write(patterns)
-    shortest_s = EXPOSURE_S * min(uneven.shares)
-    LiveRun(Patterns.read(patterns), scenes, EXPOSURE_S, shortest_s * 0.99)
-    with pytest.raises(InputError, match="shorter than the shortest dwell"):
-        LiveRun(Patterns.read(patterns), scenes, EXPOSURE_S, shortest_s * 1.01)
+    run = LiveRun(Patterns.read(patterns), scenes, EXPOSURE_S)
+    exposure_s = run.settings.live.shortest_ns * 1e-9 / min(uneven.shares)
+    LiveRun(Patterns.read(patterns), scenes, exposure_s * 1.01)
+    with pytest.raises(InputError, match="shorter than the shortest that 64x48 shows"):
+        LiveRun(Patterns.read(patterns), scenes, exposure_s * 0.99)

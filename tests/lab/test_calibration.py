@@ -20,7 +20,7 @@ def test_a_calibration_finds_what_was_done(blur_cells, noise):
     side = np.sqrt(GRID.mirrors)
     blur = blur_cells * side / 24 / 32, blur_cells * side / 32 / 32
     flat = vignette((32, 32))
-    scenes = fit.spot_scenes((32, 32))
+    scenes = fit.spot_scenes()
     shown = np.concatenate([scenes, np.ones((1, 32, 32), np.float32)])
     pictures = pictures_of(shown, VIEW, blur, flat, noise)
     found = fit.fit_calibration(scenes, pictures[:-1], GRID, white=pictures[-1])
@@ -41,7 +41,7 @@ def test_a_calibration_finds_what_was_done(blur_cells, noise):
 
 
 def test_a_spot_that_is_not_where_the_others_say_is_left_out():
-    scenes = fit.spot_scenes((32, 32))
+    scenes = fit.spot_scenes()
     pictures = pictures_of(scenes, VIEW, (0.01, 0.01), ((1.0,),), 0.005)
     pictures[7] = np.roll(pictures[7], 2, axis=1)
     pictures[12] = np.nan  # no valid exposure
@@ -57,3 +57,20 @@ def test_too_little_for_a_homography_is_an_error():
     for display, device in ((places, few), (line, line)):
         with pytest.raises(InputError, match="spots are seen"):
             fit.find_homography(display, device, (32, 32))
+
+
+@pytest.mark.parametrize("name", fit.SCAN_NAMES)
+@pytest.mark.parametrize("cells", [(8, 8), (6, 9), (1, 5)])
+def test_a_scan_tells_all_cells_apart(name, cells):
+    scan = fit.scan_rails(name, cells)
+    rails = scan.rails.astype(float)
+    matrix = rails[0] - (rails[1] if len(rails) == 2 else 0)
+    assert np.linalg.matrix_rank(matrix) == np.prod(cells)
+    frames = int((rails.max(axis=-1) > 0).sum())
+    assert set(np.unique(rails)) == {0, 1 / frames}
+    assert scan.summed_reflectance == np.prod(cells)
+
+
+def test_a_scan_of_too_many_cells_is_refused():
+    with pytest.raises(InputError, match="4096 cells"):
+        fit.scan_rails("raster", (65, 64))

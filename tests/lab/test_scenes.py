@@ -3,7 +3,7 @@
 import pytest
 
 from deepfsi.base.errors import InputError
-from deepfsi.lab.design_data import read_scenes
+from deepfsi.lab.design_data import listed_scenes
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ def test_scenes_are_read_in_their_order(tmp_path, text, wanted):
     path = tmp_path / "scenes.csv"
     for encoding in ("utf-8", "utf-8-sig", "utf-16"):
         path.write_bytes(text.removeprefix("\ufeff").encode(encoding))
-        assert [(scene.name, scene.label) for scene in read_scenes(path)] == wanted
+        assert [(scene.name, scene.label) for scene in listed_scenes(path, None)] == wanted
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def test_scenes_are_read_in_their_order(tmp_path, text, wanted):
         (b"a,1\nb,2,3\n", "cannot read .* as a table"),
         (b"\xff\xfe\x00", "no text in UTF-8"),
         (b"a" * 2000, "cannot be used at name"),
-        (None, "is missing"),
+        (None, "there is nothing at"),
     ],
 )
 def test_other_lists_are_refused_in_one_line(tmp_path, content, match):
@@ -41,5 +41,5 @@ def test_other_lists_are_refused_in_one_line(tmp_path, content, match):
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(InputError, match=match) as error:
-        read_scenes(path)
+        listed_scenes(path, None)
     assert "\n" not in str(error)

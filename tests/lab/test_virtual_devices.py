@@ -5,11 +5,7 @@ import pytest
 
 from deepfsi.counting.reader import count_windows, read_markers, summarise
 from deepfsi.lab import virtual_optics as camera_module
-from deepfsi.lab.devices import (
-    LATENCIES,
-    VirtualCounter,
-    VirtualProjector,
-)
+from deepfsi.lab.devices import LATENCIES, VirtualBench
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S
 from deepfsi.lab.virtual_optics import VirtualCamera
 
@@ -21,9 +17,9 @@ def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path)
     """
     rates = np.array([[[0.0], [1e6], [3e6]]])
     camera, dwells = VirtualCamera(jitter_s=1e-7), np.array([2e-3, 1e-3, 4e-3])
-    setup = VirtualProjector(rates, camera, LATENCIES | {"command": 5e-3, "display": 50e-3})
-    counter, path = VirtualCounter(setup, (0,)), tmp_path / "run.ptu"
-    counter.start(path)
+    setup = VirtualBench(rates, camera, LATENCIES | {"command": 5e-3, "display": 50e-3}, (0,))
+    path = tmp_path / "run.ptu"
+    setup.start(path)
     starts = []
     for _ in range(2):
         setup.display(0)
@@ -34,7 +30,7 @@ def test_lists_follow_each_other_on_one_clock_and_every_photon_is_kept(tmp_path)
     assert setup.now_s == pytest.approx(
         starts[-1][0] + dwells.sum() + 8e-7, abs=2 * DETECTOR_TICK_S
     )
-    counter.stop()
+    setup.stop()
     times, bits = read_markers(path)
     assert (bits == camera_module.FRAME_MARKER).all()
     np.testing.assert_allclose(

@@ -1,11 +1,12 @@
 """Live runs that the tests share: adaptive masks, their patterns and virtual devices."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deepfsi import learn
+from deepfsi import evaluate, learn
 from deepfsi.camera.device import find_device
 from deepfsi.counting.acquisition import Scene
 from deepfsi.counting.reader import PtuFile, count_windows, read_markers
@@ -14,7 +15,7 @@ from deepfsi.lab import live as run
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.devices import virtual_setup
 from deepfsi.lab.live import LiveRun
-from deepfsi.lab.results import read_log
+from deepfsi.lab.results import Decision, read_log
 from deepfsi.lab.virtual_optics import CAMERAS
 from deepfsi.patterns.folder import Patterns
 
@@ -79,8 +80,24 @@ class Counted:
         np.testing.assert_array_equal(counts, given[: len(counts)])
 
 
-def live(folder: Path, patterns: Path, digits, count: int = 5, **settings) -> list[run.LiveStep]:
+def live(folder: Path, patterns: Path, digits, count: int = 5, **settings) -> list[Decision]:
     """Run a few scenes."""
     x, scenes = scenes_of(digits, count)
     live_run = planned(patterns, scenes, **settings)
     return list(live_run.steps(folder, virtual_setup(live_run.patterns, x, live_run.settings)))
+
+
+def check_accuracy(decided: list[Decision], design, digits, photons: float) -> float:
+    """As many of the first scenes are right as in the design's own exposures; their counts."""
+    last = [each.answer for each in decided if each.answer]
+    count = len(last)
+    right = np.mean([each.predicted == each.label for each in last if each.predicted])
+    few = replace(digits, x_test=digits.x_test[:count], y_test=digits.y_test[:count])
+    [wanted] = evaluate(design, few, photons, draws=2)
+    # of the same scenes, with counts of their own: at most each wrong answer is another one
+    spread = np.sqrt(2 * wanted.accuracy * (1 - wanted.accuracy) / count)
+    assert abs(right - wanted.accuracy) < 5 * spread
+    faults = [fault.kind for each in last for fault in each.faults]
+    assert set(faults) <= {"unsure"}
+    assert len(faults) <= 11  # 0.04 of 100 at most, at a chance of 1 in 1000
+    return wanted.counts

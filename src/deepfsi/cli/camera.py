@@ -14,8 +14,9 @@ from deepfsi.camera.layout import DmdLayout
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
+from deepfsi.counting.recording import Recording
 from deepfsi.datasets.catalog import DATASETS
-from deepfsi.datasets.display import write_display
+from deepfsi.datasets.display import read_display, write_display
 from deepfsi.datasets.load import load_dataset
 from deepfsi.designfile.design_file import find_design
 from deepfsi.lab.calibration import SCAN_NAMES, calibrate, scan_rails, write_spots
@@ -55,7 +56,7 @@ class DescribeCamera(Command):
 
 
 class CalibrateCamera(Command):
-    """For `deepfsi design --view`, and of several detectors a map for `design --detectors`.
+    """For `deepfsi design --view`, which then trains on what the camera sees.
 
     Example: deepfsi camera calibrate run_spots --spots scan/spots -o calibration
     """
@@ -67,20 +68,20 @@ class CalibrateCamera(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         fields.Output((".json",)).check(self.out / "calibration.json", self.force)
-        calibration, file, detectors = calibrate(self.folder, self.spots, self.out)
-        cells = [] if detectors is None else [f"cells of each detector: {detectors}"]
+        run = Recording.read(self.folder)
+        shown = read_display(self.spots)
+        calibration = calibrate(shown, run, run.read_counts().check_photons(self.folder))
+        file = calibration.save(self.out)
         return Outcome(
             {
                 "calibration": str(file),
                 **calibration.model_dump(mode="json", exclude={"flat"}),
-                "detectors": detectors and str(detectors),
                 "warnings": calibration.doubts,
             },
             [
                 *(f"warning: {doubt}" for doubt in calibration.doubts),
                 *calibration.lines(),
                 f"calibration: {file}",
-                *cells,
             ],
         )
 
@@ -121,7 +122,7 @@ class ExportPatterns(Command):
     out: fields.NewFolder = fields.option("folder for the patterns, new", ...)
     size: fields.HeightWidth | None = fields.option("cells of raster or hadamard; default: 32x32")
     detectors: Annotated[int, Field(ge=1, le=64)] | None = fields.option(
-        "detectors of raster or hadamard, whose cells `camera calibrate` finds; default: 1"
+        "number of detectors during raster or hadamard; default: 1"
     )
     dwell: Seconds | None = fields.option(
         "mean picture time, settling included, such as 44us; default: by the exposure, or 1ms"

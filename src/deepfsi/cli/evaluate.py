@@ -102,11 +102,15 @@ class PredictClasses(Command):
             settings = {"seed": self.seed, **self.settings}
             predictions = predict(design, self.pictures, self.photons, **settings)
         if self.out is not None:
-            write_atomically(self.out, predictions.as_csv().encode())
-        table = None if self.out is None else str(self.out)
+            import polars
+
+            rows = predictions.as_dict()["pictures"]
+            table = polars.DataFrame(rows, infer_schema_length=None)
+            write_atomically(self.out, table.write_csv().encode())
+        written = None if self.out is None else str(self.out)
         return Outcome(
-            {"design": str(self.file), "table": table, **predictions.as_dict()},
-            predictions.lines(f"{design.name}, {design.exposure.title}"),
+            {"design": str(self.file), "table": written, **predictions.as_dict()},
+            [f"pictures: {predictions.preprocessing}.", *predictions.lines()],
         )
 
 

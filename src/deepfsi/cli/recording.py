@@ -2,12 +2,14 @@
 
 from contextlib import closing
 from pathlib import Path
+from statistics import fmean
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 from deepfsi.base.errors import InputError, check_choice
 from deepfsi.base.models import Seconds, WholeNumber
 from deepfsi.base.progress import SILENT
+from deepfsi.base.quantities import plural, time_text
 from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.cli import fields
@@ -20,8 +22,8 @@ from deepfsi.datasets.display import Display
 from deepfsi.lab.design_data import camera_of, listed_scenes, shown_scenes
 from deepfsi.lab.devices import Setup, virtual_setup
 from deepfsi.lab.live import LiveRun, record_run
-from deepfsi.lab.results import LiveAnswers
-from deepfsi.lab.virtual_optics import record_scenes, virtual_camera
+from deepfsi.lab.results import ClassifiedRun, ClassifiedScene
+from deepfsi.lab.virtual_optics import VirtualCamera, record_scenes
 from deepfsi.patterns.folder import Patterns
 
 
@@ -48,7 +50,8 @@ class _Run(Command):
     )
     out: fields.NewFolder = fields.option("acquisition folder, new", ...)
     virtual: str | None = fields.option(
-        "virtual camera: ideal, pmt, spad, or a TOML file; default: that of the design, or pmt"
+        "virtual camera: ideal, pmt, spad, or a TOML file; default: ideal, with the design's dark "
+        "counts and dead time"
     )
     inputs: fields.Inputs = ()
     seed: WholeNumber = fields.option("seed: the same one repeats the run exactly", 0)
@@ -59,7 +62,7 @@ class _Run(Command):
             raise InputError(
                 "a virtual camera needs its light: give `flux`, such as 1e6, or a camera"
             )
-        virtual = virtual_camera(self.virtual, self.patterns, self.settings)
+        virtual = VirtualCamera.load(self.virtual) if self.virtual else VirtualCamera.of(camera)
         shown = virtual.model_dump(mode="json")
         return {"flux": camera.flux, "seed": self.seed, "camera": shown}
 
@@ -176,7 +179,6 @@ class RunLive(_DeviceRun):
     """
 
     until: float | None = fields.option("confidence that ends an exposure; default: the design's")
-    photons: fields.ExposureBudget = None
 
     def run(self, terminal: Terminal) -> Outcome:
         projector = self.open_projector("list projector")
@@ -191,39 +193,57 @@ class RunLive(_DeviceRun):
             others["dead_time"] = dead_time
         if projector is None:
             others |= self.of_virtual(camera)
-        run = LiveRun(
-            patterns,
-            scenes,
-            exposure_s,
-            camera.shortest_dwell or None,
-            photons=self.photons,
-            until=self.until,
-            **others,
-        )
-        decision_s = run.looks.decision_s
-        setup = self.setup(projector, patterns, images, run.settings, terminal, decision_s)
+        run = LiveRun(patterns, scenes, exposure_s, until=self.until, **others)
+        setup = self.setup(projector, patterns, images, run.settings, terminal, run.decision_s)
         answered = []
         view = None
         with closing(run.steps(self.out, setup)) as steps:
             for step in steps:
+                view = step.view or view
                 if step.answer is not None:
                     answered.append(step.answer)
-                    view = (step.decision and step.decision.view) or view
-                    for line in step.answer.lines(exposure_s):
-                        terminal.say(line)
-        answers = LiveAnswers(exposure_s, tuple(answered), view)
-        answers.check_classes(self.out)
-        content = answers.as_dict()
-        del content["live"]  # as every run of this command is
+                    terminal.say(_words(step.answer))
+                    for fault in step.faults:
+                        terminal.say(f"  {fault.words()}")
+        if all(each.predicted is None for each in answered):
+            first = next(fault for each in answered for fault in each.faults)
+            raise InputError(f"no scene of {self.out} has a class: {first.words()}")
+        answers = ClassifiedRun(
+            title="a live run",
+            noun="scene",
+            classes=run.design.classes,
+            scenes=tuple(answered),
+            remarks=(view.remark,) if view is not None and view.remark else (),
+            view=view,
+        )
+        light_s, clock_s = (
+            fmean(getattr(each, name) for each in answered) for name in ("light_s", "clock_s")
+        )
         return Outcome(
             {
                 "folder": str(self.out),
                 "preprocessing": images.preprocessing,
                 "exposure_s": exposure_s,
-                **content,
+                **answers.as_dict(),
             },
-            [f"scenes: {images.preprocessing}", *answers.run_lines(), f"run: {self.out}"],
+            [
+                f"scenes: {images.preprocessing}",
+                *answers.summary(),
+                f"a scene took {time_text(light_s)} of light and {time_text(clock_s)} in the mean",
+                f"run: {self.out}",
+            ],
         )
+
+
+def _words(answer: ClassifiedScene) -> str:
+    """Class of a scene of a live run in one line."""
+    if answer.predicted is None:
+        return f"{answer.name}: no class"
+    return (
+        f"{answer.name}: {answer.predicted}, confidence {answer.probability:.3f}, "
+        f"{plural(answer.looks or 0, 'look')}, light {time_text(answer.light_s or 0.0)}, clock "
+        f"{time_text(answer.clock_s or 0.0)}"
+    )
 
 
 class ImportRecording(Command):

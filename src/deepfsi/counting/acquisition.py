@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, FiniteFloat, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_text, write_atomically
@@ -43,9 +43,8 @@ class StopRule(StrictModel):
 class LiveSettings(StrictModel):
     """Settings of a live run."""
 
-    shortest_ns: Count  # Shortest gate; frames whose dwells are shorter are not shown
-    # Budget of an exposure where it is known; that of the all-ON frames so far if None
-    photons: Positive | None = None
+    shortest_ns: Count  # Shortest gate of the device
+    photons: Positive | None = None  # Of earlier versions
     rule: StopRule | None = None  # When an exposure stops; never before its last look if None
     dead_time: DeadTime = NO_DEAD_TIME  # Of the counter, to be corrected for
     background: Literal[False] = False  # Of earlier versions
@@ -167,8 +166,15 @@ class Acquisition(StrictModel):
             raise InputError(f"{name}: {error}") from None
 
 
-HomographyRow = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-"""Row of a homography."""
+def _invertible(rows: tuple[Any, ...]) -> tuple[Any, ...]:
+    if abs(np.linalg.det(np.array(rows))) < 1e-9:
+        raise ValueError("the homography cannot be inverted")
+    return rows
+
+
+_Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Homography = Annotated[tuple[_Row, _Row, _Row], AfterValidator(_invertible)]
+"""Rows of a homography of (across, down, 1) in unit squares."""
 
 
 class Calibration(StrictModel):
@@ -183,9 +189,7 @@ class Calibration(StrictModel):
     schema_version: Literal[1] = 1
     # Version of the package that wrote it
     deepfsi: str = Field(default_factory=lambda: version("deepfsi"))
-    homography: tuple[
-        HomographyRow, HomographyRow, HomographyRow
-    ]  # Display → device, unit squares, (across, down, 1)
+    homography: Homography  # Display → device
     residual: Amount  # Root mean square distance of the spots from it, cells
     error: Amount  # Standard error of the place of the display's worst corner, cells
     spots: int = Field(ge=4)  # Spots that it rests on
@@ -196,7 +200,7 @@ class Calibration(StrictModel):
     # the view
     flat: tuple[tuple[Share, ...], ...] = Field(default=((1.0,),), min_length=1)
     dark: Amount = 0.0  # Counts/s with all mirrors OFF and the display black
-    ambient: Amount = 0.0  # Counts/s that all mirrors ON add to it, the display black
+    ambient: Amount | None = None  # Of earlier versions
     dead_time: DeadTime | None = None  # Of the counter, for which the run of spots was corrected
 
     @model_validator(mode="after")
@@ -205,8 +209,6 @@ class Calibration(StrictModel):
             raise ValueError("the rows of the flat field differ in length")
         if not any(map(any, self.flat)):
             raise ValueError("the flat field is dark everywhere")
-        if abs(np.linalg.det(np.array(self.homography))) < 1e-9:
-            raise ValueError("the homography cannot be inverted")
         return self
 
     @property
@@ -235,7 +237,7 @@ class Calibration(StrictModel):
         return [
             f"{self.spots} of {self.shown} spots, {self.residual:.2f} cells from the fit (rms); "
             f"the view is known to {self.error:.2f} cells at the display's corners",
-            f"dark {self.dark:.4g} counts/s, ambient {self.ambient:.4g} counts/s",
+            f"dark {self.dark:.4g} counts/s",
         ]
 
     def save(self, folder: Path) -> Path:

@@ -24,7 +24,6 @@ from deepfsi.base.models import StrictModel
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.counting.flux import (
     CERTAIN_SIGMAS,
-    EXCESS,
     FALSE_ALARMS,
     HARMLESS,
     HARMLESS_DARK,
@@ -32,7 +31,6 @@ from deepfsi.counting.flux import (
     Background,
     Flux,
     LightCurve,
-    allowed_ratio,
     change_chance,
     excess_chance,
     light_curves,
@@ -372,7 +370,6 @@ class LightMonitor:
         self._backgrounds: list[Background] = []
         self._said: set[tuple[str, int | None]] = set()
         self.flux = 0.0
-        self.since = 0
         self.dark = np.zeros(len(inputs))
 
     def begin(self, first: Arrivals) -> tuple[bool, tuple[Fault, ...]]:
@@ -400,7 +397,6 @@ class LightMonitor:
         light = PassLight(arm, dark, np.array(self._lit), np.array(self._sound))
         flux = light.measure_flux(self._manifest.brightness, self._chance)
         self.flux = float(flux.rate[-1])
-        self.since = int(np.flatnonzero(flux.rate != flux.rate[-1]).max(initial=-1)) + 1
         changes = _find_level_changes(flux)
         new = tuple(fault for fault in changes if (fault.kind, fault.scene) not in self._said)
         self._said |= {(fault.kind, fault.scene) for fault in new}
@@ -428,26 +424,6 @@ class LightMonitor:
         lit = np.array(self._lit)
         faults += _find_restless_lamp(scenes, lit, np.array(self._sound))
         return tuple(faults)
-
-    def contradicts(self, photons_s: float) -> bool:
-        """True if a stated flux, counts/s, is further from the measured one than scenes explain."""
-        from scipy.special import gammainc, gammaincc
-
-        brightness = self._manifest.brightness
-        if brightness is None:
-            return False
-        curve = self._history[0]
-        used = np.flatnonzero(self._lit)
-        used = used[used >= self.since]
-        on, on_s = curve.together(curve.bright)
-        counts = float(on[used].sum())
-        seconds = float(on_s[used].sum())
-        rate = float(self._backgrounds[0].rate[-1])
-        ratio = allowed_ratio(brightness)(np.array(len(used)), np.array(np.inf)) * 1.0
-        most, least = ((photons_s * factor + rate) * seconds for factor in (ratio, 1 / ratio))
-        more = gammainc(counts / EXCESS, most / EXCESS)
-        less = gammaincc(counts / EXCESS + 1, least / EXCESS)
-        return bool(2 * min(more, less) <= self._chance)
 
     def _look_back(self) -> None:
         """Find the curves of the all-ON and all-OFF frames of all scenes, and their backgrounds."""

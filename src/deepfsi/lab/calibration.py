@@ -6,24 +6,22 @@ spot, light averaged over the cells: all share one homography and one blur, and 
 brightness. Cells weigh by their noise, which grows with the light of raster patterns.
 """
 
-import io
 import math
 import warnings
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, check_choice
-from deepfsi.base.files import write_atomically
+from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.layout import DmdGrid
 from deepfsi.counting.acquisition import Calibration
 from deepfsi.counting.checks import SPOILING
 from deepfsi.counting.counts import Counts
 from deepfsi.counting.recording import Recording
-from deepfsi.datasets.display import Display, read_display, write_pictures
+from deepfsi.datasets.display import Display, write_pictures
 from deepfsi.lab.design_data import geometry_matrix
-from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.rails import DesignRails
 
 WHITE = "white.png"
@@ -31,30 +29,20 @@ BLACK = "black.png"
 """Names of the pictures of uniform white and black."""
 
 
-def spot_scenes(
-    image_shape: tuple[int, int], count: tuple[int, int] = (5, 5), side: int = 2
-) -> np.ndarray:
-    """Scenes (spots, h, w) with a bright square each, on a regular grid over the display."""
-    room = np.array(image_shape) - np.array(count) * side
-    if min(count) < 2 or side < 1 or room.min() < 0:
-        raise InputError(
-            f"{count[0]} x {count[1]} spots of {side} pixels do not fit a display of "
-            f"{image_shape[0]} x {image_shape[1]}: give 2 x 2 or more that fit side by side"
-        )
-    tops, lefts = (
-        np.round((np.arange(n) + 0.5) * s / n - side / 2).astype(int)
-        for n, s in zip(count, image_shape, strict=True)
-    )
-    scenes = np.zeros((count[0] * count[1], *image_shape), dtype=np.float32)
-    for scene, (top, left) in zip(scenes, np.ndindex(count), strict=True):
-        scene[tops[top] : tops[top] + side, lefts[left] : lefts[left] + side] = 1
+def spot_scenes(side: int = 2) -> np.ndarray:
+    """Scenes (25, 32, 32) with a bright square each, on a regular grid over the display."""
+    corners = np.round((np.arange(5) + 0.5) * 32 / 5 - side / 2).astype(int)
+    scenes = np.zeros((25, 32, 32), dtype=np.float32)
+    for scene, (top, left) in zip(scenes, product(corners, corners), strict=True):
+        scene[top : top + side, left : left + side] = 1
     return scenes
 
 
-def write_spots(folder: Path, shape: tuple[int, int] = (32, 32), side: int = 2) -> list[Path]:
+def write_spots(folder: Path, side: int = 2) -> list[Path]:
     """Write the pictures that calibrate a camera: spots, uniform white and uniform black."""
-    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(shape, side=side))}
-    return write_pictures({**pictures, WHITE: np.ones(shape), BLACK: np.zeros(shape)}, folder)
+    pictures = {f"spot-{k:02d}.png": spot for k, spot in enumerate(spot_scenes(side))}
+    uniform = {WHITE: np.ones((32, 32)), BLACK: np.zeros((32, 32))}
+    return write_pictures(pictures | uniform, folder)
 
 
 @np.errstate(under="ignore")
@@ -93,7 +81,7 @@ def fit_calibration(
     )
 
 
-def calibrate_run(shown: Display, run: Recording, counts: Counts) -> Calibration:
+def calibrate(shown: Display, run: Recording, counts: Counts) -> Calibration:
     """Calibrate from a run of spots, a white and a black picture, of those that were shown."""
     names = [scene.name for scene in run.acquisition.scenes]
     others = sorted(set(names) - set(shown.names))
@@ -109,12 +97,6 @@ def calibrate_run(shown: Display, run: Recording, counts: Counts) -> Calibration
                 f"no exposure of {name} was counted: record the run again, or leave "
                 "that picture out of it"
             )
-    ambient = 0.0
-    if BLACK in names:
-        place = names.index(BLACK)
-        exposures = counts.signal()[place][counts.valid[place]]
-        lit_s = float(run.patterns.rails.mean(axis=-1).sum()) * counts.exposure_s
-        ambient = max(0.0, float(exposures.sum() / len(exposures) / lit_s))
     scenes = dict(zip(shown.names, shown.x, strict=True))
     measured = dict(zip(names, reconstruct(run, counts), strict=True))
     spots = [name for name in names if name not in (WHITE, BLACK)]
@@ -127,7 +109,7 @@ def calibrate_run(shown: Display, run: Recording, counts: Counts) -> Calibration
     )
     dark = float(counts.dark_rate[counted].mean())
     dead_time = counts.dead_time if counts.dead_time.seconds else None
-    return fitted.model_copy(update={"dark": dark, "ambient": ambient, "dead_time": dead_time})
+    return fitted.model_copy(update={"dark": dark, "dead_time": dead_time})
 
 
 def _find_spots(pictures: np.ndarray) -> np.ndarray:
@@ -184,7 +166,7 @@ def find_homography(
     agreeing = source[inliers]
     model = transform.estimate_transform("projective", agreeing, target[inliers])
     on_a_line = np.linalg.matrix_rank(agreeing - agreeing.mean(axis=0), tol=1e-9) < 2
-    if on_a_line or not model or not np.isfinite(model.params).all():
+    if on_a_line or not model:
         raise InputError(trouble)
     matrix = np.diag([*(1 / scale), 1.0]) @ model.params
     agreed = np.zeros(len(found), dtype=bool)
@@ -263,16 +245,12 @@ class DisplayedScenes:
         out = np.empty((len(self.points), *self.cells))
         for image, points, light in zip(out, self.points, self.light, strict=True):
             x, y, scale = matrix @ np.stack([*points.T, np.ones(len(points))])
-            down, across = (
-                np.diff(special.ndtr((np.arange(n + 1) - place[:, None]) / std), axis=1)
-                for n, place, std in zip(
-                    self.cells,
-                    (y / scale * self.cells[0] + shift[0], x / scale * self.cells[1] + shift[1]),
-                    width,
-                    strict=True,
-                )
-            )
-            image[:] = (down * light[:, None]).T @ across
+            shares = []  # of each point's light, (points, cells), down and across
+            for axis, place in enumerate((y / scale, x / scale)):
+                edges = np.arange(self.cells[axis] + 1)
+                away = edges - (place * self.cells[axis] + shift[axis])[:, None]
+                shares.append(np.diff(special.ndtr(away / width[axis]), axis=1))
+            image[:] = (shares[0] * light[:, None]).T @ shares[1]
         return out
 
 
@@ -297,10 +275,10 @@ def _fit_view(
     for weighted in (False, True):
         if weighted:
             weight = _weights(pictures, fitted(view))
+        # The largest blur that is looked for is of 2 cells
         found = optimize.least_squares(
             misfit,
             view,
-            # Largest blur that is looked for, cells
             bounds=([-np.inf] * 8 + [0.0], [np.inf] * 8 + [2.0]),
             x_scale=[0.01] * 8 + [0.1],
             xtol=1e-6,
@@ -373,7 +351,6 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
     """
     from scipy.linalg import hadamard
 
-    check_choice("scan", name, SCAN_NAMES)
     down, across = cells
     pixels = down * across
     if not 2 <= pixels <= 4096:
@@ -391,44 +368,6 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
     return DesignRails(rails, "equal-dwell", cells, float(math.prod(cells)), detectors=several)
 
 
-def find_detectors(counts: Counts, patterns: Patterns) -> np.ndarray:
-    """Detector of each cell: the one that counts most of its light, in all scenes together."""
-    from scipy.linalg import solve
-
-    shape = patterns.manifest.image_shape
-    read = counts.lengths_s > 0
-    usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
-    signal = counts.signal().sum(axis=(0, 1), where=usable)[read]
-    background = (counts.background * usable.sum(axis=1)).sum(axis=0)[read]
-    photons = counts.counts.sum(axis=(0, 1), where=usable)[read]
-    masks = patterns.rails[read]
-    inverse = solve(masks.T @ masks, masks.T, assume_a="pos")
-    light = inverse @ signal
-    variance = inverse**2 @ (photons + background + 1)  # that of the background is no larger
-    second, best = np.argsort(light, axis=1)[:, -2:].T
-    cell = np.arange(len(light))
-    lead = light[cell, best] - light[cell, second]
-    # Standard errors by which a detector must count more of a cell's light than any other does
-    clear = lead > 5.0 * np.sqrt(variance[cell, best] + variance[cell, second])
-    if not clear.all():
-        place = int(np.flatnonzero(~clear)[0])
-        where = " and ".join(str(axis + 1) for axis in np.unravel_index(place, shape))
-        raise InputError(
-            f"{np.count_nonzero(~clear)} of {len(cell)} cells are seen clearly by no detector, "
-            f"first that at row and column {where}, where input "
-            f"{counts.inputs[best[place]] + 1} counts {lead[place]:.3g} more than input "
-            f"{counts.inputs[second[place]] + 1}: show white that fills the device, and expose "
-            "longer"
-        )
-    idle = set(range(light.shape[1])) - set(best.tolist())
-    if idle:
-        raise InputError(
-            f"input {counts.inputs[min(idle)] + 1} counts most in no cell: wire its detector, or "
-            "export the scan for fewer `detectors`"
-        )
-    return best.astype(np.int64).reshape(shape)
-
-
 def find_gains(white: Path) -> tuple[float, ...]:
     """Efficiency of each detector over their mean, from a counted run of a uniform white scene.
 
@@ -437,20 +376,21 @@ def find_gains(white: Path) -> tuple[float, ...]:
     run = Recording.read(white)
     counts = run.read_counts().check_photons(white)
     manifest = run.manifest
-    rails = run.patterns.rails
-    several = manifest.detectors
-    count = manifest.detector_count
     spoilt = [each.kind for each in counts.faults if each.kind in SPOILING and each.kind != "gain"]
     if counts.gains or spoilt:
         raise InputError(
             "the flat field's light is not what it should be, or it was corrected itself: record "
             "uniform white, and count it without a flat field"
         )
-    if several is None and not manifest.two_arm:
-        raise InputError("one detector has no other to be compared with: leave the flat field out")
-    if several is not None and several.cells is None:
-        raise InputError("nothing says which cells each detector sees: give patterns of a design")
-    labels = np.zeros(rails.shape[-1], int) if several is None else np.array(several.cells)
+    detectors = manifest.detectors
+    count = manifest.detector_count
+    if manifest.inputs == 1 or (detectors is not None and detectors.cells is None):
+        raise InputError(
+            "these patterns do not say which cells each of several detectors sees: leave the flat "
+            "field out, or record it with patterns of a design for several detectors"
+        )
+    rails = run.patterns.rails
+    labels = np.zeros(rails.shape[-1], int) if detectors is None else np.array(detectors.cells)
     usable = counts.by_readout(counts.valid)
 
     def by_input(values: np.ndarray) -> np.ndarray:
@@ -475,6 +415,8 @@ def reconstruct(run: Recording, counts: Counts) -> np.ndarray:
 
     Among equal pictures the smallest norm wins. Scenes without a valid exposure are NaN.
     """
+    from scipy.linalg import lstsq
+
     patterns = run.patterns
     stated = run.acquisition.flux
     flux = np.nanmean(counts.flux) if stated is None else stated
@@ -486,40 +428,11 @@ def reconstruct(run: Recording, counts: Counts) -> np.ndarray:
     valid = np.asarray(counts.valid.any(axis=1))
     weights = counts.valid / np.maximum(counts.valid.sum(axis=1, keepdims=True), 1)
     mean = np.einsum("sr,sr...->s...", weights, counts.signal())[valid]
+    if patterns.manifest.several:
+        mean = mean.sum(axis=-1)
     read = counts.lengths_s > 0
     out = np.full((len(valid), patterns.on.shape[1]), np.nan)
-    found = _pictures(patterns.rails[read], mean[:, read], patterns.manifest.detectors)
+    # Least singular value that a picture is made from, of the sensing matrix's largest
+    found = lstsq(patterns.rails[read], mean[:, read].T, cond=1e-3)[0].T
     out[valid] = found * (patterns.manifest.summed_reflectance / budget)
     return out.reshape(len(valid), *patterns.manifest.image_shape)
-
-
-def _pictures(masks: np.ndarray, counts: np.ndarray, detectors: DetectorMap | None) -> np.ndarray:
-    """Pictures (S, N) of counts (S, k[, D]) behind masks (k, N): each detector's of its cells."""
-    from scipy.linalg import lstsq
-
-    if detectors is not None and detectors.cells is not None:
-        out = np.empty((len(counts), masks.shape[1]))
-        labels = np.array(detectors.cells)
-        for place in range(detectors.count):
-            own = labels == place
-            out[:, own] = _pictures(masks[:, own], counts[..., place], None)
-        return out
-    every = counts if detectors is None else counts.sum(axis=-1)
-    # Least singular value that a picture is made from, of the sensing matrix's largest
-    return np.asarray(lstsq(masks, every.T, cond=1e-3)[0].T)
-
-
-def calibrate(folder: Path, spots: Path, out: Path) -> tuple[Calibration, Path, Path | None]:
-    """Fit the camera's view to a counted run of the spots, and write it to a folder."""
-    run = Recording.read(folder)
-    shown = read_display(spots)
-    counts = run.read_counts().check_photons(folder)
-    fitted = calibrate_run(shown, run, counts)
-    several = run.patterns.manifest.detectors
-    labels = find_detectors(counts, run.patterns) if several and several.cells is None else None
-    file = fitted.save(out)
-    if labels is None:
-        return fitted, file, None
-    cells = io.BytesIO()
-    np.save(cells, labels)
-    return fitted, file, write_atomically(out / "detectors.npy", cells.getvalue())

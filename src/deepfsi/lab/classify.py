@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.registry import require_extras
 from deepfsi.base.tables import read_table
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.dead_time import NO_DEAD_TIME
-from deepfsi.camera.light import TOO_DIM, check_budget
+from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import LIGHT_LAWS
 from deepfsi.counting.acquisition import Scene
-from deepfsi.counting.checks import Fault
 from deepfsi.counting.counts import Counts
 from deepfsi.counting.recording import Recording
 from deepfsi.counting.tables import TableSettings, count_table
@@ -28,14 +26,7 @@ from deepfsi.designfile.distribution import ConsistencyResult
 from deepfsi.designfile.provenance import was_trained_on
 from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
 from deepfsi.lab.design_data import design_rails, open_design, shown_design
-from deepfsi.lab.results import (
-    LOG,
-    ClassifiedRun,
-    ClassifiedScene,
-    LiveAnswers,
-    LiveScene,
-    read_log,
-)
+from deepfsi.lab.results import LOG, ClassifiedRun, ClassifiedScene, find_dim, read_log
 from deepfsi.patterns.folder import Patterns
 
 if TYPE_CHECKING:  # they import torch, which the command line loads late
@@ -49,7 +40,7 @@ def classify_run(
     photons: float | None = None,
     force: bool = False,
     trust: bool = False,
-) -> ClassifiedRun | LiveAnswers:
+) -> ClassifiedRun:
     """Classify each exposure of an acquisition that was counted.
 
     Parameters
@@ -67,9 +58,9 @@ def classify_run(
 
     Returns
     -------
-    ClassifiedRun or LiveAnswers
-        Classes, for a live run those that were decided while it was recorded. Both have `scenes`,
-        each with its `predicted` class.
+    ClassifiedRun
+        `scenes`, each with its `predicted` class: for a live run those that were decided while it
+        was recorded.
 
     Raises
     ------
@@ -101,23 +92,25 @@ def classify_run(
     )
 
 
-def _live_answers(design: Path, run: Recording, trust: bool) -> LiveAnswers:
+def _live_answers(design: Path, run: Recording, trust: bool) -> ClassifiedRun:
     """Classes of a live run by its log, which must be of the design's classes."""
-    with require_extras():
-        from deepfsi.design.design import Design
-
-    made = Design.load(design, trust=trust)
+    made = open_design(design, trust=trust)
     log = read_log(run.folder)
     scenes = run.acquisition.scenes[: len(log)]
     sizes = {len(logged.chances) for logged in log}
     if len(scenes) < len(log) or not sizes <= {0, len(made.classes)}:
         raise InputError(f"{run.folder / LOG} does not fit the run's settings: it was changed")
     trained = was_trained_on(made.training_scenes, [scene.hash for scene in scenes])
-    answers = (
-        LiveScene.of(scene, logged, made.classes, known)
-        for scene, logged, known in zip(scenes, log, trained, strict=True)
+    return ClassifiedRun(
+        title="a live run, as it was decided",
+        noun="scene",
+        classes=made.classes,
+        scenes=tuple(
+            logged.answer(scene, made.classes, known)
+            for scene, logged, known in zip(scenes, log, trained, strict=True)
+        ),
+        faults=tuple(fault for logged in log for fault in logged.faults),
     )
-    return LiveAnswers(run.acquisition.exposure_s, tuple(answers))
 
 
 def classify_table(
@@ -223,7 +216,8 @@ def _classify_counts(
     stated = counts.photons if photons is None else np.full(len(scenes), photons)
     known = np.isfinite(stated) if photons is None else counts.valid.any(axis=1)
     budgets = np.where(known, stated, 1.0)
-    dim = () if force else dim_scenes(design, np.where(known, budgets, np.nan))
+    trained = design.info.get("job", {}).get("photons")
+    dim = [] if force else find_dim(trained, np.where(known, budgets, np.nan))
     counts = replace(counts, faults=(*dim, *counts.faults))
     usable = counts.valid & ~counts.spoilt[:, None]  # (S, R): exposures without faults
     if not usable.any():
@@ -249,24 +243,34 @@ def _classify_counts(
     for test in (consistency, view):
         if test is not None and test.refused and not force:
             raise InputError(f"{test.refusal}; `force` classifies them all the same")
-    if counts.gates is None:
-        remarks = _remarks(consistency, view)
-    else:
-        remarks = (
+    remarks = [NOT_COMPARED] if consistency is None else [*consistency.remarks]
+    remarks.append(NOT_VIEWED if view is None else view.remark or "")
+    if counts.gates is not None:
+        remarks = [
             "these clicks were not compared with those of the training: the test is of photon "
             f"counts. They are read for the stated budget: this is {budgets[often > 0].mean():.3g} "
-            f"photons, that of the training was {design.info['job']['photons']:.3g}",
-        )
+            f"photons, that of the training was {trained:.3g}"
+        ]
     return ClassifiedRun(
-        design=design.name,
-        masks=design.masks,
+        title=f"{design.name}, {design.masks} masks",
         classes=design.classes,
         scenes=tuple(_answers(design, counts, scenes, usable, budgets, chances, consistency)),
-        remarks=remarks,
+        remarks=tuple(filter(None, remarks)),
         faults=counts.faults,
         consistency=consistency,
         view=view,
     )
+
+
+NOT_COMPARED = (
+    "these counts were not compared with those of the training, which takes 50 training scenes of "
+    "each class: a scene of something else gets a class, too"
+)
+NOT_VIEWED = (
+    "not tested for how the camera sees the scenes (mirrored, blurred, with stray light), which "
+    "takes a design of this version with 100 training scenes, 20 of each class: record the "
+    "reference target and use `deepfsi camera check`"
+)
 
 
 def _view_of(
@@ -310,62 +314,26 @@ def _answers(
     trained = was_trained_on(design.training_scenes, [scene.hash for scene in scenes])
     tested = np.cumsum(usable.any(axis=1)) - 1  # scenes in the order of the consistency
     for index, scene in enumerate(scenes):
+        sound = chances[index][usable[index]]
         answer = ClassifiedScene(
             name=scene.name,
             label=scene.label,
-            faults=tuple(fault for fault in counts.faults if fault.scene in (index, None)),
-            unsure=None if consistency is None else False,
             trained_on=trained[index],
-        )
-        sound = chances[index][usable[index]]
-        if not len(sound):
-            yield answer
-            continue
-        mean = sound.mean(axis=0)
-        tests: dict[str, Any] = {}
-        if consistency is not None:
-            tests["consistency"] = float(consistency.exposures[tested[index]])
-            tests["unsure"] = bool(consistency.unsure[tested[index]])
-        yield replace(
-            answer,
-            predicted=design.classes[mean.argmax()],
-            probability=float(mean.max()),
-            exposures=len(sound),
+            faults=tuple(fault for fault in counts.faults if fault.scene in (index, None)),
             guesses=tuple(design.classes[best] for best in sound.argmax(axis=-1)),
-            photons=float(budgets[index]),
-            **tests,
+            unsure=None if consistency is None else False,
         )
-
-
-def _remarks(consistency: ConsistencyResult | None, view: ViewResult | None) -> tuple[str, ...]:
-    """Lines for a reader on the tests of the counts of photons."""
-    lines = [
-        "these counts were not compared with those of the training, which takes 50 training scenes "
-        "of each class: a scene of something else gets a class, too"
-    ]
-    if consistency is not None:
-        lines = list(consistency.remarks)
-    remark: str | None = (
-        "not tested for how the camera sees the scenes (mirrored, blurred, with stray light), "
-        "which takes a design of this version with 100 training scenes, 20 of each class: record "
-        "the reference target and use `deepfsi camera check`"
-    )
-    if view is not None:
-        remark = view.remark
-    return (*lines, remark) if remark else tuple(lines)
-
-
-def dim_scenes(design: "Design", budgets: np.ndarray) -> list[Fault]:
-    """Scenes whose budgets (S,) are far below those that a design was trained for."""
-    trained = design.info.get("job", {}).get("photons")
-    if trained is None:
-        return []
-    return [
-        Fault(
-            kind="budget",
-            scene=scene,
-            detail=f"{budgets[scene]:.3g} photons are too little light for this design, which was "
-            f"trained for {trained:g}: give more light, or a longer exposure",
-        )
-        for scene in np.flatnonzero(budgets * TOO_DIM < trained).tolist()
-    ]
+        if len(sound):
+            mean = sound.mean(axis=0)
+            tests: dict[str, Any] = {}
+            if consistency is not None:
+                tests["consistency"] = float(consistency.exposures[tested[index]])
+                tests["unsure"] = bool(consistency.unsure[tested[index]])
+            answer = replace(
+                answer,
+                predicted=design.classes[mean.argmax()],
+                probability=float(mean.max()),
+                photons=float(budgets[index]),
+                **tests,
+            )
+        yield answer

@@ -81,21 +81,13 @@ def data_of(
     """Data to test a design on, its training's unless given, and notes on what differs from it."""
     training = trained_on(design.info)
     known = training.origin if training else None
-    if data is None and known is None:
-        raise InputError(
-            "this design was trained on data that no file or name holds, such as arrays in "
-            "memory: give the data to test it on, `data`"
-        )
     asked = _asked(known, data, size, view)
     try:
         loaded = _load(asked)
     except InputError as error:
-        if data is None:
-            raise InputError(
-                f"the data that this design was trained on cannot be loaded ({error}): give the "
-                "data to test it on, `data`"
-            ) from error
-        raise
+        if data is not None:
+            raise
+        raise InputError(f"{error}; or give the data to test it on, `data`") from error
     notes = _notes(training, asked, loaded)
     _, left = new_scenes(design.training_scenes, loaded)
     if design.training_scenes is None and notes:
@@ -107,17 +99,18 @@ def _asked(
     known: Origin | None, data: str | None, size: tuple[int, int] | None, view: Path | None
 ) -> Origin:
     """Source that is told, the rest of it as the design remembers."""
+    if data is None and known is None:
+        raise InputError(
+            "this design was trained on data that no file or name holds, such as arrays in "
+            "memory: give the data to test it on, `data`, or export pictures by their own name"
+        )
     name = known.data if data is None and known else absolute_source(str(data))
     told = {"size": size, "view": absolute_source(str(view)) if view else None}
     told = {option: value for option, value in told.items() if value is not None}
     if known is None or name == known.data:
         return (known or Origin(data=name)).model_copy(update=told)
     allowed = options_of(name)
-    same = [
-        "rescale",
-        "view",
-        *(option for option in ("size", "white") if option in allowed),
-    ]
+    same = ["rescale", "view", *({"size", "white"} & set(allowed))]
     kept = {option: getattr(known, option) for option in same}
     return Origin(data=name).model_copy(update=kept | told)
 
@@ -209,14 +202,9 @@ def listed_scenes(source: Path, patterns: Patterns) -> tuple[Scene, ...]:
     if suffix in (".txt", ".csv") and not source.exists():
         raise InputError(f"there is nothing at {source}: give a list of scenes, or their pictures")
     if source.is_file() and suffix in ("", ".txt", ".csv"):
-        return read_scenes(source)
+        with as_input_error(str(source)):
+            return tuple(Scene(name=name, label=label) for name, label in read_scene_list(source))
     return shown_scenes(source, patterns)[1]
-
-
-def read_scenes(path: str | os.PathLike[str]) -> tuple[Scene, ...]:
-    """Scenes of a text or CSV file, in its order."""
-    with as_input_error(str(path)):
-        return tuple(Scene(name=name, label=label) for name, label in read_scene_list(Path(path)))
 
 
 def camera_view(
@@ -239,8 +227,6 @@ def camera_view(
     finer = np.divide(cells_shape, flat.shape)
     flat = ndimage.zoom(flat, finer, order=1, mode="nearest", grid_mode=True)
     view = sparse.csr_array(sparse.diags_array(flat.ravel()) @ view).astype(np.float32)
-    if x.ndim != 2 or x.shape[1] != view.shape[1]:
-        raise InputError(f"scenes of shape {x.shape} with images of {image_shape}: give (n, h * w)")
     out = np.empty((len(x), view.shape[0]), dtype=np.float32)
     for first in range(0, len(x), 4096):  # scenes in memory
         block = x[first : first + 4096]
@@ -297,21 +283,12 @@ def geometry_matrix(
         v = v / scale
     inside = np.flatnonzero(front & (u >= 0) & (u < 1) & (v >= 0) & (v < 1))
     pixel = (v[inside] * h).astype(int) * w + (u[inside] * w).astype(int)
-    # rows: points down; columns: (point across, pixel)
     row, column = np.divmod(inside, len(lefts))
+    # Rows are points down, columns points across and pixels
     shape = (len(tops), len(lefts) * h * w)
     points = sparse.csr_array((np.ones(len(inside)), (row, column * h * w + pixel)), shape=shape)
-    half = (average_down @ points).tocoo()
-    cell_row = half.row
-    column, pixel = np.divmod(half.col, h * w)
-    half = sparse.csr_array(
-        (half.data, (column, cell_row * h * w + pixel)), shape=(len(lefts), down * h * w)
-    )
-    whole = (average_across @ half).tocoo()
-    cell_row, pixel = np.divmod(whole.col, h * w)
-    return sparse.csr_array(
-        (whole.data, (cell_row * across + whole.row, pixel)), shape=(down * across, h * w)
-    )
+    half = (average_down @ points).reshape(down * len(lefts), h * w).tocsr()
+    return sparse.kron(sparse.eye_array(down), average_across, format="csr") @ half
 
 
 def _axis_average(cells: int, blur: float, each: int) -> tuple["sparse.csr_array", np.ndarray]:
@@ -349,7 +326,7 @@ def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     path = Path(file)
     if isinstance(DesignFile.read(path, ()).header, AdaptiveHeader):
         with require_extras():
-            from deepfsi.lab.adaptive_looks import adaptive_rails
+            from deepfsi.lab.observer import adaptive_rails
         return adaptive_rails(path)
     return DesignRails.of(
         DesignFile.read(path), read_regular(path, LARGEST_TENSORS, "give a design file")

@@ -7,7 +7,7 @@ write photons and markers to a PTU file, and read counts from it while it grows.
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -28,7 +28,6 @@ from deepfsi.lab.virtual_optics import (
     MirrorLight,
     VirtualCamera,
     arrival_rates,
-    check_file_inputs,
     check_scenes,
 )
 from deepfsi.patterns.folder import Patterns
@@ -122,31 +121,35 @@ LATENCIES = {
 """Times of the steps of a loop, seconds; docs/notebook/live-timing.md says their sources."""
 
 
-class VirtualProjector(AbstractContextManager["VirtualProjector"]):
-    """Projector whose frames send the light of scenes on a display to detectors."""
+class VirtualBench(AbstractContextManager["VirtualBench"]):
+    """Projector of scenes on a display, and a counter that records their light into a PTU file."""
 
     def __init__(
         self,
         rates: np.ndarray,
         camera: VirtualCamera,
         latencies: Mapping[str, float],
+        inputs: Sequence[int],
+        marker_bit: int = FRAME_MARKER,
+        *,
         seed: int = 0,
         made: Callable[[int, np.ndarray], np.ndarray] | None = None,
     ) -> None:
         self.latencies = latencies
         # Time on the counter's clock before the first list, seconds
         self.now_s = 1e-3
-        inputs = range(rates.shape[2])
         self.recorder = EventRecorder(camera, np.random.default_rng(seed), inputs)
-        self.marker_bit = FRAME_MARKER
+        self._bit = marker_bit
         self._made = made
         self._rates = rates
         self._scene = 0
         self._frame = 1
         self._times_s = np.zeros(0)  # of the frames that are loaded
+        self._file: FileIO | None = None
 
     def __exit__(self, *error: object) -> None:
-        """Do nothing: there is nothing to close."""
+        """End the recording; its file stays."""
+        self.stop()
 
     def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
         """Take the time that a real device needs to load each frame."""
@@ -156,7 +159,7 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
     def display(self, scene: int) -> None:
         """Show a scene on the display."""
         self.now_s += self.latencies["display"]
-        self._hold(self._ticks(self.now_s))
+        self._hold(round(self.now_s / DETECTOR_TICK_S))
         self._scene = scene
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
@@ -168,10 +171,10 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
         """Show frames; the clock is then where their counts have come and are decided upon."""
         self.now_s += self.latencies["command"]
-        self._hold(self._ticks(self.now_s))
+        self._hold(round(self.now_s / DETECTOR_TICK_S))
         durations = np.rint(dwells_s / DETECTOR_TICK_S).astype(np.int64)
         marks = self.recorder.end + np.cumsum(durations) - durations
-        self.recorder.add(marks, -self.marker_bit)
+        self.recorder.add(marks, -self._bit)
         self.recorder.see(durations, self._rates[self._scene, frames])
         self._frame = int(frames[-1])
         # What came before the last frame's marker is handed over with it, in its block
@@ -189,7 +192,9 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
 
     def wait(self) -> None:
         """Let time pass until all that was shown is recorded."""
-        self._hold(max(self._ticks(self.now_s), self.recorder.end + self.recorder.reach))
+        self._hold(
+            max(round(self.now_s / DETECTOR_TICK_S), self.recorder.end + self.recorder.reach)
+        )
         self.now_s = self.recorder.end * DETECTOR_TICK_S
 
     def _hold(self, end: int) -> None:
@@ -197,35 +202,11 @@ class VirtualProjector(AbstractContextManager["VirtualProjector"]):
         more = max(end - self.recorder.end, 0)
         self.recorder.see(np.array([more]), self._rates[self._scene, [self._frame]])
 
-    @staticmethod
-    def _ticks(seconds: float) -> int:
-        return round(seconds / DETECTOR_TICK_S)
-
-
-class VirtualCounter(AbstractContextManager["VirtualCounter"]):
-    """Counter of the photons of a virtual setup, which it records into a PTU file."""
-
-    def __init__(
-        self, projector: VirtualProjector, inputs: tuple[int, ...], marker_bit: int = FRAME_MARKER
-    ) -> None:
-        self._projector = projector
-        self._inputs = inputs
-        self._bit = marker_bit
-        self._file: FileIO | None = None
-
-    def __exit__(self, *error: object) -> None:
-        """End the recording; its file stays."""
-        self.stop()
-
     def start(self, path: Path) -> None:
         """Begin to record into a new file."""
-        check_file_inputs(self._inputs)
-        recorder = self._projector.recorder
-        recorder.inputs = self._inputs
-        self._projector.marker_bit = self._bit
-        recorder.writer = PtuWriter(path, DETECTOR_TICK_S, growing=True).__enter__()
+        self.recorder.writer = PtuWriter(path, DETECTOR_TICK_S, growing=True).__enter__()
         self._file = FileIO(path)
-        self._counter = FrameCounter(self._inputs, self._bit, path)
+        self._counter = FrameCounter(self.recorder.inputs, self._bit, path)
 
     def expect(self, gates: FrameGates) -> None:
         """Tell the gates of the frames that are shown next."""
@@ -238,14 +219,10 @@ class VirtualCounter(AbstractContextManager["VirtualCounter"]):
 
     def stop(self) -> None:
         """End the recording; its file is then whole."""
-        if self._file is None:
-            return
-        self._file.close()
-        self._file = None
-        writer = self._projector.recorder.writer
-        self._projector.recorder.writer = None
-        assert writer is not None
-        writer.__exit__(None, None, None)
+        if self._file is not None and self.recorder.writer is not None:
+            self._file.close()
+            self.recorder.writer.__exit__(None, None, None)
+            self._file = self.recorder.writer = None
 
 
 def virtual_setup(
@@ -254,7 +231,7 @@ def virtual_setup(
     acquisition: Acquisition,
     report: Progress = SILENT,
     decision_s: float | None = None,
-) -> Setup[VirtualProjector]:
+) -> Setup[VirtualBench]:
     """Virtual devices of a run, with the camera, flux, seed and wiring of its acquisition."""
     camera = VirtualCamera.model_validate(acquisition.camera)
     manifest = patterns.manifest
@@ -271,17 +248,13 @@ def virtual_setup(
     def light(scene: int) -> MirrorLight:
         return MirrorLight(manifest, images[scene][None], camera, flux)
 
-    projector = VirtualProjector(
+    bench = VirtualBench(
         rates,
         camera,
         latencies,
+        acquisition.inputs,
+        acquisition.marker_bit,
         seed=acquisition.seed or 0,
         made=lambda scene, packed: light(scene).rates([packed])[0, 0],
     )
-    return Setup(
-        projector,
-        VirtualCounter(projector, acquisition.inputs, acquisition.marker_bit),
-        projector.display,
-        clock=lambda: projector.now_s,
-        latencies=latencies,
-    )
+    return Setup(bench, bench, bench.display, clock=lambda: bench.now_s, latencies=latencies)

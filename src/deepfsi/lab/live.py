@@ -8,10 +8,11 @@ are also counted while it is written, so that a missing marker or a dark scene i
 """
 
 import time
+from base64 import b64encode
 from collections.abc import Generator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import GrowingFile
 from deepfsi.base.interrupts import note_saved_work
 from deepfsi.base.progress import Progress, progress_bar
-from deepfsi.base.registry import require_extras
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.counting.acquisition import Acquisition, LiveSettings, Scene, StopRule
 from deepfsi.counting.checks import NO_LIGHT
@@ -27,36 +27,15 @@ from deepfsi.counting.flux import excess_chance
 from deepfsi.counting.recording import Recording
 from deepfsi.counting.streaming import FrameGates
 from deepfsi.designfile.provenance import was_trained_on
-from deepfsi.lab.design_data import shown_design
-from deepfsi.lab.devices import (
-    PassProjector,
-    Setup,
-    StreamingCounter,
-    StreamingProjector,
-)
-from deepfsi.lab.observer import (
-    MARGIN_NS,
-    OFF,
-    Decision,
-    SceneObserver,
-    margin_ns,
-)
-from deepfsi.lab.results import LOG, FrameList, LiveScene, LoggedList, LoggedScene
+from deepfsi.lab.design_data import open_design, shown_design
+from deepfsi.lab.devices import PassProjector, Setup, StreamingCounter, StreamingProjector
+from deepfsi.lab.results import LOG, MARGIN_NS, OFF, Decision, FrameList, LoggedList, LoggedScene
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.frames import make_frame
 from deepfsi.patterns.manifest import Manifest
 
 PATIENCE_S = 5.0
 """Time by which counts may come later than their frames end, seconds."""
-
-
-class LiveStep(NamedTuple):
-    """A decision of a live run, and when it fell."""
-
-    scene: int  # from 0
-    decision: Decision | None  # None where a scene had no light
-    clock_s: float  # after the scene's first command, seconds
-    answer: LiveScene | None = None  # class of the scene, after its last look
 
 
 class LiveRun:
@@ -69,10 +48,6 @@ class LiveRun:
     scenes : tuple of Scene
     exposure_s : float
         Seconds that the looks at a scene take together.
-    shortest_s : float, optional
-        Shortest time for which a frame is counted, seconds. Default: the device's.
-    photons : float, optional
-        Budget of an exposure, counts. Default: measured by the all-ON frames.
     until : float, optional
         Exposures that reach this probability end early. Default: the design's.
     dead_time : DeadTime
@@ -91,16 +66,11 @@ class LiveRun:
         patterns: Patterns,
         scenes: tuple[Scene, ...],
         exposure_s: float,
-        shortest_s: float | None = None,
         *,
-        photons: float | None = None,
         until: float | None = None,
         dead_time: DeadTime = NO_DEAD_TIME,
         **others: object,
     ) -> None:
-        with require_extras():
-            from deepfsi.design.design import Design
-            from deepfsi.lab.adaptive_looks import AdaptiveLooks
         if until is not None and not 0 < until < 1:
             raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
         self.patterns = patterns
@@ -113,8 +83,15 @@ class LiveRun:
                 '`design="adaptive"` masks, or record it with `deepfsi camera simulate` or '
                 "`import`"
             )
-        self.looks = AdaptiveLooks(Design.load(shown_design(folder, manifest)), manifest)
-        looks_s = exposure_s * np.array(self.looks.shares)
+        self.design = open_design(shown_design(folder, manifest))
+        made = self.design.prior_exposure
+        threshold = made.settings.until if until is None else until
+        looks_s = exposure_s * np.array(made.settings.shares)
+        # Time of a decision, by `benchmarks/adaptive.py --latency` with 8192 and 60 000 scenes, and
+        # with `--dictionary 2000`, where counts and light take most of it
+        self.decision_s = 4e-3 + 1.35e-7 * len(made.prior)
+        if manifest.looks.dictionary:
+            self.decision_s = 0.5e-3 + 5e-9 * len(made.prior)
         with as_input_error():
             self.settings = Acquisition(
                 scenes=scenes,
@@ -122,27 +99,28 @@ class LiveRun:
                 settle_s=manifest.device.settle_us * 1e-6,
                 repeats=1,
                 live=LiveSettings(
-                    shortest_ns=_shortest_gate(manifest, looks_s, shortest_s),
-                    photons=photons,
-                    rule=self.looks.rule if until is None else StopRule(threshold=until),
+                    shortest_ns=_shortest_gate(manifest, looks_s),
+                    rule=None if threshold == 1 else StopRule(threshold=threshold),
                     dead_time=dead_time,
                 ),
                 **{"inputs": tuple(range(manifest.inputs)), **others},
             )
 
-    def steps(self, folder: Path, setup: Setup[StreamingProjector]) -> Generator[LiveStep]:
+    def steps(self, folder: Path, setup: Setup[StreamingProjector]) -> Generator[Decision]:
         """Show, count and decide with devices, which are let go of at the end.
 
         Gives each decision as it falls; the last one of a scene has its answer. Scenes that are
         finished are kept in `folder`, which is new, whenever the run is stopped: their lines are in
         `shown.jsonl` before their last decision is given.
         """
-        looks = self.looks
+        from deepfsi.lab.observer import SceneObserver
+
+        design = self.design
         assert self.settings.live is not None
         live = self.settings.live.model_copy(update={"latencies": setup.latencies})
         settings = self.settings.model_copy(update={"live": live})
         manifest = self.patterns.manifest
-        observer = SceneObserver(looks, manifest, settings)
+        observer = SceneObserver(design, manifest, settings)
         with ExitStack() as stack:
             stack.enter_context(setup.projector)
             stack.enter_context(setup.counter)
@@ -152,83 +130,70 @@ class LiveRun:
             log = stack.enter_context(GrowingFile(folder / LOG))
             frames = _DeviceFrames(setup, manifest, settings.settle_s)
             for number, scene in enumerate(settings.scenes):
-                frames.begin(number)
-                decision: Decision | None = None
-                for decision in observer.observe(number, frames.count):
+                setup.display(number)
+                frames.lists = []
+                first_marker = frames.markers
+                start_s = setup.clock()
+                for each in observer.observe(number, frames.count):
+                    decision = replace(each, clock_s=setup.clock() - start_s)
                     if not decision.final:
-                        yield LiveStep(number, decision, frames.clock_s)
-                logged = frames.logged(decision)
-                log.write(logged.line)
+                        yield decision
+                logged = LoggedScene(
+                    scene=number,
+                    first_marker=first_marker,
+                    lists=tuple(frames.lists),
+                    chances=tuple(decision.chances.tolist()),
+                    faults=decision.faults,
+                    light_s=decision.light_s,
+                    clock_s=decision.clock_s,
+                )
+                log.write(f"{logged.model_dump_json()}\n".encode())
                 note_saved_work("finished scenes are kept")
-                [trained] = was_trained_on(looks.training_scenes, [scene.hash])
-                photons = decision.photons if decision else None
-                answer = LiveScene.of(scene, logged, looks.classes, trained, photons)
-                yield LiveStep(number, decision, logged.clock_s, answer)
+                [trained] = was_trained_on(design.training_scenes, [scene.hash])
+                answer = logged.answer(scene, design.classes, trained)
+                yield replace(decision, answer=replace(answer, photons=decision.photons))
             setup.counter.stop()
 
 
-def _shortest_gate(manifest: Manifest, looks_s: np.ndarray, shortest_s: float | None) -> int:
+def _margin_ns(gate_ns: np.ndarray) -> np.ndarray:
+    """Time by which pictures outlast their gates, ns."""
+    # Share of its gate by which a picture outlasts it at least, so that clocks may differ
+    return np.maximum(MARGIN_NS, 2e-4 * gate_ns)
+
+
+def _shortest_gate(manifest: Manifest, looks_s: np.ndarray) -> int:
     """Shortest gate of a run, ns; `InputError` where the device cannot show the looks (K,)."""
     device = manifest.device
-    if device.video_us is not None:
-        raise InputError(
-            f"{device.name} shows all frames for one time, and a live run chooses theirs: export "
-            "for a device that stores frames, such as dlp7000"
-        )
     look_s = float(looks_s.min())
     look_ns = np.array(looks_s.max() * 1e9)
-    longest_us = float(look_ns + margin_ns(look_ns)) * 1e-3 + device.settle_us
+    longest_us = float(look_ns + _margin_ns(look_ns)) * 1e-3 + device.settle_us
     if longest_us > device.longest_us:
         raise InputError(
             f"a look may show one mask for {longest_us:.4g} µs, and {device.name} holds a picture "
             f"for {device.longest_us} at most: give a shorter `exposure`"
         )
     least_ns = device.shortest_us * 1000 - round(device.settle_us * 1000) - MARGIN_NS
-    shortest_ns = max(least_ns, round((shortest_s or 0.0) * 1e9), 1)
+    shortest_ns = max(least_ns, 1)
     if look_s * 1e9 < shortest_ns:
         raise InputError(
-            f"a look of {look_s:.3g} s is shorter than the shortest dwell, {shortest_ns / 1e3:g} "
-            "µs: give a longer `exposure`, or a shorter `shortest_dwell`"
+            f"a look of {look_s:.3g} s is shorter than the shortest that {device.name} shows, "
+            f"{shortest_ns / 1e3:g} µs: give a longer `exposure`"
         )
     return shortest_ns
 
 
 class _DeviceFrames:
-    """Frames of a live run, shown and counted by devices list after list, scene after scene."""
+    """Frames of a live run, shown and counted by devices list after list."""
 
     def __init__(
         self, setup: Setup[StreamingProjector], manifest: Manifest, settle_s: float
     ) -> None:
+        self.lists: list[LoggedList] = []  # of the scene
+        self.markers = 0  # of all lists so far
         self._setup = setup
         self._manifest = manifest
         self._settle_s = settle_s
         self._counted = _CountedFrames(setup.counter, manifest.inputs)
-        self._markers = 0  # of all lists so far
-
-    def begin(self, scene: int) -> None:
-        """Show a scene: lists from here on are its own."""
-        self._setup.display(scene)
-        self._scene = scene
-        self._lists: list[LoggedList] = []
-        self._first_marker = self._markers
-        self._start_s = self._setup.clock()
-
-    @property
-    def clock_s(self) -> float:
-        """Time since the scene's first command, seconds."""
-        return self._setup.clock() - self._start_s
-
-    def logged(self, decision: Decision | None) -> LoggedScene:
-        """The scene as it was shown, and its last decision; none where it had no light."""
-        return LoggedScene(
-            scene=self._scene,
-            first_marker=self._first_marker,
-            lists=tuple(self._lists),
-            chances=tuple(decision.chances.tolist()) if decision else (),
-            faults=decision.faults if decision else (),
-            light_s=decision.light_s if decision else 0.0,
-            clock_s=self.clock_s,
-        )
 
     def count(self, asked: FrameList) -> np.ndarray:
         """Counts (F, inputs) of the frames of a list, which are shown."""
@@ -241,19 +206,28 @@ class _DeviceFrames:
         gates_s = np.append(asked.gate_ns, 0) * 1e-9
         pictures_s = self._pictures_s(asked)
         markers, markers_s = projector.pictures(pictures_s)
-        offsets_s = np.full(len(frames), self._settle_s)
-        self._setup.counter.expect(FrameGates(offsets_s, gates_s, markers, markers_s))
+        gates = FrameGates(np.full(len(frames), self._settle_s), gates_s, markers, markers_s)
+        self._setup.counter.expect(gates)
         projector.show(frames, pictures_s)
         limit_s = float(pictures_s.sum()) + PATIENCE_S
         counts = self._counted.take(len(asked.frames), limit_s)
-        self._lists.append(LoggedList.of(asked, markers))
-        self._markers += int(markers.sum())
+        packed = () if asked.masks is None else np.packbits(asked.masks, axis=1)
+        self.lists.append(
+            LoggedList(
+                look=asked.look,
+                frames=tuple(asked.frames.tolist()),
+                gate_ns=tuple(asked.gate_ns.tolist()),
+                markers=tuple(markers.tolist()),
+                masks=tuple(b64encode(bits.tobytes()).decode() for bits in packed),
+            )
+        )
+        self.markers += int(markers.sum())
         return counts
 
     def _pictures_s(self, asked: FrameList) -> np.ndarray:
         """Times for which frames, and the all-OFF one after them, are held, whole µs in seconds."""
         device = self._manifest.device
-        us = (asked.gate_ns + margin_ns(asked.gate_ns)) * 1e-3 + device.settle_us
+        us = (asked.gate_ns + _margin_ns(asked.gate_ns)) * 1e-3 + device.settle_us
         if asked.look < 0:
             us = np.array([self._manifest.frames[index].picture_us for index in asked.frames])
         return np.array([device.whole_us(each) for each in (*us.tolist(), 0.0)]) * 1e-6
@@ -292,19 +266,12 @@ class _CountedFrames:
 
 def _light_text(counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> str:
     """Light of a pass, by counts (F, inputs) of its frames but the last, and their times (F,)."""
-    arm = counts[:, manifest.arm]
-    on = arm[[0, -1]].sum()
-    on_s = times[[0, -1]].sum()
-    off = arm[OFF].sum()
-    off_s = times[OFF]
-    masks = manifest.shown
-    rate = counts[masks].sum() / times[masks].sum()
+    arm = counts[:, manifest.arm].sum(axis=1)
+    (on, off), (on_s, off_s) = ((each[0] + each[-1], each[OFF]) for each in (arm, times))
     # All-ON frames are brighter than the all-OFF one by no more than chance
     dark = excess_chance(on, on_s, off, off_s) >= NO_LIGHT
-    return (
-        f"{rate:.4g} counts/s in the masks' frames, all ON {on / on_s:.4g}, all OFF "
-        f"{off / off_s:.4g}{': NO LIGHT' if dark else ''}"
-    )
+    said = f"{on / on_s:.4g} counts/s with all mirrors ON, {off / off_s:.4g} with all OFF"
+    return f"{said}{': NO LIGHT' if dark else ''}"
 
 
 def record_run(
@@ -318,14 +285,10 @@ def record_run(
     acquisition.check_fixed(folder)
     manifest = patterns.manifest
     room = manifest.picture_s - acquisition.settle_s
-    lengths = np.maximum(room - margin_ns(room * 1e9) * 1e-9, 0)
+    lengths = np.maximum(room - _margin_ns(room * 1e9) * 1e-9, 0)
     lengths[-1] = 0  # nothing ends the gate of the last frame before the next pass
-    gates = FrameGates(
-        np.full(len(lengths), acquisition.settle_s),
-        lengths,
-        np.ones(len(lengths), np.int64),
-        manifest.picture_s,
-    )
+    gates = FrameGates.of(acquisition.settle_s, lengths)
+    gates = replace(gates, pictures_s=manifest.picture_s)
     done = 0
     with ExitStack() as stack:
         stack.enter_context(setup.projector)

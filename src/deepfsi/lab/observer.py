@@ -6,124 +6,97 @@ the lamp changed give the budget, since scenes differ in brightness; all-OFF fra
 the dark counts. After the last look `LightMonitor` tests the scene's light as it does for recorded
 scenes, and the counts are compared with the training. A scene that fails has faults and no class.
 
+Each mask is chosen by the posterior of the counts so far, and loaded before its look. A device
+holds the masks of a dictionary from the start.
+
 Counts are corrected for dead time frame by frame. An all-ON frame beyond the rate up to which the
 correction is sure ends the run; a short gate beyond it, by chance, is corrected as at that rate.
 """
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import torch
 
-from deepfsi.base.errors import InputError
-from deepfsi.camera.light import TOO_DIM
+from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.base.arrays import LARGEST_TENSORS
+from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.files import read_regular
 from deepfsi.counting.acquisition import Acquisition
 from deepfsi.counting.checks import SPOILING, Fault, LightMonitor
 from deepfsi.counting.counts import Corrections
 from deepfsi.counting.flux import Arrivals
+from deepfsi.design.design import Design
 from deepfsi.designfile.distribution import REFUSED, UNSURE
-from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
-from deepfsi.lab.results import FrameList
-from deepfsi.patterns.manifest import Manifest
-
-if TYPE_CHECKING:  # it imports torch
-    from deepfsi.lab.adaptive_looks import AdaptiveLooks
-
-
-MARGIN_NS = 2000
-"""Time by which a picture outlasts its gate at least, so that markers may be off, ns."""
-
-
-def margin_ns(gate_ns: np.ndarray) -> np.ndarray:
-    """Time by which pictures outlast their gates, ns."""
-    # Share of its gate by which a picture outlasts it at least, so that clocks may differ
-    return np.maximum(MARGIN_NS, 2e-4 * gate_ns)
-
-
-ON = 0
-"""Place of the all-ON frame among the frames of a manifest."""
-
-OFF = 1
-"""Place of the all-OFF frame there."""
+from deepfsi.designfile.view_test import SceneReadouts, ViewTest
+from deepfsi.lab.results import MARGIN_NS, OFF, Decision, FrameList, find_dim
+from deepfsi.patterns.manifest import Brightness, LookPlan, Manifest
+from deepfsi.patterns.rails import DesignRails
+from deepfsi.physics.surroundings import library_defaults
 
 SCENE_ENDS = -1
 """Number, in place of a look's, of the lists of frames that begin and end each scene."""
 
 
-@dataclass(frozen=True)
-class Decision:
-    """Answer after a look at a scene."""
-
-    scene: int  # from 0
-    look: int
-    chances: np.ndarray  # (C,): Probabilities of the classes
-    photons: float  # budget of a whole exposure, in counts
-    light_s: float  # exposure so far, seconds
-    final: bool  # true if no look follows
-    faults: tuple[Fault, ...] = ()  # of the scene, after its last look
-    view: ViewResult | None = None  # of all scenes so far, likewise; none where it is not tested
-
-
 class SceneObserver:
-    """Decisions on scene after scene of a live run, in which a design's patterns are shown."""
+    """Decisions on scene after scene of a live run with a design of adaptive masks."""
 
-    def __init__(
-        self, looks: "AdaptiveLooks", manifest: Manifest, acquisition: Acquisition
-    ) -> None:
+    def __init__(self, design: Design, manifest: Manifest, acquisition: Acquisition) -> None:
         assert acquisition.live is not None
-        self.looks = looks
+        self._design = design
+        self._made = design.prior_exposure
         self._manifest = manifest
+        plan = manifest.looks
+        self._stored = self._made.dictionary if plan and plan.dictionary else None
+        self._tabled: LookOptics | None = None
         self._settings = acquisition.live
         self._exposure_ns = round(acquisition.exposure_s * 1e9)
-        self._light = LightMonitor(manifest, acquisition.inputs, len(acquisition.scenes))
-        self._checks = _SceneChecks(looks.photons, acquisition)
-        model = looks.scene_model
+        self._scenes = len(acquisition.scenes)
+        self._light = LightMonitor(manifest, acquisition.inputs, self._scenes)
+        # Scenes up to the present one among which the unsure ones are counted
+        self._unsure: deque[bool] = deque(maxlen=20)
+        model = self._made.prior.model
         self._view = ViewTest(model, manifest.image_shape) if model else None
         self._ends = _scene_ends(manifest, acquisition.settle_s)
 
     def observe(self, scene: int, count: Callable[[FrameList], np.ndarray]) -> Iterator[Decision]:
-        """Decisions after each look at the next scene, the last with its faults; none in the dark.
+        """Decisions after each look at the next scene, the last with its faults.
 
-        `count` shows a list of frames and counts them.
+        `count` shows a list of frames and counts them. A run begins with scene 0.
         """
         begin = self._arrivals(count, self._ends)
         lit, changes = self._light.begin(begin)
         if not lit:
+            detail = "no light: the all-ON frame is not brighter than the all-OFF ones"
+            dark = Fault(kind="dark", scene=scene, detail=detail)
+            yield Decision(scene, -1, np.zeros(0), None, 0.0, final=True, faults=(dark,))
             return
-        measured = self._light.flux * self._exposure_ns * 1e-9
-        photons = float(self._settings.photons or measured)
-        exposure = self.looks.expose(scene, photons, self._exposure_ns, self._light.dark)
+        photons = float(self._light.flux * self._exposure_ns * 1e-9)
+        self._begin(scene, photons)
         asked: list[FrameList] = []
         arrivals: list[Arrivals] = []
         light_ns = 0
-        last = len(self.looks.shares) - 1
+        last = self._made.settings.looks - 1
         rule = self._settings.rule
         for look in range(last + 1):
-            asked.append(exposure.ask(look))
+            asked.append(self._ask(look))
             arrivals.append(self._arrivals(count, asked[-1]))
-            chances = exposure.take(asked[-1], arrivals[-1])
+            chances = self._take(asked[-1], arrivals[-1])
             light_ns += int(asked[-1].gate_ns.sum())
-            decision = Decision(
-                scene=scene,
-                look=look,
-                chances=chances,
-                photons=photons,
-                light_s=light_ns * 1e-9,
-                final=False,
-            )
-            confidence = float(chances.max())
-            sure = rule is not None and confidence > rule.threshold
+            decision = Decision(scene, look, chances, photons, light_ns * 1e-9, final=False)
+            sure = rule is not None and float(chances.max()) > rule.threshold
             if sure or look == last:
                 break
             yield decision
         end = self._arrivals(count, self._ends)
         faults = self._light.end([begin, *arrivals, end])
-        doubts = [
-            *self._checks.check_budget(scene, measured, self._light),
-            *self._checks.check_counts(scene, exposure.compare(), self._on_rate([begin, end])),
-        ]
+        trained = self._design.info["job"].get("photons")
+        dim = find_dim(trained, np.array([photons]), first=scene)
+        doubts = [*dim, *self._check_counts(scene)]
         view = None
         # With other faults the counts tell nothing of how the camera sees scenes
         kinds = {fault.kind for fault in (*faults, *doubts)} - {"unsure", "unlike"}
@@ -133,6 +106,48 @@ class SceneObserver:
         if view is not None and view.refused:
             faults += (Fault(kind="view", scene=scene, detail=view.refusal),)
         yield replace(decision, final=True, faults=(*changes, *faults, *doubts), view=view)
+
+    def _begin(self, scene: int, photons: float) -> None:
+        """Begin an exposure at a budget."""
+        dark = torch.from_numpy(self._light.dark.clip(min=0) * self._exposure_ns * 1e-9)
+        self._optics = replace(self._made.optics_at(photons), dark=dark.float())
+        # Tables of a dictionary take a hundred times as long as all looks at a scene, and the light
+        # that is measured changes a little with each scene: they stay while it is nearly alike
+        last = self._tabled
+        if self._stored is None or scene == 0 or not last or not _alike(last, self._optics):
+            self._tabled = last = self._optics
+        self._posterior = self._made.posterior(1, last)
+        self._generator = torch.Generator().manual_seed(scene)
+        self._misfit = 0.0
+        self._masks: list[torch.Tensor] = []  # of the looks so far
+        self._counts: list[torch.Tensor] = []
+        self._logs: list[torch.Tensor] = []  # of the scenes, before each look
+
+    @library_defaults(grad=False)
+    def _ask(self, look: int) -> FrameList:
+        """Frame of the mask that tells most of the class, as far as it is known."""
+        share = self._made.settings.shares[look]
+        mask = self._posterior.next_masks(share, self._generator)
+        self._masks.append(mask)
+        gate = np.array([round(share * self._exposure_ns)])
+        frames = self._manifest.shown
+        if self._stored is not None:
+            return FrameList(look, frames[self._stored.indices(mask)], gate)
+        return FrameList(look, frames, gate, mask.bool().numpy())
+
+    @library_defaults(grad=False)
+    def _take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
+        """Probabilities (C,) of the classes, from the photons of a look and those before."""
+        counts = torch.from_numpy(arrivals.photons).float()
+        mask = self._masks[-1]
+        share = float(asked.gate_ns[0]) / self._exposure_ns
+        if self._stored is not None:
+            self._logs.append(self._posterior.logs.clone())
+        elif self._made.usual_misfit is not None:
+            self._misfit += float(self._posterior.misfit(mask, counts, share))
+        self._counts.append(counts)
+        self._posterior.update(mask, counts, share)
+        return self._posterior.chances[0].double().numpy()
 
     def _arrivals(self, count: Callable[[FrameList], np.ndarray], asked: FrameList) -> Arrivals:
         """Photons that arrived in the gates of a list, of those that were counted."""
@@ -146,13 +161,6 @@ class SceneObserver:
         factors = corrections.factors(rates)
         return Arrivals(frames, counts * factors.arrivals, counts * factors.variance, gate_s)
 
-    def _on_rate(self, ends: list[Arrivals]) -> float:
-        """Counts/s of a scene's all-ON frames, less dark counts."""
-        arm = self._manifest.arm
-        counts = sum(float(end.photons[ON, arm].sum()) for end in ends)
-        seconds = sum(float(end.seconds[ON]) for end in ends)
-        return (counts - float(self._light.dark[arm].sum()) * seconds) / seconds
-
     def _readouts(
         self, photons: float, asked: list[FrameList], arrivals: list[Arrivals]
     ) -> SceneReadouts:
@@ -160,7 +168,7 @@ class SceneObserver:
         manifest = self._manifest
         cells = manifest.detectors and manifest.detectors.cells
         of_detector = np.equal.outer(np.arange(manifest.detector_count), np.array(cells or 0))
-        lit = np.concatenate([self.looks.lit(look) for look in asked])
+        lit = torch.cat(self._masks).double().numpy()
         gate_ns = np.concatenate([look.gate_ns for look in asked])
         arms = np.stack([lit, 1 - lit][: manifest.arms], axis=1)
         masks = (arms[:, :, None] * of_detector).reshape(len(lit), manifest.inputs, -1)
@@ -175,87 +183,96 @@ class SceneObserver:
             inputs=np.tile(np.arange(manifest.inputs), len(lit)),
         )
 
-
-def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:
-    """All-ON and all-OFF frame that begin and end a scene, counted while they last."""
-    rest_ns = round((settle_s + manifest.usual_tolerance_s) * 1e9) + MARGIN_NS
-    pictures_us = [manifest.frames[index].picture_us for index in (ON, OFF)]
-    gates = np.array([us * 1000 - rest_ns for us in pictures_us])
-    if gates.min() < 1:
-        raise InputError(
-            f"all-ON and all-OFF frames of {manifest.frames[ON].picture_us} µs are too short "
-            "to be counted: export with a longer --exposure"
-        )
-    return FrameList(SCENE_ENDS, np.array([ON, OFF]), gates)
-
-
-class _SceneChecks:
-    """Checks of scene after scene: its budget, and its counts beside the training's."""
-
-    def __init__(self, trained: float | None, acquisition: Acquisition) -> None:
-        assert acquisition.live is not None
-        self._trained = trained
-        self._exposure_s = acquisition.exposure_s
-        self._live = acquisition.live
-        self._scenes = len(acquisition.scenes)
-        # Scenes up to the present one among which the unsure ones are counted
-        self._unsure: deque[bool] = deque(maxlen=20)
-
-    def check_budget(self, scene: int, measured: float, monitor: LightMonitor) -> list[Fault]:
-        """Fault of a budget that is not the stated one, or too small for the design."""
-        stated = self._live.photons
-        trained = self._trained
-        if stated is not None and monitor.contradicts(stated / self._exposure_s):
-            since = monitor.since
-            some = f"scenes {since} to {scene}" if since < scene else "this scene"
-            detail: str = (
-                f"`photons` says {stated:.4g} counts an exposure, and the all-ON frames of {some} "
-                f"{measured:.4g}, further off than scenes differ: leave it out, or give that number"
-            )
-        elif trained is not None and measured * TOO_DIM < trained:
-            detail = (
-                f"all-ON frames give {measured:.4g} counts an exposure, and the design was "
-                f"trained at {trained:.4g}: too little light for it; expose for longer"
-            )
-        else:
-            return []
-        return [Fault(kind="budget", scene=scene, detail=detail)]
-
-    def check_counts(
-        self, scene: int, comparison: tuple[float, str] | None, on_rate: float
-    ) -> list[Fault]:
-        """Faults of counts that do not look like the training's, by a chance and a text."""
-        if comparison is None:
-            return []
+    @library_defaults(grad=False)
+    def _check_counts(self, scene: int) -> list[Fault]:
+        """Faults of counts that do not look like the training's."""
         from scipy.special import bdtrc
 
-        chance, words = comparison
-        hint = self._saturation(on_rate)
+        usual = self._made.usual_misfit
+        if usual is None:
+            return []
+        looks = len(self._masks)
+        misfit = self._misfit
+        if self._stored is not None:
+            # Of all looks together, as the misfit takes longer than a decision by tables
+            before = AdaptivePosterior(self._made.prior, looks, self._optics)
+            before.logs = torch.cat(self._logs)
+            share = self._made.settings.shares[0]
+            counts = torch.cat(self._counts)
+            misfit = float(before.misfit(torch.cat(self._masks), counts, share).sum())
+        chance = usual.chance(misfit, looks - 1, self._optics.photons)
         self._unsure.append(chance < UNSURE)
-        faults = []
+        unsure = sum(self._unsure)
         looked_at = len(self._unsure)
+        faults = []
         if chance < UNSURE:
             detail = (
                 f"its counts do not look like what this design was trained for (p = "
-                f"{chance:.1g}; {words}){hint}"
+                f"{chance:.1g}; a misfit of {misfit:.3g} in {looks} looks)"
             )
             faults.append(Fault(kind="unsure", scene=scene, detail=detail))
-        unsure = sum(self._unsure)
         if bdtrc(unsure - 1, looked_at, 2 * UNSURE) * self._scenes < REFUSED:
             detail = (
                 f"{unsure} of the last {looked_at} scenes do not look like those of the training: "
-                "look at the light, the design, the scenes and their scale, `photons` and "
-                f"`dead_time`{hint}"
+                "look at the light, the design, the scenes and their scale, and `dead_time`"
             )
             faults.append(Fault(kind="unlike", scene=scene, detail=detail))
         return faults
 
-    def _saturation(self, rate: float) -> str:
-        """Words on a counter that loses photons to a dead time that was not told, at counts/s."""
-        blind = 3e-8 * rate  # as many counters with their detectors are
-        if self._live.dead_time.seconds or blind < 0.05:
-            return ""
-        return (
-            f"; at {rate:.3g} counts/s a counter with a dead time of 30 ns is blind {blind:.0%} of "
-            "the time: give `dead_time`, or dim the light"
+
+def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:
+    """All-ON and all-OFF frame that begin and end a scene, counted while they last."""
+    rest_ns = round((settle_s + manifest.usual_tolerance_s) * 1e9) + MARGIN_NS
+    ends = np.array([0, OFF])
+    gates = np.array([manifest.frames[index].picture_us * 1000 - rest_ns for index in ends])
+    if gates.min() < 1:
+        raise InputError(
+            f"all-ON and all-OFF frames of {manifest.frames[0].picture_us} µs are too short "
+            "to be counted: export with a longer --exposure"
         )
+    return FrameList(SCENE_ENDS, ends, gates)
+
+
+def _alike(one: LookOptics, other: LookOptics) -> bool:
+    """True if budgets, and the dark counts beside them, differ by less than is known of them."""
+    # All-ON frames tell a budget no better than 2 %: they differ with the brightness of scenes
+    most = 0.02 * one.photons
+    close = abs(other.photons - one.photons) <= most
+    return close and abs(other.dark_sum - one.dark_sum) <= 0.02 * (most + one.dark_sum)
+
+
+@library_defaults(grad=False)
+def adaptive_rails(path: str | os.PathLike[str]) -> DesignRails:
+    """Rails of the first look's mask at the training's budget, or of a whole dictionary.
+
+    Masks of a dictionary divide the time of an exposure into equal parts.
+    """
+    design = Design.load(path)
+    exposure = design.prior_exposure
+    camera = exposure.camera
+    share = exposure.settings.shares[0]
+    optics = exposure.optics_at(float(design.info["job"]["photons"]))
+    stored = exposure.dictionary
+    if stored is not None:
+        rails = stored.masks.double()[None] / len(stored)
+    else:
+        state = exposure.posterior(1, optics)
+        mask = state.next_masks(share, torch.Generator().manual_seed(0))
+        rails = (torch.stack([mask, 1 - mask]) if optics.arms == 2 else mask[None]) * share
+    detectors = camera.detector_map(design.image_shape)
+    with as_input_error(str(path)):
+        brightness = Brightness.of(design.info)
+    return DesignRails(
+        rails=rails.numpy(),
+        light=camera.light,
+        image_shape=design.image_shape,
+        summed_reflectance=design.summed_reflectance,
+        file=read_regular(Path(path), LARGEST_TENSORS, "give a design"),
+        brightness=brightness,
+        detectors=detectors if detectors.count > 1 else None,
+        looks=LookPlan(
+            count=design.masks,
+            first=(share,) * rails.shape[1],
+            dictionary=stored is not None,
+        ),
+    )

@@ -1,9 +1,6 @@
 """Classes of new pictures in a simulated exposure."""
 
-import csv
-import io
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,77 +9,45 @@ import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.quantities import Table, budget_text
-from deepfsi.camera.camera import Camera, CameraSource
+from deepfsi.base.quantities import budget_text
+from deepfsi.camera.camera import CameraSource
 from deepfsi.camera.light import check_budget
-from deepfsi.designfile.provenance import Score, scene_hashes, was_trained_on
-from deepfsi.lab.classify import dim_scenes
+from deepfsi.designfile.provenance import scene_hashes, was_trained_on
 from deepfsi.lab.design_data import design_scenes
-from deepfsi.lab.results import Classified
+from deepfsi.lab.results import ClassifiedRun, ClassifiedScene, find_dim
 
 if TYPE_CHECKING:  # it imports torch, which those who predict nothing do without
     from deepfsi.design.design import Design
 
 
 @dataclass(frozen=True, kw_only=True)
-class Predicted(Classified):
-    """Class of a picture."""
-
-    NAME_KEY = "picture"
-
-    confidence: float  # probability of that class
-
-
-@dataclass(frozen=True)
-class Predictions:
+class Predictions(ClassifiedRun):
     """Classes of pictures, each from one exposure that was simulated."""
 
     photons: float
     noise: str
     preprocessing: str  # what was done to the pictures, in words
-    remarks: tuple[str, ...]  # on the budget, where it is too little for the design
-    classes: tuple[str, ...]  # those that the design tells apart
-    pictures: tuple[Predicted, ...]
-
-    @property
-    def score(self) -> Score:
-        """Right answers to pictures whose label is a class of the design."""
-        return Score.of(
-            (picture.trained_on, picture.predicted == picture.label, 1)
-            for picture in self.pictures
-            if picture.label in self.classes
-        )
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        pictures = [picture.as_dict() for picture in self.pictures]
-        return vars(self) | {"score": self.score.as_dict(), "pictures": pictures}
-
-    def lines(self, design: str) -> Iterator[str | Table]:
-        """Lines on the class of each picture, after a text on the design."""
-        yield f"pictures: {self.preprocessing}."
-        yield Table(
-            f"{design}, {budget_text(self.photons)} photons, {self.noise} noise",
-            ("picture", "class", "confidence", "labelled"),
-            [
-                (each.name, str(each.predicted), f"{each.confidence:.3f}", each.label or "")
-                for each in self.pictures
+        return {
+            "photons": self.photons,
+            "noise": self.noise,
+            "preprocessing": self.preprocessing,
+            "remarks": self.remarks,
+            "classes": self.classes,
+            "score": self.score.as_dict(),
+            "pictures": [
+                {
+                    "picture": each.name,
+                    "class": each.predicted,
+                    "confidence": each.probability,
+                    "label": each.label,
+                    "trained_on": each.trained_on,
+                }
+                for each in self.scenes
             ],
-        )
-        labelled = sum(each.label is not None for each in self.pictures)
-        if foreign := labelled - self.score.answers:
-            yield f"{foreign} pictures have labels that are none of the design's classes: left out"
-        for remark in self.remarks:
-            yield f"note: {remark}"
-        yield from self.score.lines("picture")
-
-    def as_csv(self) -> str:
-        """Table with a line for each picture."""
-        text = io.StringIO()
-        table = csv.DictWriter(text, ("picture", "class", "confidence", "label", "trained_on"))
-        table.writeheader()
-        table.writerows(picture.as_dict() for picture in self.pictures)
-        return text.getvalue()
+        }
 
 
 def predict(
@@ -118,6 +83,7 @@ def predict(
     Returns
     -------
     Predictions
+        `scenes`, one for each picture, with its `predicted` class and the `probability` of it.
 
     Raises
     ------
@@ -134,7 +100,7 @@ def predict(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     written = write_display(deepfsi.load_dataset("digits"), folder, per_class=1)
     ...     found = deepfsi.predict(design, folder, photons=1e4)
-    >>> found.pictures[3].label, len(found.pictures)
+    >>> found.scenes[3].label, len(found.scenes)
     ('3', 10)
     """
     import torch
@@ -156,7 +122,12 @@ def predict(
     check_draws(1, seed)
     with library_defaults(grad=False):
         tested = camera_for(design, camera=camera, **settings)
-        budget = check_budget(_budget(design, tested) if photons is None else photons)
+        if photons is None:
+            if design.trained_budgets is None:
+                raise InputError("this design does not say its training's light: give `photons`")
+            low, high = design.trained_budgets
+            photons = tested.budget if tested.budget and low <= tested.budget <= high else low
+        budget = check_budget(photons)
         shown = design_scenes(design.info, design.image_shape, source)
         generator = torch.Generator(design.exposure.device).manual_seed(seed)
         scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
@@ -165,32 +136,26 @@ def predict(
             answer, _ = design.exposures(some, tested)(budget, generator)
             chances.append(answer.chances.cpu())
         confidence, best = torch.cat(chances).max(dim=-1)
-        remarks = [fault.detail for fault in dim_scenes(design, np.array([budget]))]
+        dim = find_dim(design.info.get("job", {}).get("photons"), np.array([budget]))
     labels = shown.labels or [None] * len(shown.names)
     trained = was_trained_on(design.training_scenes, scene_hashes(shown.x, design.image_shape))
+    size = f"{design.name}, {design.exposure.title}"
     return Predictions(
+        title=f"{size}, {budget_text(budget)} photons, {tested.noise_name} noise",
+        noun="picture",
         photons=budget,
         noise=tested.noise_name,
         preprocessing=shown.preprocessing,
-        remarks=tuple(remarks),
+        remarks=tuple(fault.detail for fault in dim),
         classes=design.classes,
-        pictures=tuple(
-            Predicted(
+        scenes=tuple(
+            ClassifiedScene(
                 name=name,
                 label=labels[index],
                 predicted=design.classes[best[index]],
-                confidence=float(confidence[index]),
+                probability=float(confidence[index]),
                 trained_on=trained[index],
             )
             for index, name in enumerate(shown.names)
         ),
     )
-
-
-def _budget(design: "Design", camera: Camera) -> float:
-    """Budget of the camera's exposure if the training had it, else the lowest of the training."""
-    trained = design.trained_budgets
-    if trained is None:
-        raise InputError("this design does not say what light it was trained for: give `photons`")
-    low, high = trained
-    return camera.budget if camera.budget and low <= camera.budget <= high else low

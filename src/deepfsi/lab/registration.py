@@ -39,11 +39,8 @@ TARGET = np.array(
 )
 """The target: white blocks on black, unlike itself in all other orientations."""
 
-WELL_SCALE = 0.05  # share of 1
-WELL_SHIFT = 0.02  # share of the region's side
-WELL_ROTATION = 3.0  # degrees
-WELL_BLUR = 0.5  # cells
-"""Departures that are well.
+WELL = {"scale": 0.05, "shift": 0.02, "rotation": 3.0}
+"""Departures that are well: share of 1, share of the region's side, degrees.
 
 On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each costs 1 to 4 points of
 accuracy, and twice as much 3 to 15.
@@ -89,7 +86,7 @@ class ReferenceFit:
                 "no place of the reference explains these counts: show it alone, on black, and "
                 "give the patterns that were shown"
             )
-        limits = WELL_SCALE, WELL_SHIFT, WELL_SHIFT, WELL_ROTATION
+        limits = WELL["scale"], WELL["shift"], WELL["shift"], WELL["rotation"]
         more = max(error / most for error, most in zip(self.errors, limits, strict=True)) ** 2
         # Difference of the squared misfits by which one orientation must fit better than all others
         more = max(more, 25.0 / max(self.clear, 1e-3))
@@ -105,6 +102,7 @@ class ReferenceFit:
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         layouts = {"exported": self.exported, "found": self.layout}
+        numbers = ("scale", "shift", "rotation", "blur", "blur_error", "errors")
         return {
             "fits": self.fits,
             "doubt": self.doubt,
@@ -112,12 +110,7 @@ class ReferenceFit:
                 name: {"flip": layout.flip, "rotate": layout.rotate}
                 for name, layout in layouts.items()
             },
-            "scale": self.scale,
-            "shift": list(self.shift),
-            "rotation": self.rotation,
-            "blur": self.blur,
-            "blur_error": self.blur_error,
-            "errors": list(self.errors),
+            **{name: getattr(self, name) for name in numbers},
         }
 
     def lines(self) -> Iterator[str]:
@@ -139,54 +132,39 @@ class ReferenceFit:
             given += [f"--rotate {self.layout.rotate}"] * bool(self.layout.rotate)
             again = " ".join(given) or "neither --flip nor --rotate"
             words = f"not that of the masks: export again with {again}"
-        off = max(abs(each) for each in self.shift)
+        down_across = (
+            f"{self.shift[0]:+.1%} ± {down:.1%} down, {self.shift[1]:+.1%} ± {across:.1%} across, "
+            "of the region"
+        )
+        rotation = f"{self.rotation:+.1f} ± {turn:.1f} degrees clockwise"
+        blur = f"{self.blur:.2f} ± {self.blur_error:.2f} cells (standard deviation)"
         return [
             ("orientation", words, turned),
-            ("scale", f"{self.scale:.3f} ± {scale:.3f}", abs(self.scale - 1) > WELL_SCALE),
-            (
-                "shift",
-                f"{self.shift[0]:+.1%} ± {down:.1%} down, {self.shift[1]:+.1%} ± {across:.1%} "
-                "across, of the region",
-                off > WELL_SHIFT,
-            ),
-            (
-                "rotation",
-                f"{self.rotation:+.1f} ± {turn:.1f} degrees clockwise",
-                abs(self.rotation) > WELL_ROTATION,
-            ),
-            (
-                "blur",
-                f"{self.blur:.2f} ± {self.blur_error:.2f} cells (standard deviation)",
-                # It is known less than the place
-                self.blur - 2.0 * self.blur_error > WELL_BLUR,
-            ),
+            ("scale", f"{self.scale:.3f} ± {scale:.3f}", abs(self.scale - 1) > WELL["scale"]),
+            ("shift", down_across, max(map(abs, self.shift)) > WELL["shift"]),
+            ("rotation", rotation, abs(self.rotation) > WELL["rotation"]),
+            # Blur is known less than the place; half a cell is well
+            ("blur", blur, self.blur - 2.0 * self.blur_error > 0.5),
         ]
 
 
-class _Model:
-    """Light of the target on the cells of a mask."""
-
-    def __init__(self, manifest: Manifest) -> None:
-        self.grid = manifest.grid
-        self.exported = manifest.layout
-        self.scene = DisplayedScenes(TARGET[None], self.grid)
-        self.wide = self.grid.across * self.grid.aspect / self.grid.down
-
-    def image(self, layout: DmdLayout, place: np.ndarray) -> np.ndarray:
-        """Light of a mask's pixels (N,) from scale, rotation, shifts and blur of the target."""
-        scale, turn, down, across, blur = place
-        sides = [self.wide, 1.0]
-        if self.exported.rotate in (90, 270):
-            sides.reverse()
-        rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-        linear = scale * rotation @ np.array(layout.orientation) * sides
-        linear = linear / np.array([[self.wide], [1.0]])
-        start = 0.5 + np.array([across, down]) - linear.sum(axis=1) / 2
-        view = np.array([*linear[0], start[0], *linear[1], start[1], 0.0, 0.0, abs(blur)])
-        seen = self.scene.images(view)[0]
-        out = np.empty(seen.size)
-        out[self.grid.pixels] = seen
-        return out
+def _image(
+    scene: DisplayedScenes, exported: DmdLayout, layout: DmdLayout, place: np.ndarray
+) -> np.ndarray:
+    """Light of a mask's pixels (N,) from scale, rotation, shifts and blur of a displayed scene."""
+    scale, turn, down, across, blur = place
+    grid = scene.grid
+    wide = grid.across * grid.aspect / grid.down
+    sides = [1.0, wide] if exported.rotate in (90, 270) else [wide, 1.0]
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    linear = scale * rotation @ np.array(layout.orientation) * sides
+    linear = linear / np.array([[wide], [1.0]])
+    start = 0.5 + np.array([across, down]) - linear.sum(axis=1) / 2
+    view = np.array([*linear[0], start[0], *linear[1], start[1], 0.0, 0.0, abs(blur)])
+    seen = scene.images(view)[0]
+    out = np.empty(seen.size)
+    out[grid.pixels] = seen
+    return out
 
 
 @np.errstate(under="ignore")
@@ -227,28 +205,28 @@ def _fit_place(
 
     # Error of a readout beside its noise, of the largest: mirrors, edges and print are not exact
     noise = np.sqrt(np.maximum(variance, 1) + (0.003 * counts.max()) ** 2)
-    model = _Model(manifest)
+    scene = DisplayedScenes(TARGET[None], manifest.grid)
+    exported = manifest.layout
+    shifts = (-0.2, 0.0, 0.2)
+    starts = [
+        np.array([scale, 0.0, down, across, 0.3])
+        for scale, down, across in product((0.5, 0.7, 1.0, 1.4), shifts, shifts)
+    ]
     fits = []
-    orientations = model.exported.orientations()
+    orientations = exported.orientations()
     for done, layout in enumerate(orientations):
         report(done / len(orientations))
-        shifts = (-0.2, 0.0, 0.2)
-        starts = [
-            np.array([scale, 0.0, down, across, 0.3])
-            for scale, down, across in product((0.5, 0.7, 1.0, 1.4), shifts, shifts)
-        ]
 
         def misfit(place: np.ndarray, layout: DmdLayout = layout) -> np.ndarray:
             # Left of the counts over their noise by the target's light, and light spread evenly
-            image = model.image(layout, place)
+            image = _image(scene, exported, layout, place)
             light = masks @ np.stack([image, np.ones_like(image)], axis=1) / noise[:, None]
             size = np.maximum(np.linalg.norm(light, axis=0), 1e-300)
             parts, _ = optimize.nnls(light / size, counts / noise)
             return np.asarray(counts / noise - (light / size) @ parts)
 
-        starts.sort(key=lambda place: float((misfit(place) ** 2).sum()))
-        # Starts of each orientation that are followed
-        for start in starts[:2]:
+        # The two best starts of each orientation are followed
+        for start in sorted(starts, key=lambda place: float((misfit(place) ** 2).sum()))[:2]:
             limits = [0.2, -0.8, -0.6, -0.6, 0.0], [4.0, 0.8, 0.6, 0.6, 2.0]
             step = optimize.least_squares(
                 misfit,
@@ -266,7 +244,7 @@ def _fit_place(
     others = [fit[0] for fit in fits if fit[1] != layout]
     scale, turn, down, across, blur = best.x.tolist()
     return ReferenceFit(
-        exported=model.exported,
+        exported=exported,
         layout=layout,
         scale=scale,
         shift=(down, across),

@@ -1,14 +1,13 @@
-"""Answers of recorded and of live runs, and the record of a live run.
+"""Classes of scenes and of pictures, and the record of a live run.
 
 `shown.jsonl` has a line for each scene that is finished. It is written when the scene is decided,
 so that a run that is stopped at any moment keeps all scenes before.
 """
 
-from base64 import b64encode
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -16,7 +15,8 @@ from pydantic import Field, ValidationError
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import read_regular
 from deepfsi.base.models import StrictModel, WholeNumber
-from deepfsi.base.quantities import Table, plural
+from deepfsi.base.quantities import Table, plural, time_text
+from deepfsi.camera.light import TOO_DIM
 from deepfsi.counting.acquisition import Scene
 from deepfsi.counting.checks import SPOILING, Fault
 from deepfsi.designfile.distribution import ConsistencyResult
@@ -27,6 +27,13 @@ LOG = "shown.jsonl"
 """File of the finished scenes of a live run."""
 
 
+MARGIN_NS = 2000
+"""Time by which a picture outlasts its gate at least, so that markers may be off, ns."""
+
+OFF = 1
+"""Place of the all-OFF frame among the frames of a manifest, after the all-ON one."""
+
+
 @dataclass(frozen=True)
 class FrameList:
     """Frames that are shown one after another, and counted."""
@@ -34,7 +41,23 @@ class FrameList:
     look: int  # from 0
     frames: np.ndarray  # places among the frames of the manifest
     gate_ns: np.ndarray  # for how long each is counted
-    masks: np.ndarray | None = None
+    masks: np.ndarray | None = None  # of frames that are loaded before
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Answer after a look at a scene."""
+
+    scene: int  # from 0
+    look: int  # from 0; -1 where the scene has no light
+    chances: np.ndarray  # (C,): probabilities of the classes; none without light
+    photons: float | None  # budget of a whole exposure, in counts
+    light_s: float  # exposure so far, seconds
+    final: bool  # true if no look follows
+    faults: tuple[Fault, ...] = ()  # of the scene, after its last look
+    view: ViewResult | None = None  # of all scenes so far, likewise; none where it is not tested
+    clock_s: float = 0.0  # after the scene's first command, seconds
+    answer: "ClassifiedScene | None" = None  # class of the scene, after its last look
 
 
 class LoggedList(StrictModel):
@@ -48,18 +71,6 @@ class LoggedList(StrictModel):
     markers: tuple[int, ...]
     masks: tuple[str, ...] = ()  # Pixels ON of frames that were made for this list, base64 of bits
 
-    @classmethod
-    def of(cls, asked: FrameList, markers: np.ndarray) -> Self:
-        """A list that was shown, with the markers (F + 1,) of its frames and of the last one."""
-        packed = () if asked.masks is None else np.packbits(asked.masks, axis=1)
-        return cls(
-            look=asked.look,
-            frames=tuple(asked.frames.tolist()),
-            gate_ns=tuple(asked.gate_ns.tolist()),
-            markers=tuple(markers.tolist()),
-            masks=tuple(b64encode(bits.tobytes()).decode() for bits in packed),
-        )
-
 
 class LoggedScene(StrictModel):
     """A scene as it was shown, and what was decided."""
@@ -72,10 +83,23 @@ class LoggedScene(StrictModel):
     light_s: float = Field(ge=0)  # Exposure used, seconds
     clock_s: float = Field(ge=0)  # From the scene's first command to its decision, seconds
 
-    @property
-    def line(self) -> bytes:
-        """Its line in the record."""
-        return f"{self.model_dump_json()}\n".encode()
+    def answer(
+        self, scene: Scene, classes: tuple[str, ...], trained_on: bool | None
+    ) -> "ClassifiedScene":
+        """Class of the scene; it has none if a fault spoils its counts."""
+        spoilt = any(fault.kind in SPOILING for fault in self.faults)
+        chances = () if spoilt else self.chances
+        return ClassifiedScene(
+            name=scene.name,
+            label=scene.label,
+            predicted=classes[int(np.argmax(chances))] if chances else None,
+            probability=max(chances, default=None),
+            trained_on=trained_on,
+            faults=self.faults,
+            looks=sum(shown.look >= 0 for shown in self.lists),
+            light_s=self.light_s,
+            clock_s=self.clock_s,
+        )
 
 
 def read_log(folder: Path) -> tuple[LoggedScene, ...]:
@@ -96,239 +120,121 @@ def read_log(folder: Path) -> tuple[LoggedScene, ...]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Classified:
-    """Class of a scene or a picture."""
-
-    NAME_KEY = "scene"  # of JSON
+class ClassifiedScene:
+    """Class of a scene, or of a picture."""
 
     name: str
     label: str | None = None  # class that it is known to be of
     predicted: str | None = None
+    probability: float | None = None
     trained_on: bool | None = None  # True if the design was; None where its file does not say
+    faults: tuple[Fault, ...] = ()  # of the scene, and of the whole recording
+    photons: float | None = None  # budget of an exposure
+    # Of a recording
+    guesses: tuple[str, ...] | None = None  # class of each exposure
+    consistency: float | None = None  # p-value of its counts
+    unsure: bool | None = None  # True if they do not look like those of the training
+    # Of a live run
+    looks: int | None = None
+    light_s: float | None = None  # exposure that was used, seconds
+    clock_s: float | None = None  # from the first command to the class, seconds
+
+    @property
+    def answers(self) -> tuple[str, ...]:
+        """Class of each exposure, or the one that was decided on."""
+        if self.guesses is not None:
+            return self.guesses
+        return () if self.predicted is None else (self.predicted,)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        keys = {"name": self.NAME_KEY, "predicted": "class"}
-        content = {keys.get(name, name): value for name, value in vars(self).items()}
-        if "faults" in content:
-            content["faults"] = [str(fault) for fault in content["faults"]]
-        return content
+        content = dict(vars(self), faults=[str(fault) for fault in self.faults])
+        content = {"scene": content.pop("name"), "class": content.pop("predicted"), **content}
+        always = ("class", "label", "probability", "trained_on")
+        return {key: value for key, value in content.items() if value is not None or key in always}
+
+    def cells(self) -> dict[str, str]:
+        """Cells of a table by their heads."""
+        several = len(self.answers) > 1
+        agreeing = f"{self.answers.count(str(self.predicted))} of {len(self.answers)}"
+        kinds = sorted({fault.kind for fault in self.faults})
+        return {
+            "scene": self.name,
+            "class": self.predicted or "none",
+            "probability": "" if self.probability is None else f"{self.probability:.3f}",
+            "of its exposures": agreeing if several else "",
+            "looks": "" if self.looks is None else str(self.looks),
+            "light": "" if self.light_s is None else time_text(self.light_s),
+            "labelled": self.label or "",
+            "remarks": ", ".join(kinds + ["unsure"] * bool(self.unsure)),
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClassifiedScene(Classified):
-    """Class of a scene from its exposures."""
-
-    probability: float | None = None
-    exposures: int = 0
-    guesses: tuple[str, ...] = ()  # class of each
-    photons: float | None = None  # budget of an exposure
-    faults: tuple[Fault, ...] = ()  # of the scene, and of the whole recording
-    consistency: float | None = None  # p-value of its counts
-    unsure: bool | None = None  # True if they do not look like those of the training
-
-    def row(self, several: bool) -> tuple[str, ...]:
-        """Cells of a table, with the exposures that have its class if some have several."""
-        agreeing = ""
-        if self.predicted:
-            agreeing = f"{self.guesses.count(self.predicted)} of {self.exposures}"
-        kinds = sorted({fault.kind for fault in self.faults})
-        return (
-            self.name,
-            self.predicted or "none",
-            "" if self.probability is None else f"{self.probability:.3f}",
-            *([agreeing] if several else []),
-            self.label or "",
-            ", ".join(kinds + ["unsure"] * bool(self.unsure)),
-        )
-
-
-@dataclass(frozen=True)
 class ClassifiedRun:
-    """Classes of the scenes of a run or a table."""
+    """Classes of the scenes of a run or a table, or of pictures."""
 
-    design: str
-    masks: int
+    title: str  # design, and the light
     classes: tuple[str, ...]  # those that the design tells apart
     scenes: tuple[ClassifiedScene, ...]
-    remarks: tuple[str, ...]  # on the tests of the counts, for a reader
+    noun: str = "exposure"  # what each answer is to
+    remarks: tuple[str, ...] = ()  # on the tests of the counts, for a reader
     faults: tuple[Fault, ...] = ()  # of the markers and the light
     consistency: ConsistencyResult | None = None
     view: ViewResult | None = None
 
-    def lines(self) -> Iterator[str | Table]:
-        """Say the class of each scene, what is wrong with it, and how many are right."""
-        several = any(scene.exposures > 1 for scene in self.scenes)
-        chances = ("mean probability", "of its exposures") if several else ("probability",)
-        yield Table(
-            f"{self.design}, {self.masks} masks",
-            ("scene", "class", *chances, "labelled", "remarks"),
-            [scene.row(several) for scene in self.scenes],
-        )
-        names = [scene.name for scene in self.scenes]
-        for fault in self.faults:
-            yield fault.words(names)
-        yield from self.remarks
-        labelled = sum(len(scene.guesses) for scene in self.scenes if scene.label)
-        if foreign := labelled - self.score.answers:
-            yield (
-                f"{foreign} exposures have labels that are none of the design's classes: left out"
-            )
-        yield from self.score.lines("exposure")
-
     @property
     def score(self) -> Score:
-        """Right answers to exposures of scenes whose label is a class of the design."""
+        """Right answers to scenes whose label is a class of the design."""
         return Score.of(
-            (scene.trained_on, scene.guesses.count(scene.label), len(scene.guesses))
+            (scene.trained_on, scene.answers.count(scene.label), len(scene.answers))
             for scene in self.scenes
             if scene.label in self.classes
         )
 
+    def lines(self) -> Iterator[str | Table]:
+        """Say the class of each scene, what is wrong with it, and how many are right."""
+        rows = [scene.cells() for scene in self.scenes]
+        heads = [head for head in rows[0] if any(row[head] for row in rows)]
+        yield Table(self.title, heads, [[row[head] for head in heads] for row in rows])
+        names = [scene.name for scene in self.scenes]
+        for fault in self.faults:
+            yield fault.words(names)
+        yield from self.summary()
+
+    def summary(self) -> Iterator[str]:
+        """Say what the tests of the counts found, and how many answers are right."""
+        yield from self.remarks
+        none = sum(scene.predicted is None for scene in self.scenes)
+        if none:
+            yield f"no class: {none} of {plural(len(self.scenes), 'scene')}"
+        labelled = sum(len(scene.answers) for scene in self.scenes if scene.label)
+        if foreign := labelled - self.score.answers:
+            what = plural(foreign, self.noun)
+            yield f"{what} with labels that are none of the design's classes: left out"
+        yield from self.score.lines(self.noun)
+
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
+        tests = {"consistency": self.consistency, "view": self.view}
         return {
             "score": self.score.as_dict(),
-            "consistency": None if self.consistency is None else self.consistency.as_dict(),
-            "view": None if self.view is None else self.view.as_dict(),
+            **{name: test.as_dict() for name, test in tests.items() if test is not None},
             "remarks": list(self.remarks),
             "scenes": [scene.as_dict() for scene in self.scenes],
         }
 
 
-@dataclass(frozen=True, kw_only=True)
-class LiveScene(Classified):
-    """Class of a scene of a live run, from its looks."""
-
-    probability: float | None
-    looks: int
-    photons: float | None  # budget of a whole exposure, known during the run alone
-    light_s: float  # exposure that was used, seconds
-    clock_s: float  # from the first command to the class, seconds
-    faults: tuple[Fault, ...] = ()  # of its light, its budget and its counts
-
-    @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        logged: LoggedScene,
-        classes: tuple[str, ...],
-        trained_on: bool | None,
-        photons: float | None = None,
-    ) -> Self:
-        """Class of a scene by its line of the log; none is of a scene with a fault that spoils."""
-        chances = logged.chances
-        if any(fault.kind in SPOILING for fault in logged.faults):
-            chances = ()
-        return cls(
-            name=scene.name,
-            label=scene.label,
-            predicted=classes[int(np.argmax(chances))] if chances else None,
-            probability=max(chances) if chances else None,
-            looks=sum(shown.look >= 0 for shown in logged.lists),
-            photons=photons,
-            light_s=logged.light_s,
-            clock_s=logged.clock_s,
-            faults=logged.faults,
-            trained_on=trained_on,
+def find_dim(trained: float | None, budgets: np.ndarray, first: int = 0) -> list[Fault]:
+    """Scenes, from the first on, whose budgets (S,) are far below a known one of the training."""
+    if trained is None:
+        return []
+    return [
+        Fault(
+            kind="budget",
+            scene=first + scene,
+            detail=f"{budgets[scene]:.3g} photons are too little light for this design, which was "
+            f"trained for {trained:g}: give more light, or a longer exposure",
         )
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        content = super().as_dict()
-        if self.photons is None:  # the log has no budgets
-            del content["photons"]
-        return content
-
-    def lines(self, exposure_s: float) -> list[str]:
-        """Say the answer and each fault; a whole exposure lasts `exposure_s`."""
-        if not self.looks:
-            return [f"{self.name}: no light"]
-        faults = [f"  {fault.words()}" for fault in self.faults]
-        if self.predicted is None:
-            return [f"{self.name}: no class", *faults]
-        return [
-            f"{self.name}: {self.predicted}, confidence {self.probability:.3f}, "
-            f"{plural(self.looks, 'look')}, light {self.light_s * 1e3:.4g} ms "
-            f"({self.light_s / exposure_s:.0%}), clock {self.clock_s * 1e3:.4g} ms",
-            *faults,
-        ]
-
-
-@dataclass(frozen=True)
-class LiveAnswers:
-    """Classes of the scenes of a live run."""
-
-    exposure_s: float  # time of all looks, seconds
-    scenes: tuple[LiveScene, ...]
-    view: ViewResult | None = None
-
-    def check_classes(self, folder: Path) -> None:
-        """Raise `InputError` if no scene of a run has light, or none has a class."""
-        if not any(scene.looks for scene in self.scenes):
-            raise InputError(
-                f"no scene of {folder} has light: no all-ON frame is brighter than the all-OFF "
-                "ones; check the lamp, the inputs and the counter's trigger levels, or export "
-                "with a longer `exposure`"
-            )
-        if all(scene.predicted is None for scene in self.scenes):
-            first = next(fault for scene in self.scenes for fault in scene.faults)
-            raise InputError(f"no scene of {folder} has a class: {first.words()}")
-
-    def _score_lines(self) -> Iterator[str]:
-        """Say how many scenes have no class, how many are right, and how the camera saw them."""
-        none = sum(scene.predicted is None for scene in self.scenes)
-        if none:
-            yield f"no class: {none} of {len(self.scenes)} scenes"
-        yield from self.score.lines("scene")
-        if self.view is not None and self.view.remark:
-            yield self.view.remark
-
-    def run_lines(self) -> Iterator[str]:
-        """Say how a run went that was just made, with the light and the time that it took."""
-        yield from self._score_lines()
-        count = len(self.scenes)
-        light_s = sum(scene.light_s for scene in self.scenes) / count
-        clock_s = sum(scene.clock_s for scene in self.scenes) / count
-        yield (
-            f"light used {light_s / self.exposure_s:.1%} of the exposures, clock time "
-            f"{clock_s * 1e3:.4g} ms a scene"
-        )
-
-    def lines(self) -> Iterator[str | Table]:
-        """Say the classes of a run that was recorded."""
-        heads = ("scene", "class", "confidence", "looks", "light", "labelled", "remarks")
-        rows = [
-            (
-                scene.name,
-                scene.predicted or "none",
-                "" if scene.probability is None else f"{scene.probability:.3f}",
-                str(scene.looks),
-                f"{scene.light_s / self.exposure_s:.0%}",
-                scene.label or "",
-                ", ".join(sorted({fault.kind for fault in scene.faults})),
-            )
-            for scene in self.scenes
-        ]
-        yield Table("a live run, as it was decided", heads, rows)
-        names = [scene.name for scene in self.scenes]
-        for scene in self.scenes:
-            for fault in scene.faults:
-                yield fault.words(names)
-        yield from self._score_lines()
-
-    @property
-    def score(self) -> Score:
-        """Right answers to the labelled scenes, of those that have a class."""
-        return Score.of(
-            (scene.trained_on, scene.predicted == scene.label, 1)
-            for scene in self.scenes
-            if scene.predicted is not None and scene.label is not None
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        content: dict[str, Any] = {"live": True, "score": self.score.as_dict()}
-        if self.view is not None:
-            content["view"] = self.view.as_dict()
-        return content | {"scenes": [scene.as_dict() for scene in self.scenes]}
+        for scene in np.flatnonzero(budgets * TOO_DIM < trained).tolist()
+    ]

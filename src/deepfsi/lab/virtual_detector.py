@@ -43,14 +43,11 @@ class Detector(StrictModel):
     afterpulse_s: float = Field(1e-7, gt=0, le=1e-3)
     jitter_s: float = Field(0.0, ge=0, le=1e-6)  # Standard deviation of a time stamp, seconds
 
-    @property
-    def dead_time(self) -> DeadTime:
-        """Dead time of the detector, also one too long for a correction."""
-        return DeadTime.model_construct(seconds=self.dead_time_s, paralysable=self.paralysable)
-
     def registered(self, rate: np.ndarray) -> np.ndarray:
         """Counts/s without afterpulses at steady arrival rates, shape of `rate`."""
-        return self.dead_time.registered(rate)
+        # Not validated: a dead time may be too long for a correction
+        dead = DeadTime.model_construct(seconds=self.dead_time_s, paralysable=self.paralysable)
+        return dead.registered(rate)
 
 
 def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

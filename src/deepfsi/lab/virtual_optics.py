@@ -12,51 +12,37 @@ ideal camera a gate's counts are Poisson, with the scanner's mean.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
-from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field, FiniteFloat, field_validator
+from pydantic import Field
 
-from deepfsi.base.errors import InputError, as_input_error, closest_choice
+from deepfsi.base.errors import InputError, as_input_error, check_choice
 from deepfsi.base.files import new_folder, read_toml
-from deepfsi.base.models import WholeNumber
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.device import Device
 from deepfsi.camera.layout import DmdGrid
-from deepfsi.counting.acquisition import Acquisition
+from deepfsi.counting.acquisition import Acquisition, Homography
 from deepfsi.counting.events import PtuWriter
 from deepfsi.counting.recording import Recording
-from deepfsi.lab.design_data import camera_of
-from deepfsi.lab.virtual_detector import (
-    DETECTOR_TICK_S,
-    Detector,
-    Stream,
-    divide,
-)
+from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Detector, Stream, divide
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.frames import unpack
 from deepfsi.patterns.manifest import Manifest
 
-Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-"""Row of a homography."""
-
 FRAME_MARKER = 1
 """Bits of the marker at the start of each frame."""
-
-DetectorRows = tuple[tuple[WholeNumber, ...], ...]
-"""Detector of each part of an area that these rows, equally long, divide evenly."""
 
 
 class VirtualCamera(Detector):
     """Optics and detector; the default is ideal. The attributes of `Detector` are its too."""
 
     # Homography display -> device in unit squares, (across, down, 1)
-    view: tuple[Row, Row, Row] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    view: Homography = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     # Standard deviation of a Gaussian on the device, mirrors
     blur: float = Field(0.0, ge=0, le=1000)
     # Share of the light that the corners of the area lose; it grows with the squared distance from
@@ -70,38 +56,13 @@ class VirtualCamera(Detector):
     gains: tuple[Annotated[float, Field(gt=0, le=1)], ...] | None = None
     # True of a device that turns mirrors ON where the files have a 0
     inverted: bool = False
-    # Detector of each part of the area of the cells, which these rows divide evenly. None for the
-    # parts that the patterns name
-    detectors: DetectorRows | None = None
-
-    @field_validator("view")
-    @classmethod
-    def _invertible(cls, view: tuple[Row, Row, Row]) -> tuple[Row, Row, Row]:
-        if abs(np.linalg.det(np.array(view))) < 1e-9:
-            raise ValueError("the view cannot be inverted")
-        return view
-
-    @field_validator("detectors")
-    @classmethod
-    def _detector_rows(cls, rows: DetectorRows | None) -> DetectorRows | None:
-        if rows is None:
-            return None
-        if len({len(row) for row in rows}) != 1 or not rows[0]:
-            raise ValueError("the rows of the detectors differ in length")
-        labels = {label for row in rows for label in row}
-        if labels != set(range(len(labels))):
-            raise ValueError("the detectors are not numbered from 0 without a gap")
-        return rows
 
     @classmethod
     def load(cls, source: str) -> "VirtualCamera":
         """One of `CAMERAS` by its name, or of a TOML file; `InputError` if it is neither."""
-        if source in CAMERAS:
-            return CAMERAS[source]
         if not source.lower().endswith(".toml"):
-            raise InputError(
-                f"unknown camera {source!r}: {closest_choice(source, CAMERAS)}; or give a TOML file"
-            )
+            check_choice("camera", source, CAMERAS)
+            return CAMERAS[source]
         with as_input_error():
             return cls.model_validate(read_toml(source))
 
@@ -202,36 +163,20 @@ def _find_pixels(
     return np.where(inside, row * shape[1] + column, 0).astype(np.intp), inside
 
 
-def _mirrors_of_arm(manifest: Manifest, rows: DetectorRows | None) -> list[np.ndarray | slice]:
+def _mirrors_of_arm(manifest: Manifest) -> list[np.ndarray | slice]:
     """Mirrors of a device, in a row, that each detector of an arm sees."""
-    # By the camera's rows of parts, or by the cells that the manifest names where it has none
-    if manifest.detectors is None and rows is None:
+    if manifest.detectors is None:
         return [slice(None)]
-    count = manifest.detector_count
-    cells = None if manifest.detectors is None else manifest.detectors.labels
-    if rows is not None:
-        labels = np.array(rows)
-    elif cells is not None:
-        labels = cells[manifest.grid.pixels]
-    else:
+    if manifest.detectors.labels is None:
         raise InputError(
-            f"these patterns are for {count} detectors, and nothing says which part of the device "
-            "each sees: give a `camera` with them, such as detectors = [[0, 1], [2, 3]]"
-        )
-    if labels.max() + 1 != count:
-        raise InputError(
-            f"the camera has {labels.max() + 1} detectors, and the patterns are for {count}: give "
-            "one with as many, or export the patterns for it"
+            f"these patterns are for {manifest.detector_count} detectors, and nothing says which "
+            "cells each sees: give patterns of a design"
         )
     grid = manifest.grid
-    area = (grid.down * grid.height, grid.across * grid.width)
-    rows_at, columns_at = (
-        np.arange(mirrors) * parts // mirrors
-        for parts, mirrors in zip(labels.shape, area, strict=True)
-    )
+    labels = manifest.detectors.labels[grid.pixels].repeat(grid.height, axis=0)
     of_mirrors = np.full((manifest.device.rows, manifest.device.columns), -1)
-    of_mirrors[grid.window] = labels[np.ix_(rows_at, columns_at)]
-    return [np.flatnonzero(of_mirrors == detector) for detector in range(count)]
+    of_mirrors[grid.window] = labels.repeat(grid.width, axis=1)
+    return [np.flatnonzero(of_mirrors == each) for each in range(manifest.detector_count)]
 
 
 class MirrorLight:
@@ -243,7 +188,7 @@ class MirrorLight:
         self._camera = camera
         self._arms = manifest.arms
         self._device = device = manifest.device
-        self._mirrors = _mirrors_of_arm(manifest, camera.detectors)
+        self._mirrors = _mirrors_of_arm(manifest)
         image = irradiance(scenes, camera, device, manifest.grid).reshape(len(scenes), -1)
         self._light = [image[:, places] for places in self._mirrors]
         cells = np.zeros((device.rows, device.columns), np.float32)
@@ -301,13 +246,13 @@ def check_scenes(scenes: np.ndarray, manifest: Manifest, flux: float) -> np.ndar
     # No counter takes more, and each photon takes memory
     if not 0 <= flux <= 1e10:
         raise InputError(f"a flux of {flux!r} is not allowed: give 0 to 1e10 photons/s")
-    images = np.asarray(scenes)
-    if images.ndim == 2 and len(manifest.image_shape) == 1:  # spectra
-        images = images[:, None, :]
-    if images.ndim != 3 or not images.size:
-        raise InputError(f"scenes of shape {np.shape(scenes)} are no images: give (S, h, w)")
-    if images.dtype.kind not in "fiub" or not np.isfinite(images).all() or images.min() < 0:
-        raise InputError("scenes hold what is no reflectance: give finite numbers, 0 or more")
+    spectra = len(manifest.image_shape) == 1
+    images = scenes[:, None, :] if spectra and scenes.ndim == 2 else scenes
+    if images.ndim != 3 or not images.size or not np.isfinite(images).all() or images.min() < 0:
+        raise InputError(
+            f"scenes of shape {scenes.shape} are no images: give (S, h, w) of finite numbers, 0 or "
+            "more"
+        )
     return images
 
 
@@ -318,28 +263,9 @@ def record_scenes(
     acquisition: Acquisition,
     report: Progress = SILENT,
 ) -> Acquisition:
-    """Write the folder of a recording in which the virtual camera looks at scenes in turn.
+    """Write the folder, new, of a recording in which the virtual camera looks at scenes in turn.
 
-    Parameters
-    ----------
-    out : path
-        Folder, new.
-    patterns : Patterns
-    scenes : array (S, h, w) or (S, N)
-        Reflectance.
-    acquisition : Acquisition
-        Settings of the recording, with the names of the scenes, camera, flux and seed.
-    report : Progress
-
-    Returns
-    -------
-    Acquisition
-        Settings of the folder, with the hash of the patterns.
-
-    Raises
-    ------
-    InputError
-        If the scenes or the camera do not fit, or the file cannot be written.
+    The acquisition has its camera, flux and seed; that of the folder is given back.
     """
     camera = VirtualCamera.model_validate(acquisition.camera)
     manifest = patterns.manifest
@@ -359,21 +285,17 @@ def record_scenes(
     return acquisition
 
 
-def check_file_inputs(inputs: Sequence[int]) -> None:
-    """Raise `InputError` if the file of a virtual recording has no such inputs."""
-    if max(inputs) >= PtuWriter.inputs:
-        raise InputError(
-            f"input {max(inputs) + 1} is none of a {PtuWriter.record_type} file, which has "
-            f"{PtuWriter.inputs}: use fewer `detectors`"
-        )
-
-
 class EventRecorder:
     """Events of a camera's detectors, written in order of time."""
 
     def __init__(
         self, camera: VirtualCamera, rng: np.random.Generator, inputs: Sequence[int]
     ) -> None:
+        if max(inputs) >= PtuWriter.inputs:
+            raise InputError(
+                f"input {max(inputs) + 1} is none of a {PtuWriter.record_type} file, which has "
+                f"{PtuWriter.inputs}: use fewer `detectors`"
+            )
         self.inputs = inputs  # of the file, one for each detector
         self.writer: PtuWriter | None = None
         self.end = 0  # ticks up to which the detectors' light is known
@@ -427,7 +349,6 @@ def write_photons(
 ) -> None:
     """Write the photons and markers of a pass for each scene, at rates (S, F, inputs)."""
     wired = range(rates.shape[2]) if inputs is None else inputs
-    check_file_inputs(wired)
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
     durations = np.tile(picture * round(1e-6 / DETECTOR_TICK_S), len(rates))
     marks = np.cumsum(durations) - durations
@@ -436,14 +357,3 @@ def write_photons(
     with PtuWriter(path, tick_s=DETECTOR_TICK_S) as recorder.writer:
         recorder.see(durations, rates.reshape(len(durations), -1), report)
         recorder.write(recorder.end)
-
-
-def virtual_camera(
-    name: str | None, source: Path, settings: Mapping[str, Any] = MappingProxyType({})
-) -> VirtualCamera:
-    """Virtual camera of a run of a design."""
-    if name is not None:
-        return VirtualCamera.load(name)
-    camera = camera_of(source, {"camera": settings.get("camera")})
-    described = camera.exposure is not None or camera.clicks is not None or camera.fluctuation > 0
-    return VirtualCamera.of(camera_of(source, settings)) if described else CAMERAS["pmt"]

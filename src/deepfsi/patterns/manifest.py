@@ -288,10 +288,11 @@ class Manifest(StrictModel):
                 f"{device.patterns}: use fewer masks (of a scan: a smaller --size; of adaptive "
                 "masks: a smaller `dictionary`), or a device that holds more"
             )
-        if self.looks and self.looks.dictionary and device.video_us is not None:
+        if self.looks and device.video_us is not None:
             raise InputError(
-                f"masks of a dictionary are shown by their index, and {device.name} shows the "
-                "frames of a video in their order: use a device that stores frames, such as dlp7000"
+                f"adaptive masks are shown when the counts ask for them, and {device.name} shows "
+                "the frames of a video in their order: use a device that stores frames, such as "
+                "dlp7000"
             )
         if self.looks and not self.looks.dictionary and device.load_us is None:
             raise InputError(

@@ -150,7 +150,7 @@ class Measures:
 def calibrate() -> Calibration:
     """Calibration of the laboratory by spots, a white and a black display, as in a real one."""
     grid = find_grid(DEVICE, (32, 32), LAYOUT)
-    spots = spot_scenes((32, 32))
+    spots = spot_scenes()
     scenes = np.concatenate([spots, np.ones((1, 32, 32)), np.zeros((1, 32, 32))])
     exposure = 10.0
     raster = scan_rails("raster", (32, 32))
@@ -163,9 +163,8 @@ def calibrate() -> Calibration:
     gates = GatePlan.of(patterns.manifest, exposure, repeats=1)
     counts = draw_counts(arrivals, patterns.manifest, gates, LAB, rng)
     pictures = counts[:, 0, 0].reshape(len(scenes), 32, 32)
-    lit, dark = arrivals[-1, :2, 0].tolist()  # a black display: all mirrors ON, all OFF
     found = fit_calibration(spots, pictures[:-2], grid, white=pictures[-2], black=pictures[-1])
-    return found.model_copy(update={"dark": dark, "ambient": max(0.0, lit - dark)})
+    return found.model_copy(update={"dark": float(arrivals[-1, 1, 0])})  # all mirrors OFF
 
 
 def prepare(data: Dataset) -> Dataset:
