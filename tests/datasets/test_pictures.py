@@ -2,6 +2,7 @@
 
 import shutil
 import unicodedata
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,13 @@ def flat(value, count=1, dtype=np.uint8):
 
 def every(data):
     return np.r_[data.x_train, data.x_test]
+
+
+def test_a_path_is_never_a_name(images, monkeypatch):
+    monkeypatch.chdir(images.rename(images.with_name("digits")).parent)
+    for source in (Path("digits"), "./digits"):
+        assert load_dataset(source).image_shape == (6, 8)
+    assert load_dataset("digits").image_shape == (8, 8)
 
 
 def test_image_folder(images):

@@ -108,7 +108,9 @@ def load_dataset(
             "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays; scenes "
             "and labels of a torch data set make two such arrays"
         )
-    name = "arrays" if isinstance(source, tuple) else absolute_source(os.fspath(source))
+    if isinstance(source, os.PathLike):  # never a name
+        source = os.path.abspath(os.path.expanduser(source))
+    name = "arrays" if isinstance(source, tuple) else absolute_source(source)
     with as_input_error():
         options = Origin(
             data=name,
@@ -119,7 +121,7 @@ def load_dataset(
             split=split,
             white=white,
         )
-    allowed = () if isinstance(source, tuple) else options_of(os.fspath(source))
+    allowed = () if isinstance(source, tuple) else options_of(source)
     for option in ("size", "images", "split", "white"):
         if option not in allowed and getattr(options, option) is not None:
             raise InputError(f"{Path(name).name} takes no `{option}`: leave it out")
@@ -128,7 +130,7 @@ def load_dataset(
     if name in DATASETS:
         data = DATASETS[name].load(options)
     else:
-        path, kind = _find(os.fspath(source))
+        path, kind = _find(source)
         data = kind.load(path, options)
     return replace(data, origin=options.model_copy(update={"white": data.white}))
 
