@@ -9,6 +9,7 @@ import pytest
 import deepfsi
 from conftest import quick
 from deepfsi.counting.recording import Recording
+from deepfsi.counting.tables import TableSettings
 from deepfsi.datasets.display import read_display, write_pictures
 from deepfsi.lab.virtual_optics import CAMERAS, VirtualCamera, arrival_rates
 from deepfsi.patterns.folder import Patterns
@@ -55,19 +56,26 @@ def test_counts_that_are_not_of_the_training_are_refused_unless_forced(lab):
         deepfsi.classify_run(lab / DESIGN, lab / RUN, photons=0)
 
 
-def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path):
-    """A table of two exposures at the training's light, and two at 2 % of it."""
+@pytest.mark.parametrize("dark", [0.0, 3e3])
+def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path, dark):
+    """Two exposures at the training's light, and two at 2 % of it or at less than the dark."""
     manifest = Patterns.read(lab / "frames").manifest
     x = read_display(lab / "images").x[:2]
     rates = arrival_rates(Patterns.read(lab / "frames"), x, CAMERAS["ideal"], 1e7)[..., 0]
     gate_s = np.full(len(manifest.frames), 10e-3 / len(manifest.shown))
     gate_s[manifest.shown] = manifest.shares * 10e-3
-    bright = np.random.default_rng(0).poisson(rates * gate_s)
+    bright = np.random.default_rng(0).poisson((rates + dark / 10e-3) * gate_s)
     dim = np.random.default_rng(1).poisson(0.02 * rates * gate_s)
     np.save(tmp_path / "table.npy", np.concatenate([bright, dim]))
-    found = deepfsi.classify_table(lab / "frames", tmp_path / "table.npy", force=False)
-    assert [scene.predicted is None for scene in found.scenes] == [False, False, True, True]
-    for scene in found.scenes[2:]:
+    settings = TableSettings(background=dark or None)
+    for force in (False, True) if dark else (False,):
+        found = deepfsi.classify_table(
+            lab / "frames", tmp_path / "table.npy", settings, force=force
+        )
+        assert [scene.predicted is None for scene in found.scenes] == [False, False, True, True]
+    for scene in deepfsi.classify_table(lab / "frames", tmp_path / "table.npy", settings).scenes[
+        2:
+    ]:
         assert "budget" in {fault.kind for fault in scene.faults}
 
 

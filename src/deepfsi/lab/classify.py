@@ -215,11 +215,13 @@ def _classify_counts(
         counts.check_budget(source)
     stated = counts.photons if photons is None else np.full(len(scenes), photons)
     known = np.isfinite(stated) if photons is None else counts.valid.any(axis=1)
-    budgets = np.where(known, stated, 1.0)
+    lit = known & (stated > 0)  # dark counts that are stated may be more than all
+    budgets = np.where(lit, stated, 1.0)
     trained = design.info.get("job", {}).get("photons")
-    dim = [] if force else find_dim(trained, np.where(known, budgets, np.nan))
+    dim = [] if force else find_dim(trained, np.where(known, stated, np.nan))
     counts = replace(counts, faults=(*dim, *counts.faults))
-    usable = counts.valid & ~counts.spoilt[:, None]  # (S, R): exposures without faults
+    sound = (lit | ~known) & ~counts.spoilt
+    usable = counts.valid & sound[:, None]  # (S, R): exposures without faults
     if not usable.any():
         forced = "; `force` classifies them all the same" if dim else ""
         raise InputError(
