@@ -10,7 +10,7 @@ from torch import nn
 
 import deepfsi
 from conftest import PHOTONS, RECIPE, generator, light_on, same
-from deepfsi import Design
+from deepfsi import Design, design_of
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.design import networks as own
@@ -100,7 +100,11 @@ def test_loading_runs_no_code_unless_told_to(foreign, tmp_path, made):
     assert locked.matrix.shape == (6, 64)  # masks may be shown without trust
     assert locked.save(tmp_path / "again.safetensors").read_bytes() == foreign.read_bytes()
     assert "foreign_nets:make" in repr(locked)
-    for use in (lambda: locked.classify(np.ones((2, 6)), 1e4), lambda: to_onnx(locked)):
+    for use in (
+        lambda: locked.classify(np.ones((2, 6)), 1e4),
+        lambda: to_onnx(locked),
+        lambda: design_of(locked.scanner(), locked.classifier, "digits", 1e4),
+    ):
         with pytest.raises(InputError, match="foreign_nets:make, whose code was not run"):
             use()
     assert not (tmp_path / "ran").exists()

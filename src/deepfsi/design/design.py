@@ -434,9 +434,8 @@ class Design:
         answers = len(self.values.names if self.values else self.classes)
         arguments = {} if isinstance(given, nn.Module) else known.arguments
         made = make_custom(given, arguments, self.mask_exposure.input_count, answers)
-        assert made.module is not None
         try:
-            made.module.load_state_dict(known.weights)
+            made.loaded.load_state_dict(known.weights)
         except (RuntimeError, TypeError) as error:
             told = " ".join(str(error).split())
             raise InputError(f"the classifier is not the one of this design: {told}") from None

@@ -247,17 +247,23 @@ class OwnClassifier(Classifier):
         """Name of the module's class, or of the factory whose code was not run."""
         return self.factory if self.module is None else type(self.module).__name__
 
-    def forward(self, features: Tensor) -> Tensor:
-        """Logits (..., C) of features (..., inputs)."""
+    @property
+    def loaded(self) -> nn.Module:
+        """The module, or `InputError` where its code was not run."""
         if self.module is None:
             code = self.factory or "a module of its maker"
             raise InputError(
                 f"the classifier of this design is {code}, whose code was not run: load it with "
                 "`trust` if you trust its file, or give the code to Design.load"
             )
+        return self.module
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Logits (..., C) of features (..., inputs)."""
+        module = self.loaded
         rows = features if features.ndim == 2 else features.reshape(-1, features.shape[-1])
         try:
-            logits = self.module(rows)
+            logits = module(rows)
         except (Exception, SystemExit) as error:
             if torch.compiler.is_exporting() or isinstance(error, torch.OutOfMemoryError):
                 raise  # the caller answers it

@@ -447,7 +447,7 @@ def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
         noise = made(**{name: one for name, one in numbers.items() if name in names})
     sigma = numbers.get("sigma", 0.0)
     if not 0 <= sigma < math.inf:
-        raise InputError(f"{sigma!r} counts of read noise are not allowed: give 0 or more")
+        raise InputError(f"sigma = {sigma!r} of read noise is not allowed: give 0 or more")
     dark = numbers.get("dark", 0.0)
     if dark and ("dark" not in noise.settings or not 0 < dark < math.inf):
         raise InputError(

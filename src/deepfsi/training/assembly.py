@@ -134,8 +134,7 @@ def _copy(classifier: nn.Module, features: int, classes: int) -> OwnClassifier:
     """Copy of a user's module with its import path."""
     if not isinstance(classifier, OwnClassifier):
         return make_custom(classifier, {}, features, classes)
-    assert classifier.module is not None
-    own = make_custom(classifier.module, {}, features, classes)
+    own = make_custom(classifier.loaded, {}, features, classes)
     own.factory = classifier.factory
     own.arguments = classifier.arguments
     return own
