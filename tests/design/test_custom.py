@@ -158,7 +158,6 @@ APART = Detection.by(DetectorMap.of("2x2", (8, 8)))
     [
         (RAILS, {}, (3, 9), r"logits of shape \(3, 9\)"),
         (RAILS * 2, {}, (3, 10), "breaks the column constraint"),
-        (RAILS, {"noise": "camera", "sigma": -1.0}, (3, 10), "sigma"),
         (RAILS, {"detection": APART}, (12, 10), "give light equal-dwell"),
         (RAILS[..., :60], {}, (3, 10), "do not fit digits"),
     ],
