@@ -17,14 +17,14 @@ from torch.profiler import ProfilerActivity, profile
 from deepfsi.datasets.load import load_dataset
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import Precision, Training
+from deepfsi.jobs.training import Training
 from deepfsi.training.learning import train
 
 SHOWN = 14
 
 
-def job(masks: int, precision: Precision, epochs: int) -> Job:
-    settings = Training(precision=precision, epochs=epochs)
+def job(masks: int, precision: str, epochs: int) -> Job:
+    settings = Training.model_validate({"precision": precision, "epochs": epochs})
     return Job(masks=masks, photons=1e4, camera="paper", training=settings)
 
 

@@ -51,7 +51,11 @@ MISTAKES = [
     (evaluate, {"nosie": "none"}, "no such setting: did you mean 'noise'?"),
     (learn, {"camera": {"nosie": "none"}}, "no such setting: did you mean 'noise'?"),
     (learn, {"exposure": {"spam": 4}}, "no setting 'spam': did you mean 'span'?"),
-    (learn, {"training": {"epoch": 3}}, "no setting 'epoch': did you mean 'epochs'?"),
+    (
+        learn,
+        {"training": {"epoch": 3}},
+        "epoch = 3: there is no such setting: did you mean 'epochs'",
+    ),
     (Recipe, {"design": ["pca"]}, "design = .*: .*did you mean 'designs'?"),
     (device_file, {"text": "colums = 3"}, "at colums: there is no such setting: did you mean 'col"),
     # types
@@ -63,14 +67,13 @@ MISTAKES = [
     (evaluate, {"draws": 1.5}, "1.5 noise draws are not allowed: give 1 to"),
     (evaluate, {"photons": [1e3, None]}, "photon budget None is not allowed"),
     (deepfsi.Camera, {"device": {"columns": 3}}, "device.name: it is missing: give one"),
-    (deepfsi.Training, {"classifier": None}, "classifier = None: give mlp, or"),
     (learn, {"photons": True}, "budget True is not allowed.* such as 1e4"),
     (learn, {"photons": None, "counts": True}, "number of counts True is not allowed"),
     (learn, {"photons": (1e3, 1e4)}, "is no number.*exposure=Range"),
     (deepfsi.load_dataset, {"source": object()}, "given as object: give a Dataset.*two such"),
     # nesting
     (learn, {"exposure": {"exposure": {"span": 4}}}, "an exposure has no setting 'exposure'"),
-    (learn, {"training": {"training": {}}}, "a training has no setting 'training': give one of"),
+    (learn, {"training": {"training": {}}}, "training: there is no such setting: give one of"),
 ]
 
 

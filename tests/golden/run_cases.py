@@ -67,10 +67,12 @@ def counted(name: str) -> dict[str, Any]:
         said = {"count": answer("camera", "count", run, *words.split())}
         if Path(run, "counts.npz").exists():
             said["arrays"] = arrays(Path(run, "counts.npz"))
+        out[words] = said
+        if name == "edges":  # the reference refuses all of it for a scene that is dark
+            continue
         said["classes"] = answer("camera", "classify", file_of(design), run)
         if "code" in said["classes"]:
             said["forced"] = answer("camera", "classify", Path(run, "patterns"), run, "--force")
-        out[words] = said
     return out
 
 

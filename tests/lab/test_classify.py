@@ -58,7 +58,7 @@ def test_counts_that_are_not_of_the_training_are_refused_unless_forced(lab):
 
 @pytest.mark.parametrize("dark", [0.0, 3e3])
 def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path, dark):
-    """Two exposures at the training's light, and two at 2 % of it or at less than the dark."""
+    """Two exposures at the training's light, two at 2 % of it or less than the dark, one dark."""
     manifest = Patterns.read(lab / "frames").manifest
     x = read_display(lab / "images").x[:2]
     rates = arrival_rates(Patterns.read(lab / "frames"), x, CAMERAS["ideal"], 1e7)[..., 0]
@@ -66,17 +66,15 @@ def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path, 
     gate_s[manifest.shown] = manifest.shares * 10e-3
     bright = np.random.default_rng(0).poisson((rates + dark / 10e-3) * gate_s)
     dim = np.random.default_rng(1).poisson(0.02 * rates * gate_s)
-    np.save(tmp_path / "table.npy", np.concatenate([bright, dim]))
+    table = tmp_path / "table.npy"
+    np.save(table, np.concatenate([bright, dim, 0 * dim[:1]]))
     settings = TableSettings(background=dark or None)
-    for force in (False, True) if dark else (False,):
-        found = deepfsi.classify_table(
-            lab / "frames", tmp_path / "table.npy", settings, force=force
-        )
-        assert [scene.predicted is None for scene in found.scenes] == [False, False, True, True]
-    for scene in deepfsi.classify_table(lab / "frames", tmp_path / "table.npy", settings).scenes[
-        2:
-    ]:
+    found = deepfsi.classify_table(lab / "frames", table, settings)
+    assert [scene.predicted is None for scene in found.scenes] == [False, False, True, True, True]
+    for scene in found.scenes[2:]:
         assert "budget" in {fault.kind for fault in scene.faults}
+    forced = deepfsi.classify_table(lab / "frames", table, settings, force=True)
+    assert [scene.predicted is None for scene in forced.scenes][2:] == [dark > 0, dark > 0, True]
 
 
 @pytest.fixture(scope="module")

@@ -484,4 +484,9 @@ def training_of(clicks: bool) -> type[AdaptiveTraining]:
     """Training of masks before a detector that counts, or that clicks, of a package beside."""
     if not clicks:
         return AdaptiveTraining
+    if "click" not in installed().parts["adaptive"]:
+        raise InputError(
+            "adaptive masks for clicks are in deepfsi_clicks, which is not installed: install "
+            "deepfsi again"
+        )
     return resolve_name(installed().parts["adaptive"]["click"])

@@ -127,7 +127,9 @@ def run_command_line() -> NoReturn:
 
 
 def _fail(message: str) -> NoReturn:
-    with contextlib.suppress(OSError):  # a full disk takes no message
-        line = " ".join(one_line(message).split())
+    line = " ".join(one_line(message).split())
+    try:
         print(f"deepfsi: {line}", file=sys.stderr, flush=True)
+    except OSError:  # a full disk; Python would flush again at its end, and exit with 120
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
     sys.exit(2)
