@@ -490,27 +490,33 @@ class AdaptivePosterior:
         dark: float,
     ) -> None:
         """One readout: counts (b,), light of the mean scene (b,) and of e (b, d), or e and ε."""
+        # With n counts, a gain g, rates μ_k of the scenes and μ of the mean one, and Σ of e, light
+        # of a variance v = aᵀΣa makes counts negative binomial, of a size s = μ²/(g²v):
+        #     log p_k += n log(μ_k/μ) − (n + s) log1p((μ_k/μ − 1) μ/(μ + s))
+        # and the mean and covariance of e follow as those of a normal law:
+        #     e += Σa (n − μ_e)/(g (v + μ/g²)),   Σ −= Σa aᵀΣ/(v + μ/g²)
         least = LEAST_LIGHT * float(self.prior.mean.sum())
-        left = self.unknown(through)  # what scenes change of the light, given all before
+        response = self.unknown(through)  # Σa
         offset = at_mean + (through * self._shift).sum(dim=1)
-        own = left[:, : here.shape[1]]  # scenes of the prior differ in e alone
-        usual = (offset + (own * here).sum(dim=1)).clamp(min=least) * gain + dark
+        own = response[:, : here.shape[1]]  # scenes of the prior differ in e alone
+        rate = (offset + (own * here).sum(dim=1)).clamp(min=least) * gain + dark
         light = torch.addmm(offset[:, None], own, self.prior.coefficients.T).clamp_(min=least)
         # relative to the mean scene: differences of likelihoods alone need float32's digits
-        ratio = light.mul_(gain).add_(dark).div_(usual[:, None])
+        ratio = light.mul_(gain).add_(dark).div_(rate[:, None])
         self.logs.addcmul_(ratio.log(), counts[:, None])
         if not self.prior.spread:
-            self.logs.sub_(ratio.sub_(1).mul_(usual[:, None]))
+            self.logs.sub_(ratio.sub_(1).mul_(rate[:, None]))
             return
-        variance = (through * left).sum(dim=1).clamp(min=0)
-        size = usual**2 / (variance * gain**2).clamp(min=1e-30)
+        variance = (through * response).sum(dim=1).clamp(min=0)
+        size = rate**2 / (variance * gain**2).clamp(min=1e-30)
         size = size.clamp(max=LARGEST_SIZE)[:, None]
-        part = usual[:, None] / (usual[:, None] + size)
-        self.logs.sub_(ratio.sub_(1).mul_(part).log1p_().mul_(counts[:, None] + size))
-        total = variance + usual / gain**2
-        found = ((counts - dark) / gain - offset) / total
-        self._shift = self._shift + left * found[:, None]
-        self._known = torch.cat([self._known, (left / total.sqrt()[:, None])[:, None]], dim=1)
+        share = rate[:, None] / (rate[:, None] + size)
+        self.logs.sub_(ratio.sub_(1).mul_(share).log1p_().mul_(counts[:, None] + size))
+        total = variance + rate / gain**2
+        innovation = ((counts - dark) / gain - offset) / total
+        self._shift = self._shift + response * innovation[:, None]
+        known = (response / total.sqrt()[:, None])[:, None]
+        self._known = torch.cat([self._known, known], dim=1)
 
     def end_look(self) -> None:
         """Count a look that was taken in: what follows from the counts is computed anew."""

@@ -317,7 +317,7 @@ class Camera(UserModel):
         camera: "CameraSource" = None,
         **settings: Any,
     ) -> "Camera":
-        """Camera of a run of a design: what one device cannot show is shown with less light.
+        """Camera of a run of a design. Optics that one device cannot have become `free-dwell`.
 
         A `camera` replaces the source; other parameters as of `load`.
         """

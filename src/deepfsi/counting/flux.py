@@ -368,7 +368,7 @@ def _fit_decay(
 ) -> np.ndarray | None:
     """Rates (P,) of a light that rises or falls steadily, if it does, and not in steps."""
     passes = len(rates.counts)
-    # Passes that a steady rise or fall is fitted to at least
+    # A line through fewer passes fits their noise
     if passes < 5 or not (rates.counts > 0).all():
         return None
     logs = np.log(rates.counts / rates.seconds)
@@ -394,7 +394,7 @@ def allowed_ratio(brightness: Brightness) -> AllowedRatio:
     """Ratio by which the mean brightness of two groups of scenes may differ."""
     low = brightness.low
     high = brightness.high
-    # Range of brightness that new scenes may fill, as a multiple of the training scenes' (in log)
+    # New scenes may fill 1.25 times the training scenes' range of brightness (in log)
     most = 1.25 * np.log(high / low) if low > 0 else np.inf
 
     def allowed(one: np.ndarray, other: np.ndarray) -> np.ndarray:

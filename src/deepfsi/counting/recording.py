@@ -239,14 +239,14 @@ def _find_frames(
     manifest = recording.manifest
     source = PtuFile(recording.photons)
     tick_s = source.header.tick_s
-    # Ticks of the counter that a gate must have at least
+    # A gate of fewer than ten ticks is counted too coarsely
     if shortest_s < 10 * tick_s:
         raise InputError(
             f"{recording.photons} has times in steps of {time_text(tick_s)}, too coarse for "
             f"gates of {time_text(shortest_s)}: give a longer exposure"
         )
     starts = FrameStarts.find(source, recording.acquisition, manifest, progress)
-    # Frames may be so much shorter than planned that gates do not fit
+    # Gates do not fit frames that are much shorter than planned
     pictures = starts.pictures_s[manifest.shown]
     room = pictures - gates.settle_s
     over = gates.repeats * gates.length_s - room - MOST_DRIFT * pictures

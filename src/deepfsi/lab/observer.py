@@ -57,7 +57,7 @@ class SceneObserver:
         self._exposure_ns = round(acquisition.exposure_s * 1e9)
         self._scenes = len(acquisition.scenes)
         self._light = LightMonitor(manifest, acquisition.inputs, self._scenes)
-        # Scenes up to the present one among which the unsure ones are counted
+        # A run is doubted by its last 20 scenes: what was sound before says nothing of now
         self._unsure: deque[bool] = deque(maxlen=20)
         model = self._made.prior.model
         self._view = ViewTest(model, manifest.image_shape) if model else None
@@ -194,7 +194,7 @@ class SceneObserver:
         looks = len(self._masks)
         misfit = self._misfit
         if self._stored is not None:
-            # Of all looks together, as the misfit takes longer than a decision by tables
+            # The misfit takes longer than a decision by tables: once, after all looks
             before = AdaptivePosterior(self._made.prior, looks, self._optics)
             before.logs = torch.cat(self._logs)
             share = self._made.settings.shares[0]

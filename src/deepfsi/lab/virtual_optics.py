@@ -228,7 +228,7 @@ def arrival_rates(
     images = check_scenes(scenes, manifest, flux)
     frames = len(manifest.frames)
     out = np.empty((len(images), frames, manifest.inputs))
-    # Scenes whose light on the mirrors is held in memory, and frames that are unpacked there
+    # The light of 64 scenes on all mirrors fits the memory
     for first in range(0, len(images), 64):
         part = images[first : first + 64]
         light = MirrorLight(manifest, part, camera, flux)
