@@ -28,7 +28,7 @@ LINES = {
     "jobs": 1188,
     "lab": 3119,
     "patterns": 1144,
-    "physics": 1813,
+    "physics": 1817,
     "report": 977,
     "sweeps": 2090,
     "training": 1486,

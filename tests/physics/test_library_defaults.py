@@ -16,13 +16,17 @@ from deepfsi.physics.surroundings import torch_device
 @contextmanager
 def other_defaults():
     torch.set_default_dtype(torch.float64)
+    torch.set_float32_matmul_precision("medium")
+    bfloat16 = torch.autocast("cpu", dtype=torch.bfloat16)
     try:
-        with torch.no_grad(), torch.device("meta"), torch.autocast("cpu", dtype=torch.bfloat16):
+        with torch.inference_mode(), torch.device("meta"), bfloat16:
             yield
+            assert torch.get_float32_matmul_precision() == "medium"
             assert torch.get_default_dtype() == torch.float64
             assert torch.get_default_device().type == "meta"
     finally:
         torch.set_default_dtype(torch.float32)
+        torch.set_float32_matmul_precision("highest")
 
 
 def test_what_users_call_gives_the_same_whatever_torch_is_set_to(digits):

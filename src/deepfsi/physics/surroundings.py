@@ -11,10 +11,14 @@ from deepfsi.base.errors import InputError
 
 @contextmanager
 def library_defaults(grad: bool | None = None) -> Iterator[None]:
-    """Context, or decorator, in which a user's default type and device and autocast do not hold."""
+    """Context, or decorator, in which what a user set in torch changes no result."""
     with ExitStack() as stack:
-        if grad is not None:
-            stack.enter_context(torch.set_grad_enabled(grad))
+        recorded = torch.is_grad_enabled() if grad is None else grad
+        if torch.is_inference_mode_enabled():
+            stack.enter_context(torch.inference_mode(False))  # this records gradients again
+        stack.enter_context(torch.set_grad_enabled(recorded))
+        stack.callback(torch.set_float32_matmul_precision, torch.get_float32_matmul_precision())
+        torch.set_float32_matmul_precision("highest")
         for device in ("cpu", "cuda"):
             if torch.is_autocast_enabled(device):
                 stack.enter_context(torch.autocast(device, enabled=False))
