@@ -18,7 +18,7 @@ LINES = {
     "adaptive": 1412,
     "base": 1629,
     "camera": 1180,
-    "cli": 1827,
+    "cli": 1838,
     "counting": 3359,
     "datasets": 1840,
     "design": 1083,

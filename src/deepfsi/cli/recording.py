@@ -247,7 +247,7 @@ def _words(answer: ClassifiedScene) -> str:
 
 
 class ImportRecording(Command):
-    """It becomes an acquisition folder for `camera count`.
+    """It becomes an acquisition folder for `camera count`; without patterns, a photon file alone.
 
     Without options, the design's camera gives exposure and flux; the exposure is the longest that
     fits where it has none.
@@ -259,10 +259,10 @@ class ImportRecording(Command):
         "photon file (.ptu), or time and channel of each event (.txt .csv .npy .parquet)"
     )
     settings: Annotated[dict[str, Any], fields.camera_options("camera", "exposure", "flux")]
-    out: fields.NewFolder = fields.option("acquisition folder, new", ...)
-    patterns: Path = fields.option("folder of the patterns that were shown for each scene", ...)
-    scenes: Path = fields.option(
-        "text file with NAME or NAME,LABEL on each line; or a folder of the pictures", ...
+    out: Path = fields.option("acquisition folder, new; or the photon file, .ptu", ...)
+    patterns: Path | None = fields.option("folder of the patterns that were shown for each scene")
+    scenes: Path | None = fields.option(
+        "text file with NAME or NAME,LABEL on each line; or a folder of the pictures"
     )
     inputs: fields.Inputs = ()
     marker_bit: fields.MarkerBit = None
@@ -273,8 +273,16 @@ class ImportRecording(Command):
     channels: tuple[int, ...] = fields.option(
         "time stamps: channel of each detector; default: all others", (), alias="channel"
     )
+    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
+        if self.patterns is None:
+            fields.Output((".ptu",)).check(self.out, self.force)
+            self._write_photons(self.out)
+            return Outcome({"file": str(self.out)})
+        fields.Output(new=True).check(self.out, self.force)
+        if self.scenes is None:
+            raise InputError("an acquisition has scenes: give `scenes`, or leave `patterns` out")
         camera = camera_of(self.patterns, self.settings)
         patterns = Patterns.read(self.patterns)
         scenes = listed_scenes(self.scenes, patterns)
@@ -283,13 +291,16 @@ class ImportRecording(Command):
         with TemporaryDirectory() as folder:
             photons = self.events
             if photons.suffix.lower() != ".ptu":
-                if self.unit is None:
-                    raise InputError(f"{photons} has time stamps: give their `unit`, such as 1ps")
-                times, numbers = read_events(photons)
                 photons = Path(folder) / "photons.ptu"
-                wiring: dict[str, Any] = {"marker": self.marker_channel, "inputs": self.channels}
-                write_ptu(photons, times, numbers, **wiring, tick_s=self.unit)
+                self._write_photons(photons)
             acquisition = Recording.prepare(self.out, patterns, planned, photons).acquisition
         return Outcome(
             {"folder": str(self.out), "acquisition": acquisition.model_dump(mode="json")}
         )
+
+    def _write_photons(self, out: Path) -> None:
+        if self.unit is None:
+            raise InputError(f"{self.events} has time stamps: give their `unit`, such as 1ps")
+        times, numbers = read_events(self.events)
+        wiring: dict[str, Any] = {"marker": self.marker_channel, "inputs": self.channels}
+        write_ptu(out, times, numbers, **wiring, tick_s=self.unit)
