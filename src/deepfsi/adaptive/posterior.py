@@ -239,7 +239,7 @@ class ScenePrior:
         # scenes whose neighbours are looked for
         chosen = torch.randperm(len(self), generator=generator)[:3000].sort().values
         starts = np.cumsum([0, *self.sizes[:-1]])
-        found = []
+        found = [self.coefficients[:0]]
         for start, own in zip(starts.tolist(), self.coefficients.split(self.sizes), strict=True):
             rows = chosen[(chosen >= start) & (chosen < start + len(own))] - start
             if len(own) < 2 or not len(rows):
@@ -247,7 +247,7 @@ class ScenePrior:
             far = torch.cdist(own[rows], own)
             far[torch.arange(len(rows)), rows] = torch.inf
             found.append(own[rows] - own[far.argmin(dim=1)])
-        return torch.cat(found) if found else torch.zeros(1, 1)
+        return torch.cat(found)
 
     def _scale(self, differ: Tensor) -> None:
         """Scale components so that the covariance of differences (n, d) is the identity."""

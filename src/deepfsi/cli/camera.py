@@ -117,8 +117,9 @@ class ExportPatterns(Command):
 
     file: Path = fields.argument("design file; or raster or hadamard, to calibrate with")
     settings: Annotated[
-        dict[str, Any], fields.camera_options("camera", "dmd", "exposure", "region", "stretch")
+        dict[str, Any], fields.camera_options("camera", "exposure", "region", "stretch")
     ]
+    dmd: str | None = fields.option(str(Camera.model_fields["device"].description))
     out: fields.NewFolder = fields.option("folder for the patterns, new", ...)
     size: fields.HeightWidth | None = fields.option("cells of raster or hadamard; default: 32x32")
     detectors: Annotated[int, Field(ge=1, le=64)] | None = fields.option(
@@ -147,8 +148,8 @@ class ExportPatterns(Command):
                     "cells and detectors; leave them out"
                 )
             rails = design_rails(source)
-        told = {"device" if key == "dmd" else key: each for key, each in self.settings.items()}
-        camera = camera_of(source, told)
+        told = {} if self.dmd is None else {"device": self.dmd}
+        camera = camera_of(source, self.settings | told)
         device = camera.device or find_device("dlp7000")
         with as_input_error():
             turned = self.model_dump(include={"flip", "rotate", "invert"})

@@ -101,15 +101,15 @@ class PredictClasses(Command):
         with terminal.progress("predict"):
             settings = {"seed": self.seed, **self.settings}
             predictions = predict(design, self.pictures, self.photons, **settings)
+        content = predictions.as_dict()
         if self.out is not None:
             import polars
 
-            rows = predictions.as_dict()["pictures"]
-            table = polars.DataFrame(rows, infer_schema_length=None)
+            table = polars.DataFrame(content["pictures"], infer_schema_length=None)
             write_atomically(self.out, table.write_csv().encode())
         written = None if self.out is None else str(self.out)
         return Outcome(
-            {"design": str(self.file), "table": written, **predictions.as_dict()},
+            {"design": str(self.file), "table": written, **content},
             [f"pictures: {predictions.preprocessing}.", *predictions.lines()],
         )
 

@@ -69,7 +69,6 @@ def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
 def camera_options(*names: str) -> OptionsOf:
     """Options of fields of a camera, and of the camera itself by the name `camera`."""
     fields = {"camera": Job.model_fields["camera"], **Camera.model_fields}
-    fields["dmd"] = fields["device"]
     return OptionsOf({name: ("Camera", name, fields[name]) for name in names})
 
 

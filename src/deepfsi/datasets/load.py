@@ -108,8 +108,6 @@ def load_dataset(
             "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays; scenes "
             "and labels of a torch data set make two such arrays"
         )
-    if isinstance(source, os.PathLike):  # never a name
-        source = os.path.abspath(os.path.expanduser(source))
     name = "arrays" if isinstance(source, tuple) else absolute_source(source)
     with as_input_error():
         options = Origin(
@@ -135,12 +133,12 @@ def load_dataset(
     return replace(data, origin=options.model_copy(update={"white": data.white}))
 
 
-def _find(source: str) -> tuple[Path, _FileKind]:
+def _find(source: str | os.PathLike[str]) -> tuple[Path, _FileKind]:
     """Path of a data set that has no name, and its kind; `InputError` where none is there."""
     path = Path(source).expanduser()
     if not (source and path.exists()):
         raise InputError(
-            f"unknown data set '{source}': {closest_choice(source, DATASETS)}; or the path of "
+            f"unknown data set '{source}': {closest_choice(str(source), DATASETS)}; or the path of "
             f"{SOURCES_OF_PATHS}"
         )
     ending = "/" if path.is_dir() else path.suffix.lower()
@@ -150,9 +148,9 @@ def _find(source: str) -> tuple[Path, _FileKind]:
     raise InputError(f"{path} is no data set that is read: give {SOURCES_OF_PATHS}")
 
 
-def absolute_source(source: str) -> str:
-    """Name of a data set as it is, absolute path of any other."""
-    if source in DATASETS:
+def absolute_source(source: str | os.PathLike[str]) -> str:
+    """Name of a data set as it is, absolute path of any other; a path is never a name."""
+    if isinstance(source, str) and source in DATASETS:
         return source
     path = str(Path(source).expanduser().absolute())
     if readable_name(path) != path:  # a file of ours could not keep it
@@ -160,9 +158,9 @@ def absolute_source(source: str) -> str:
     return path
 
 
-def options_of(source: str) -> tuple[str, ...]:
+def options_of(source: str | os.PathLike[str]) -> tuple[str, ...]:
     """Options of `load_dataset` that this source takes, and not every one does."""
-    if source in DATASETS:
+    if isinstance(source, str) and source in DATASETS:
         return DATASETS[source].options
     return _find(source)[1].options
 

@@ -116,7 +116,7 @@ def predict(
     elif (source := np.asarray(pictures)).dtype.kind not in "biuf":
         raise InputError(
             f"pictures were given as {type(pictures).__name__}: give a picture, a folder of "
-            "pictures, a .csv file, or an array of numbers"
+            "pictures, or an array of numbers"
         )
     check_classes(design.values, "predict")
     check_draws(1, seed)
