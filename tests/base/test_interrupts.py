@@ -41,14 +41,14 @@ STUBBORN = f"""
 import sys, time
 from deepfsi.base import interrupts
 sys.modules["deepfsi.cli"] = sys  # a command runs
-{START}
-while True:
-    try:
-        time.sleep(600)
-    except KeyboardInterrupt:
-        print("armed", flush=True)
+try:
+    {START}
+    time.sleep(600)
+except KeyboardInterrupt:
+    print("armed", flush=True)
+time.sleep(600)
 """
-"""A loop that swallows what Ctrl-C raises, and prints its own words."""
+"""A command that swallows what Ctrl-C raises, once, and goes on."""
 
 
 def start(code: str, *words: object) -> subprocess.Popen:
