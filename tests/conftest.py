@@ -155,7 +155,7 @@ def call(monkeypatch, capsys) -> Callable[..., tuple[object, str, str]]:
     """Run a command line; gives its exit code, what it printed, and its errors."""
     from deepfsi import cli
 
-    monkeypatch.setattr("deepfsi.base.progress.LINE_SECONDS", 1e6)  # at no load such lines
+    monkeypatch.setattr("deepfsi.base.progress.FIRST_LINE_SECONDS", 1e6)  # at no load such lines
 
     def run(*words):
         monkeypatch.setattr(sys, "argv", ["deepfsi", *map(str, words)])

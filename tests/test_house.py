@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
-    "adaptive": 1412,
+    "adaptive": 1416,
     "base": 1629,
     "camera": 1180,
     "cli": 1838,
@@ -25,7 +25,7 @@ LINES = {
     "designfile": 1291,
     "evaluation": 1403,
     "exposure": 1057,
-    "jobs": 1188,
+    "jobs": 1195,
     "lab": 3119,
     "patterns": 1144,
     "physics": 1817,

@@ -67,6 +67,7 @@ MISTAKES = [
     (evaluate, {"draws": 1.5}, "1.5 noise draws are not allowed: give 1 to"),
     (evaluate, {"photons": [1e3, None]}, "photon budget None is not allowed"),
     (deepfsi.Camera, {"device": {"columns": 3}}, "device.name: it is missing: give one"),
+    (deepfsi.Training, {"classifier": None}, "classifier = None: give mlp, or"),
     (learn, {"photons": True}, "budget True is not allowed.* such as 1e4"),
     (learn, {"photons": None, "counts": True}, "number of counts True is not allowed"),
     (learn, {"photons": (1e3, 1e4)}, "is no number.*exposure=Range"),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.distance import cdist
 from scipy.special import softmax
 from scipy.stats import multivariate_normal
 
@@ -41,6 +42,28 @@ def test_one_centre_a_class_is_a_normal_law_of_each_class():
     exact = softmax(np.stack(laws, axis=1) + np.log(SIZES), axis=1)
     np.testing.assert_allclose(state.chances, exact, atol=0.05)
     assert (exact.max(axis=1) < 0.9).any(), "some classes are not told apart"
+
+
+def test_centres_are_means_of_their_scenes_and_components_the_distances_from_them():
+    (x, labels), clusters = unequal(), 4
+    prior = ScenePrior(x, labels, 3, components=PIXELS, clusters=clusters)
+    assert prior.labels.tolist() == np.repeat(range(3), clusters).tolist()
+    mean, components = prior.mean.numpy(), prior.components.numpy()
+    away = []
+    for label, (own, many) in enumerate(zip(
+        prior.coefficients.numpy().reshape(3, clusters, -1),
+        prior.members.numpy().reshape(3, clusters),
+        strict=True,
+    )):  # fmt: skip
+        centres = mean + own @ components
+        scenes = x[labels == label]
+        nearest = cdist(scenes, centres).argmin(axis=1)  # K-means has converged
+        np.testing.assert_array_equal(many, np.bincount(nearest, minlength=clusters))
+        means = [scenes[nearest == k].mean(axis=0) for k in range(clusters)]
+        np.testing.assert_allclose(centres, means, atol=1e-5)
+        away.append((scenes - centres[nearest]) @ np.linalg.inv(components))
+    covariance = np.cov(np.concatenate(away).T, bias=True) * prior.spread**2
+    np.testing.assert_allclose(covariance, np.eye(PIXELS), atol=2e-3)
 
 
 @pytest.mark.parametrize(

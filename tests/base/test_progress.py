@@ -14,7 +14,7 @@ def test_a_log_says_at_times_how_far_a_task_is(capsys, monkeypatch):
     clock = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: clock[0])
     with progress_bar(None, "plan") as report:
-        for clock[0], share in ((59.0, 0.01), (61.0, 0.02), (62.0, 0.2), (130.0, 0.5)):
+        for clock[0], share in ((1.0, 0.01), (2.5, 0.02), (4.0, 0.2), (62.6, 0.5)):
             report(share, "pca, 3 masks")
     said = "plan: 2%\nplan: 50%\n"
     assert capsys.readouterr().err == said

@@ -142,7 +142,7 @@ BAD_ARRAYS = {
     "objects as labels": (given(X, Y.astype(object)), ("object", "an integer or a string")),
     "one class": (given(X, Y * 0), ("classes are 0; give two or more",)),
     "few per class": (given(X, np.r_[[9] * 4, [1] * 26]), ("class '9' has 4 scenes", "5 or more")),
-    "no y_test": (given(X, Y, X), ("y_test is object of shape ()",)),
+    "no y_test": (given(X, Y, X), ("only one of x_test and y_test",)),
     "other pixels in test": (given(X, Y, X[:, :2], Y), ("(3, 4) in x", "(2, 4) in x_test")),
     "unknown class in test": (given(X, Y, X, Y + 1), ("y_test holds the label 3", "0, 1, 2")),
     "NaN in test": (given(X, Y, spoil(np.nan), Y), ("x_test reaches from nan",)),

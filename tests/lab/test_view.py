@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from calibration_samples import VIEW, calibration_of, vignette
 
+from counting.recording_samples import DEVICE, DWELL, SHAPE, Run, named, split, train
 from deepfsi.base.errors import InputError
 from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import DmdLayout, find_grid
@@ -14,7 +15,6 @@ from deepfsi.lab.calibration import reconstruct
 from deepfsi.lab.design_data import camera_view, view_dataset
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.rails import DesignRails
-from shared.virtual_runs import record
 
 
 def test_a_data_set_in_the_cameras_view():
@@ -62,20 +62,27 @@ def test_the_virtual_camera_and_the_operator_agree(device, shape, tolerance, blu
 
 @pytest.mark.parametrize("light", ["equal-dwell", "free-dwell", "two-arm"])
 def test_a_picture_is_the_scene(tmp_path, light):
-    """Within five standard errors of the counts of a pixel, of a detector that sees a third."""
-    eye = np.eye(6)
-    rails = {
-        "equal-dwell": np.stack([eye, np.roll(eye, 1, axis=1) * 0.5 + 0.25]) / 12,
-        "free-dwell": eye[None] / 6,
-        "two-arm": np.stack([eye, 1 - eye]) / 6,
-    }[light]
-    device = Device(name="d", columns=24, rows=16)
-    design = DesignRails(rails, light, (2, 3), summed_reflectance=2.0)
-    Patterns.from_rails(design, device, 2e-2).write(tmp_path / "p")
+    rails = np.stack([np.eye(6), np.roll(np.eye(6), 1, axis=1) * 0.5 + 0.25]) / 12
+    if light == "two-arm":
+        rails = np.stack([np.eye(6), 1 - np.eye(6)]) / 6
+    elif light == "free-dwell":
+        rails = np.eye(6)[None] / 6
+    patterns = Patterns.from_rails(
+        DesignRails(rails, light, SHAPE, summed_reflectance=2.0), DEVICE, DWELL
+    ).write(tmp_path / "patterns")
+    arms = 2 if light == "two-arm" else 1
+    flux, exposure = 2e9, 0.9 * DWELL * len(patterns.manifest.shown)
+    given = {"inputs": (2, 1)[:arms], "marker_bit": 4, "exposure_s": exposure, "settle_s": 3e-5}
+    Recording.prepare(
+        tmp_path / "run", Patterns.read(tmp_path / "patterns"), named(2, flux=flux, **given)
+    )
     scenes = np.array([[0.1, 0.9, 0.5, 0.3, 0.0, 0.2], [0.6, 0.1, 0.4, 0.5, 1.0, 0.4]])
-    eyes = camera.VirtualCamera(efficiency=1 / 3)
-    run = record(tmp_path / "run", tmp_path / "p", scenes.reshape(2, 2, 3), eyes, 1e7, 0.1)
-    recording = Recording.read(run)
-    found = reconstruct(recording, recording.count()).reshape(2, 6)
-    counts = 1e7 / 3 / 2 * 0.1 / 12  # of a white pixel
-    assert np.abs(3 * found - scenes).max() < 5 * np.sqrt(2 / counts)
+    photons = split(patterns, scenes * flux / 2.0, arms) * (DWELL - 4e-5) * 1e-2
+    starts = train(patterns.manifest, 2)
+    run = Run(tmp_path / "run", patterns, starts, np.rint(photons).astype(int))
+    run.record(starts, starts.ravel(), run.photons)
+    recording = Recording.read(tmp_path / "run")
+    found = reconstruct(recording, recording.count())
+    assert found.shape == (2, *SHAPE)
+    # A hundredth of the photons, as from a detector of that efficiency.
+    assert np.allclose(found.reshape(2, 6) * 1e2, scenes, atol=5e-3)

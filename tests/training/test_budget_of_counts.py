@@ -52,8 +52,8 @@ def test_a_training_counts_what_was_asked_for_within_its_light_law(digits, noise
 @pytest.mark.parametrize(
     ("settings", "match"),
     [
-        ({"design": "pca"}, "of `deepfsi` for one budget"),
-        ({"train_noise": "ml_gauss"}, "budget of photons or clicks"),
+        ({"design": "pca"}, "are of learned masks"),
+        ({"train_noise": "ml_gauss"}, "trained under poisson, camera, click noise"),
         ({"counts": 300.0}, "300 counts are not fewer than 200, the photons"),
         ({"noise": "click", "counts": 40.0}, "not fewer than 32, the clicks of all its gates"),
     ],

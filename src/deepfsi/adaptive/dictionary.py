@@ -30,6 +30,7 @@ from deepfsi.adaptive.posterior import (
     LookOptics,
     ScenePrior,
 )
+from deepfsi.base.arrays import check_memory
 from deepfsi.base.errors import InputError
 
 COMPARED_SCENES = (16, 32)
@@ -71,6 +72,9 @@ class _MaskTables:
         """Tables of masks (P, N) for a share of the exposure."""
         many = len(masks)
         scenes = len(prior)
+        needed = 4 * scenes * (3 * many + 6 * TABLED)
+        advice = "give fewer scenes, or a smaller `dictionary`"
+        check_memory(needed, "the tables of these masks and scenes", advice)
         gain = optics.photons / prior.summed_reflectance * share
         dark = optics.dark_sum * share
         least = LEAST_LIGHT * float(prior.mean.sum())

@@ -36,8 +36,8 @@ SILENT = Progress()
 """Shows nothing."""
 
 
-LINE_SECONDS = 60.0
-"""Time after which a task says again what share is done, where no terminal shows a bar."""
+FIRST_LINE_SECONDS = 2.0
+"""Time after which a task says what share is done, and then each minute, where no bar is shown."""
 
 
 @contextmanager
@@ -56,12 +56,12 @@ def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        said = time.monotonic()
+        due = time.monotonic() + FIRST_LINE_SECONDS
 
         def say(share: float, now: str) -> None:
-            nonlocal said
-            if time.monotonic() >= said + LINE_SECONDS:
-                said = time.monotonic()
+            nonlocal due
+            if time.monotonic() >= due:
+                due = time.monotonic() + 60
                 print(f"{what}: {share:.0%}", file=sys.stderr)
 
         yield Progress(say)

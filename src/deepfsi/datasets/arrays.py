@@ -139,6 +139,8 @@ def split_arrays(
     """Data set of arrays; a test part is drawn unless it is given."""
     check_seed(seed)
     drawn = all(part is None for part in test)
+    if not drawn and any(part is None for part in test):
+        raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
     pairs = [train] if drawn else [train, test]
     x, words, levels = _scenes([pair[0] for pair in pairs], name, white, levels)
     y = [pair[1] for pair in pairs]

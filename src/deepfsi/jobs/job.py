@@ -16,7 +16,7 @@ from deepfsi.base.models import UserModel
 from deepfsi.base.registry import UNNAMED_PLUGIN
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import PhotonBudget, check_budget
-from deepfsi.camera.names import LIGHT_LAWS, check_light_law, find_noise, noise_name
+from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light_law, find_noise, noise_name
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.jobs.designs import DESIGNS, Code, check_count, check_design, count_allowed
 from deepfsi.jobs.exposures import AdaptiveMasks, AnyExposure, Fixed, SharedLight, find_exposure
@@ -213,9 +213,11 @@ class Job(UserModel):
         if self.code.adaptive and self.camera.clicks is not None:
             return  # fewer than any number: exposures end where a click is not worth its price
         if not (self.code.learned and isinstance(self.exposure, Fixed) and noise.counting):
+            counting = ", ".join(name for name, facts in NOISES.items() if facts.counting)
             yield (
-                "counts within a budget are of `deepfsi` for one budget of photons or clicks, or "
-                "of adaptive masks for clicks: leave `counts` or `photons` out"
+                "counts within a budget are of learned masks that are shown once each, trained "
+                f"under {counting} noise, or of adaptive masks for clicks: leave `counts` or "
+                '`photons` out, or give `design="deepfsi"` without span, or `noise="click"`'
             )
             return
         most = self.photons

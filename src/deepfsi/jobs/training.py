@@ -63,17 +63,22 @@ def part_name(given: Any) -> Any:
     return import_path(given) or UNNAMED_PLUGIN
 
 
-def _own(given: Any) -> Any:
-    """A part of a user's own, its import path, or None."""
-    named = re.fullmatch(f"{IMPORT_PATH}|{UNNAMED_PLUGIN}|None", str(given))
+def _own(given: Any, advice: str) -> Any:
+    """A part of a user's own or its import path; else an error that says what to give."""
+    named = isinstance(given, str) and re.fullmatch(f"{IMPORT_PATH}|{UNNAMED_PLUGIN}", given)
     if not (named or callable(given)):
-        raise ValueError("give module:name of a part of your own, or the part itself")
+        raise ValueError(advice)
     return given
 
 
 def _classifier(given: Any) -> Any:
     known = isinstance(given, str) and find_classifier(given) is not CUSTOM_CLASSIFIER
-    return given if known else _own(given)
+    return given if known else _own(given, f"give {MLP}, or module:factory of your own")
+
+
+def _loss(given: Any) -> Any:
+    advice = "give module:function, or a function of outputs and truth"
+    return given if given is None else _own(given, advice)
 
 
 OwnPart = Annotated[
@@ -164,7 +169,7 @@ class Training(UserModel):
         default="auto",
         description="type of products: float32, bfloat16, or auto (bfloat16 below the noise)",
     )
-    loss: Annotated[OwnPart, AfterValidator(_own)] = Field(
+    loss: Annotated[OwnPart, AfterValidator(_loss)] = Field(
         default=None,
         description="module:function of a loss of your own, of outputs (n, C) and truth (n,) of "
         "classes or (n, q) of values; default: cross entropy, or the squared error of values",
