@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
-    "adaptive": 1416,
+    "adaptive": 1426,
     "base": 1629,
     "camera": 1180,
     "cli": 1838,
