@@ -63,11 +63,6 @@ REFUSED = {
         halves.toml | 'random' or 'blocks'
     """,
     "reproduce nosuch": "| unknown experiment 'nosuch'",
-    "compare --target": """
-        2 | --target 2 is not allowed
-        0.05 | give an accuracy below 1 and above 0.1
-        0.5 --photons 1e3 | give two budgets of --photons or more
-    """,
     "design --photons 1e4 --masks 3 --light free-dwell --rails single --detectors": """
         9x9 | do not divide scenes of 8x8: give ROWSxCOLUMNS up to 8x8
         four | give ROWSxCOLUMNS such as 2x2, a number of bands, or

@@ -30,8 +30,6 @@ def test_values_go_from_design_to_the_report(done, refuse, file, tmp_path):
     assert "accuracy" not in table
     words = ("page", made, "-o", tmp_path / "p.html")
     assert "is of classes, and this design estimates row, column" in refuse(*words)
-    target = ("compare", "--data", file, "--target", "0.9", "-o", tmp_path / "target")
-    assert "measured by R²: leave it out" in refuse(*target)
 
     folder = tmp_path / "out"
     words = ("--designs", "pca,impulse", "--workers", 1, "--data", file, *few, "-o", folder)

@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -234,20 +234,12 @@ def all_above(differences: Iterable[Difference], limit: float = 0.0) -> bool | N
     return True if all(each.low > limit for each in every) else None
 
 
-@dataclass(frozen=True)
-class Crossing:
-    """Where a curve of accuracy over photons meets a target."""
-
-    photons: float | None
-    low: float | None
-    high: float | None
-    found: Literal["within", "below", "beyond"]
-
-
 def find_crossing(
     photons: Sequence[float], accuracies: Sequence[Sequence[float]], images: int, target: float
-) -> Crossing:
-    """Photons at which the accuracy reaches a target, of budgets (B,) that rise.
+) -> tuple[float | None, float | None, float | None]:
+    """Photons at which the accuracy reaches a target, of budgets (B,) that rise; their interval.
+
+    Low end, best value and high end; None for one that the tried budgets do not enclose.
 
     The tried accuracies are made to rise with the budget (isotonic regression) and joined by a
     monotone cubic over its logarithm. The interval holds all budgets at which the curve's own one
@@ -272,17 +264,11 @@ def find_crossing(
         short = np.flatnonzero(accuracy < target)
         return int(short[-1]) + 1 if len(short) else 0
 
-    best = reached(curve)
-    low = reached(upper)
-    high = reached(lower)
-    budgets = 10**budgets
-    last = len(budgets) - 1
-    return Crossing(
-        photons=float(budgets[best]) if 0 < best <= last else None,
-        low=float(budgets[min(low, last)]) if low else None,
-        high=float(budgets[high]) if high <= last else None,
-        found="below" if best == 0 else "beyond" if best > last else "within",
+    places = reached(upper), reached(curve), reached(lower)
+    low, best, high = (
+        float(10 ** budgets[place]) if 0 < place < len(budgets) else None for place in places
     )
+    return low, best, high
 
 
 def _shapes(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -27,7 +27,6 @@ from deepfsi.sweeps.recipe import Recipe, only
 from deepfsi.sweeps.records import write_table
 from deepfsi.sweeps.results import write_results
 from deepfsi.sweeps.run import compare
-from deepfsi.sweeps.summary import check_target, needs_of, needs_table
 
 
 class _Study(Command):
@@ -43,11 +42,10 @@ class _Study(Command):
         recipe: Recipe,
         scenes: Dataset,
         *,
-        target: float | None = None,
         table: Path | None = None,
         **others: Any,
     ) -> Outcome:
-        """Train; write the results, their page and a table of the records; what a target needs."""
+        """Train; write the results, their page and a table of the records."""
         from deepfsi.report.comparison_page import (
             comparison_lines,
             scenes_text,
@@ -74,19 +72,16 @@ class _Study(Command):
         content = results.as_dict()
         for point in content["points"]:
             point.pop("terms", None)
-        needs = [] if target is None else needs_of(results, target)
         return Outcome(
             {
                 "report": str(page),
                 "verdict": verdict_of(results).text,
-                **({} if target is None else {"target": target, "needs": needs}),
                 **content,
                 "notes": notes,
             },
             [
                 *data_lines(results.data, notes),
                 *comparison_lines(results),
-                *([] if target is None else [needs_table(target, needs)]),
                 f"report: {page}",
             ],
         )
@@ -114,7 +109,6 @@ class CompareDesigns(_Study):
         "default: 5 where a test part was drawn from the scenes and has fewer than 300"
     )
     matrix: fields.Matrix = None
-    target: float | None = fields.option("accuracy, such as 0.9: say what light and masks it needs")
 
     def run(self, terminal: Terminal) -> Outcome:
         check_report()
@@ -127,9 +121,7 @@ class CompareDesigns(_Study):
         recipe, scenes = check_settings(chosen | _recipe_settings(options), _load, self.matrix)
         if not self.designs and self.matrix is None:
             recipe = with_adaptive(recipe, scenes)
-        if self.target is not None:
-            check_target(self.target, recipe, scenes)
-        return self.study(terminal, recipe, scenes, target=self.target, matrix=self.matrix)
+        return self.study(terminal, recipe, scenes, matrix=self.matrix)
 
 
 class SweepRecipe(_Study):

@@ -8,11 +8,7 @@ from typing import Any, NamedTuple
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
-from deepfsi.base.intervals import (
-    MOST_CLASSES,
-    confusion_shares,
-    find_crossing,
-)
+from deepfsi.base.intervals import MOST_CLASSES, confusion_shares, find_crossing
 from deepfsi.base.quantities import Table, budget_text, rate_text, short_name
 from deepfsi.camera.names import noise_text
 from deepfsi.designfile.design_file import DesignFile
@@ -337,9 +333,13 @@ def _times(first: Point, other: Point, series: Series, *, images: int) -> str | 
         budgets = [p.photons for p in curve]
         trials = [[max(score, 0.0) for score in p.accuracies] for p in curve]  # R² may be below 0
         targets = point.low, point.accuracy, point.high
-        low, best, high = (find_crossing(budgets, trials, images, target) for target in targets)
-        if low.low and best.photons and high.high:
-            ratios = [photons / first.photons for photons in (low.low, best.photons, high.high)]
+        # The lower end of the lowest accuracy, the value of the mean, the upper end of the highest
+        low, best, high = (
+            find_crossing(budgets, trials, images, target)[end]
+            for end, target in enumerate(targets)
+        )
+        if low and best and high:
+            ratios = [photons / first.photons for photons in (low, best, high)]
             if curve is mine:
                 ratios = [1 / ratio for ratio in reversed(ratios)]
             if ratios[0] < 1.15:  # an interval that begins at 1 says nothing of how many times

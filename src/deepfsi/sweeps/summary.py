@@ -1,19 +1,16 @@
 """Results of records: folds put together, trials averaged, mask counts chosen."""
 
-import math
 import platform
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from deepfsi.base.errors import InputError
-from deepfsi.base.intervals import find_crossing, pack_values, unpack_values, worst_class
-from deepfsi.base.quantities import Table, budget_text
+from deepfsi.base.intervals import pack_values, unpack_values, worst_class
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.names import noise_text
 from deepfsi.datasets.dataset import Dataset
@@ -40,9 +37,6 @@ _AXES = (
     "masks",
 )
 """Fields that tell the points of a summary apart."""
-
-_CURVES = tuple(axis for axis in _AXES if axis not in ("design", "trained_at", "photons", "masks"))
-"""Fields that tell two curves of a design apart: a table has those that differ."""
 
 _Member = tuple[Record, int]
 """Record of a trial, and the place of a setting among its tests."""
@@ -298,82 +292,3 @@ def _of_values(tests: Sequence[Record]) -> dict[str, Any]:
         "rmse": np.mean([test["rmse"] for test in tests], axis=0).tolist(),
         "bound": np.mean(bounds, axis=0).tolist() if bounds else (),
     }
-
-
-def check_target(target: float, recipe: Recipe, data: Dataset) -> None:
-    """Raise `InputError` where no curve can meet a target accuracy."""
-    if data.measure != "accuracy":
-        raise InputError(
-            f"`target` is an accuracy, and answers to {data.name} are measured by {data.measure}: "
-            "leave it out"
-        )
-    if not data.chance < target < 1:
-        raise InputError(
-            f"`target` {target:g} is not allowed: give an accuracy below 1 and above "
-            f"{data.chance:.3g}, that of guessing the commonest class of {data.name}"
-        )
-    if len(recipe.photons) < 2 or recipe.test_photons:
-        raise InputError(
-            "`target` is read off curves of designs, each trained for its budget: give two budgets "
-            "of `photons` or more"
-        )
-
-
-def needs_of(results: Results, target: float) -> list[dict[str, Any]]:
-    """Photons and masks with which each design reaches a target accuracy, fewest photons first.
-
-    JSON types only: `photons`, `low` and `high` are `Crossing`'s, `masks` belong to the tried
-    budget next to it. The comparison has two budgets or more.
-    """
-    apart = ("masks",) if results.chosen_on == "nothing" else ()
-    curves: dict[tuple[Any, ...], list[Point]] = defaultdict(list)
-    for point in sorted(results.points, key=lambda point: point.photons):
-        if point.best:
-            curves[tuple(getattr(point, axis) for axis in ("design", *_CURVES, *apart))].append(
-                point
-            )
-    needs = [_need(curve, results.data.test, target) for curve in curves.values() if len(curve) > 1]
-    return sorted(needs, key=lambda need: need["photons"] or math.inf)
-
-
-def _need(curve: Sequence[Point], images: int, target: float) -> dict[str, Any]:
-    tried = [point.photons for point in curve]
-    crossing = find_crossing(tried, [point.accuracies for point in curve], images, target)
-    at = crossing.photons or tried[0 if crossing.found == "below" else -1]
-    nearest = min(curve, key=lambda point: abs(math.log(point.photons / at)))
-    return {
-        **{axis: getattr(nearest, axis) for axis in ("design", "title", *_CURVES)},
-        **asdict(crossing),
-        "masks": nearest.masks,
-        "tried": tried,
-    }
-
-
-def needs_table(target: float, needs: Sequence[Mapping[str, Any]]) -> Table:
-    """Table with a line for each design."""
-    several = [axis for axis in _CURVES if len({need[axis] for need in needs}) > 1]
-    return Table(
-        f"accuracy {target:g} needs",
-        ("design", "photons (95 % interval)", "masks", *several),
-        [
-            (
-                need["title"],
-                _photons(need),
-                str(need["masks"]),
-                *(str(need[axis] or "–") for axis in several),
-            )
-            for need in needs
-        ],
-    )
-
-
-def _photons(need: Mapping[str, Any]) -> str:
-    """Photons that a design needs, with the interval: 1.2e3 (900 to 2e3)."""
-    lowest, *_, highest = map(budget_text, need["tried"])
-    if need["photons"] is None:
-        return f"{lowest} or fewer" if need["found"] == "below" else f"above {highest}"
-    low, best, high = (
-        end and budget_text(float(f"{end:.1e}"))
-        for end in (need["low"], need["photons"], need["high"])
-    )
-    return f"{best} ({low or f'below {lowest}'} to {high or f'above {highest}'})"
