@@ -95,7 +95,7 @@ def test_a_checkpoint_left_by_a_kill_before_its_removal_is_removed(digits, trial
     train_trials(trials, digits, tmp_path)
     made = sorted((tmp_path / "designs").iterdir())
     (tmp_path / "checkpoints").mkdir()
-    for name in (made[0].name, "0" * 24 + ".safetensors"):
+    for name in (f"{made[0].stem}.checkpoint", "0" * 24 + ".checkpoint"):
         (tmp_path / "checkpoints" / name).touch()
     Records(tmp_path)
     assert [path.stem for path in (tmp_path / "checkpoints").iterdir()] == ["0" * 24]

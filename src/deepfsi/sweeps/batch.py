@@ -177,7 +177,7 @@ class BatchTrainer:
         """Checkpoint of a batch, named by the first design; one that is of no use is replaced."""
         if folder is None or batch[0].job.code.adaptive:
             return NO_CHECKPOINT
-        path = folder / f"{batch[0].design_key}.safetensors"
+        path = folder / f"{batch[0].design_key}.checkpoint"
         jobs = [trial.job for trial in batch]
         try:
             checkpoint = Checkpoint.of(path, self.training_set, jobs, matrix)

@@ -5,7 +5,8 @@ A folder holds
     trials/KEY.json           one record: settings, validation and test results
     designs/KEY.safetensors   the design itself; KEY is of what its training depends on
     locks/KEY.lock           locked while a process trains the design
-    checkpoints/KEY.safetensors  state of a training under way, of the first of its designs: of
+    checkpoints/KEY.checkpoint
+                             state of a training under way, of the first of its designs: of
                              whoever has the lock, removed with the last of them
     finished-KEY/            files of trials that were trained together, before they are moved
 
@@ -138,7 +139,7 @@ class Records:
     def _clear_checkpoints(self) -> None:
         """Remove the checkpoints of designs that are there, and their folder with the last."""
         for path in _files(self.checkpoints):
-            if (self.folder / "designs" / path.name).is_file():
+            if (self.folder / "designs" / f"{path.stem}.safetensors").is_file():
                 path.unlink(missing_ok=True)
         with suppress(OSError):
             self.checkpoints.rmdir()

@@ -6,23 +6,24 @@ that its steps change.
 """
 
 import hashlib
+import io
 import json
 import os
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from safetensors.numpy import save as to_bytes
 from torch import Tensor, nn
 
-from deepfsi.base.arrays import read_tensors
+from deepfsi.base.arrays import LARGEST_TENSORS
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import write_atomically
+from deepfsi.base.files import read_regular, write_atomically
 from deepfsi.base.interrupts import note_saved_work
 from deepfsi.base.registry import UNNAMED_PLUGIN, source_hash
 from deepfsi.exposure.training_set import TrainingSet
@@ -33,11 +34,8 @@ from deepfsi.training.losses import CountsCost
 CHECKPOINT_SECONDS = 120.0
 """Seconds between two writes."""
 
-HEADER = "deepfsi-checkpoint"
-"""Key of the header among the metadata of the file."""
-
-Arrays = dict[str, np.ndarray]
-"""State by name."""
+DIGEST = 32
+"""Bytes of the SHA-256 of all that follows them in the file."""
 
 
 @dataclass
@@ -56,58 +54,44 @@ class LoopState:
     def __post_init__(self) -> None:
         self.generators = [*(stream.generator for stream in self.draws.streams), *self.generators]
 
-    def learned(self) -> dict[str, Tensor]:
+    def learned(self) -> list[Tensor]:
         """Current parameters and buffers of the modules."""
-        return {
-            f"module.{place}.{name}": tensor.detach()
-            for place, module in enumerate(self.modules)
-            for name, tensor in (*module.named_parameters(), *module.named_buffers())
+        return [
+            tensor.detach()
+            for module in self.modules
+            for tensor in (*module.parameters(), *module.buffers())
+        ]
+
+    def state(self) -> dict[str, Any]:
+        """State of a loop after its first step or later: tensors, numbers and text."""
+        state = {
+            "step": self.step,
+            "learned": self.learned(),
+            "generators": [generator.get_state() for generator in self.generators],
+            "cost": None if self.cost is None else self.cost.weight,
         }
-
-    def arrays(self) -> Arrays:
-        """State of a loop after its first step or later."""
-        tensors = self.learned()
-        for index, generator in enumerate(self.generators):
-            tensors[f"generator.{index}"] = generator.get_state()
-        if self.cost is not None:
-            tensors["cost"] = self.cost.weight
         if self.step < self.total:
-            for place, stream in enumerate(self.draws.streams):
-                tensors[f"rows.{place}"] = stream.order
-            for number, moments in self.optimiser.state_dict()["state"].items():
-                tensors |= {
-                    f"optimiser.{number}.{name}": tensor for name, tensor in moments.items()
-                }
-        return {name: _array(tensor) for name, tensor in tensors.items()}
+            state["orders"] = [stream.order for stream in self.draws.streams]
+            state["optimiser"] = self.optimiser.state_dict()
+            state["schedule"] = self.schedule.state_dict()
+        return state
 
-    def restore(self, step: int, arrays: Mapping[str, np.ndarray]) -> None:
-        """Return the loop to a step and its state."""
-        if "rows.0" not in arrays:  # the loop ended there
-            self.total = step
-        for name, tensor in self.learned().items():
-            tensor.copy_(_tensor(arrays[name], tensor))
-        for index, generator in enumerate(self.generators):
-            generator.set_state(torch.from_numpy(arrays[f"generator.{index}"]))
+    def restore(self, state: dict[str, Any]) -> None:
+        """Return the loop to a state."""
+        self.step = state["step"]
+        for tensor, stored in zip(self.learned(), state["learned"], strict=True):
+            tensor.copy_(stored)
+        for generator, stored in zip(self.generators, state["generators"], strict=True):
+            generator.set_state(stored)
         if self.cost is not None:
-            self.cost.restore(step, torch.from_numpy(arrays["cost"]))
-        if step < self.total:
-            for index, stream in enumerate(self.draws.streams):
-                stream.follow(torch.from_numpy(arrays[f"rows.{index}"]))
-        learning = [weight for group in self.optimiser.param_groups for weight in group["params"]]
-        moments: dict[int, dict[str, Tensor]] = {}
-        for name, array in arrays.items():
-            if name.startswith("optimiser."):
-                _, place, part = name.split(".")
-                count = torch.from_numpy(array)
-                tensor = count if part == "step" else _tensor(array, learning[int(place)])
-                moments.setdefault(int(place), {})[part] = tensor
-        groups = self.optimiser.state_dict()["param_groups"]
-        self.optimiser.load_state_dict({"state": moments, "param_groups": groups})
-        # the learning rate follows from the step alone
-        before = {"last_epoch": step - 1, "_step_count": step + 1}
-        self.schedule.load_state_dict({**self.schedule.state_dict(), **before})
-        self.schedule.step()
-        self.step = step
+            self.cost.restore(self.step, state["cost"])
+        if "orders" not in state:  # the loop ended there
+            self.total = self.step
+            return
+        for stream, order in zip(self.draws.streams, state["orders"], strict=True):
+            stream.follow(order)
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.schedule.load_state_dict(state["schedule"])
 
 
 class Checkpoint:
@@ -119,8 +103,8 @@ class Checkpoint:
         self.title = title
         self.seconds = 0.0
         self.words = f"{path} holds the training so far, from which it can be resumed"
-        self._loops: list[tuple[int, Arrays]] = []  # finished in this run
-        self._before: list[tuple[int, Arrays]] = []  # read from the file
+        self._loops: list[dict[str, Any]] = []  # finished in this run
+        self._before: list[dict[str, Any]] = []  # read from the file
         self._began = self._written = time.monotonic()
 
     @classmethod
@@ -147,30 +131,17 @@ class Checkpoint:
         """Read the file; `InputError` if it is damaged or of another training."""
         assert self.path is not None
         advice = "give the path of a checkpoint, or of a new file"
-        try:
-            text, arrays = read_tensors(self.path, HEADER, advice)
-            header = json.loads(text)
-            if header["content"] != _content(arrays):
-                raise self._damaged()
-            key, title, steps = header["key"], header["title"], header["steps"]
-            self.seconds = header["seconds"]
-        except InputError:
-            raise
-        except (ValueError, KeyError, TypeError) as error:
-            raise self._damaged() from error
-        if key != self.key:
+        content = read_regular(self.path, LARGEST_TENSORS, advice)
+        if content[:DIGEST] != hashlib.sha256(content[DIGEST:]).digest():
+            raise InputError(f"{self.path} is damaged: remove it, and the training begins anew")
+        stored = torch.load(io.BytesIO(content[DIGEST:]), map_location="cpu", weights_only=True)
+        if stored["key"] != self.key:
             raise InputError(
-                f"{self.path} is of another training ({title}; other settings, data, torch "
-                "or device): resume that one, or remove the file to begin anew"
+                f"{self.path} is of another training ({stored['title']}; other settings, data, "
+                "torch or device): resume that one, or remove the file to begin anew"
             )
-        self._before = [
-            (step, {name.partition("/")[2]: array for name, array in arrays.items()
-                    if name.startswith(f"{place}/")})
-            for place, step in enumerate(steps)
-        ]  # fmt: skip
-
-    def _damaged(self) -> InputError:
-        return InputError(f"{self.path} is damaged: remove it, and the training begins anew")
+        self.seconds = stored["seconds"]
+        self._before = stored["loops"]
 
     @contextmanager
     def of_loop(self, loop: LoopState) -> Iterator[None]:
@@ -178,14 +149,11 @@ class Checkpoint:
         if self.path is None:
             yield
             return
-        place = len(self._loops)
-        if place < len(self._before):
-            try:
-                loop.restore(*self._before[place])
-            except (KeyError, IndexError, TypeError, ValueError, RuntimeError) as error:
-                raise self._damaged() from error
+        number = len(self._loops)
+        if number < len(self._before):
+            loop.restore(self._before[number])
         yield
-        self._loops.append((loop.step, loop.arrays()))
+        self._loops.append(loop.state())
 
     def keep(self, loop: LoopState) -> None:
         """Write the state of a loop after a step if it is time."""
@@ -194,21 +162,17 @@ class Checkpoint:
 
     def _write(self, loop: LoopState) -> None:
         assert self.path is not None
-        loops = [*self._loops, (loop.step, loop.arrays())]
-        arrays = {
-            f"{place}/{name}": array
-            for place, (_, state) in enumerate(loops)
-            for name, array in state.items()
-        }
-        header = {
+        stored = {
             "key": self.key,  # hash of everything that the bits depend on
             "title": self.title,
-            "steps": [step for step, _ in loops],  # done in each loop
             "seconds": self.seconds + time.monotonic() - self._began,
-            "content": _content(arrays),
+            "loops": [*self._loops, loop.state()],
         }
+        file = io.BytesIO()
+        torch.save(stored, file)
+        content = file.getvalue()
         try:
-            write_atomically(self.path, to_bytes(arrays, {HEADER: json.dumps(header)}))
+            write_atomically(self.path, hashlib.sha256(content).digest() + content)
         except InputError as error:  # the next write may have room again
             warnings.warn(f"{error}; the training goes on", stacklevel=2)
         else:
@@ -243,34 +207,9 @@ def _key(
         "jobs": [job.model_dump(mode="json") for job in jobs],
         "sources": [source_hash(name) for name in names],
         "data": (training_set.data.hash, training_set.data.held_out),
-        "matrix": None if matrix is None else _content({"matrix": np.asarray(matrix, np.float32)}),
+        "matrix": None if matrix is None else np.asarray(matrix, np.float32).tolist(),
         "counts": counts,
         "torch": torch.__version__,
         "device": training_set.device.type,
     }
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
-
-
-def _content(arrays: Mapping[str, np.ndarray]) -> str:
-    """SHA-256 in hex over arrays, their names, types and shapes."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        array = arrays[name]
-        digest.update(f"{name} {array.dtype} {array.shape};".encode())
-        digest.update(np.ascontiguousarray(array).data)
-    return digest.hexdigest()
-
-
-def _array(tensor: Tensor) -> np.ndarray:
-    """Copy of a tensor in NumPy; bfloat16 becomes the integers of its bits."""
-    whole = tensor.detach().to("cpu", copy=True).contiguous()
-    return (whole.view(torch.int16) if whole.dtype == torch.bfloat16 else whole).numpy()
-
-
-def _tensor(array: np.ndarray, like: Tensor) -> Tensor:
-    """Tensor of an array, laid out in memory like another."""
-    tensor = torch.from_numpy(array)
-    tensor = tensor.view(torch.bfloat16) if like.dtype == torch.bfloat16 else tensor
-    if (tensor.shape, tensor.dtype) != (like.shape, like.dtype):
-        raise ValueError(f"{tuple(tensor.shape)} {tensor.dtype}, not {tuple(like.shape)}")
-    return torch.empty_like(like).copy_(tensor)
