@@ -25,7 +25,7 @@ from deepfsi.datasets.load import load_dataset
 from deepfsi.report.comparison_page import write_report
 from deepfsi.sweeps.plan import plan_trials
 from deepfsi.sweeps.recipe import Recipe
-from deepfsi.sweeps.records import FinishedTrial, Records, write_table
+from deepfsi.sweeps.records import FinishedTrial, Records
 from deepfsi.sweeps.results import write_results
 from deepfsi.sweeps.run import run_trials
 from deepfsi.sweeps.summary import summarise_records
@@ -106,8 +106,6 @@ def records(count: int) -> None:
         write_results(folder / "results.json", results)
         write_report(folder)
         times.append(time.process_time())
-        write_table(found, folder / "table.csv")
-        times.append(time.process_time())
     spent = np.diff(times)
     print(f"| {count} | " + " | ".join(f"{seconds:.2f}" for seconds in spent) + " |", flush=True)
 
@@ -143,8 +141,8 @@ def main(words: Sequence[str] | None = None) -> None:
     for what in asked.tables:
         sizes = SIZES[what][: asked.most]
         if what == "records":
-            print("| records | plan, s | write, s | resume, s | report, s | table, s |")
-            print("| --- | --- | --- | --- | --- | --- |")
+            print("| records | plan, s | write, s | resume, s | report, s |")
+            print("| --- | --- | --- | --- | --- |")
             for count in sizes:
                 records(count)
         else:

@@ -181,7 +181,7 @@ def test_readme(run, tmp_path):
         ("do/compare", ("masks.png", "patterns/manifest.json", "runs/target/results.json")),
         ("do/deploy", ("digits.html", "digits.onnx")),
         ("do/shared-light", ("shared.safetensors", "runs/shared")),
-        ("do/cluster", ("runs/quick.csv",)),
+        ("do/cluster", ("runs/quick/results.json",)),
         ("notebook/reproduce", ("runs/paper/report.html",)),
     ],
 )

@@ -20,7 +20,6 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.recipe import Recipe, only, parts
-from deepfsi.sweeps.records import write_table
 from deepfsi.sweeps.results import Point, Results, accuracy_difference, read_results, write_results
 from deepfsi.sweeps.run import compare
 from deepfsi.sweeps.summary import provenance_of
@@ -91,8 +90,8 @@ class Experiment:
 
         The experiments of a study share one folder of records, so that what one has trained
         another only tests. `NAME.json` holds the results, `NAME.csv` a row for each point of the
-        figures, and `NAME-trials.csv` one for each test. Each point says the part that it is of,
-        its `recipe`. Where a recipe names a split, its points and the name of the data do, too.
+        figures. Each point says the part that it is of, its `recipe`. Where a recipe names a split,
+        its points and the name of the data do, too.
         """
         recipes = self.recipes(quick, trials)
         data = self._data(recipes)
@@ -124,7 +123,6 @@ class Experiment:
         table = io.BytesIO()
         polars.DataFrame(averaged, infer_schema_length=None).write_csv(table)
         write_atomically(folder / f"{self.name}.csv", table.getvalue())
-        write_table(records, folder / f"{self.name}-trials.csv")
         write_results(folder / f"{self.name}.json", results)
         return results
 
@@ -164,7 +162,7 @@ class Experiment:
             pictures=shown.pictures,
             claims=shown.claims,
             tables=shown.tables,
-            files=(f"{self.name}.csv", f"{self.name}-trials.csv"),
+            files=(f"{self.name}.csv",),
             command=results.command,
             data=results.data.name,
         )

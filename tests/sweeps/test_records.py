@@ -1,31 +1,12 @@
-"""Records on disk, and their table."""
+"""Records on disk."""
 
 import json
 
-import polars
 import pytest
 
-from deepfsi.base.errors import InputError
-from deepfsi.sweeps.records import Records, write_table
+from deepfsi.sweeps.records import Records
 from deepfsi.sweeps.results import RESULTS_SCHEMA
 from shared.trials import planned, train_trials
-
-
-def test_a_table_has_a_row_for_each_test(digits, tmp_path):
-    trials = planned(digits, test_photons=(1e2, 1e4), test_levels=(0, 769))
-    records = train_trials(trials, digits, tmp_path)
-    csv = polars.read_csv(write_table(records, tmp_path / "all.csv"))
-    parquet = polars.read_parquet(write_table(records, tmp_path / "all.parquet"))
-    assert csv.shape == parquet.shape
-    assert len(csv) == len(records) * 4
-    for measure in ("counts", "accuracy"):
-        assert csv[measure].to_list() == [t[measure] for r in records for t in r["test"]]
-    for measure in ("accuracy", "balanced"):
-        held = [t[measure] for r in records for t in r["validation"]]
-        assert csv[f"validation.{measure}"].to_list() == held
-    assert set(csv["levels"]) == {0, 769}
-    with pytest.raises(InputError, match=r"\.csv or \.parquet"):
-        write_table(records, tmp_path / "all.xls")
 
 
 def test_a_lock_whose_folder_another_process_takes_away_is_not_taken(digits, tmp_path, monkeypatch):

@@ -24,7 +24,6 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.sweeps.plan import check_settings, with_adaptive
 from deepfsi.sweeps.recipe import Recipe, only
-from deepfsi.sweeps.records import write_table
 from deepfsi.sweeps.results import write_results
 from deepfsi.sweeps.run import compare
 
@@ -36,16 +35,8 @@ class _Study(Command):
     workers: fields.WorkerCount = None
     device: fields.TorchDevice = "auto"
 
-    def study(
-        self,
-        terminal: Terminal,
-        recipe: Recipe,
-        scenes: Dataset,
-        *,
-        table: Path | None = None,
-        **others: Any,
-    ) -> Outcome:
-        """Train; write the results, their page and a table of the records."""
+    def study(self, terminal: Terminal, recipe: Recipe, scenes: Dataset, **others: Any) -> Outcome:
+        """Train; write the results and their page."""
         from deepfsi.report.comparison_page import (
             comparison_lines,
             scenes_text,
@@ -54,7 +45,7 @@ class _Study(Command):
         )
 
         with terminal.progress("trials") as report:
-            results, records = compare(
+            results, _ = compare(
                 recipe,
                 scenes,
                 self.out,
@@ -64,8 +55,6 @@ class _Study(Command):
                 report=report,
                 **others,
             )
-        if table is not None:
-            write_table(records, table)
         write_results(self.out / "results.json", results)
         page = write_report(self.out)
         notes = [scenes_text(results.data)]
@@ -73,17 +62,8 @@ class _Study(Command):
         for point in content["points"]:
             point.pop("terms", None)
         return Outcome(
-            {
-                "report": str(page),
-                "verdict": verdict_of(results).text,
-                **content,
-                "notes": notes,
-            },
-            [
-                *data_lines(results.data, notes),
-                *comparison_lines(results),
-                f"report: {page}",
-            ],
+            {"report": str(page), "verdict": verdict_of(results).text, **content, "notes": notes},
+            [*data_lines(results.data, notes), *comparison_lines(results), f"report: {page}"],
         )
 
 
@@ -129,7 +109,7 @@ class SweepRecipe(_Study):
 
     Trials that are still in a changed recipe are used. Several processes may work on one folder.
 
-    Example: deepfsi sweep baseline -o runs/baseline --table runs/baseline.csv
+    Example: deepfsi sweep baseline -o runs/baseline
     """
 
     recipe: str = fields.argument("name of a recipe, such as mnist, or TOML file; lists are axes")
@@ -137,16 +117,12 @@ class SweepRecipe(_Study):
     quick: bool = fields.option("the recipe's coarse version, where it has one", False)
     out: Annotated[Path, fields.Output()] = fields.option("output folder", Path("runs/sweep"))
     ray: fields.Ray = None
-    table: Annotated[Path | None, fields.Output((".csv", ".parquet"))] = fields.option(
-        "write all records as one table, .csv or .parquet"
-    )
-    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
         check_report()
         settings = only(read_recipe(self.recipe), self.part_name, self.quick)
         recipe, scenes = check_settings(settings, _load)
-        return self.study(terminal, recipe, scenes, table=self.table, ray=self.ray)
+        return self.study(terminal, recipe, scenes, ray=self.ray)
 
 
 # recipes

@@ -15,25 +15,18 @@ whoever finds it. What was trained together is written all or not at all: a tria
 are kept would be trained alone, and a sum of numbers in another order rounds otherwise.
 """
 
-import io
 import json
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from filelock import FileLock, Timeout
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import (
-    check_ending,
-    new_folder,
-    read_regular,
-    write_atomically,
-)
+from deepfsi.base.files import new_folder, read_regular, write_atomically
 from deepfsi.base.interrupts import note_saved_work
 from deepfsi.sweeps.plan import Trial
 from deepfsi.sweeps.results import RESULTS_SCHEMA
@@ -197,41 +190,3 @@ def _files(folder: Path) -> list[Path]:
         return list(folder.iterdir())
     except FileNotFoundError:
         return []
-
-
-def write_table(records: Sequence[Record], path: Path) -> Path:
-    """Write records as one table, a row for each test of a trial."""
-    import polars
-
-    check_ending(path, (".csv", ".parquet"))
-    rows = [
-        {
-            "key": record["key"],
-            **_columns(record["trial"]),
-            **_columns({"validation": validation} if validation else {}, lists=False),
-            **_columns(test, lists=False),
-            "seconds": record["info"]["seconds"],
-        }
-        for record in records
-        for test, validation in zip_longest(record["test"], record["validation"])
-    ]
-    table = polars.DataFrame(rows, infer_schema_length=None)
-    content = io.BytesIO()
-    if path.suffix.lower() == ".csv":
-        table.write_csv(content)
-    else:
-        table.write_parquet(content)
-    return write_atomically(path, content.getvalue())
-
-
-def _columns(settings: Mapping[str, Any], lists: bool = True) -> dict[str, Any]:
-    """Settings of tables in tables as columns, such as `job.camera.light`; lists as JSON."""
-    columns: dict[str, Any] = {}
-    for name, value in settings.items():
-        if isinstance(value, dict):
-            columns |= {f"{name}.{key}": each for key, each in _columns(value, lists).items()}
-        elif not isinstance(value, list):
-            columns[name] = value
-        elif lists:
-            columns[name] = json.dumps(value)
-    return columns
