@@ -84,8 +84,9 @@ def test_a_table_of_clicks_is_classified(done, refuse, lab, tmp_path):
     np.savetxt(tmp_path / "clicks.csv", clicks, delimiter=",", fmt="%d")
     words = ["camera", "classify", lab / "p", tmp_path / "clicks.csv", "--repeats", EXPOSURES]
     assert "does not tell its budget" in refuse(*words)
-    words += ["--photons", PHOTONS]
-    run = json.loads(done("camera", "classify", lab / "p", lab / "run", "--json"))
+    budget = ["--photons", PHOTONS]
+    words += budget
+    run = json.loads(done("camera", "classify", lab / "p", lab / "run", *budget, "--json"))
     table = json.loads(done(*words, "--json"))
     assert [each["class"] for each in table["scenes"]] == [each["class"] for each in run["scenes"]]
     for option in (["--background", 3], ["--gain", 2]):

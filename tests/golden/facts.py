@@ -70,15 +70,12 @@ def say(*words: object) -> Said:
     """Run a command line in this process."""
     from deepfsi import cli
 
-    run = getattr(cli, "run_command_line", None) or cli.main  # as the reference has it
-    if "export" in words and "DEEPFSI_REFERENCE" in os.environ:
-        words = tuple("--device" if word == "--dmd" else word for word in words)
     out, errors = io.StringIO(), io.StringIO()
     before, sys.argv = sys.argv, ["deepfsi", *map(str, words)]
     code: Any = 0
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
-            run()
+            cli.run_command_line()
     except SystemExit as stop:
         code = stop.code or 0
     finally:
