@@ -135,7 +135,7 @@ Source = Annotated[str, AfterValidator(check_source)]
 Size = Annotated[HeightWidth | None, option("resize images to HEIGHTxWIDTH, or a number for both")]
 TrainingData = Annotated[
     Source,
-    option("name (deepfsi data list), folder of images, cube, or .npz"),
+    option("name (deepfsi data list), folder or .csv list of images, cube, or .npz"),
 ]
 TestData = Annotated[Source | None, option("data, as for `design`; default: the design's own")]
 View = Annotated[

@@ -38,6 +38,7 @@ FILE_KINDS = (
         ("size", "images", "white"),
         load_pictures,
     ),
+    _FileKind("a .csv of their names and labels", (".csv",), ("size", "white"), load_pictures),
     _FileKind(f"a cube ({', '.join(CUBE_ENDINGS)})", CUBE_ENDINGS, ("split",), _load_cube),
     _FileKind("an .npz file of arrays x and y", (".npz",), ("white",), load_arrays),
 )
@@ -73,6 +74,7 @@ def load_dataset(
           and where its files are found. ``./mnist`` is a folder of that name;
         - a folder with a sub-folder of images for each class, or with such folders within its own
           ``train/`` and ``test/``. Images of equal depth; colours turn grey;
+        - a ``.csv`` file with the file name and the label of an image in each line, or its values;
         - a hyperspectral cube (``.mat``, ``.npy``), whose label map lies beside it under the same
           name with ``_gt`` added, as in `spectra.read_cube`;
         - an ``.npz`` file with `x`, `y` and, if it has its own test part, `x_test`, `y_test`, or

@@ -1,4 +1,4 @@
-"""Images in folders: one for each class, or such folders within their own ``train/`` and ``test/``.
+"""Images in folders of classes, also within ``train/`` and ``test/``, and in lists of ``.csv``.
 
 Images may come from anywhere, so that their sizes are checked before memory is spent on them.
 """
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from deepfsi.base.arrays import check_memory
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import check_unpacked, read_regular, readable_name
-from deepfsi.base.tables import normal_name
+from deepfsi.base.tables import normal_name, read_cells
 from deepfsi.datasets.arrays import draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.levels import PictureSize, Tally
@@ -33,34 +33,67 @@ OF_SYSTEMS = ("__MACOSX", "@eaDir", "$RECYCLE.BIN", "System Volume Information",
 
 
 def load_pictures(path: Path, options: Origin, name: str = "", bilinear: bool = False) -> Dataset:
-    """Data set of the images of a folder, which gives the name, too."""
-    name = name or path.resolve().name
+    """Data set of the images of a folder or of a ``.csv`` file, which gives the name, too."""
     shape = options.size
     images = options.images
-    train, *test = list_pictures(path)
-    if images is not None:
-        if not test:
-            raise InputError(
-                f"{name}: {images} training images were asked for; that needs images with their "
-                "own train and test folders, leave it out"
-            )
-        kept = draw_stratified(list(map(class_name, train)), images, options.seed, name)
-        train = [train[i] for i in kept]
-    paths = [*train, *(test[0] if test else [])]
-    pixels, tally = decode_pictures(paths, shape, bilinear)
+    test: list[list[Path]] = []
+    values = None
+    if path.is_file():
+        name = path.stem
+        train, labels, values = _read_list(path)
+    else:
+        name = name or path.resolve().name
+        train, *test = list_pictures(path)
+        if images is not None:
+            if not test:
+                raise InputError(
+                    f"{name}: {images} training images were asked for; that needs images with "
+                    "their own train and test folders, leave it out"
+                )
+            kept = draw_stratified(list(map(class_name, train)), images, options.seed, name)
+            train = [train[i] for i in kept]
+        labels = np.array([class_name(path) for part in (train, *test) for path in part])
+    pixels, tally = decode_pictures([*train, *(test[0] if test else [])], shape, bilinear)
     levels = tally.levels(options.white)
-    labels = np.array(list(map(class_name, paths)))
     n = len(train)
     drawn = "" if images is None else f"{images} training images drawn by class; "
     return split_arrays(
         (pixels[:n], labels[:n]),
         (pixels[n:], labels[n:]) if test else (None, None),
+        values=values,
         name=name,
         seed=options.seed,
         rescale=options.rescale,
         described=f"{drawn}{tally.words}{sized_text(shape, bilinear, tally.sizes)}; {levels.words}",
         levels=levels,
     )
+
+
+def _read_list(path: Path) -> tuple[list[Path], npt.NDArray[Any], Sequence[str] | None]:
+    """Images that a ``.csv`` file names, their labels (n,) or values (n, q), and the values' names.
+
+    Names begin in the folder of the file's own name, ``pets/`` of ``pets.csv``, or in the file's.
+    """
+    import polars as pl
+
+    advice = "give a line for each image: its file name and its label, or its values"
+    cells = read_cells(path, advice)
+    heads: tuple[Any, ...] = ()
+    if cells.height and not is_image(Path(cells[0, 0] or "").name):
+        heads = cells.row(0)
+        cells = cells[1:]
+    # Plain decimal numbers are values; polars would read the label 1_0 as a number, too
+    decimal = pl.all().str.contains(r"^[+-]?\d*\.?\d+(e[+-]\d+)?$").all()
+    numbers = cells.width > 1 and all(cells[:, 1:].select(decimal).row(0))
+    unsure = cells.width != 2 and not numbers
+    if unsure or any(cells.null_count().row(0)) or cells[:, 0].is_duplicated().any():
+        raise InputError(f"{path} does not name each image in one whole line: {advice}")
+    folder = path.with_suffix("") if path.with_suffix("").is_dir() else path.parent
+    images = [folder / name.replace("\\", "/") for name in cells[:, 0]]
+    if cells.width == 2 and not (numbers and cells[:, 1].str.contains(r"\.").any()):
+        return images, cells[:, 1].to_numpy(), None
+    named = heads and heads[1] not in ("label", "class")
+    return images, cells[:, 1:].cast(pl.Float64).to_numpy(), heads[1:] if named else None
 
 
 def sized_text(shape: PictureSize | None, bilinear: bool, sizes: set[PictureSize]) -> str:
