@@ -167,8 +167,8 @@ def test_posterior_and_masks_are_those_of_the_package(opened, designs, exposures
 def test_an_exposure_is_watched_look_by_look(opened):
     browser = opened("arms")
     said, states, scenes = [], [], []
-    for _ in range(LOOKS):
-        browser.find_element(By.ID, "step").click()
+    for look in range(LOOKS):
+        ask(browser, "page.time = page.exposure.frames[given.look].end; page.draw()", look=look)
         said.append(int(browser.find_element(By.ID, "count-words").text.replace("\u202f", "")))
         states.append(browser.find_element(By.ID, "state").text)
         scenes.append(browser.execute_script("return through.toDataURL()"))
@@ -184,7 +184,7 @@ def test_an_exposure_ends_where_the_rule_of_the_design_stops_it(opened):
     stop, chances, said, state = ask(
         opened("one", still=True),
         "document.getElementById('expose').click(); const { exposure } = page;"
-        "const sure = [...exposure.answers.values()].map(a => Math.max(...a.chances));"
+        "const sure = [...exposure.answers.values()].map(chances => Math.max(...chances));"
         "const said = ['verdict', 'state'].map(id => document.getElementById(id).textContent);"
         "return [exposure.stop, sure, ...said]",
     )

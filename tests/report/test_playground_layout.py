@@ -23,7 +23,7 @@ from shared.waiting import until
 WIDTHS = 1280, 400
 ADAPTIVE = {"adaptive": "dmd", "adaptive-arms": "two-arm"}
 LOOKS = 8
-"""Of adaptive masks: an exposure lasts five seconds at speed 1."""
+"""Of adaptive masks: an exposure lasts five seconds."""
 
 every_kind = pytest.mark.parametrize("kind", ["column", "range", *ADAPTIVE])
 

@@ -11,9 +11,6 @@ export class AdaptiveView {
     this.names = { one: "look 1", all: `look ${model.looks}`, counts: "counts of each look" };
   }
 
-  /** Nothing is kept from one drawing to the next. */
-  forget() {}
-
   expose(scene, photons, seed) {
     return new LookExposure(this.model, scene, photons, seed);
   }
@@ -24,10 +21,6 @@ export class AdaptiveView {
     const light = exposure.scene.reduce((a, b) => a + b, 0) / model.summed_reflectance;
     const usual = 1.5 * Math.max(...model.counted) * exposure.photons * light + model.dark * Math.max(...model.shares);
     return roundUp(Math.max(...byMask(exposure.after(exposure.taken).counts).flat(), usual / model.rails, 4));
-  }
-
-  counted() {
-    return "";
   }
 
   state(exposure, count, now) {

@@ -12,17 +12,16 @@ import { $, percent } from "./page.js";
 import { LookOptics, Posterior } from "./posterior.js";
 import { Pad, show } from "./scene.js";
 
-const SECONDS = 5; // of a whole exposure on the page at speed 1
+const SECONDS = 5; // of a whole exposure on the page
 const embedded = window !== parent; // as high as it is whole: what is in view is not known
 
 class Page {
   constructor(model, scenes) {
-    Object.assign(this, { model, scenes, label: null, playing: false, drawn: {} });
+    Object.assign(this, { model, scenes, label: null, playing: false, drawn: {}, seed: 0 });
     this.view = model.prior ? new AdaptiveView(model) : new KnownView(model);
     this.pad = new Pad($("scene"), model, scenes, () => this.drew());
     const { low, high } = model.budget ?? { low: 1e4, high: 1e4 };
     $("light").value = Math.min(Math.max(Math.log10(Math.sqrt(low * high)), 1), 7);
-    $("seed").value = 1;
     this.listThumbs();
     this.listen();
     this.choose(0);
@@ -30,11 +29,6 @@ class Page {
 
   get photons() {
     return 10 ** Number($("light").value);
-  }
-
-  get seed() {
-    const given = Math.floor(Number($("seed").value));
-    return Number.isFinite(given) ? Math.min(Math.max(given, 0), 2 ** 32 - 1) : 0;
   }
 
   listThumbs() {
@@ -79,7 +73,6 @@ class Page {
     this.exposure = view.expose(scene, photons, seed);
     this.time = 0;
     this.drawn = {};
-    view.forget();
     show(this.pad.canvas, model, scene);
     this.thumbs.forEach((thumb, place) => thumb.setAttribute("aria-pressed", place === this.chosen));
     this.sayLight();
@@ -98,8 +91,7 @@ class Page {
     $("light-words").textContent =
       `About ${percent(share)} of ${model.test.images} test scenes are right with so much light${mean}. ` +
       `From this scene come ${photonsText(photons * brightness)} photons, ` +
-      `${photonsText((photons * brightness) / model.pixels)} per pixel.` +
-      this.view.counted(this.scene, photons);
+      `${photonsText((photons * brightness) / model.pixels)} per pixel.`;
     const name = this.label === null ? null : model.classes[this.label];
     $("scene-words").textContent = name === null ? "Your own scene." : `Class ${name}. Draw, or choose another:`;
   }
@@ -139,7 +131,7 @@ class Page {
     const share = this.time / exposure.length;
     const words = [`${percent(share)} of the exposure`, ...view.state(exposure, count, now)];
     $("state").textContent = [...words, ...(now ? [] : ["finished"])].join(" · ");
-    const shown = this.time > 0 ? now : frames[0];
+    const shown = exposure.together ? null : this.time > 0 ? now : frames[0]; // null: all masks
     if (drawn.frame !== shown || drawn.count === undefined) view.drawFrame(exposure, shown, count);
     if (drawn.count !== count) this.drawAnswer(count);
     this.drawn = { ...this.drawn, count, frame: shown };
@@ -148,8 +140,7 @@ class Page {
   drawAnswer(count) {
     const { exposure, model } = this;
     const { unlike } = exposure;
-    if (!this.playing && !unlike) exposure.answerAll(count);
-    const { chances } = unlike ? { chances: null } : exposure.answer(count);
+    const chances = unlike ? null : exposure.answer(count);
     const top = drawAnswer($("answer"), model, chances);
     drawHistory($("history"), exposure, count, top);
     const none = "No probabilities are given for this scene.";
@@ -160,7 +151,7 @@ class Page {
   verdict(top, chances) {
     const { exposure, model, label } = this;
     if (this.time === 0 && !this.playing) return "Nothing is exposed yet: press Expose.";
-    const { stop, rule } = exposure;
+    const { stop } = exposure;
     if (this.time < exposure.end - 1e-9) {
       return `The exposure goes on.${chances ? ` Likeliest so far: ${model.classes[top]}.` : ""}`;
     }
@@ -169,12 +160,13 @@ class Page {
     const right = label === null ? "" : top === label ? ", which is right" : `, which is wrong: it is ${model.classes[label]}`;
     const dim = model.tooDim(exposure.photons) ? "Too little light for this design: its answer is hardly more than a guess. " : "";
     const answer = `${dim}Answer: ${name}${right}. Probability ${chanceText(chances[top])}.`;
-    if (stop) return `${answer} It stopped after look ${stop.count} of ${model.looks}, and saved ${percent(stop.saved)} of the light.`;
-    return rule && rule.threshold < 1 ? `${answer} It was never sure enough to stop earlier.` : answer;
+    if (!stop) return answer;
+    return `${answer} It stopped after look ${stop.count} of ${model.looks}, and saved ${percent(stop.saved)} of the light.`;
   }
 
-  /** Expose anew and play it where one sees it; who asks for less motion sees its end at once. */
+  /** Draw new counts and play them where one sees it; who asks for less motion sees the end at once. */
   expose() {
+    this.seed += 1;
     this.renew();
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const { bottom, height } = $("watch").getBoundingClientRect();
@@ -193,7 +185,7 @@ class Page {
       if (!this.playing) return;
       const passed = before === null ? 0 : (now - before) / 1000;
       before = now;
-      this.time += (passed * Number($("speed").value) * this.exposure.length) / SECONDS;
+      this.time += (passed * this.exposure.length) / SECONDS;
       if (this.time >= this.exposure.end) {
         this.time = this.exposure.end;
         this.playing = false;
@@ -210,44 +202,23 @@ class Page {
     if (this.exposure) $("play").textContent = "Play";
   }
 
-  step() {
-    this.pause();
-    const { frames, end, length } = this.exposure;
-    if (this.time >= end - 1e-9) this.time = 0;
-    else this.time = frames.find((frame) => frame.end > this.time + 1e-9)?.end ?? length;
-    this.draw();
-  }
-
   listen() {
-    const on = (id, event, act) => $(id)?.addEventListener(event, act);
+    const on = (id, event, act) => $(id).addEventListener(event, act);
     on("light", "input", () => this.renew());
-    on("seed", "change", () => {
-      $("seed").value = this.seed;
-      this.renew();
-    });
     on("expose", "click", () => this.expose());
-    on("another", "click", () => {
-      $("seed").value = (this.seed + 1) % 2 ** 32;
-      this.expose();
-    });
     on("play", "click", () => (this.playing ? (this.pause(), this.draw()) : this.play()));
-    on("step", "click", () => this.step());
     on("time", "input", () => {
       this.pause();
       this.time = (Number($("time").value) / 1000) * this.exposure.length;
       this.draw();
     });
     on("clear", "click", () => this.pad.clear());
-    const side = Math.max(this.pad.wide, this.pad.tall);
-    $("width").value = Math.round((this.pad.radius / side) * 80 * 2) / 2;
-    on("width", "input", () => (this.pad.radius = (Number($("width").value) / 80) * side));
     let width = innerWidth;
     addEventListener("resize", () => {
       if (innerWidth === width) return;
       width = innerWidth;
       this.sayLight();
       this.drawn = {};
-      this.view.forget();
       this.draw();
     });
   }

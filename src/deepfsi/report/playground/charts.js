@@ -139,32 +139,19 @@ export function drawHistory(holder, exposure, count, top) {
   }
   add("text", { x: left, y: height - 4 }, "start");
   add("text", { x: right, y: height - 4, "text-anchor": "end" }, "end of the exposure");
-  const known = [...exposure.answers].filter(([at, { chances }]) => chances && at <= count);
-  known.sort(([a], [b]) => a - b);
-  const time = (at) => exposure.frames[at - 1].end;
+  if (top === null) return;
+  const known = exposure.frames
+    .slice(0, count)
+    .map((frame, place) => ({ x: across(frame.end), chances: exposure.answer(place + 1) }))
+    .filter(({ chances }) => chances);
+  const line = (place) => `M${known.map(({ x, chances }) => `${x} ${y(chances[place])}`).join("L")}`;
   exposure.model.classes.forEach((_, place) => {
-    if (place === top || !known.length) return;
-    const points = known.map(([at, { chances }]) => `${across(time(at))} ${y(chances[place])}`);
-    add("path", { class: "class-line", d: `M${points.join("L")}` });
+    if (place !== top) add("path", { class: "class-line", d: line(place) });
   });
-  if (known.length && top !== null) {
-    const points = known.map(([at, { chances }]) => `${across(time(at))} ${y(chances[top])}`);
-    add("path", { class: "class-line top", d: `M${points.join("L")}` });
-    for (const [at, { chances }] of exposure.together ? [] : known) {
-      add("circle", { class: "dot", cx: across(time(at)), cy: y(chances[top]), r: 3.5 });
-    }
+  add("path", { class: "class-line top", d: line(top) });
+  for (const { x, chances } of exposure.together ? [] : known) {
+    add("circle", { class: "dot", cx: x, cy: y(chances[top]), r: 3.5 });
   }
-  const { rule, stop } = exposure;
-  if (rule && rule.threshold < 1) {
-    add("path", { class: "threshold", d: `M${left} ${y(rule.threshold)}H${right}` });
-  }
-  if (!stop || count < stop.count) return;
-  const at = across(stop.end);
-  add("path", { class: "stop-line", d: `M${at} ${upper}V${bottom + 6}` });
-  const anchor = at > (left + right) / 2 ? "end" : "start";
-  const words = `stopped: ${Math.round(stop.saved * 100)} % saved`;
-  const x = at + (anchor === "end" ? -6 : 6);
-  add("text", { class: "strong halo", x, y: y(0.5) + 4, "text-anchor": anchor }, words);
 }
 
 /** Bars of the classes' probabilities, the ten likeliest where there are many. */

@@ -42,7 +42,6 @@ export class Frames {
     Object.assign(this, { model, scene, photons, seed, frames: [], answers: new Map(), stop: null });
     this.together = !model.law.one_device;
     this.unlike = model.unlike(scene);
-    this.rule = this.unlike ? null : model.rule(photons);
   }
 
   /** When it ends: all masks that are known before are shown. */
@@ -59,15 +58,6 @@ export class Frames {
       frame.end = end;
     }
     this.length = end;
-  }
-
-  /** Stop after a frame, if it is the first after which the rule would. */
-  judge(count) {
-    if (!this.rule || this.stop || count >= this.frames.length) return;
-    const { end } = this.frames[count - 1];
-    if (Math.max(...this.answer(count).chances) > this.rule.threshold) {
-      this.stop = { count, end, saved: 1 - end / this.length };
-    }
   }
 }
 
@@ -105,16 +95,11 @@ export class Exposure extends Frames {
   /** Probabilities at the end; where all masks see light at once, those of so much light. */
   answer(count) {
     const { model, photons, frames } = this;
-    if (!count || !(this.together || count === frames.length)) return { chances: null };
+    if (!count || !(this.together || count === frames.length)) return null;
     if (!this.answers.has(count)) {
       const light = this.together ? photons * frames[count - 1].end : photons;
-      this.answers.set(count, { chances: model.classify(this.after(count).lit, light) });
+      this.answers.set(count, model.classify(this.after(count).lit, light));
     }
     return this.answers.get(count);
-  }
-
-  /** Find all answers that there are by so many frames. */
-  answerAll(count) {
-    for (let at = 1; at <= count; at++) this.answer(at);
   }
 }

@@ -1,6 +1,6 @@
 // What the page shows of a design whose masks are known before an exposure.
 
-import { photonsText, places } from "./charts.js";
+import { places } from "./charts.js";
 import { Exposure } from "./exposure.js";
 import { $, percent, roundUp } from "./page.js";
 import { paint, tile } from "./scene.js";
@@ -13,11 +13,6 @@ export class KnownView {
     this.names = { one: "mask 1", all: `mask ${model.masks}`, counts: "counts of each mask" };
   }
 
-  /** Draw all anew when it is next drawn. */
-  forget() {
-    this.mosaic = false;
-  }
-
   expose(scene, photons, seed) {
     return new Exposure(this.model, scene, photons, seed);
   }
@@ -25,14 +20,6 @@ export class KnownView {
   /** Largest count of the charts' axis, of counts [rail][mask] of a whole exposure. */
   most(exposure, byMask) {
     return roundUp(Math.max(...byMask(exposure.after(exposure.frames.length).counts).flat(), 4));
-  }
-
-  /** Sentence on the counts that are to be expected of a scene. */
-  counted(scene, photons) {
-    const counted = this.model.rates(scene).reduce((a, b) => a + b, 0) * photons;
-    const dark = this.model.darkCounts?.reduce((a, b) => a + b, 0);
-    const more = dark ? ` and ${photonsText(dark)} dark counts` : "";
-    return ` The detectors count about ${photonsText(counted)} of them${more}.`;
   }
 
   /** What is on the device. */
@@ -49,12 +36,11 @@ export class KnownView {
   drawFrame(exposure, frame) {
     const { model } = this;
     const canvas = $("mask");
-    $("h-device").textContent = exposure.together || !frame ? "Masks" : "On the device now";
-    if (exposure.together || !frame) {
+    $("h-device").textContent = frame ? "On the device now" : "Masks";
+    if (!frame) {
       this.drawMosaic();
       return;
     }
-    this.mosaic = false;
     const { mask, rails, share } = frame;
     const [rail] = rails;
     const pattern = Array.from({ length: model.pixels }, (_, i) => model.entry(rail, mask, i));
@@ -80,8 +66,6 @@ export class KnownView {
   /** All masks side by side: as they are used at once, or before and after an exposure. */
   drawMosaic() {
     const { model } = this;
-    if (this.mosaic) return;
-    this.mosaic = true;
     const canvas = $("mask");
     const count = Math.min(model.masks, MOSAIC);
     canvas.classList.remove("rail-plus", "rail-minus");

@@ -33,6 +33,7 @@ export class LookModel extends Design {
 export class LookExposure extends Frames {
   constructor(model, scene, photons, seed) {
     super(model, scene, photons, seed);
+    this.rule = this.unlike ? null : model.rule(photons);
     this.random = [new Random(seed), new Random(seed, 3)]; // of counts, and of the masks' choice
     this.optics = new LookOptics(model, photons);
     this.state = new Posterior(model.prior, this.optics);
@@ -69,8 +70,17 @@ export class LookExposure extends Frames {
       frame.counts = expected.map((rate) => poisson(rate, counting));
       this.state.update(frame.pattern, frame.counts, frame.share);
       this.scenes.push(this.state.scene);
-      this.answers.set(this.taken, { chances: this.state.chances });
+      this.answers.set(this.taken, this.state.chances);
       this.judge(this.taken);
+    }
+  }
+
+  /** Stop after a look, if it is the first after which the rule would. */
+  judge(count) {
+    if (!this.rule || count >= this.frames.length) return;
+    const { end } = this.frames[count - 1];
+    if (Math.max(...this.answer(count)) > this.rule.threshold) {
+      this.stop = { count, end, saved: 1 - end / this.length };
     }
   }
 
@@ -84,9 +94,6 @@ export class LookExposure extends Frames {
   }
 
   answer(count) {
-    return this.answers.get(count) ?? { chances: null };
+    return this.answers.get(count) ?? null;
   }
-
-  /** Every answer is found as its look is taken. */
-  answerAll() {}
 }
