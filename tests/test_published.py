@@ -82,9 +82,8 @@ def test_shots_are_averaged(digits):
     assert abs(once.mean() - usual.accuracy) < 5 * np.sqrt(2) * spread
     scanner = made.scanner("click")
     rates = made.exposure.rates(scanner, torch.from_numpy(digits.x_test))
-    trained = made.exposure.scale(20.0)
     expected = made.exposure.detection.features(scanner.noise.mean(20 * rates))
-    wanted = made.answer(expected / trained, 20).classes.numpy() == digits.y_test
+    wanted = made.answer(expected / 20.0, 20).classes.numpy() == digits.y_test
     many = published.right_in(made, digits, 20, 300)
     assert (many == wanted).mean() > 0.85
     assert (once == wanted).mean() < 0.75

@@ -223,14 +223,12 @@ class PassingExposure(MaskExposure):
         shifts = self.transit.every_shift(self.pattern)
         return project(photons, shifts).unsqueeze(-2) / self.transit.bins
 
-    def placed(self, rates: Tensor, generator: torch.Generator) -> Tensor:
-        """Expected counts (..., 1, T) of exposures, each at a place of its own."""
+    def placed(self, rates: Tensor, generator: torch.Generator | None) -> Tensor:
+        """Expected counts (..., 1, T) of exposures, each at a place of its own, or in the mean."""
+        if generator is None:
+            return rates @ self._mean_bins.to(rates)
         edges = self.transit.edges(rates.shape[:-1], generator, rates.device)
         return self.transit.means(rates, edges)
-
-    def expected(self, rates: Tensor) -> Tensor:
-        """Photons (..., 1, T) of an exposure, in the mean over places."""
-        return rates @ self._mean_bins.to(rates)
 
     @cached_property
     def _mean_bins(self) -> Tensor:

@@ -16,7 +16,7 @@ from deepfsi.adaptive.posterior import AdaptivePosterior, ScenePrior
 from deepfsi.base.errors import InputError
 from deepfsi.evaluation import page_data
 from deepfsi.physics.noise import Poisson
-from shared.design_files import assert_refused
+from shared.design_files import assert_refused, looks_at
 
 PIXELS, SCENES, CLASSES, LOOKS, PHOTONS = 12, 60, 3, 6, 300.0
 SHARE = 1 / LOOKS
@@ -127,7 +127,7 @@ def test_a_file_gives_the_same_choices(ready, digits, tmp_path):
     again = Design.load(tmp_path / "a.safetensors")
     again.save(tmp_path / "b.safetensors")
     once = Design.load(tmp_path / "b.safetensors")
-    looks = [each.looks_at(digits.x_test[0], 1e3) for each in (ready, again, once)]
+    looks = [looks_at(each, digits.x_test[0], 1e3) for each in (ready, again, once)]
     assert np.array_equal(looks[0][0][0], looks[1][0][0])
     for one, other in zip(looks[1], looks[2], strict=True):
         np.testing.assert_array_equal(one, other)

@@ -109,13 +109,6 @@ def test_pictures_are_predicted_as_their_counts_are_classified(digits, exposure)
     if "design" in exposure:
         with pytest.raises(InputError, match="its masks while"):
             made.expose(images, 1e4)
-        scene = images[0, 0].astype(float)
-        for bad, photons, words in (
-            (images, 1e4, "give one"), (255 * scene, 1e4, "in .0, 1."), (scene, -5, "budget -5"),
-        ):  # fmt: skip
-            with pytest.raises(InputError, match=words):
-                made.looks_at(bad, photons)
-        assert made.looks_at(scene, 1e4)[0].shape[-1] == 64
         return
     counts = made.expose(images, 1e4)
     assert counts.shape == (5, 8, *made.counts_shape)

@@ -23,8 +23,8 @@ def test_the_network_is_told_the_budget(digits, light, rails):
     design = once(digits, light=light, rails=rails, **TRAINED)
     scenes = photons_per_pixel(torch.from_numpy(digits.x_test[:20]), 5e3, design.summed_reflectance)
     counts = design.scanner().counts(scenes, generator(1)).squeeze(-2)
-    seen = design.exposure.features(counts)
-    scaled = (seen / 5e3 - design.exposure.mean) / design.exposure.std
+    seen = design.exposure.features(counts, 5e3)
+    scaled = (seen - design.exposure.mean) / design.exposure.std
     level = (math.log(5e3 / 1e3) - math.log(100) / 2) / (math.log(100) / 2)
     last = torch.tensor([level, 1.0]).expand(20, 2)
     with torch.no_grad():

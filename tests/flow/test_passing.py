@@ -47,6 +47,6 @@ def test_each_exposure_of_a_test_has_a_place_of_its_own(data, learned):
         mean_error = 5 * (2 * spread / 20_000) ** 0.5
         assert abs(counts[:, t].mean() - placed[:, t].mean()) < mean_error
         assert float(counts[:, t].var()) == pytest.approx(spread, rel=0.15)
-    shown = learned.exposure.expected(rates[:1])[0, 0] * 1e4
+    shown = learned.exposure.placed(rates[:1], None)[0, 0] * 1e4
     error = 5 * (placed.var(dim=0) * (1 / 1024 + 1 / 20_000)).sqrt()
     assert ((shown - placed.mean(dim=0)).abs() <= error).all()

@@ -44,6 +44,7 @@ from fuzz.mutations import (
     mangled,
 )
 from golden.facts import INPUTS
+from shared.design_files import looks_at
 from shared.pictures import save_images
 from shared.results import a_point, some_results
 
@@ -75,7 +76,8 @@ def use_adaptive(path: Path) -> None:
     design = load_design(path)
     repr(design)
     _ = design.camera, trained_on(design.info)
-    *_, chances = design.looks_at(np.full(design.image_shape, 0.5, np.float32).ravel(), 1e3)
+    gray = np.full(design.image_shape, 0.5, np.float32).ravel()
+    *_, chances = looks_at(design, gray, 1e3)
     assert np.isfinite(chances).all()
 
 

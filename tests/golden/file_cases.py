@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import deepfsi
+from deepfsi.design.file import file_of
 from golden.facts import INPUTS, Cases, parts, refused_or
 from golden.scenes import about, file_facts, opened
 
@@ -79,7 +80,7 @@ def older(name: str) -> dict[str, Any]:
 
     def written(change: bytes) -> Any:
         Path("changed.safetensors").write_bytes(change)
-        return refused_or(lambda: deepfsi.load_design("changed.safetensors").to_bytes())
+        return refused_or(lambda: file_of(deepfsi.load_design("changed.safetensors")).to_bytes())
 
     return {
         **{f"no {field}": written(edited(lambda d, f=field: d.pop(f))) for field in described},

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
@@ -18,6 +19,16 @@ def header_of(path: Path) -> dict[str, Any]:
     """Header of a design file."""
     with safe_open(path, "pt") as file:
         return json.loads(file.metadata()["deepfsi"])
+
+
+@torch.no_grad()
+def looks_at(
+    design: Design, scene: np.ndarray, photons: float, seed: int = 0
+) -> tuple[np.ndarray, ...]:
+    """Masks, mean scenes and chances after each look of adaptive masks at a scene (N,)."""
+    generator = torch.Generator().manual_seed(seed)
+    looks = design.prior_exposure.look_by_look(torch.from_numpy(scene), photons, generator)
+    return tuple(torch.cat(each).numpy() for each in zip(*looks, strict=True))
 
 
 def rewrite(path: Path, change: Callable[[dict[str, Any], dict[str, torch.Tensor]], None]) -> None:

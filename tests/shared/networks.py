@@ -27,11 +27,11 @@ class Cnn(nn.Module):
 class Tied(nn.Module):
     """Two layers of one weight."""
 
-    def __init__(self, inputs: int) -> None:
+    def __init__(self, inputs: int, classes: int) -> None:
         super().__init__()
         self.first, self.second = nn.Linear(inputs, inputs), nn.Linear(inputs, inputs)
         self.second.weight = self.first.weight
-        self.last = nn.Linear(inputs, 10)
+        self.last = nn.Linear(inputs, classes)
 
     def forward(self, features: Tensor) -> Tensor:
         return self.last(torch.relu(self.second(torch.relu(self.first(features)))))

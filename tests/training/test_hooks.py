@@ -9,6 +9,7 @@ from conftest import RECIPE, same
 from deepfsi import evaluate
 from deepfsi import learn as learned
 from deepfsi.base.errors import InputError
+from deepfsi.design.file import file_of
 from deepfsi.training import losses
 from shared.checkpoints import TRAININGS
 from shared.jobs import learn
@@ -40,7 +41,7 @@ def test_no_bit_of_a_training_depends_on_who_looks_on(held, case):
     assert "history" not in alone.info
     history = watched.info.pop("history")
     alone.info["seconds"] = watched.info["seconds"] = 0.0
-    assert watched.to_bytes() == alone.to_bytes()
+    assert file_of(watched).to_bytes() == file_of(alone).to_bytes()
     last = epochs[-1]
     assert [each["epoch"] for each in history] == [1, 2, 3]
     assert history[-1]["loss"] == last.loss

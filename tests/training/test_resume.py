@@ -7,6 +7,7 @@ import pytest
 
 from conftest import RECIPE
 from deepfsi.base.errors import InputError
+from deepfsi.design.file import file_of
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.training import checkpoint as module
 from deepfsi.training import loop
@@ -41,7 +42,7 @@ def path(tmp_path):
 
 def bits(design) -> bytes:
     design.info["seconds"] = 0.0
-    return design.to_bytes()
+    return file_of(design).to_bytes()
 
 
 def check_law(make, writes, path: Path) -> None:

@@ -223,9 +223,9 @@ class AdaptiveExposure(ExposureKind):
             dictionary=MaskDictionary.restored(arrays),
         )
 
-    def check(self, use: Use, name: str | None = None) -> None:
-        """Raise `InputError` if a design, called `name` in the message, refuses a use."""
-        super().check(use, name)
+    def check(self, use: Use) -> None:
+        """Raise `InputError` for a use that the kind refuses."""
+        super().check(use)
         if use == "page" and self.dictionary is not None:
             raise InputError(
                 "a page makes its masks, and this design chooses among those of a dictionary: give "

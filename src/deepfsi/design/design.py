@@ -17,10 +17,10 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import NoiseName
 from deepfsi.design.file import fields_of, file_of
-from deepfsi.design.networks import Given, OwnClassifier, make_custom
+from deepfsi.design.networks import Given, OwnClassifier
 from deepfsi.designfile.design_file import DesignFile, Temperatures, find_design
 from deepfsi.designfile.distribution import ConsistencyResult, ReadoutDistribution
-from deepfsi.designfile.provenance import click_gates, trained_camera
+from deepfsi.designfile.provenance import trained_camera
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.exposure.kind import (
     EXPOSED_AT_ONCE,
@@ -147,21 +147,6 @@ class Design:
         """The camera that it was trained for, as the file keeps it; of older files its optics."""
         return trained_camera(self.info) or self.exposure.camera
 
-    @property
-    def trained_budgets(self) -> tuple[float, float] | None:
-        """Lowest and highest budget of the training; None for a design that does not say."""
-        facts = dict(self.info.get("job", {}))
-        if not self.exposure.makes_masks:
-            facts |= self.mask_exposure.entry.model_dump()
-        if "photons" not in facts:
-            return None
-        return float(facts["photons"]), float(facts["photons"]) * facts.get("span", 1.0)
-
-    @property
-    def gates(self) -> int | None:
-        """Clicks of a readout at most, where its detectors click."""
-        return click_gates(self.info)
-
     # Exposing
 
     def scanner(
@@ -179,30 +164,10 @@ class Design:
         return self.exposure.exposures(scenes, camera, self.answer)
 
     @library_defaults(grad=False)
-    def looks_at(self, scene: np.ndarray, photons: float, seed: int = 0) -> tuple[np.ndarray, ...]:
-        """One exposure of a scene (H, W) or (N,) with adaptive masks. Parameters as for `expose`.
-
-        Returns, for each of K looks, the masks and mean scenes (K, N) of the posterior and the
-        class probabilities (K, C).
-        """
-        generator = torch.Generator().manual_seed(seed)
-        scenes, lead = self._scenes(scene)
-        if lead:
-            raise InputError(f"{len(scenes)} scenes have no looks in common: give one")
-        looks = self.prior_exposure.look_by_look(scenes[0], check_budget(photons), generator)
-        parts = list(zip(*looks, strict=True))
-        if not parts:
-            raise InputError(
-                "no look is worth its clicks in this exposure, so that none is shown: give more "
-                "`counts` to the training"
-            )
-        return tuple(torch.cat(each).numpy() for each in parts)
-
-    @library_defaults(grad=False)
     def expose(self, x: Any, photons: float, seed: int = 0) -> np.ndarray:
         """Counts (..., [P,] [2,] m [, D]) of a simulated exposure of each scene, for `classify`.
 
-        Raises `InputError` for adaptive masks, which `deepfsi.predict` and `looks_at` expose.
+        Raises `InputError` for adaptive masks, which `deepfsi.predict` exposes.
 
         Parameters
         ----------
@@ -257,7 +222,9 @@ class Design:
         logits = self.classifier(exposure.inputs(features, photons))
         temperature: Tensor | float = 1.0
         if self.temperatures is not None:
-            budget = exposure.budget(torch.as_tensor(photons).to(features))
+            budget = torch.as_tensor(photons).to(features)
+            if exposure.part_axis and budget.ndim > 1:  # all parts have the budget of their scene
+                budget = budget[..., 0, :]
             temperature = temperatures_at(self.temperatures, 0, budget)
         return Answer(logits, (logits / temperature).softmax(dim=-1), logits.argmax(dim=-1))
 
@@ -297,15 +264,16 @@ class Design:
         """Features over the budget, and budgets, checked; parameters of `classify`."""
         exposure = self.mask_exposure
         read, budget = _check_readouts(counts, photons, self.counts_shape, exposure.part_axis)
-        gates = self.gates
-        if gates is not None and bool((read > gates).any() | (read < 0).any()):
+        clicks = exposure.clicks
+        if clicks is not None and bool((read > clicks.gates).any() | (read < 0).any()):
             raise InputError(
-                f"this design reads detectors that click at most {gates} times in a frame, and a "
-                f"readout has {float(read.max()):g} counts: give clicks from 0 to {gates}"
+                f"this design reads detectors that click at most {clicks.gates} times in a frame, "
+                f"and a readout has {float(read.max()):g} counts: give clicks from 0 to "
+                f"{clicks.gates}"
             )
         device = exposure.device
         budget = budget.to(device)
-        return exposure.features(read.to(device)) / exposure.scale(budget), budget
+        return exposure.features(read.to(device), budget), budget
 
     @library_defaults()
     def consistency(self, counts: Any, photons: Any, background: Any = 0.0) -> ConsistencyResult:
@@ -361,7 +329,7 @@ class Design:
         statistics that scale them follow. Parameters as for `Patterns.realised`.
         """
         self.exposure.check("frames")
-        if self.gates is not None and dimmed != 1:
+        if self.mask_exposure.clicks is not None and dimmed != 1:
             raise InputError(
                 f"the patterns pass {dimmed:.3g} of the design's light, and clicks are not in "
                 "proportion to it: learn a design under a light law of the device"
@@ -381,13 +349,12 @@ class Design:
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write one safetensors file, all or nothing; its name ends in ``.safetensors``."""
-        check_ending(path, DESIGN_ENDINGS)
-        return write_atomically(path, self.to_bytes())
+        """Write one safetensors file, all or nothing; its name ends in ``.safetensors``.
 
-    def to_bytes(self) -> bytes:
-        """Content of the design file, or `InputError` if the classifier cannot be described."""
-        return file_of(self).to_bytes()
+        Raises `InputError` if the classifier cannot be described.
+        """
+        check_ending(path, DESIGN_ENDINGS)
+        return write_atomically(path, file_of(self).to_bytes())
 
     @classmethod
     @library_defaults()
@@ -417,29 +384,12 @@ class Design:
             is not the one given.
         """
         design = cls(**fields_of(DesignFile.read(path)))
-        if isinstance(design.classifier, OwnClassifier) and (trust or classifier is not None):
-            design = design.with_classifier(classifier or design.classifier.factory)
+        network = design.classifier
+        if isinstance(network, OwnClassifier) and (trust or classifier is not None):
+            inputs = design.mask_exposure.input_count
+            answers = len(design.values.names if design.values else design.classes)
+            design.classifier = network.with_code(classifier or network.factory, inputs, answers)
         return design.to(device)
-
-    @library_defaults()
-    def with_classifier(self, given: Given) -> "Design":
-        """The design with its classifier made by the user's code, and the weights it has."""
-        known = self.classifier
-        if not isinstance(known, OwnClassifier):
-            raise InputError("this design has a classifier of the package's own: give none")
-        if not given:
-            raise InputError(
-                "this design does not say where its classifier is imported from: give `classifier`"
-            )
-        answers = len(self.values.names if self.values else self.classes)
-        arguments = {} if isinstance(given, nn.Module) else known.arguments
-        made = make_custom(given, arguments, self.mask_exposure.input_count, answers)
-        try:
-            made.loaded.load_state_dict(known.weights)
-        except (RuntimeError, TypeError) as error:
-            told = " ".join(str(error).split())
-            raise InputError(f"the classifier is not the one of this design: {told}") from None
-        return replace(self, classifier=made.eval().to(self.rails.device))
 
 
 def load_design(

@@ -22,7 +22,7 @@ from deepfsi.designfile.design_file import (
     damaged_design,
 )
 from deepfsi.designfile.distribution import ReadoutDistribution
-from deepfsi.designfile.provenance import SCENE_HASHES
+from deepfsi.designfile.provenance import SCENE_HASHES, trained_camera
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.exposure.kind import Clicks
 from deepfsi.exposure.training_set import Values
@@ -112,6 +112,7 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
     alike = {each.shape for each in statistics.values()} == {(features,)}
     if not alike or not bool((statistics["std"] > 0).all()):
         raise ValueError("statistics are not those of the masks")
+    camera = trained_camera(header.info)
     exposure = resolve_name(header.exposure.restored_by)(
         entry=header.exposure,
         rails=rails,
@@ -119,7 +120,7 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
         image_shape=header.image_shape,
         detection=detection,
         summed_reflectance=header.summed_reflectance,
-        clicks=Clicks.of(header.info),
+        clicks=camera and Clicks.of(camera, header.info["job"]["photons"]),
         weights=_tensors(file, "exposure"),
         **statistics,
     )

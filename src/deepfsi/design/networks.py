@@ -7,7 +7,6 @@ imports it only where the user says so.
 """
 
 import copy
-import inspect
 import itertools
 import math
 from abc import ABC, abstractmethod
@@ -190,7 +189,7 @@ class Replicas(nn.Module):
 
 
 Factory = Callable[..., nn.Module]
-"""Makes a module from the numbers of features and classes, or of features alone."""
+"""Makes a module from the numbers of features and classes."""
 
 Given = nn.Module | Factory | str
 """A module, a factory or the import path of one."""
@@ -258,6 +257,21 @@ class OwnClassifier(Classifier):
             )
         return self.module
 
+    def with_code(self, given: Given, inputs: int, classes: int) -> "OwnClassifier":
+        """The classifier made by the user's code, with the weights that it has."""
+        if not given:
+            raise InputError(
+                "this design does not say where its classifier is imported from: give `classifier`"
+            )
+        arguments = {} if isinstance(given, nn.Module) else self.arguments
+        made = make_custom(given, arguments, inputs, classes)
+        try:
+            made.loaded.load_state_dict(self.weights)
+        except (RuntimeError, TypeError) as error:
+            told = " ".join(str(error).split())
+            raise InputError(f"the classifier is not the one of this design: {told}") from None
+        return made.eval()
+
     def forward(self, features: Tensor) -> Tensor:
         """Logits (..., C) of features (..., inputs)."""
         module = self.loaded
@@ -283,7 +297,7 @@ def make_custom(
     with seeded(seed):
         try:
             if not isinstance(factory, nn.Module):
-                module = _called(factory, arguments, inputs, classes)
+                module = factory(inputs, classes, **arguments)
             elif arguments:
                 raise InputError("arguments go with a factory: a module has its own already")
             else:
@@ -305,17 +319,6 @@ def make_custom(
             ) from error
     name = part_name(given)
     return OwnClassifier(module, "" if name == UNNAMED_PLUGIN else name, arguments)
-
-
-def _called(factory: Factory, arguments: Mapping[str, Any], inputs: int, classes: int) -> nn.Module:
-    """Outcome of a factory that takes both numbers, or the first alone."""
-    try:
-        inspect.signature(factory).bind(inputs, classes, **arguments)
-    except TypeError:
-        return factory(inputs, **arguments)
-    except ValueError:  # it has no signature
-        pass
-    return factory(inputs, classes, **arguments)
 
 
 @contextmanager

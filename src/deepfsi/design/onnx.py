@@ -33,8 +33,7 @@ class _Graph(nn.Module):
 
     def forward(self, counts: Tensor, photons: Tensor) -> Tensor:
         budget = photons.unsqueeze(-1)
-        exposure = self.design.mask_exposure
-        features = exposure.features(counts) / exposure.scale(budget)
+        features = self.design.mask_exposure.features(counts, budget)
         return self.design.answer(features, budget).chances
 
 

@@ -17,7 +17,6 @@ from deepfsi.base.errors import as_input_error
 from deepfsi.base.intervals import wilson
 from deepfsi.base.models import StrictModel
 from deepfsi.camera.camera import Camera
-from deepfsi.camera.names import find_noise
 from deepfsi.datasets.dataset import Dataset, Origin
 
 SCENE_HASHES = "training_scenes"
@@ -123,10 +122,12 @@ def trained_camera(info: Mapping[str, Any]) -> Camera | None:
         return None if fields is None else Camera.restored(fields)
 
 
-def click_gates(info: Mapping[str, Any]) -> int | None:
-    """Clicks of a readout at most, where the detectors of a design's camera click."""
-    camera = info.get("job", {}).get("camera", {})
-    return int(camera.get("gates", 1)) if find_noise(camera.get("noise", "")).gates else None
+def trained_budgets(info: Mapping[str, Any]) -> tuple[float, ...]:
+    """Lowest and highest budget of a training; none where a design does not say."""
+    job = info.get("job", {})
+    if "photons" not in job:
+        return ()
+    return job["photons"], job["photons"] * job.get("exposure", {}).get("span", 1.0)
 
 
 @dataclass(frozen=True)

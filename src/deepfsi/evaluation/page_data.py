@@ -22,7 +22,7 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
 from deepfsi.design.networks import Mlp
 from deepfsi.designfile.design_file import Temperatures
-from deepfsi.designfile.provenance import new_scenes
+from deepfsi.designfile.provenance import new_scenes, trained_budgets
 from deepfsi.evaluation.accuracy import check_data, evaluate
 from deepfsi.exposure.training_set import check_classes
 from deepfsi.physics.laws import ROUNDING_SLACK
@@ -48,8 +48,8 @@ def playable(
     check_data(design, data)
     fresh, _ = new_scenes(design.training_scenes, data)
     tested = fresh
-    trained = design.trained_budgets
-    inside = [each for each in trained or () if SLIDER_BUDGETS[0] <= each <= SLIDER_BUDGETS[-1]]
+    trained = trained_budgets(design.info)
+    inside = [each for each in trained if SLIDER_BUDGETS[0] <= each <= SLIDER_BUDGETS[-1]]
     if design.exposure.makes_masks:
         budgets = sorted({*SLIDER_BUDGETS[::2], *inside})
         rows = np.random.default_rng(seed).permutation(len(fresh.x_test))[:TESTED]

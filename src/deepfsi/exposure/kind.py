@@ -20,7 +20,6 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName
 from deepfsi.designfile.design_file import Temperatures
-from deepfsi.designfile.provenance import click_gates
 from deepfsi.jobs.exposures import ConditionedEntry, Entry
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
@@ -70,11 +69,10 @@ class ExposureKind(ABC):
     comparable: ClassVar[bool] = True  # whether counts can be tested against the training's
     refusals: ClassVar[dict[Use, str]] = {}  # uses that the kind refuses, with the reason
 
-    def check(self, use: Use, name: str | None = None) -> None:
-        """Raise `InputError` if a design, called `name` in the message, refuses a use."""
-        text = self.refusals.get(use)
-        if text is not None:
-            raise InputError(text if name is None else text.replace("this design", name, 1))
+    def check(self, use: Use) -> None:
+        """Raise `InputError` for a use that the kind refuses."""
+        if use in self.refusals:
+            raise InputError(self.refusals[use])
 
     @property
     def device(self) -> torch.device:
@@ -116,10 +114,9 @@ class Clicks(NamedTuple):
     photons: float  # budget of the training, at which the network reads clicks
 
     @classmethod
-    def of(cls, info: Mapping[str, Any]) -> "Clicks | None":
-        """Clicks of a design, from its provenance; None if its detectors count photons."""
-        gates = click_gates(info)
-        return None if gates is None else cls(gates, info["job"]["photons"])
+    def of(cls, camera: Camera, photons: float) -> "Clicks | None":
+        """Clicks of a camera, and of a training at a budget; None if it counts photons."""
+        return None if camera.clicks is None else cls(camera.clicks, photons)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -159,7 +156,7 @@ class MaskExposure(ExposureKind):
     @property
     def title(self) -> str:
         """Number and shape of the masks, and their light law."""
-        shape = "x".join(map(str, self.mask_shape))
+        shape = "x".join(map(str, self.entry.mask_shape(self.image_shape)))
         return f"{self.count} masks of {shape}, {self.light}, {self.rails.kind} rails"
 
     @property
@@ -185,11 +182,6 @@ class MaskExposure(ExposureKind):
         )
 
     # What is shown
-
-    @property
-    def mask_shape(self) -> tuple[int, ...]:
-        """Shape of a mask."""
-        return self.entry.mask_shape(self.image_shape)
 
     @property
     def counts_shape(self) -> tuple[int, ...]:
@@ -230,7 +222,7 @@ class MaskExposure(ExposureKind):
         if LIGHT_LAWS[self.light].one_device:
             shares = light_law(self.light).used(self.rails.stacked)
             dwells = torch.diff(shares, prepend=shares.new_zeros(1))
-        return self.rails.difference, self.mask_shape, dwells
+        return self.rails.difference, self.entry.mask_shape(self.image_shape), dwells
 
     # Exposing
 
@@ -246,17 +238,12 @@ class MaskExposure(ExposureKind):
         """Expected counts (..., rails, m · D) of reflectances (..., N) at the budget 1."""
         return scanner.rates(scenes.to(self.device) / self.summed_reflectance)
 
-    def placed(self, rates: Tensor, generator: torch.Generator) -> Tensor:
-        """Expected counts (..., rails, m · D) of exposures of `rates`, each where its scene is."""
-        return rates
+    def placed(self, rates: Tensor, generator: torch.Generator | None) -> Tensor:
+        """Expected counts (..., rails, m · D) of exposures of `rates`, each where its scene is.
 
-    def expected(self, rates: Tensor) -> Tensor:
-        """Photons (..., rails, m · D) of an exposure, in the mean over places of its scene."""
+        Without a generator, in the mean over the places of scenes that move.
+        """
         return rates
-
-    def scale(self, photons: Tensor | float) -> Tensor | float:
-        """Divisor of features in counts: the budget, or for clicks the training's budget."""
-        return photons if self.clicks is None else 0 * photons + self.clicks.photons
 
     def exposures(self, scenes: Tensor, camera: Camera, network: Network) -> Exposures:
         """Exposures of scenes (n, N) by a camera, answered by a network."""
@@ -265,9 +252,10 @@ class MaskExposure(ExposureKind):
 
         def expose(photons: float, generator: torch.Generator) -> tuple[Answer, CountedLight]:
             counts = scanner.read(self.placed(rates, generator) * photons, generator)
-            counts = counts * (photons / self.scale(photons))
+            if self.clicks is not None:
+                counts = counts * (photons / self.clicks.photons)
             answer = network(self.detection.features(counts) / photons, photons)
-            arriving = photons * self.expected(rates)
+            arriving = photons * self.placed(rates, None)
             counted = float(scanner.noise.mean(arriving).sum())
             return answer, CountedLight(counted, float(arriving.sum()))
 
@@ -275,10 +263,15 @@ class MaskExposure(ExposureKind):
 
     # Answering
 
-    def features(self, counts: Tensor) -> Tensor:
-        """Features (..., k) of counts (..., [2,] m [, D])."""
+    def features(self, counts: Tensor, photons: Tensor | float) -> Tensor:
+        """Features (..., k) of counts (..., [2,] m [, D]), over the budget (..., 1).
+
+        Clicks are not in proportion to the light: theirs are over the training's budget.
+        """
         every = counts.flatten(-2) if self.detection.count > 1 else counts
-        return self.detection.features(every if self.rails.count == 2 else every.unsqueeze(-2))
+        every = every if self.rails.count == 2 else every.unsqueeze(-2)
+        scale = photons if self.clicks is None else self.clicks.photons
+        return self.detection.features(every) / scale
 
     @property
     def input_count(self) -> int:
@@ -297,10 +290,6 @@ class MaskExposure(ExposureKind):
             )
             features = features * gain + offset / trained
         return (features - self.mean) / self.std
-
-    def budget(self, photons: Tensor) -> Tensor:
-        """Budget (..., 1) of an exposure, from the budgets of its parts."""
-        return photons
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -211,7 +211,6 @@ class ExposureTraining(ABC):
         s = self.training_set.summed_reflectance
         mean, std, light = statistics
         rails = self.masks().stacked
-        gates = self.job.camera.clicks
         made = []
         for job, entry in enumerate(self.entries):
             exposure = resolve_name(entry.restored_by)(
@@ -225,7 +224,7 @@ class ExposureTraining(ABC):
                 std=std[job] / s,
                 shares=light[job] / s * self.parts,
                 weights=self.weights[job],
-                clicks=None if gates is None else Clicks(gates, self.jobs[job].photons),
+                clicks=Clicks.of(self.job.camera, self.jobs[job].photons),
             )
             made.append(exposure)
         return made

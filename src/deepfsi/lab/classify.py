@@ -164,7 +164,7 @@ def classify_table(
     """
     patterns = Patterns.read(design) if Path(design).is_dir() else None
     made = open_design(Path(design), patterns, trust=trust, static=True)
-    settings = (settings or TableSettings()).model_copy(update={"clicks": made.gates})
+    settings = (settings or TableSettings()).model_copy(update={"clicks": made.camera.clicks})
     if camera:
         dead_time = Camera.of_run(made.camera, **camera).counter_dead_time
         settings = settings.model_copy(update={"dead_time": dead_time or NO_DEAD_TIME})
@@ -202,10 +202,10 @@ def _classify_counts(
     from deepfsi.exposure.training_set import check_classes
 
     check_classes(design.values, "a classified run")
-    if counts.gates != design.gates:
+    if counts.gates != design.camera.clicks:
         counted, wanted = (
             "photons" if gates is None else f"clicks of {gates} gates a frame"
-            for gates in (counts.gates, design.gates)
+            for gates in (counts.gates, design.camera.clicks)
         )
         raise InputError(
             f"{source} was counted in {counted}, and this design reads {wanted}: count again with "
@@ -282,7 +282,7 @@ def _view_of(
 
     None if the design has no model of scenes, or reads clicks.
     """
-    if design.scene_model is None or design.gates is not None:
+    if design.scene_model is None or design.camera.clicks is not None:
         return None
     rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
     detection = design.exposure.detection

@@ -56,7 +56,7 @@ def open_design(
     design = load_design(file, trust=trust)
     if patterns is None and not static:
         return design
-    design.exposure.check("masks", str(file))
+    design.exposure.check("masks")
     return design if patterns is None else design.as_shown(*patterns.realised)
 
 

@@ -12,7 +12,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import budget_text
 from deepfsi.camera.camera import CameraSource
 from deepfsi.camera.light import check_budget
-from deepfsi.designfile.provenance import scene_hashes, was_trained_on
+from deepfsi.designfile.provenance import scene_hashes, trained_budgets, was_trained_on
 from deepfsi.lab.design_data import design_scenes
 from deepfsi.lab.results import ClassifiedRun, ClassifiedScene, find_dim
 
@@ -123,9 +123,9 @@ def predict(
     with library_defaults(grad=False):
         tested = camera_for(design, camera=camera, **settings)
         if photons is None:
-            if design.trained_budgets is None:
+            if not (budgets := trained_budgets(design.info)):
                 raise InputError("this design does not say its training's light: give `photons`")
-            low, high = design.trained_budgets
+            low, high = budgets
             photons = tested.budget if tested.budget and low <= tested.budget <= high else low
         budget = check_budget(photons)
         shown = design_scenes(design.info, design.image_shape, source)

@@ -13,7 +13,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.design.design import Design
-from deepfsi.design.networks import OwnClassifier
+from deepfsi.design.file import file_of
 from deepfsi.evaluation.accuracy import camera_for, evaluate
 from deepfsi.exposure.training_set import Matrices, TrainingSet
 from deepfsi.sweeps.plan import Trial
@@ -167,7 +167,8 @@ class BatchTrainer:
         designs = train(self.training_set, jobs, matrix, report=learning, checkpoint=checkpoint)
         finished: list[FinishedTrial] = []
         for trial, design in zip(batch, designs, strict=True):
-            finished.append(FinishedTrial(trial, self.record(trial, design), design.to_bytes()))
+            content = file_of(design).to_bytes()
+            finished.append(FinishedTrial(trial, self.record(trial, design), content))
             report.between(share, 1.0)(len(finished) / len(batch))
         return finished
 
@@ -189,10 +190,6 @@ class BatchTrainer:
 
     def record(self, trial: Trial, design: Design) -> Record:
         """Record of a trial whose design is tested now."""
-        network = design.classifier
-        if isinstance(network, OwnClassifier) and network.module is None:
-            # the design's file does not run the code of a classifier of the user's own
-            design = design.with_classifier(trial.job.training.classifier)
         return {
             "schema": RESULTS_SCHEMA,
             "key": trial.key,

@@ -91,10 +91,13 @@ class Records:
 
     def design(self, trial: Trial) -> "Design | None":
         """Design of a trial that was trained already, perhaps for other tests."""
-        from deepfsi.design.design import load_design
+        from deepfsi.design.design import Design
 
+        training = trial.job.training
+        # a file does not run the code of a classifier of the user's own
+        code = training.classifier if training.is_custom else None
         try:
-            return load_design(self._design_path(trial))
+            return Design.load(self._design_path(trial), classifier=code)
         except InputError:
             return None
 

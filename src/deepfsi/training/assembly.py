@@ -97,7 +97,7 @@ def design_of(
         mean=torch.zeros(read, device=rails.device),
         std=torch.full((read,), 1 / budget, device=rails.device),
         shares=counts / s,
-        clicks=Clicks.of(info),
+        clicks=Clicks.of(camera, budget),
     )
     design = Design(
         name="custom",

@@ -58,7 +58,7 @@ def characterise(
     left_out: Sequence[tuple[Dataset, Sequence[Design]]] = (),
 ) -> None:
     """Give trained designs what simulated exposures tell: distribution, view, temperatures."""
-    if designs[0].exposure.comparable and designs[0].gates is None:
+    if designs[0].exposure.comparable and designs[0].camera.clicks is None:
         _model_counts(training_set, designs)
     for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
         if design.classes:

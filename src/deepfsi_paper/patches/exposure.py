@@ -45,10 +45,6 @@ class PatchExposure(MaskExposure):
         """Expected counts (..., P, rails, m) of the patches of images (..., H · W)."""
         return super().rates(scanner, cut_patches(scenes, self.image_shape, self.entry.side))
 
-    def budget(self, photons: Tensor) -> Tensor:
-        """Budget (..., 1) of an image: every patch has it."""
-        return photons[..., 0, :] if photons.ndim > 1 else photons
-
 
 class PatchTraining(ExposureTraining):
     """Masks of patches, and the features of every patch of images; one job alone trains on them."""
