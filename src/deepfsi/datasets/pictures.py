@@ -204,7 +204,10 @@ def _read(path: Path, tally: Tally, shape: PictureSize | None, bilinear: bool) -
     except InputError:
         raise
     except UnidentifiedImageError:
-        raise _Unreadable("no image of a kind that is read") from None
+        # Pillow reads floats of 32 bits alone
+        tiff = path.suffix.lower() in (".tif", ".tiff")
+        kind = "floats of 16 or 64 bits, or no TIFF" if tiff else "no image of a kind that is read"
+        raise _Unreadable(kind) from None
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
         raise _Unreadable(str(error)) from error
     if shape is not None:
