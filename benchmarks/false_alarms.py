@@ -104,7 +104,7 @@ def kinds(rng: np.random.Generator, detectors: int = 1, **course) -> set[str]:
     photons, seconds = drawn(rng, **course)
     manifest = manifest_of(detectors)
     arrivals = Arrivals(manifest.frames, photons, photons, seconds)
-    light = check_light(arrivals, manifest, range(detectors), scenes=np.arange(PASSES))
+    light = check_light(arrivals, manifest, range(detectors))
     return {fault.kind for fault in light.faults}
 
 

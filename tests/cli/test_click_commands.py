@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import polars as pl
 import pytest
 from click.testing import CliRunner
 
@@ -65,14 +66,13 @@ def test_clicks_are_classified_as_well_as_they_are_evaluated(done, lab):
 def test_what_is_of_photons_is_refused_for_a_design_of_clicks(done, refuse, lab, tmp_path):
     words = ["camera", "count", lab / "run"]
     assert "clicks have no dead time" in refuse(*words, "--dead-time", "20ns")
-    assert "are of photon counts, and clicks" in refuse(*words, "--background", "0")
     Recording.read(lab / "run").count()
     classify = ["camera", "classify", lab / "p"]
     assert f"in photons, and this design reads clicks of {GATES}" in refuse(*classify, lab / "run")
     done(*words)
     frames = len(Patterns.read(lab / "p").manifest.frames)
     np.savetxt(tmp_path / "clicks.csv", np.ones((EXPOSURES, frames)), delimiter=",", fmt="%d")
-    classify += [tmp_path / "clicks.csv", "--repeats", EXPOSURES, "--photons", PHOTONS]
+    classify += [tmp_path / "clicks.csv", "--photons", PHOTONS]
     done(*classify, "--force")
     assert "are of photon counts" in refuse(*classify, "--background", 3)
 
@@ -81,8 +81,11 @@ def test_a_table_of_clicks_is_classified(done, refuse, lab, tmp_path):
     """As the run whose clicks they are."""
     said = json.loads(done("camera", "count", lab / "run", "--json"))
     clicks = np.array(said["counts"])[:, :, 0].reshape(SCENES * EXPOSURES, -1)
-    np.savetxt(tmp_path / "clicks.csv", clicks, delimiter=",", fmt="%d")
-    words = ["camera", "classify", lab / "p", tmp_path / "clicks.csv", "--repeats", EXPOSURES]
+    columns = [f"mask{mask}" for mask in range(clicks.shape[1])]
+    table = pl.DataFrame(clicks, schema=columns, orient="row")
+    table = table.with_columns(scene=np.repeat(np.arange(SCENES), EXPOSURES))
+    table.write_csv(tmp_path / "clicks.csv")
+    words = ["camera", "classify", lab / "p", tmp_path / "clicks.csv"]
     assert "does not tell its budget" in refuse(*words)
     budget = ["--photons", PHOTONS]
     words += budget

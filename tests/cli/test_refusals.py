@@ -96,7 +96,6 @@ REFUSED = {
         --exposure 10s | give at most
         --dead-time 1us --dead-time-model nosuch | dead_time_model = 'nosuch'
         --dead-time-model paralysable | give --dead-time, such as 20ns
-        --background nosuch | unknown scene 'nosuch'
     """,
     "show a.safetensors --out x.txt": "| end the name in .png",
     "camera inspect a.safetensors": "| is not a PTU file",

@@ -109,7 +109,7 @@ class Lit:
     def errors(self, counts: Counts) -> np.ndarray:
         """Relative error (S,) of each scene's features by a steady lamp, without photon noise."""
         manifest, wrong, size = self.patterns.manifest, 0.0, 0.0
-        gate = float(counts.gate_s[0])
+        gate = float(counts.lengths_s[0, 0])
         inside = SETTLE + (np.arange(40) + 0.5) / 40 * gate
         when = self.starts()[:, manifest.shown, None] + inside
         lamp, stray = self.lamp(when).mean(axis=2), self.stray(when).mean(axis=2)

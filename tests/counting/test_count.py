@@ -6,6 +6,8 @@ import recording_samples
 from recording_samples import DWELL, train
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.dead_time import NO_DEAD_TIME
+from deepfsi.counting.counts import Corrections
 from deepfsi.counting.recording import Recording
 
 run, whole = recording_samples.run, recording_samples.whole
@@ -75,3 +77,14 @@ def test_cut_or_missing_counts_are_refused(run):
     refuse(run.folder, r"counts\.npz .*not a zip file.* camera count")
     path.unlink()
     refuse(run.folder, r"counts\.npz is missing.* camera count")
+
+
+@pytest.mark.parametrize("gain", [0.5, 3.0])
+def test_law_counts_divided_by_a_gain_have_their_variance(gain):
+    mean, draws = 2000.0, 20_000
+    factors = Corrections(NO_DEAD_TIME, np.array([gain])).factors(np.zeros(1))
+    seen = np.random.default_rng(4).poisson(gain * mean, draws)
+    found = seen * factors.arrivals
+    assert abs(found.mean() - mean) < 5 * found.std() / draws**0.5
+    spread = float((seen * factors.variance).mean())
+    assert spread == pytest.approx(found.var(), rel=5 * (2 / draws) ** 0.5)

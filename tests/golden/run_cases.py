@@ -53,7 +53,6 @@ COUNTED = {
     "gains": ("", "--dead-time 1us"),
     "clicks": ("", "--exposure 5ms"),
     "edges": ("", "--dead-time 50ns"),
-    "ambient": ("", "--background dark/dark.png", "--background dark/dark.png --dead-time 1us"),
 }
 """Options of `camera count` that stored runs are counted with, beside none."""
 
@@ -251,11 +250,11 @@ def transits() -> dict[str, Any]:
 
 
 TABLES = {
-    "single": ("", "--settle 10us", "--background 3", "--photons 4e3", "--repeats 5"),
+    "single": ("", "--settle 10us", "--background 3", "--photons 4e3"),
     "dual": ("", "--dead-time 1us"),
     "arms": ("", "--settle 10us"),
-    "quad": ("", "--repeats 1 --background 1"),
-    "click": ("--photons 500", "--photons 500 --repeats 5"),
+    "quad": ("", "--background 1"),
+    "click": ("--photons 500",),
 }
 """Options of `camera classify` that each stored table of counts is classified with."""
 
@@ -295,7 +294,7 @@ def tables_of_each_format() -> dict[str, Any]:
         "names.csv", "comment.csv", "array.npy", "one.mat", "two.mat:b", "p.parquet",
         "names.parquet",
         # refused:
-        "two.mat", "nosuch.csv", "array.npy --repeats 3",
+        "two.mat", "nosuch.csv",
     )  # fmt: skip
     return {words: answer("camera", "classify", asked, *words.split()) for words in files_and_words}
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models import Count, Seconds
+from deepfsi.base.models import Seconds
 from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
@@ -48,7 +48,6 @@ class CountRun(Command):
     exposure_s: Seconds | None = fields.option(
         "total exposure, such as 10ms; default: the recorded one", alias="exposure"
     )
-    background: str | None = fields.option("scene of this run that was dark, to be subtracted")
     flat: Path | None = fields.option(
         "counted run of uniform white with these patterns: corrects efficiencies of detectors"
     )
@@ -88,14 +87,13 @@ class ClassifyRun(Command):
     settle_s: Seconds | None = fields.option(
         "table: time after each marker without counting; default: 0", alias="settle"
     )
-    repeats: Count = fields.option("table: number of consecutive exposures of each scene", 1)
     gain: float | None = fields.option("analogue table: counts that one unit stands for")
     read_noise: float | None = fields.option("analogue table: read noise of a value, counts rms")
     trust: fields.Trust = False
     force: bool = fields.option("classify counts that do not look like the training's", False)
 
     def run(self, terminal: Terminal) -> Outcome:
-        of_tables = ("background", "settle_s", "repeats", "gain", "read_noise")
+        of_tables = ("background", "settle_s", "gain", "read_noise")
         if self.counted.is_dir():
             for name in (*self.explicit(of_tables), *self.settings):
                 raise InputError(

@@ -38,24 +38,27 @@ from deepfsi.counting.flux import (
 from deepfsi.patterns.manifest import Brightness, Manifest
 
 FaultKind = Literal[
-    "late", "dark", "unsteady", "brighter", "flicker", "level", "background", "blind", "budget",
-    "gain", "unsure", "unlike", "view",
-]  # fmt: skip
+    "dark",  # there is no light
+    "unsteady",  # the light changed within the pass
+    "brighter",  # a mask sends more light than all mirrors ON
+    "flicker",  # the light is unsteady in many passes
+    "level",  # the light is another from this scene on; its scenes have a budget of their own
+    "blind",  # one of several detectors saw almost no light in all scenes together
+    "gain",  # detectors share the light as in no scenes of the training
+    "budget",  # less light than the design was trained for
+    "unsure",  # live: the counts of a scene do not look like those of the training
+    "unlike",  # live: nor do those of several scenes before
+    "view",  # live: counts of all scenes are as if the picture were mirrored, blurred or the like
+]
 """Kinds of faults; a new check of the light may bring its own."""
+
+SPOILING = ("dark", "brighter", "unsteady", "flicker", "budget", "gain", "unsure", "unlike", "view")
+"""Kinds of faults that leave a scene's counts without a meaning."""
 
 
 class Fault(StrictModel):
     """Fault of a recording's light."""
 
-    # `late` is of earlier versions. Light: `dark`, there is none; `unsteady`, it changed within the
-    # pass; `brighter`, a mask sends more than all mirrors ON; `flicker`, it is unsteady in many
-    # passes; `level`, its brightness is another from this scene on; `background`, the scene was
-    # dark and is subtracted. Detectors: `blind`, one of several saw almost no light in all scenes
-    # together; `gain`, they share the light as in no scenes of the training. `budget`: there is
-    # less light than the design was trained for, or, in a live run, not the stated light. Live
-    # runs: `unsure`, the counts of a scene do not look like those of the training; `unlike`, nor
-    # do those of several scenes before; `view`, the counts of all scenes so far are as if the
-    # picture on the device were mirrored, blurred or the like
     kind: FaultKind
     scene: int | None = None  # Which, from 0; None where no pass is meant
     frame: int | None = None  # Which, from 0; None where no one frame is meant
@@ -66,13 +69,12 @@ class Fault(StrictModel):
 
     def words(self, names: Sequence[str] = ()) -> str:
         """The fault in one line, with the name of its scene."""
-        where = []
+        where: str = self.kind
         if self.scene is not None:
-            where += [f" scene {self.scene}", *(f" {name}" for name in names[self.scene :][:1])]
+            where = ", ".join([f"{where} scene {self.scene}", *names[self.scene :][:1]])
         if self.frame is not None:
-            where.append(f" frame {self.frame}")
-        start = f"{self.kind}{','.join(where)}"
-        return f"{start}: {self.detail}"
+            where += f", frame {self.frame}"
+        return f"{where}: {self.detail}"
 
 
 @dataclass
@@ -208,9 +210,6 @@ def _find_level_changes(flux: Flux) -> Iterator[Fault]:
 CHECKS = 4
 """Checks of the light; each has a part of `FALSE_ALARMS`."""
 
-SPOILING = ("dark", "brighter", "unsteady", "flicker", "budget", "gain", "unsure", "unlike", "view")
-"""Kinds of faults that leave a scene's counts without a meaning."""
-
 
 def _find_restless_lamp(scenes: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> list[Fault]:
     """Fault of the whole recording if the light was wrong in many of its passes."""
@@ -237,15 +236,10 @@ class Light:
     lit: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # passes with light
 
 
-def check_light(
-    arrivals: Arrivals,
-    manifest: Manifest,
-    inputs: Sequence[int],
-    *,
-    scenes: np.ndarray,
-) -> Light:
-    """Check the light of a recording, all passes together."""
+def check_light(arrivals: Arrivals, manifest: Manifest, inputs: Sequence[int]) -> Light:
+    """Check the light of a recording, all passes together: one of each scene."""
     count = manifest.detector_count
+    scenes = np.arange(len(arrivals.photons))
     wired = [tuple(inputs[first : first + count]) for first in range(0, len(inputs), count)]
     curves = light_curves(arrivals, scenes, wired)
     chance = FALSE_ALARMS / len(curves) / CHECKS

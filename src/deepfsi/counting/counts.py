@@ -3,10 +3,6 @@
 A counter registers more or less than arrives, in proportion to what it counts: first what dead time
 took is undone (`Corrections`), then the gains of its detectors.
 
-Ambient light on the device is counted through each mask, and is no factor. A pass with the scene
-dark measures it, readout by readout, beyond the dark counts of all-OFF frames; it is subtracted
-from all scenes and from the flux. Its error is the same in all scenes.
-
 Clicks are not in proportion to the light, and are not corrected: of the photons in each of the G
 equal gates of a frame's exposure only the first is counted. Of r expected photons a frame has
 
@@ -51,11 +47,8 @@ class Counts:
     arrivals: np.ndarray
     variance: np.ndarray
     valid: np.ndarray  # whether all readouts of an exposure were recorded
-    gate_s: np.ndarray  # for how long each mask's frame is counted, seconds
     flux: np.ndarray  # counts/s of all-ON frames beyond all-OFF ones, (S,)
     dark_rate: np.ndarray  # counts/s without light, (S, rails[, D])
-    ambient: np.ndarray
-    ambient_variance: np.ndarray
     exposure_s: float
     settle_s: float
     lengths_s: np.ndarray  # for how long each readout is counted, seconds
@@ -68,11 +61,11 @@ class Counts:
 
     @property
     def background(self) -> np.ndarray:
-        """Counts that each readout holds without the scene, float64 (S, rails, m[, D])."""
+        """Dark counts of each readout, float64 (S, rails, m[, D])."""
         if self.gates is not None:
             return np.zeros_like(self.counts[:, 0], float)  # clicks are read as they are
         lengths = np.expand_dims(self.lengths_s, tuple(range(2, self.dark_rate.ndim)))
-        return self.dark_rate[:, :, None] * lengths + self.ambient
+        return self.dark_rate[:, :, None] * lengths
 
     def signal(self) -> np.ndarray:
         """Arrivals less the background, float64 (S, R, rails, m[, D])."""
@@ -212,74 +205,6 @@ class Corrections:
             f"{frames[int(frame)]}, and a dead time of {self.dead_time}, is corrected up to "
             f"{most:.3g}: dim the light, or give the counter's own dead time"
         )
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Numbers of arrivals, as estimated from counts."""
-
-    arrivals: np.ndarray
-    variance: np.ndarray  # of their noise, of the same shape
-
-
-@dataclass(frozen=True)
-class Ambient:
-    """Light of an exposure that does not come from the scene."""
-
-    counts: np.ndarray  # (rails, m[, D]): Counts of each readout beyond its dark counts
-    variance: np.ndarray  # (rails, m[, D]): Of these as they were measured
-    flux: float  # Counts/s of all-ON frames beyond all-OFF ones
-
-    @classmethod
-    def none(cls, manifest: Manifest) -> Self:
-        """No such light: it was not measured, and is not subtracted."""
-        empty = np.zeros((manifest.rails, manifest.masks, *manifest.several))
-        return cls(empty, empty, 0.0)
-
-    @classmethod
-    def of(
-        cls,
-        manifest: Manifest,
-        gated: Estimate,
-        lengths_s: np.ndarray,
-        frames: np.ndarray,
-        frames_s: np.ndarray,
-    ) -> Self:
-        """Light of exposures (E) with the scene dark."""
-        exposures = len(gated.arrivals)
-        on = _rate(frames, frames_s, ALL_ON)
-        off = _rate(frames, frames_s, ALL_OFF)
-        rate = manifest.dark_inputs(on.arrivals, off.arrivals)
-        noise = manifest.dark_inputs(on.variance, off.variance)
-        flux = float((on.arrivals - rate)[manifest.arm].sum())
-        mean = gated.arrivals.mean(axis=0)
-        variance = gated.variance.sum(axis=0) / exposures**2
-        lengths = manifest.lengths_by_readout(lengths_s)
-        lengths = np.expand_dims(lengths, tuple(range(2, 2 + len(manifest.several))))
-        dark = manifest.by_rail(rate)[:, None]
-        dark_noise = manifest.by_rail(noise)[:, None]
-        return cls(
-            manifest.by_readout(mean) - dark * lengths,
-            manifest.by_readout(variance) + dark_noise * lengths**2,
-            flux,
-        )
-
-    def of_flux(self, flux: np.ndarray, source: str) -> np.ndarray:
-        """Flux of scenes without this light, or `InputError` if nothing is left."""
-        rest = flux - self.flux
-        if np.isfinite(rest).any() and not (rest > 0).any():
-            raise InputError(
-                f"{source} has no light beyond its background: all-ON frames of the scenes are not "
-                "brighter than in the dark scene; give the pass with the scene dark"
-            )
-        return rest
-
-
-def _rate(photons: np.ndarray, seconds: np.ndarray, frames: list[int]) -> Estimate:
-    """Counts/s (inputs,) in some frames."""
-    spent = seconds[frames].sum()
-    total = photons[frames].sum(axis=0)
-    return Estimate(total / spent, total.clip(min=0) / spent**2)
 
 
 ALL_ON = [0, -2]

@@ -9,7 +9,6 @@ A file is a header of tags and then records of 32 bits, as PicoQuant describes t
 
 import os
 import struct
-from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -121,19 +120,30 @@ class Header:
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> "Header":
         """Read the header of a PTU file; raise `InputError` if it has none, or a damaged one."""
-        parser = cls.parse(path)
-        with open_regular(path, buffering=0) as file:
-            needed = next(parser)
-            while True:
-                try:
-                    needed = parser.send(file.read(needed))
-                except StopIteration as end:
-                    return replace(end.value, size=os.fstat(file.fileno()).st_size)
+        with open_regular(path) as file:
+            header = cls.parse(file.read(LONGEST_HEADER), path, whole=True)
+            assert header is not None
+            return replace(header, size=os.fstat(file.fileno()).st_size)
 
     @classmethod
-    def parse(cls, path: str | os.PathLike[str]) -> Generator[int, bytes, "Header"]:
-        """Parse a header: yields how many bytes it needs, and is sent them, or fewer at the end."""
-        tags, offset = yield from _parse_numbers(path)
+    def parse(
+        cls, data: bytes | bytearray, path: str | os.PathLike[str], *, whole: bool = False
+    ) -> "Header | None":
+        """Header at the beginning of bytes that come; None until the `whole` of it is there."""
+        if len(data) >= len(MAGIC) and not data.startswith(MAGIC):
+            raise InputError(
+                f"{path} is not a PTU file: it begins with {bytes(data[: len(MAGIC)])!r}, not "
+                "give times and channels of other formats to `deepfsi camera import`, as two "
+                "columns"
+            )
+        tags, offset = _parse_numbers(data, path)
+        if not offset:
+            if whole or len(data) >= LONGEST_HEADER:
+                raise InputError(
+                    f"{path} is not a PTU file, or its header has no end within {LONGEST_HEADER} "
+                    "bytes"
+                )
+            return None
         code = tags.get("TTResultFormat_TTTRRecType")
         if not isinstance(code, int) or code not in KINDS:
             raise InputError(
@@ -150,35 +160,27 @@ class Header:
 
 
 def _parse_numbers(
-    path: str | os.PathLike[str],
-) -> Generator[int, bytes, tuple[dict[str, int | float | None], int]]:
-    """Numbers in the tags of a header by name, None of another type, and the header's bytes."""
-    start = yield 16
-    if start[:8].rstrip(b"\0") != MAGIC:
-        raise InputError(
-            f"{path} is not a PTU file: it begins with {start[:8]!r}, not {MAGIC!r}; give times "
-            "and channels of other formats to `deepfsi camera import`, as two columns"
-        )
+    data: bytes | bytearray, path: str | os.PathLike[str]
+) -> tuple[dict[str, int | float | None], int]:
+    """Numbers in the tags by name, None of another type, and the header's bytes or 0."""
     numbers: dict[str, int | float | None] = {}
-    offset = len(start)
-    while True:
-        raw = yield 48
-        offset += len(raw)
-        if len(raw) < 48 or offset > LONGEST_HEADER:
-            raise InputError(f"{path} has a header without an end within {LONGEST_HEADER} bytes")
-        ident, index, code, value = struct.unpack("<32siI8s", raw)
+    offset = 16
+    while offset + 48 <= min(len(data), LONGEST_HEADER):
+        ident, index, code, value = struct.unpack_from("<32siI8s", data, offset)
+        offset += 48
         name = ident.split(b"\0")[0].decode("ascii", "replace")
         if name == "Header_End":
             return numbers, offset
         if code in _LONGER:
             (size,) = struct.unpack("<q", value)
-            content = (yield size) if 0 < size <= LONGEST_HEADER else b""
-            if len(content) != size:
+            if not 0 <= size <= LONGEST_HEADER:
                 raise InputError(f"{path} is damaged: its tag {name!r} is of {size} bytes")
             offset += size
+        # Tags with an index are those of one curve or input, and not of the file
         if index < 0:
             form = {0x10000008: "<q", 0x20000008: "<d"}.get(code)
             numbers[name] = struct.unpack(form, value)[0] if form else None
+    return numbers, 0
 
 
 @dataclass
@@ -201,10 +203,7 @@ class Part:
 
 
 class Decoder:
-    """Decodes records that come in blocks of any length.
-
-    Where a record is damaged, the part ends before it with a `fault`, and no more can be decoded.
-    """
+    """Decodes records that come in blocks; after a part with a `fault` no more can be decoded."""
 
     def __init__(self, kind: Kind, tick_s: float) -> None:
         self._kind = kind
@@ -213,16 +212,8 @@ class Decoder:
         self._wraps = 0  # overflows so far
         self._reached = 0
 
-    def parts(self, words: np.ndarray) -> Iterator[Part]:
-        """Decode records, uint32 (n,), that follow those before."""
-        for start in range(0, len(words), RECORDS_AT_ONCE):
-            part = self._decode(words[start : start + RECORDS_AT_ONCE])
-            yield part
-            if part.fault:
-                return
-
-    def _decode(self, words: np.ndarray) -> Part:
-        """Decode records up to the first that is damaged."""
+    def decode(self, words: np.ndarray) -> Part:
+        """Decode records, uint32 (n,), that follow those before, up to the first damaged one."""
         kind = self._kind
         photon = words < np.uint32(kind.first + kind.inputs << kind.shift)
         if kind.first:
@@ -256,7 +247,7 @@ class Decoder:
         starts = [(int(where[0]), how) for where, how in damages if len(where)]
         if starts:
             first, how = min(starts)
-            part = self._decode(words[:first])
+            part = self.decode(words[:first])
             part.fault = f"record {self._records + 1} has {how}"
             return part
         self._records += len(words)

@@ -21,11 +21,7 @@ from deepfsi.base.models import StrictModel
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.quantities import Table, time_text
 from deepfsi.counting import ptu
-from deepfsi.counting.ptu import (
-    Decoder,
-    Header,
-    Part,
-)
+from deepfsi.counting.ptu import Decoder, Header, Part
 
 
 class PtuFile:
@@ -47,7 +43,7 @@ class PtuFile:
                     raise InputError(
                         f"{header.path} became shorter while it was read: wait for its end"
                     )
-                (part,) = decoder.parts(np.frombuffer(content, "<u4"))
+                part = decoder.decode(np.frombuffer(content, "<u4"))
                 yield part
                 if part.fault:
                     return
@@ -61,8 +57,7 @@ class PtuStream:
     """
 
     def __init__(self, name: str | os.PathLike[str] = "the stream") -> None:
-        self._parser = Header.parse(name)
-        self._needed = next(self._parser)
+        self._name = name
         self._data = bytearray()  # that is not read yet
         self._records_left = 0
         self._decoder: Decoder | None = None
@@ -75,15 +70,11 @@ class PtuStream:
     def feed(self, data: bytes | bytearray | memoryview) -> None:
         """Take the next bytes, which `parts` then reads."""
         self._data += data
-        while self._decoder is None and len(self._data) >= self._needed:
-            of_header = bytes(self._data[: self._needed])
-            del self._data[: self._needed]
-            try:
-                self._needed = self._parser.send(of_header)
-            except StopIteration as end:
-                self.header: Header = end.value
-                self._records_left = self.header.records
-                self._decoder = Decoder(self.header.kind, self.header.tick_s)
+        if self._decoder is None and (header := Header.parse(self._data, self._name)):
+            self.header: Header = header
+            self._records_left = header.records
+            self._decoder = Decoder(header.kind, header.tick_s)
+            del self._data[: header.offset]
 
     def parts(self, progress: Progress = SILENT) -> Iterator[Part]:
         """Give the records that ended with the bytes that came since the last call, in order.
@@ -92,11 +83,11 @@ class PtuStream:
         """
         if self._decoder is None:
             return
-        count = min(len(self._data) // 4, self._records_left)
-        words = np.frombuffer(bytes(self._data[: 4 * count]), "<u4")
-        del self._data[: 4 * count]
-        for part in self._decoder.parts(words):
-            self._records_left = 0 if part.fault else self._records_left - part.records
+        while count := min(len(self._data) // 4, self._records_left, ptu.RECORDS_AT_ONCE):
+            words = np.frombuffer(bytes(self._data[: 4 * count]), "<u4")
+            del self._data[: 4 * count]
+            part = self._decoder.decode(words)
+            self._records_left = 0 if part.fault else self._records_left - count
             yield part
         if not self._records_left:
             self._data.clear()
@@ -196,7 +187,6 @@ def read_photons(
 ) -> tuple[np.ndarray, float]:
     """Read the times of the photons on an input."""
     source = _as_source(photons)
-    _check_inputs(source, (number,))
     times = [np.zeros(0, np.int64)]
     reached = total = 0
     for part in source.parts(progress):
@@ -236,7 +226,6 @@ class WindowCounter:
     """Counts photons in windows; each is told before it begins."""
 
     def __init__(self, source: PhotonSource, inputs: Sequence[int]) -> None:
-        _check_inputs(source, inputs)
         self._source = source
         self._inputs = tuple(inputs)
         self._edges = np.zeros(0, np.int64)  # starts and stops in turn, of windows not yet taken
@@ -285,14 +274,3 @@ class WindowCounter:
         self._before[self._done :] = self._total
         self._done = len(self._edges)
         return self.take()
-
-
-def _check_inputs(source: PhotonSource, numbers: Sequence[int]) -> None:
-    """Raise `InputError` unless a source has inputs of these numbers, from 0."""
-    kind = source.header.kind
-    for number in numbers:
-        if not 0 <= number < kind.inputs:
-            raise InputError(
-                f"input {number}, counted from 0, is not one of {kind.name}: give 0 to "
-                f"{kind.inputs - 1} (--input 1 to {kind.inputs})"
-            )

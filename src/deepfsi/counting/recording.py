@@ -23,19 +23,17 @@ from typing import Any, Self
 
 import numpy as np
 
-from deepfsi.base.errors import InputError, as_input_error, check_choice
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import hash_file, new_folder, read_regular, read_text, write_atomically
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.quantities import count_text, time_text
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.counting.acquisition import Acquisition, Calibration
-from deepfsi.counting.checks import Fault, check_light
+from deepfsi.counting.checks import check_light
 from deepfsi.counting.counts import (
     ENDS,
-    Ambient,
     Corrections,
     Counts,
-    Estimate,
     check_clicks,
     light_of_clicks,
 )
@@ -52,7 +50,6 @@ class CountSettings:
 
     exposure_s: float | None = None
     dead_time: DeadTime | None = None  # to be corrected for
-    background: str | None = None  # name of a dark scene
     gains: tuple[float, ...] = ()  # efficiency of each detector, relative to their mean
     clicks: int | None = None  # parts of a gate of which only the first photon counts
 
@@ -150,7 +147,7 @@ class Recording:
         if settings.clicks is None:
             counts = _count_photons(self, gates, settings, progress)
         else:
-            check_clicks(settings.dead_time, settings.background, *settings.gains)
+            check_clicks(settings.dead_time, *settings.gains)
             counts = _count_clicks(self, gates, settings.clicks, settings, progress)
         counts.save(self._counts_file, self.photons, self.acquisition.digest)
         return counts
@@ -214,10 +211,6 @@ class Recording:
         yield f"budget {source}: {_span(counts.photons)} photons an exposure"
         yield f"dark counts: {_span(counts.dark_rate[counts.valid.any(axis=1)])} a second"
         yield f"clocks: frames last {1 + counts.drift:.7g} times as long as planned"
-        if counts.ambient_variance.any():
-            error = math.sqrt(counts.ambient_variance.sum())
-            found = f"{counts.ambient.sum():.4g} ± {error:.2g}"
-            yield f"background subtracted: {found} counts an exposure"
         yield f"counts: {self._counts_file}"
 
 
@@ -271,27 +264,18 @@ def _check_lit(recording: Recording, lit: np.ndarray) -> None:
         )
 
 
-def _counts_of_scenes(
+def _counts_of_run(
     recording: Recording,
     plan: GatePlan,
     starts: FrameStarts,
-    passes: np.ndarray,
     settings: CountSettings,
     **fields: Any,
 ) -> Counts:
-    """Counts of all scenes, of which some passes (P,) were counted."""
+    """Counts of a run with what its settings say."""
     acquisition = recording.acquisition
-    scenes = len(acquisition.scenes)
-    for name in ("counts", "arrivals", "variance", "flux", "dark_rate"):
-        some = fields[name]
-        lost = np.nan if name == "flux" else 0
-        fields[name] = np.full((scenes, *some.shape[1:]), lost, some.dtype)
-        fields[name][passes] = some
-    valid = np.isin(np.arange(scenes), passes)
     return Counts(
         **fields,
-        valid=np.repeat(valid[:, None], plan.repeats, axis=1),
-        gate_s=plan.length_s,
+        valid=np.ones((len(acquisition.scenes), plan.repeats), bool),
         exposure_s=settings.exposure_s or acquisition.exposure_s,
         settle_s=plan.settle_s,
         lengths_s=recording.manifest.lengths_by_readout(plan.length_s),
@@ -303,71 +287,41 @@ def _counts_of_scenes(
 def _count_photons(
     recording: Recording, gates: GatePlan, settings: CountSettings, progress: Progress
 ) -> Counts:
-    """Photons of each readout, and what arrived, corrected and less no background yet."""
+    """Photons of each readout, and what arrived."""
     manifest = recording.manifest
-    acquisition = recording.acquisition
+    inputs = recording.acquisition.inputs
     dead_time = settings.dead_time
     calibration = recording.folder / "calibration"
     if dead_time is None and (calibration / "calibration.json").is_file():
         dead_time = Calibration.load(calibration).dead_time
     dead_time = dead_time or NO_DEAD_TIME
     corrections = Corrections.of(dead_time, manifest, settings.gains)
-    names = [scene.name for scene in acquisition.scenes]
-    if settings.background is not None:
-        check_choice("scene", settings.background, names)
     shortest_s = float(gates.length_s.min())
     source, starts = _find_frames(recording, gates, shortest_s, progress.between(0.0, 0.4))
-    gated = starts.count_in(
-        source,
-        Windows.of_gates(manifest, gates, starts),
-        acquisition.inputs,
-        progress.between(0.4, 1.0),
-    )
+    windows = Windows.of_gates(manifest, gates, starts)
+    gated = starts.count_in(source, windows, inputs, progress.between(0.4, 1.0))
     photons, spent = gated.per_frame()
     rates = photons / spent[..., None]
-    corrections.check(rates, manifest.frames, acquisition.inputs, str(recording.photons))
+    corrections.check(rates, manifest.frames, inputs, str(recording.photons))
     factors = corrections.factors(rates)
-    arrived = photons * factors.arrivals
-    counts = gated.gates(gates.repeats)  # (P, R, f, inputs)
-    of_masks = (slice(None), None, manifest.shown)
-    readouts = Estimate(counts * factors.arrivals[of_masks], counts * factors.variance[of_masks])
-    ambient = Ambient.none(manifest)
-    passes = np.arange(len(names))
-    of_dark = []
-    if settings.background is not None:
-        dark = names.index(settings.background)
-        passes = np.delete(passes, dark)
-        ambient = Ambient.of(
-            manifest,
-            Estimate(readouts.arrivals[dark], readouts.variance[dark]),
-            gates.length_s,
-            frames=arrived[dark],
-            frames_s=spent[dark],
-        )
-        detail = "it was dark, and its counts are subtracted from those of the others"
-        of_dark.append(Fault(kind="background", scene=dark, detail=detail))
     arrivals = Arrivals(
-        manifest.frames,
-        photons=arrived[passes],
-        variance=(photons * factors.variance)[passes],
-        seconds=spent[passes],
+        manifest.frames, photons * factors.arrivals, photons * factors.variance, spent
     )
-    light = check_light(arrivals, manifest, acquisition.inputs, scenes=passes)
+    light = check_light(arrivals, manifest, inputs)
     _check_lit(recording, light.lit)
-    return _counts_of_scenes(
+    counts = gated.gates(gates.repeats)  # (S, R, f, inputs)
+    of_masks = (slice(None), None, manifest.shown)
+    return _counts_of_run(
         recording,
         gates,
         starts,
-        passes,
         settings,
-        counts=manifest.by_readout(counts)[passes],
-        arrivals=manifest.by_readout(readouts.arrivals)[passes],
-        variance=manifest.by_readout(readouts.variance)[passes],
-        flux=ambient.of_flux(light.flux, str(recording.photons)),
+        counts=manifest.by_readout(counts),
+        arrivals=manifest.by_readout(counts * factors.arrivals[of_masks]),
+        variance=manifest.by_readout(counts * factors.variance[of_masks]),
+        flux=light.flux,
         dark_rate=manifest.by_rail(light.dark_rate),
-        faults=(*light.faults, *of_dark),
-        ambient=ambient.counts,
-        ambient_variance=ambient.variance,
+        faults=light.faults,
         dead_time=dead_time,
         gains=settings.gains,
     )
@@ -402,12 +356,10 @@ def _count_clicks(
     )
     # Where clicks do not tell the flux, it is the one that was stated
     flux = flux if np.isfinite(flux) else acquisition.flux or np.nan
-    ambient = Ambient.none(manifest)
-    return _counts_of_scenes(
+    return _counts_of_run(
         recording,
         gates,
         starts,
-        np.arange(scenes),
         settings,
         counts=counts,
         arrivals=counts.astype(float),
@@ -415,7 +367,5 @@ def _count_clicks(
         flux=np.full(scenes, flux),
         dark_rate=manifest.by_rail(np.tile(dark_rate, (scenes, 1))),
         faults=(),
-        ambient=ambient.counts,
-        ambient_variance=ambient.variance,
         gates=clicks,
     )

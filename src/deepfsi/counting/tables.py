@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.models import Amount, Count, Positive, UserModel
+from deepfsi.base.models import Amount, Positive, UserModel
 from deepfsi.base.quantities import time_text
 from deepfsi.base.tables import NumberTable
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
@@ -25,10 +25,8 @@ from deepfsi.counting.counts import (
     ALL_OFF,
     ALL_ON,
     ENDS,
-    Ambient,
     Corrections,
     Counts,
-    Estimate,
     check_clicks,
     light_of_clicks,
 )
@@ -46,9 +44,6 @@ class TableSettings(UserModel):
     photons: Positive | None = None  # budget of an exposure, counts
     background: Amount | None = None  # dark counts of an input in one exposure
     settle_s: Amount = 0.0  # time after each marker that was not counted, seconds
-    repeats: Count = (
-        1  # exposures of each scene, one after another, where the table names no scenes
-    )
     gain: Positive | None = None  # counts for one unit of the table, of an analogue detector
     read_noise: Amount | None = None  # of each value of an analogue detector, counts rms
     dead_time: DeadTime = NO_DEAD_TIME  # of a photon counter, to be corrected for
@@ -101,15 +96,11 @@ def count_table(
         )
     masks = manifest.shown
     exposure_s = float(seconds[masks].sum() / manifest.shares.sum())
-    scenes, scene_of = _find_scenes(table, len(values), settings, name)
-    frames = _correct(values, seconds, manifest, settings, name)
-    lengths_s = manifest.shares * exposure_s
-    scale = (lengths_s / seconds[masks])[:, None]
-    if settings.clicks is not None:
-        scale = np.ones_like(scale)  # they are not in proportion to the time
+    scenes, scene_of = _find_scenes(table, len(values), name)
+    arrivals, variance = _correct(values, seconds, manifest, settings, name)
     repeats = np.bincount(scene_of)
     if with_ends:
-        light = _find_light(frames, seconds, scene_of, manifest, settings)
+        light = _find_light(arrivals, variance, seconds, scene_of, manifest, settings)
     else:
         unknown = np.full(len(repeats), (settings.photons or np.nan) / exposure_s)
         light = Light(unknown, np.zeros((len(repeats), manifest.inputs)))
@@ -119,7 +110,11 @@ def count_table(
         if with_ends:
             flux = flux + (light.dark_rate - dark)[:, manifest.arm].sum(axis=1)
         light = replace(light, flux=flux, dark_rate=dark)
-    ambient = Ambient.none(manifest)
+    if settings.photons is None and not (light.flux > 0).any():
+        raise InputError(
+            f"{name} does not tell its budget: it has no all-ON and all-OFF frames, or they are "
+            "equally bright, or all gates click; look at the order of frames, or give `photons`"
+        )
     valid = np.arange(repeats.max()) < repeats[:, None]
 
     def by_scene(of_frames: np.ndarray) -> np.ndarray:
@@ -129,47 +124,43 @@ def count_table(
         out[valid] = readouts
         return out
 
+    lengths_s = manifest.shares * exposure_s
+    scale = (lengths_s / seconds[masks])[:, None]
+    if settings.clicks is not None:
+        scale = np.ones_like(scale)  # they are not in proportion to the time
     counts = Counts(
+        counts=by_scene(values[:, masks]),
+        arrivals=by_scene(arrivals[:, masks] * scale),
+        variance=by_scene(variance[:, masks] * scale**2),
+        valid=valid,
         flux=light.flux,
         dark_rate=manifest.by_rail(light.dark_rate),
-        faults=light.faults,
-        counts=by_scene(values[:, masks]),
-        arrivals=by_scene(frames.arrivals[:, masks] * scale),
-        variance=by_scene(frames.variance[:, masks] * scale**2),
-        valid=valid,
-        gate_s=lengths_s,
         exposure_s=exposure_s,
         settle_s=settings.settle_s,
         lengths_s=manifest.lengths_by_readout(lengths_s),
         drift=0.0,
-        ambient=ambient.counts,
-        ambient_variance=ambient.variance,
         inputs=tuple(range(manifest.inputs)),
+        faults=light.faults,
         dead_time=settings.dead_time,
         gates=settings.clicks,
     )
-    if settings.photons is None and not (counts.flux > 0).any():
-        raise InputError(
-            f"{name} does not tell its budget: it has no all-ON and all-OFF frames, or they are "
-            "equally bright, or all gates click; look at the order of frames, or give `photons`"
-        )
     return counts, scenes
 
 
 def _correct(
     values: np.ndarray, seconds: np.ndarray, manifest: Manifest, settings: TableSettings, name: str
-) -> Estimate:
-    """Arrivals (E, F, inputs) in all frames."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Arrivals in all frames, and their variance, each (E, F, inputs)."""
     if settings.clicks is not None:
-        return Estimate(values, values * (1 - values / settings.clicks))
+        return values, values * (1 - values / settings.clicks)
     if settings.analogue:
         counts = values * (settings.gain or 1.0)
-        return Estimate(counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2)
+        return counts, counts.clip(min=0) + (settings.read_noise or 0.0) ** 2
     rates = values / seconds[:, None]
     corrections = Corrections.of(settings.dead_time, manifest)
     corrections.check(rates, manifest.frames, range(manifest.inputs), name)
     factors = corrections.factors(rates)
-    return Estimate(values * factors.arrivals, values * factors.variance)
+    return values * factors.arrivals, values * factors.variance
 
 
 def _arrange(table: NumberTable, manifest: Manifest, name: str) -> np.ndarray:
@@ -197,20 +188,15 @@ def _arrange(table: NumberTable, manifest: Manifest, name: str) -> np.ndarray:
 
 
 def _find_scenes(
-    table: NumberTable, exposures: int, settings: TableSettings, name: str
+    table: NumberTable, exposures: int, name: str
 ) -> tuple[tuple[Scene, ...], np.ndarray]:
-    """Scenes, and the scene of each exposure (E,)."""
-    names = table.words.get(settings.SCENE)
-    labels = table.words.get(settings.LABEL)
-    repeats = settings.repeats
+    """Scenes, and the scene of each exposure (E,): all are scenes of their own without names."""
+    names = table.words.get(TableSettings.SCENE)
+    labels = table.words.get(TableSettings.LABEL)
+    scene_of = np.arange(exposures)
     if names is None:
-        if exposures % repeats:
-            raise InputError(f"{name} has {exposures} exposures, no multiple of {repeats} repeats")
-        scene_of = np.arange(exposures) // repeats
-        names = tuple(str(k + 1) for k in scene_of.tolist())
+        names = tuple(str(number + 1) for number in range(exposures))
     else:
-        if repeats > 1:
-            raise InputError(f"{name} names its scenes: leave `repeats` out")
         changes = [a != b for a, b in zip(names[1:], names, strict=False)]
         scene_of = np.cumsum([0, *changes])
         if len(set(names)) <= scene_of[-1]:
@@ -235,7 +221,8 @@ def _check_values(read: np.ndarray, settings: TableSettings, name: str) -> None:
 
 
 def _find_light(
-    frames: Estimate,
+    arrivals: np.ndarray,
+    variance: np.ndarray,
     seconds: np.ndarray,
     scene_of: np.ndarray,
     manifest: Manifest,
@@ -245,19 +232,19 @@ def _find_light(
     scenes = int(scene_of[-1]) + 1
     arm = manifest.arm
     if settings.clicks is not None:
-        clicks = frames.arrivals[:, ENDS]
+        clicks = arrivals[:, ENDS]
         width = float(seconds[0]) / settings.clicks
         flux, dark = light_of_clicks(
             clicks, clicks, gates=settings.clicks, width_s=width, manifest=manifest
         )
         return Light(np.full(scenes, flux), np.tile(dark, (scenes, 1)))
-    photons, variance = np.zeros((2, scenes, *frames.arrivals.shape[1:]))
-    np.add.at(photons, scene_of, frames.arrivals)
-    np.add.at(variance, scene_of, frames.variance)
+    photons, noise = np.zeros((2, scenes, *arrivals.shape[1:]))
+    np.add.at(photons, scene_of, arrivals)
+    np.add.at(noise, scene_of, variance)
     spent = np.bincount(scene_of)[:, None] * seconds
     if not settings.analogue:
-        arrivals = Arrivals(manifest.frames, photons=photons, variance=variance, seconds=spent)
-        return check_light(arrivals, manifest, range(manifest.inputs), scenes=np.arange(scenes))
+        arrived = Arrivals(manifest.frames, photons, noise, spent)
+        return check_light(arrived, manifest, range(manifest.inputs))
     # Means over the table: the light's checks are of photons
     on, off = (
         photons[:, ends].sum(axis=1) / spent[:, ends].sum(axis=1, keepdims=True)

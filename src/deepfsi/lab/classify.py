@@ -231,9 +231,8 @@ def _classify_counts(
     often = usable.sum(axis=1)
     exposures = counts.by_readout(usable)
     number = exposures.sum(axis=1)
-    noise = counts.background.clip(min=0) * number + counts.ambient_variance * number**2
     signal = counts.signal()
-    noise = noise + counts.excess.sum(axis=1, where=exposures)
+    noise = counts.background.clip(min=0) * number + counts.excess.sum(axis=1, where=exposures)
     sums = signal.sum(axis=1, where=exposures)
     consistency = None
     if design.distribution is not None:
