@@ -28,9 +28,6 @@ from deepfsi.report.rendering import capital, render
 from deepfsi.report.style import Figures, photons_text
 from deepfsi.sweeps.results import Data, Point, Results, accuracy_difference, read_results
 
-_SUBJECTS = {"deepfsi": "learned masks (DeepFSI)", "adaptive": "adaptive masks"}
-"""Designs whose names in a sentence are masks."""
-
 MASKS_SHOWN = 12
 """Masks of a design that the page shows at most."""
 
@@ -54,8 +51,7 @@ def write_report(folder: str | os.PathLike[str]) -> Path:
 
 def _page_text(results: Results, designs: Path, figures: Figures) -> str:
     """Text of the page."""
-    points = results.points
-    best = [p for p in points if p.best]
+    best = [p for p in results.points if p.best]
     verdict = verdict_of(results)
     return render(
         "page.html.jinja",
@@ -66,7 +62,6 @@ def _page_text(results: Results, designs: Path, figures: Figures) -> str:
         verdict=verdict,
         scenes=scenes_text(results.data),
         mean_light=_mean_light_text(best),
-        variants=len(Series.of(results).groups) > len({p.design for p in points}),
         accuracy=list(_accuracy_panels(results, figures)),
         counts=list(_count_panels(results, figures)),
         tables=[_best_table(results, noise) for noise in noises(results)],
@@ -138,7 +133,7 @@ def _accuracy_panels(results: Results, figures: Figures) -> Iterator[PagePart]:
         yield {"heading": noise_text(noise).capitalize(), "picture": picture}
 
 
-def _count_panels(results: Results, figures: Figures) -> Iterator[tuple[str, list[PagePart]]]:
+def _count_panels(results: Results, figures: Figures) -> Iterator[PagePart]:
     """Accuracy against mask count for each noise and budget, if any design has several counts."""
     counted = Series(results.points, ("noise", *DESIGN_AND_OPTICS)).groups.values()
     if all(len({p.masks for p in rows}) < 2 for rows in counted):
@@ -146,14 +141,11 @@ def _count_panels(results: Results, figures: Figures) -> Iterator[tuple[str, lis
     measure = capital(main_measure(results.data.measure).title)
     for i, noise in enumerate(noises(results), start=1):
         points = [p for p in results.points if p.noise == noise]
-        panels = []
         for j, photons in enumerate(sorted({p.photons for p in points}), start=1):
             drawn = count_figure(results.with_points(p for p in points if p.photons == photons))
-            where = f"{photons_text(photons)} photons"
+            where = f"{photons_text(photons)} photons, {noise_text(noise)}"
             words = f"{measure} against number of masks at {where}; numbers in results.json."
-            picture = figures.add(f"count-{i}-{j}", drawn, words)
-            panels.append({"heading": where, "picture": picture})
-        yield noise_text(noise).capitalize(), panels
+            yield {"heading": where, "picture": figures.add(f"count-{i}-{j}", drawn, words)}
 
 
 def _best_table(results: Results, noise: str) -> PagePart:
@@ -236,7 +228,7 @@ def comparison_lines(results: Results) -> Iterator[str | Table]:
 class _Verdict(NamedTuple):
     """The verdict of a comparison."""
 
-    title: str  # for a heading: "Learned masks (DeepFSI) need 3 (2 to 4) times less light than PCA"
+    title: str  # a heading: "3 (2 to 4) times less light with DeepFSI than with PCA"
     text: str  # the same with its numbers, a sentence
     best: Point  # of the most accurate design, at the tested budget at which designs differ most
 
@@ -251,46 +243,35 @@ def verdict_of(results: Results) -> _Verdict:
     difference is not above 0 at any budget, the verdict says so.
     """
     noise = noises(results)[0]
-    points = [p for p in results.points if p.noise == noise and p.best]
+    points = _chosen(results, noise)
     series = Series.of(results, points)
-    budgets = sorted({p.photons for p in points})
-    rankings = [_ranking(points, photons) for photons in budgets]
+    rankings = [_ranking(points, photons) for photons in sorted({p.photons for p in points})]
     under = f" under {noise_text(noise)}" if len(noises(results)) > 1 else ""
     measure = main_measure(results.data.measure).title
-
-    def name(point: Point) -> str:
-        return series.name(point).replace(point.title, _SUBJECTS.get(point.design, point.title), 1)
-
     pairs = [(first, _rival(others)) for first, *others in rankings if others]
     if not pairs:
         best = rankings[-1][0]
-        reached = f"{_verb(best, 'reach', 'reaches')} {measure} {best.accuracy:.3f}{under}"
-        title = f"{capital(name(best))} {reached}"
-        return _Verdict(title, f"{title} at {_photons(best)}.", best)
+        title = f"{capital(measure)} {best.accuracy:.3f} with {series.name(best)}{under}"
+        return _Verdict(title, f"{title}, at {_photons(best)}.", best)
     pairs.sort(key=lambda pair: pair[1].accuracy - pair[0].accuracy)
     clear = [pair for pair in pairs if _better(*pair)]
     ratios = [_times(*pair, series, images=results.data.test) for pair in clear]
     index = next((index for index, ratio in enumerate(ratios) if ratio), 0)
     first, other = (clear or pairs)[index]
-    one = capital(name(first))
-    two = name(other)
-    at = (
-        f"at {_photons(first)} {measure} is {first.accuracy:.3f}, and {other.accuracy:.3f} with "
-        f"{two}"
-    )
+    one = series.name(first)
+    two = series.name(other)
     if not clear:
-        pair = "The best designs" if len(budgets) > 1 else f"{one} and {two}"
-        where = "any budget" if len(budgets) > 1 else _photons(first)
-        title = f"{pair} cannot be told apart at {where}{under}"
-        return _Verdict(title, f"{title}: with {name(first)}, {at}.", first)
-    if not ratios[index]:
-        are = _verb(first, "are", "is")
-        title = f"{one} {are} better than {two} at {_photons(first)}{under}"
-        return _Verdict(title, f"{title}: {at}.", first)
-    light = "mean light" if shares_light(first) or shares_light(other) else "light"
-    need = _verb(first, "need", "needs")
-    title = f"{one} {need} {ratios[index]} times less {light} than {two}{under}"
-    return _Verdict(title, f"{title} for the same {measure}: {at}.", first)
+        title = f"The best designs cannot be told apart{under}"
+    elif not ratios[index]:
+        title = f"{capital(measure)} is higher with {one} than with {two}{under}"
+    else:
+        light = "mean light" if shares_light(first) or shares_light(other) else "light"
+        title = f"{ratios[index]} times less {light} with {one} than with {two}{under}"
+    text = (
+        f"{title}: at {_photons(first)} {measure} is {first.accuracy:.3f} with {one}, "
+        f"{other.accuracy:.3f} with {two}."
+    )
+    return _Verdict(title, text, first)
 
 
 def _ranking(points: Sequence[Point], photons: float) -> list[Point]:
@@ -354,8 +335,3 @@ def _ratio_text(ratio: float) -> str:
 
 def _photons(point: Point) -> str:
     return f"{photons_text(point.photons)} photons"
-
-
-def _verb(point: Point, plural: str, singular: str) -> str:
-    """The verb that a design's name takes."""
-    return plural if point.design in _SUBJECTS else singular

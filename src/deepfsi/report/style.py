@@ -6,7 +6,7 @@ Figures are drawn in one style, for a page and as files beside it.
 import base64
 import io
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import wraps
 from pathlib import Path
@@ -135,12 +135,6 @@ def _saved(figure: Figure, kind: str) -> bytes:
     with _drawing():
         figure.savefig(content, format=kind, dpi=160, metadata=_FILE_KINDS.get(kind))
     return content.getvalue()
-
-
-def columns(words: Iterable[str], width: float, size: float) -> int:
-    """Number of columns of a key that fit a figure (inches), all as wide as the widest entry."""
-    letters = max(len(line) for entry in words for line in entry.splitlines())
-    return max(1, int(width / (0.5 + 0.008 * size * letters)))  # beside the mark, about
 
 
 def plain_bar(bar: Colorbar) -> None:

@@ -221,11 +221,6 @@ class Results(_Stored):
             raise ValueError("a confusion matrix is not of the data's classes")
         return self
 
-    @property
-    def had_choice(self) -> bool:
-        """True if mask counts were chosen, and some design had several to choose from."""
-        return self.chosen_on != "nothing" and not all(point.best for point in self.points)
-
     def with_points(self, points: Iterable[Point]) -> "Results":
         """Results of this comparison with other points."""
         return self.model_copy(update={"points": tuple(points)})

@@ -122,7 +122,7 @@ def effects_figure(points: Iterable[Accuracy], axes: Mapping[str, str], *, flux:
         list(keys.values()),
         list(keys),
         loc="outside lower center",
-        ncols=style.columns(keys, figure.get_figwidth(), 8),
+        ncols=4,
         frameon=False,
         fontsize=8,
         handlelength=2.6,
