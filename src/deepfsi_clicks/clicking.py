@@ -83,7 +83,7 @@ class ClickPosterior(AdaptivePosterior):
         some = torch.expm1(none).neg_().clamp_(min=LEAST_WEIGHT).log_()
         self.logs += torch.where(clicks[:, None] > 0, some, none)
         self.left = self.left - look.dwells
-        self.end_look()
+        self._end_look()
 
     def candidates(self) -> Tensor:
         """Masks (b, P, N) that separate the likeliest classes, brightly or strictly."""

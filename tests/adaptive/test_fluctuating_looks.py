@@ -57,7 +57,7 @@ def test_readouts_of_a_look_have_one_light_and_looks_have_their_own(prior, field
     for look, mask in enumerate((mask_of(1), mask_of(2))):
         mean, parts = prior.light(state.optics.readouts(mask))
         here = state.class_sums.sum(dim=1)
-        usual = mean + state.offset_light(parts) + (state.unknown(parts) @ here[..., None])[..., 0]
+        usual = mean + (parts @ state._shift[0]) + (state.unknown(parts) @ here[..., None])[..., 0]
         own = torch.zeros(usual.shape[1], 2)
         own[:, look] = SIGMA * usual[0]
         reading = usual * torch.linspace(0.9, 1.2, usual.shape[1])

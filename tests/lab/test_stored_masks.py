@@ -60,17 +60,17 @@ def test_each_look_shows_the_frame_of_the_mask_that_is_chosen(
     run = planned(patterns, scenes)
     devices = virtual_setup(run.patterns, x, run.settings)
     shown, chosen, projector = [], [], devices.projector
-    choose, show = DictionaryPosterior.choose, projector.show
+    choose, show = DictionaryPosterior.next_masks, projector.show
 
-    def choosing(state):
-        chosen.extend(rows := choose(state))
-        return rows
+    def choosing(state, *given):
+        chosen.extend(state.dictionary.indices(masks := choose(state, *given)))
+        return masks
 
     def showing(frames, dwells_s):
         shown.append(frames.tolist())
         show(frames, dwells_s)
 
-    monkeypatch.setattr(DictionaryPosterior, "choose", choosing)
+    monkeypatch.setattr(DictionaryPosterior, "next_masks", choosing)
     projector.show, projector.replace = showing, None  # a load would fail
     list(run.steps(tmp_path / "run", devices))
     looks = [frames for frames in shown if frames != [0, OFF, OFF]]

@@ -16,7 +16,8 @@ masks.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Self
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -51,20 +52,16 @@ POWER = 0.85
 Chosen on training images of MNIST that were left out of the prior.
 """
 
-SAME_SHARE = 1e-3
-"""Relative difference of the lengths of looks within which tables serve for both."""
-
 
 @dataclass(frozen=True, eq=False)
 class _MaskTables:
     """Tables of the counts of a look, for n scenes behind each of P masks."""
 
-    share: float  # of the exposure, of a look
     by_count: np.ndarray  # (P, n), U: what a count adds to the log-probability of a scene
     constant: np.ndarray  # (P, n), V: what is taken off it, whatever is counted
+    parts: Sequence[np.ndarray]  # indices (p,) of the masks that a decision compares
     scales: Sequence[np.ndarray]  # (n, p)
     noises: Sequence[np.ndarray]  # (p,)
-    starts: Sequence[int]  # index of the first mask of each part
     members: np.ndarray  # (n, C + 1), 1 for the class of a scene, and for all together
 
     @classmethod
@@ -79,56 +76,42 @@ class _MaskTables:
         dark = optics.dark_sum * share
         least = LEAST_LIGHT * float(prior.mean.sum())
         often = prior.members / prior.members.sum()
-        mean, parts = prior.light(masks)
-        nearby = parts.square().sum(dim=1) * gain**2 * bool(prior.spread)
+        mean, components = prior.light(masks)
+        nearby = components.square().sum(dim=1) * gain**2 * bool(prior.spread)
         power = POWER if prior.spread else 1.0
         by_count = np.empty((many, scenes), np.float32)
         constant = np.empty_like(by_count)
         # each decision compares one part: about 500 masks, or more where the probabilities of many
         # scenes take longer
-        parted = max(1, round(many / max(500, scenes / 30)))
-        sizes = [len(each) for each in np.array_split(np.arange(many), parted)]
-        scales = [np.empty((scenes, size), np.float32) for size in sizes]
-        noise = np.empty(many, np.float32)
-        ends = np.cumsum(sizes)
-        for rows in torch.arange(many).split(TABLED):
-            light = torch.addmm(mean[rows, None], parts[rows], prior.coefficients.T)
-            counts = light.clamp_(min=least).mul_(gain).add_(dark)
-            usual = counts @ often
-            variance = nearby[rows] + (optics.fluctuation * (usual - dark)) ** 2
-            size = (usual**2 / variance.clamp(min=1e-30)).clamp(max=LARGEST_SIZE)
-            scale = 2 * (counts + 3 / 8).sqrt()
-            scale -= (scale @ often)[:, None]
-            for index, row in zip(rows.tolist(), scale.numpy(), strict=True):
-                part = int(np.searchsorted(ends, index, side="right"))
-                scales[part][:, index - ends[part]] = row
-            noise[rows] = (1 + variance / usual).numpy()
-            ratio = counts.div_(usual[:, None])
-            own = ((ratio - 1) * (usual / (usual + size))[:, None]).log1p_()
-            by_count[rows] = (ratio.log() - own).mul_(power).numpy()
-            constant[rows] = own.mul_(power * size[:, None]).numpy()
+        parts = np.array_split(np.arange(many), max(1, round(many / max(500, scenes / 30))))
+        scales = [np.empty((scenes, len(part)), np.float32) for part in parts]
+        noises = [np.empty(len(part), np.float32) for part in parts]
+        for part, scale, noise in zip(parts, scales, noises, strict=True):
+            for rows in torch.from_numpy(part).split(TABLED):
+                light = torch.addmm(mean[rows, None], components[rows], prior.coefficients.T)
+                counts = light.clamp_(min=least).mul_(gain).add_(dark)
+                usual = counts @ often
+                variance = nearby[rows] + (optics.fluctuation * (usual - dark)) ** 2
+                size = (usual**2 / variance.clamp(min=1e-30)).clamp(max=LARGEST_SIZE)
+                roots = 2 * (counts + 3 / 8).sqrt()
+                roots -= (roots @ often)[:, None]
+                scale[:, rows - part[0]] = roots.T.numpy()
+                noise[rows - part[0]] = (1 + variance / usual).numpy()
+                ratio = counts.div_(usual[:, None])
+                logs = ((ratio - 1) * (usual / (usual + size))[:, None]).log1p_()
+                by_count[rows] = (ratio.log() - logs).mul_(power).numpy()
+                constant[rows] = logs.mul_(power * size[:, None]).numpy()
         members = np.ones((scenes, prior.classes + 1), np.float32)
         members[:, :-1] = functional.one_hot(prior.labels, prior.classes).numpy()
-        return cls(
-            share,
-            by_count,
-            constant,
-            scales=scales,
-            noises=np.split(noise, ends[:-1]),
-            starts=[0, *ends[:-1].tolist()],
-            members=members,
-        )
+        return cls(by_count, constant, parts, scales=scales, noises=noises, members=members)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class MaskDictionary:
     """Masks among which adaptive masks are chosen."""
 
     masks: Tensor  # (P, N), of 0 and 1, none twice, none without a mirror that is ON
-    _tables: dict[str, tuple[ScenePrior, tuple[float, ...], _MaskTables]] = field(
-        default_factory=dict, repr=False
-    )
-    _indices: dict[bytes, int] = field(default_factory=dict, repr=False)
+    _tables: tuple[tuple[Any, ...], _MaskTables] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         """Number of masks, P."""
@@ -157,20 +140,17 @@ class MaskDictionary:
 
     def tables(self, prior: ScenePrior, optics: LookOptics, share: float) -> _MaskTables:
         """Tables for scenes and a budget; the last ones are kept."""
-        light = optics.photons, optics.fluctuation, optics.dark_sum
-        if "last" in self._tables:
-            scenes, known, tables = self._tables["last"]
-            like = scenes is prior and known == light
-            if like and math.isclose(share, tables.share, rel_tol=SAME_SHARE):
-                return tables
-        tables = _MaskTables.of(self.masks, prior, optics, share)
-        self._tables["last"] = (prior, light, tables)
-        return tables
+        key = prior, optics.photons, optics.fluctuation, optics.dark_sum, share
+        if self._tables is None or self._tables[0] != key:
+            self._tables = key, _MaskTables.of(self.masks, prior, optics, share)
+        return self._tables[1]
+
+    @cached_property
+    def _indices(self) -> dict[bytes, int]:
+        return {row.tobytes(): index for index, row in enumerate(self.masks.numpy())}
 
     def indices(self, masks: Tensor) -> list[int]:
-        """Places of masks (b, N) in the dictionary; `KeyError` where it lacks one."""
-        if not self._indices:
-            self._indices.update({row.tobytes(): p for p, row in enumerate(self.masks.numpy())})
+        """Indices of masks (b, N) in the dictionary; `KeyError` where it lacks one."""
         return [self._indices[row.tobytes()] for row in masks.numpy()]
 
 
@@ -203,42 +183,28 @@ class DictionaryPosterior(AdaptivePosterior):
         self._sums = np.zeros((-(-len(prior) // SUMMED), SUMMED), np.float32)
         self._powers = self._sums.reshape(-1)[: len(prior)]
         self._change = np.empty(len(prior), np.float32)
-        # the last masks that were asked for, and their indices
-        self._chosen: tuple[Tensor | None, list[int]] = (None, [])
 
     def next_masks(self, share: float, generator: torch.Generator) -> Tensor:
         """The next masks (b, N); nothing is drawn."""
-        indices = self.choose()
-        [first, *others] = indices or [0]
+        part = self._looks % len(self.tables.parts)  # that is compared now
+        first = int(self.tables.parts[part][0])
+        indices = [first + int(self._odds(logs, part).argmax()) for logs in self.logs.numpy()]
         # a slice of one takes a fifth of the time of an index
-        masks = self.dictionary.masks[indices if others else slice(first, first + len(indices))]
-        self._chosen = (masks, indices)
-        return masks
+        one = len(indices) == 1
+        return self.dictionary.masks[slice(indices[0], indices[0] + 1) if one else indices]
 
     def update(self, masks: Tensor, counts: Tensor, share: float) -> None:
-        """Take in counts (b, 1) behind masks (b, N) that were shown for a share of the exposure."""
-        if not math.isclose(share, self.tables.share, rel_tol=SAME_SHARE):
-            self.tables = self.dictionary.tables(self.prior, self.optics, share)
-        shown, indices = self._chosen
-        if shown is not masks:
-            indices = self.dictionary.indices(masks)
-        self.take(indices, counts[:, 0].tolist())
-
-    def take(self, indices: Sequence[int], counts: Sequence[float]) -> None:
-        """Take in counts (b,) of a look behind masks of these indices (b,)."""
+        """Take in counts (b, 1) behind masks (b, N); all looks take the share of the tables."""
         tables = self.tables
         change = self._change
-        for logs, index, count in zip(self.logs.numpy(), indices, counts, strict=True):
+        indices = self.dictionary.indices(masks)
+        for logs, index, count in zip(
+            self.logs.numpy(), indices, counts[:, 0].tolist(), strict=True
+        ):
             np.multiply(tables.by_count[index], count, out=change)
             np.subtract(change, tables.constant[index], out=change)
             np.add(logs, change, out=logs)
-        self.end_look()
-
-    def choose(self) -> list[int]:
-        """Indices (b,) of the masks whose counts are expected to tell most of the class."""
-        part = self._looks % len(self.tables.scales)  # that is compared now
-        first = self.tables.starts[part]
-        return [first + int(self._odds(logs, part).argmax()) for logs in self.logs.numpy()]
+        self._end_look()
 
     def _odds(self, logs: np.ndarray, part: int) -> np.ndarray:
         """Odds (p,) of the masks of a part, which tell the class, of log-probabilities (n,)."""

@@ -102,11 +102,12 @@ class UsualMisfit:
             return None
         made = cls(arrays["misfit_budgets"], arrays["misfit_logarithms"])
         budgets = len(MISFIT_BUDGETS)
-        for held, shape in ((made.budgets, (budgets,)), (made.logarithms, (2, budgets, looks))):
-            if held.shape != shape or held.dtype != np.float64 or not np.isfinite(held).all():
-                raise ValueError("the misfit is of another design")
-        if np.diff(made.budgets, prepend=0).min() <= 0 or made.logarithms[1].min() <= 0:
-            raise ValueError("the misfit is none")
+        shapes = made.budgets.shape, made.logarithms.shape
+        numbers = np.append(made.budgets, made.logarithms)
+        fits = shapes == ((budgets,), (2, budgets, looks)) and numbers.dtype == np.float64
+        rises = fits and np.diff(made.budgets, prepend=0).min() > 0
+        if not (rises and made.logarithms[1].min() > 0 and np.isfinite(numbers).all()):
+            raise ValueError("the misfit is of another design")
         return made
 
     def chance(self, total: float, look: int, photons: float) -> float:
@@ -309,24 +310,13 @@ class AdaptiveExposure(ExposureKind):
             last = index == settings.looks - 1
             if settings.until < 1 or last:
                 chances[running] = state.chances
-                going = state.confidence <= settings.until
+                going = confidence_of(state.chances) <= settings.until
                 if not last and not bool(going.all()):
                     state = state.rows_of(going)
                     running = running[going]
             if not len(running):
                 break
         return chances, counts, used
-
-    def with_fewer_scenes(self, coefficients: int, seed: int) -> "AdaptiveExposure":
-        """The exposure with fewer scenes in its prior: at most this number of coefficients.
-
-        It never ends early, unless exposures share light.
-        """
-        prior = self.prior.subset(coefficients // len(self.prior.components), seed)
-        if self.settings.cap > 1:
-            return replace(self, prior=prior)
-        whole = self.settings.model_copy(update={"until": 1.0})
-        return replace(self, prior=prior, settings=whole)
 
     def look_by_look(
         self, scene: Tensor, photons: float, generator: torch.Generator

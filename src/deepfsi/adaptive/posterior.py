@@ -80,7 +80,6 @@ class ScenePrior:
         classes: int,
         components: int = 120,
         spread: float = 0.0,
-        seed: int = 0,
         clusters: int | None = None,
     ) -> None:
         # rows of x by class: the scenes of the prior, or those that its centres stand for
@@ -101,9 +100,9 @@ class ScenePrior:
         self.temperatures: Temperatures | None = None
         if clusters is not None:
             self.spread = CENTRE_SPREAD
-            self._scale(self._cluster(clusters, seed) * self.spread)
+            self._scale(self._cluster(clusters) * self.spread)
         elif spread:
-            self._scale(self._neighbours(torch.Generator().manual_seed(seed)) * spread)
+            self._scale(self._neighbours() * spread)
 
     def __len__(self) -> int:
         """Number of scenes."""
@@ -209,7 +208,7 @@ class ScenePrior:
         some = {name: arrays[name][chosen] for name in ("levels", "members")}
         return ScenePrior.restored(arrays | some | {"sizes": kept})
 
-    def _cluster(self, clusters: int, seed: int) -> Tensor:
+    def _cluster(self, clusters: int) -> Tensor:
         """Put centres of clusters in the scenes' place; differences (n, d) of scenes from them."""
         from sklearn.cluster import KMeans
 
@@ -218,7 +217,7 @@ class ScenePrior:
         found = []
         for own in self.coefficients.split(self.sizes):
             with threadpool_limits(1):  # threads would add up in any order
-                means = KMeans(clusters, n_init=1, random_state=seed).fit(own.numpy())
+                means = KMeans(clusters, n_init=1, random_state=0).fit(own.numpy())
             cluster = torch.from_numpy(means.labels_).long()
             members.append(torch.bincount(cluster, minlength=clusters).float())
             if not members[-1].all():
@@ -234,10 +233,11 @@ class ScenePrior:
         self.members = torch.cat(members)
         return torch.cat(found)
 
-    def _neighbours(self, generator: torch.Generator) -> Tensor:
+    def _neighbours(self) -> Tensor:
         """Differences (n, d) of some scenes from their nearest neighbours of their class."""
         # scenes whose neighbours are looked for
-        chosen = torch.randperm(len(self), generator=generator)[:3000].sort().values
+        order = torch.randperm(len(self), generator=torch.Generator().manual_seed(0))
+        chosen = order[:3000].sort().values
         starts = np.cumsum([0, *self.sizes[:-1]])
         found = [self.coefficients[:0]]
         for start, own in zip(starts.tolist(), self.coefficients.split(self.sizes), strict=True):
@@ -367,11 +367,10 @@ class AdaptivePosterior:
         """The next masks (b, N) of 0 and 1, for a share of the exposure."""
         masks = self.candidates()
         places, drawn = draw_places(self.weights, generator, 128)
-        mean, parts = self.prior.light(self.optics.readouts(masks))  # (b, P, Q), (b, P, Q, d)
+        middle, parts = self._light(masks)  # (b, P, Q), (b, P, Q, d)
         left = self.unknown(parts)
         scenes = self.prior.coefficients[places].transpose(1, 2)  # (b, d, S), same for all masks
-        away = (left.flatten(1, 2) @ scenes).unflatten(1, mean.shape[1:])
-        light = (mean + self.offset_light(parts))[..., None] + away
+        light = middle[..., None] + (left.flatten(1, 2) @ scenes).unflatten(1, middle.shape[1:])
         gain = self.gain * share
         dark = torch.as_tensor(self.optics.dark * share)[..., None]
         counts = light.clamp(min=0) * gain + dark
@@ -432,7 +431,7 @@ class AdaptivePosterior:
         Its metric is the covariance of the counts, so that its mean is Q where scenes are as the
         prior has them.
         """
-        mean, parts = self.prior.light(self.optics.readouts(masks))
+        middle, parts = self._light(masks)
         gain = self.gain * share
         dark = torch.as_tensor(self.optics.dark * share)
         left = self.unknown(parts)
@@ -440,7 +439,7 @@ class AdaptivePosterior:
         scenes = left @ self.prior.coefficients.T  # (b, Q, n)
         usual = scenes @ weights
         apart = scenes - usual
-        light = (mean + self.offset_light(parts) + usual[..., 0]).clamp(min=0)
+        light = (middle + usual[..., 0]).clamp(min=0)
         expected = light * gain + dark
         covariance = (apart * weights[:, None, :, 0]) @ apart.transpose(1, 2)
         if self.prior.spread:
@@ -464,8 +463,7 @@ class AdaptivePosterior:
         mean, parts = self.prior.light(self.optics.readouts(masks))
         size = here.shape[1]
         if self.optics.fluctuation:  # ε, one more number that is unknown, of this look
-            usual = mean + self.offset_light(parts)
-            usual = usual + (self.unknown(parts) @ here[..., None])[..., 0]
+            usual = self._light(masks)[0] + (self.unknown(parts) @ here[..., None])[..., 0]
             bright = self.optics.fluctuation * usual.clamp(min=0)
             parts = torch.cat([parts, bright[..., None]], dim=-1)
             self._known = functional.pad(self._known, (0, 1))
@@ -478,7 +476,7 @@ class AdaptivePosterior:
             self._take(here, each, at_mean, through, gain=self.gain * share, dark=own)
         self._known = self._known[..., :size]
         self._shift = self._shift[:, :size]
-        self.end_look()
+        self._end_look()
 
     def _take(
         self,
@@ -518,7 +516,7 @@ class AdaptivePosterior:
         known = (response / total.sqrt()[:, None])[:, None]
         self._known = torch.cat([self._known, known], dim=1)
 
-    def end_look(self) -> None:
+    def _end_look(self) -> None:
         """Count a look that was taken in: what follows from the counts is computed anew."""
         self._weights = self._class_sums = None
         self._looks += 1
@@ -531,9 +529,14 @@ class AdaptivePosterior:
         flat = flat - (flat @ self._known.transpose(1, 2)) @ self._known
         return flat.view(parts.shape)
 
-    def offset_light(self, parts: Tensor) -> Tensor:
-        """Light (b, ...) that the mean of e adds, from the light of each component (b, ..., d)."""
-        return (parts.flatten(1, -2) @ self._shift[..., None])[..., 0].view(parts.shape[:-1])
+    def _light(self, masks: Tensor) -> tuple[Tensor, Tensor]:
+        """Light (b, ..., Q) of the mean scene and the mean of e, and of components (b, ..., Q, d).
+
+        Masks are (b, ..., N).
+        """
+        mean, parts = self.prior.light(self.optics.readouts(masks))
+        shift = (parts.flatten(1, -2) @ self._shift[..., None])[..., 0]
+        return mean + shift.view(mean.shape), parts
 
     @property
     def weights(self) -> Tensor:
@@ -568,11 +571,6 @@ class AdaptivePosterior:
         if self.prior.temperatures is None or not self._looks:
             return self.class_weights
         return self.prior.calibrated(self.odds, self._looks, self.optics.photons)
-
-    @property
-    def confidence(self) -> Tensor:
-        """Probability (b,) of the likeliest class, in double precision."""
-        return confidence_of(self.chances)
 
     @property
     def scene(self) -> Tensor:

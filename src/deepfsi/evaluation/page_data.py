@@ -92,9 +92,10 @@ def playable(
 
 
 def of_page(design: Design, seed: int = 0) -> Design:
-    """The design as a page plays it: with some of its scenes, and a stop for shared light alone."""
-    fewer = design.prior_exposure.with_fewer_scenes(10**6, seed)  # coefficients of 8 bits
-    return replace(design, exposure=fewer)
+    """The design as a page plays it, with some of its scenes."""
+    exposure = design.prior_exposure
+    count = 10**6 // len(exposure.prior.components)  # a million coefficients of 8 bits
+    return replace(design, exposure=replace(exposure, prior=exposure.prior.subset(count, seed)))
 
 
 def check_playable(design: Design) -> None:

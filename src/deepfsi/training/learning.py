@@ -310,14 +310,13 @@ def _adaptive_designs(
         made, answers = training.make(job, span)
         if folds:
             answers = fold_answers(folds, training, job, made.dictionary)
-            made, info["left_out"] = calibrate_posterior(made, answers, data, job)
-        if settings.cap > 1:
-            longest = training.longest(made, job, span.between(0.5, 1.0))
-            made = longest.shared(made)
-            answers = longest.ended(made)
-        if not folds:
-            made, info["left_out"] = calibrate_posterior(made, answers, data, job)
-        if made.settings.until < 1:
+        longest = training.longest(made, job, span.between(0.5, 1)) if settings.cap > 1 else None
+        if longest and not folds:
+            # temperatures are of answers where exposures end, and these end by probabilities: first
+            # by those that are not calibrated
+            answers = longest.ended(longest.shared(made))
+        made, info["left_out"] = calibrate_posterior(made, answers, data, job)
+        if longest:
             made = longest.shared(made)  # the same light, now by calibrated probabilities
             info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
         info["seconds"] = (time.perf_counter() - began) / (len(designs) + 1)
