@@ -14,11 +14,7 @@ from deepfsi_paper.bootstrap import (
     studentised_bootstrap,
     wilcoxon_signed_rank,
 )
-from deepfsi_paper.camera.figures import (
-    Accuracy,
-    effects_figure,
-    exposure_figure,
-)
+from deepfsi_paper.camera.figures import Accuracy, exposure_figure
 from deepfsi_paper.camera.laboratory import (
     ASSUMED,
     EXPOSURES,
@@ -27,7 +23,6 @@ from deepfsi_paper.camera.laboratory import (
     LABELS,
     OURS,
     REPEATS,
-    SWEPT,
     DigitTest,
     Measures,
     measure,
@@ -44,14 +39,6 @@ from deepfsi_paper.report.section import Claim, Picture, Table
 
 BRIGHT = tuple(exposure for exposure in EXPOSURES if exposure >= 1e-3)
 """Exposures at which DeepFSI is to be first, seconds."""
-
-AXES = {
-    "ambient": "ambient light on the whole device (photons/s)",
-    "dark": "dark counts (1/s)",
-    "dead_time_s": "dead time of the counter (s)",
-    "assumed": "budget assumed in training (photons)",
-}
-"""Labels of what is varied, with units."""
 
 
 @dataclass(frozen=True)
@@ -77,17 +64,13 @@ class _Comparison:
 def show(results: Results) -> Finding:
     """Figures, claims and tables of the laboratory."""
     measures = TypeAdapter(Measures).validate_python(results.extra)
-    tests = [test for test in measures.tests if test.effect == "none" and test.assumed == ASSUMED]
     compared = _Comparison(
-        {(test.design, test.exposure_s): test for test in tests},
-        {test.design: test.label for test in tests},
+        {(test.design, test.exposure_s): test for test in measures.tests},
+        {test.design: test.label for test in measures.tests},
     )
     return Finding(
         _found(compared),
-        (
-            _exposure_picture(compared),
-            _effects_picture(measures),
-        ),
+        (_exposure_picture(compared),),
         (_first(compared), _every_digit(compared), _even(compared)),
         (_intervals(compared), _tests(compared)),
     )
@@ -107,26 +90,8 @@ def _found(compared: _Comparison) -> str:
         f"digits, {REPEATS} exposures each; intervals are Student's over draws, and do not cover "
         f"other trainings. {LABELS[FREE]} (non-negative masks, each with a time of its own) "
         f"differs from {LABELS[OURS]} (signed masks) by {free[0]} at 0.1 s and "
-        f"{free[-1]} at 0.0001 s." + "".join(_falling(compared))
+        f"{free[-1]} at 0.0001 s."
     )
-
-
-def _falling(compared: _Comparison) -> list[str]:
-    """Sentences on designs that read less with more light as they answer one class: why."""
-    said = []
-    for name, label in compared.labels.items():
-        tests = [compared.at[(name, exposure)] for exposure in sorted(EXPOSURES)]
-        most = max(tests, key=lambda test: test.accuracy.mean)
-        last = tests[-1]
-        if most.less(last).low > 0 and last.commonest > most.commonest:
-            said.append(
-                f" {label} falls from {most.accuracy.mean:.3f} at {most.exposure_s:g} s to "
-                f"{last.accuracy.mean:.3f} at {last.exposure_s:g} s, for its network was trained "
-                f"on the noise of {photons_text(ASSUMED)} photons, which was most of each of its "
-                "features: without that noise the features of all scenes lie close together, and "
-                f"{last.commonest:.0%} of its answers are one class ({most.commonest:.0%} before)."
-            )
-    return said
 
 
 def _trainings_text(test: DigitTest) -> str:
@@ -197,7 +162,6 @@ def _point(test: DigitTest) -> Accuracy:
         mean.mean,
         max(mean.low, 0.0),
         min(mean.high, 1.0),
-        *(("assumed", test.assumed) if test.effect == "none" else (test.effect, test.value)),
     )
 
 
@@ -220,19 +184,6 @@ def _exposure_picture(compared: _Comparison) -> Picture:
     )
 
 
-def _effects_picture(measures: Measures) -> Picture:
-    points = [_point(test) for test in measures.tests if test.exposure_s in SWEPT]
-    return Picture(
-        effects_figure(points, AXES, flux=FLUX),
-        "What the laboratory could not vary, one effect at a time; no one corrects for ambient "
-        "light or dead time. Axes are logarithmic; where a value of 0 is shown, it stands apart at "
-        "the left end. Dotted lines: ambient light as bright as a mean scene "
-        f"({photons_text(FLUX)} photons/s), and the budget that the exposure gives, so that "
-        "training assumed the truth.",
-        "Accuracy against ambient light, dark counts, dead time and assumed budget.",
-    )
-
-
 def _intervals(compared: _Comparison) -> Table:
     rows = []
     for exposure in EXPOSURES:
@@ -251,7 +202,6 @@ def _intervals(compared: _Comparison) -> Table:
                     mean.mean,
                     f"{mean.low:.3f} to {mean.high:.3f}",
                     f"{test.by_training.min():.3f} to {test.by_training.max():.3f}",
-                    test.commonest,
                     f"{cluster[0]:.3f} to {cluster[1]:.3f}",
                     f"{student[0]:.3f} to {student[1]:.3f}",
                     published[0] if published else None,
@@ -262,10 +212,9 @@ def _intervals(compared: _Comparison) -> Table:
     return Table(
         "Accuracy, mean over trainings and draws, with 95 % intervals: over draws of the digits, "
         "and, for one training and draw, over its ten digits by cluster and by studentised "
-        "bootstrap (mean ends), beside the paper's; and the share of answers that are one class",
+        "bootstrap (mean ends), beside the paper's",
         ("exposure (s)", "design", "accuracy", "over draws", "trainings, least to most",
-         "one class", "cluster",
-         "studentised", "paper", "paper, cluster", "paper, studentised"),
+         "cluster", "studentised", "paper", "paper, cluster", "paper, studentised"),
         tuple(rows),
     )  # fmt: skip
 

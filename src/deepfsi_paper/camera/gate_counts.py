@@ -1,9 +1,8 @@
-"""Counts of the virtual camera's gates in sum, without a file."""
+"""Counts of the gates of a paralysable detector in sum, without a file."""
 
 import numpy as np
 
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Detector, Stream, divide
-from deepfsi.lab.virtual_optics import VirtualCamera
 from deepfsi.patterns.manifest import GatePlan, Manifest
 
 GATES_AT_ONCE = 2**18
@@ -17,24 +16,15 @@ def draw_counts(
     rates: np.ndarray,
     manifest: Manifest,
     gates: GatePlan,
-    camera: VirtualCamera,
+    detector: Detector,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Draw what `count` would count, without a file."""
-    # rates (S, F, inputs)
+    """Counts (S, R, rails, m) that `count` would give of arrivals/s (S, F, 1), without a file."""
     shown = [manifest.frames[place] for place in manifest.shown]
-    flow = np.broadcast_to(
-        rates[:, None, manifest.shown], (len(rates), gates.repeats, len(shown), rates.shape[2])
-    )
-    counts = draw(camera, flow, gates.length_s[:, None], rng)
-    several = manifest.several
-    out = np.zeros((*counts.shape[:2], manifest.rails, manifest.masks, *several), dtype=np.int64)
-    arms = np.split(counts, manifest.arms, axis=-1)
-    first, *second = (each.reshape(*each.shape[:-1], *several) for each in arms)
-    mask = [frame.mask for frame in shown]
-    out[:, :, [int(frame.rail == "minus") for frame in shown], mask] = first
-    if second:
-        out[:, :, 1, mask] = second[0]
+    flow = np.repeat(rates[:, None, manifest.shown, 0], gates.repeats, axis=1)
+    out = np.zeros((*flow.shape[:2], manifest.rails, manifest.masks), dtype=np.int64)
+    rail = [int(frame.rail == "minus") for frame in shown]
+    out[:, :, rail, [frame.mask for frame in shown]] = draw(detector, flow, gates.length_s, rng)
     return out
 
 
@@ -42,18 +32,16 @@ def draw(
     detector: Detector, rate: np.ndarray, length_s: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """Draw the counts, int64, of gates in which the rate has long been steady."""
-    # Without dead time counts are Poisson. With a non-paralysable one they are drawn from their
-    # exact distribution: k counts fit a gate if k gamma-distributed waits and k - 1 dead times do.
-    # With a paralysable one gates are simulated arrival by arrival where the counts' variance is
-    # below 20; above, they are drawn with their exact first three moments (Cornish and Fisher), at
-    # a distance in total variation from the exact distribution of at most 0.0011, for nτ from 0.01
-    # to 2. Afterpulses, of the gate's own counts and of those before it, have the exact mean, and
-    # without dead time the exact distribution. Gates that follow each other are drawn
-    # independently: what little one passes on to the next (a count that blinds it, an afterpulse)
-    # is in the moments of each and not in what they share
-    shape = np.broadcast_shapes(np.shape(rate), np.shape(length_s))
-    rates = np.broadcast_to(np.asarray(rate, dtype=np.float64), shape).ravel()
-    lengths = np.broadcast_to(np.asarray(length_s, dtype=np.float64), shape).ravel()
+    # Of a paralysable detector. Gates are simulated arrival by arrival where the counts' variance
+    # is below 20; above, they are drawn with their exact first three moments (Cornish and Fisher),
+    # at a distance in total variation from the exact distribution of at most 0.0011, for nτ from
+    # 0.01 to 2. Afterpulses, of the gate's own counts and of those before it, have the exact mean.
+    # Gates that follow each other are drawn independently: what little one passes on to the next
+    # (a count that blinds it, an afterpulse) is in the moments of each and not in what they share
+    rates, lengths = np.broadcast_arrays(rate, length_s)
+    shape = rates.shape
+    rates = rates.ravel()
+    lengths = lengths.ravel()
     counts = np.empty(len(rates), dtype=np.int64)
     for first in range(0, len(rates), GATES_AT_ONCE):
         block = slice(first, first + GATES_AT_ONCE)
@@ -64,15 +52,11 @@ def draw(
 def _draw(
     detector: Detector, rate: np.ndarray, length: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    if detector.dead_time_s == 0:
-        counts = rng.poisson(rate * length)
-    elif detector.paralysable:
-        counts = _draw_paralysable(detector, rate, length, rng)
-    else:
-        counts = _draw_non_paralysable(detector, rate, length, rng)
-    if detector.afterpulse_probability == 0:
-        return counts
-    inside = _share_inside(detector, length)
+    counts = _draw_paralysable(detector, rate, length, rng)
+    delay = detector.afterpulse_s
+    after = np.maximum(length - detector.dead_time_s, 0)
+    # Probability that an afterpulse falls in the gate in which its count fell
+    inside = (after + delay * np.expm1(-after / delay)) / length
     late = detector.registered(rate) * length * (1 - inside)
     probability = detector.afterpulse_probability
     return counts + rng.binomial(counts, probability * inside) + rng.poisson(probability * late)
@@ -119,41 +103,3 @@ def _simulate(
         counts += np.bincount(gate[times >= (ends - inside)[gate]], minlength=len(counts))
         start += int(pieces.sum())
     return counts
-
-
-def _draw_non_paralysable(
-    detector: Detector, rate: np.ndarray, length: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
-    """Invert the exact distribution, from a normal guess by single steps."""
-    from scipy.special import gammainc, ndtri
-
-    tau = detector.dead_time_s
-    registered = detector.registered(rate)
-    blind = rng.random(len(rate)) < registered * tau
-    left = length - np.where(blind, rng.uniform(0, tau, len(rate)), 0)
-    level = rng.random(len(rate))
-
-    def reach(counts: np.ndarray, which: np.ndarray) -> np.ndarray:
-        live = np.maximum(left[which] - (counts - 1) * tau, 0)
-        return np.where(counts > 0, gammainc(np.maximum(counts, 1), rate[which] * live), 1.0)
-
-    mean = registered * left
-    std = np.sqrt(np.maximum(mean, 0)) / (1 + rate * tau)
-    guess = mean - std * ndtri(np.maximum(level, 1e-300))
-    counts = np.maximum(np.rint(guess), 0).astype(np.int64)
-    which = np.arange(len(rate))
-    while which.size:
-        which = which[reach(counts[which] + 1, which) > level[which]]
-        counts[which] += 1
-    which = np.arange(len(rate))
-    while which.size:
-        which = which[reach(counts[which], which) <= level[which]]
-        counts[which] -= 1
-    return counts
-
-
-def _share_inside(detector: Detector, length: np.ndarray) -> np.ndarray:
-    """Probability that an afterpulse falls in the gate in which its count fell."""
-    delay = detector.afterpulse_s
-    after = np.maximum(length - detector.dead_time_s, 0)
-    return (after + delay * np.expm1(-after / delay)) / length

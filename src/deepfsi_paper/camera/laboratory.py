@@ -1,4 +1,4 @@
-"""The paper's camera in a virtual laboratory, and what the paper could not vary there.
+"""The paper's camera in a virtual laboratory.
 
 A display, perspective, blur and vignetting, a micromirror device, one photon counter. As a lab
 would, we calibrate with spots, train on the camera's view of MNIST at one assumed budget, export
@@ -7,10 +7,9 @@ the patterns, and test with gates of four exposures in the same frames. The prot
 """
 
 import tempfile
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from functools import lru_cache
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +26,9 @@ from deepfsi.datasets.load import load_dataset
 from deepfsi.design.design import Design
 from deepfsi.lab.calibration import fit_calibration, scan_rails, spot_scenes
 from deepfsi.lab.design_data import view_dataset
-from deepfsi.lab.virtual_optics import (
-    CAMERAS,
-    VirtualCamera,
-    arrival_rates,
-)
+from deepfsi.lab.virtual_optics import CAMERAS, arrival_rates
 from deepfsi.patterns.folder import Patterns
-from deepfsi.patterns.manifest import GatePlan
+from deepfsi.patterns.manifest import GatePlan, Manifest
 from deepfsi.patterns.rails import DesignRails
 from deepfsi.sweeps.results import Point, Results
 from deepfsi.sweeps.workers import cores, processes
@@ -47,9 +42,6 @@ EXPOSURES = (1e-1, 1e-2, 1e-3, 1e-4)
 
 ASSUMED = 1e4
 """Budget for which all designs are trained, photons."""
-
-SWEPT = (1e-2, 1e-3)
-"""Exposures at which effects are varied, seconds."""
 
 DRAWS = 20
 """Draws of ten digits."""
@@ -85,13 +77,6 @@ LAB = CAMERAS["pmt"].model_copy(
 Its efficiency is 1, so that fluxes and budgets are of photons that can be counted.
 """
 
-EFFECTS: dict[str, tuple[float, ...]] = {
-    "ambient": (0.0, 1e5, 3e5, 1e6, 3e6, 1e7),
-    "dark": (0.0, 1e4, 1e5, 3e5, 1e6),
-    "dead_time_s": (0.0, 20e-9, 50e-9, 100e-9, 200e-9),
-}
-"""Effects varied one at a time: photons/s on the device, counts/s, seconds."""
-
 
 @dataclass(frozen=True)
 class DigitTest:
@@ -100,13 +85,8 @@ class DigitTest:
     design: str
     label: str
     specific: bool  # whether the design is feature-specific
-    masks: int
-    assumed: float  # photon budget assumed in training
-    effect: str  # what the laboratory varies, or "none"
-    value: float  # of the effect, in its unit
     exposure_s: float
-    rates: Sequence[Sequence[Sequence[float]]]
-    commonest: float
+    rates: Sequence[Sequence[Sequence[float]]]  # (trainings, draws, digits)
 
     @property
     def by_draw(self) -> np.ndarray:
@@ -172,38 +152,12 @@ def prepare(data: Dataset) -> Dataset:
     return view_dataset(data, calibrate())
 
 
-@dataclass(frozen=True)
-class _MountedDesign:
-    """A design on the device, and the light of some scenes on the detector."""
-
-    design: Design  # as the patterns realise it
-    patterns: Patterns
-    scene_rates: np.ndarray
-    ambient_rates: np.ndarray  # (1, F, 1), The same for one photon/s of ambient light
-
-    def arrivals(self, camera: VirtualCamera) -> np.ndarray:
-        """Arrivals/s (S, F, 1) at a camera's detector."""
-        photons = self.scene_rates + camera.ambient * self.ambient_rates
-        return camera.efficiency * photons + camera.dark
-
-
 def _draw_digits(labels: np.ndarray, draws: int, seed: int) -> np.ndarray:
     """Places (draws, classes) of one scene of each class, no scene twice."""
     rng = np.random.default_rng(seed)
     classes = np.unique(labels)
     columns = [rng.choice(np.flatnonzero(labels == k), draws, replace=False) for k in classes]
     return np.stack(columns, axis=1)
-
-
-def _mount(design: Design, scenes: np.ndarray) -> _MountedDesign:
-    """A design exported to the device, and scenes (S, h, w) seen through it by the laboratory."""
-    optics = LAB.model_copy(update={"dark": 0.0, "ambient": 0.0})
-    with tempfile.TemporaryDirectory() as folder:
-        patterns = _export(design, Path(folder) / "patterns")
-        scene_rates = arrival_rates(patterns, scenes, optics, FLUX)
-        one = optics.model_copy(update={"ambient": 1.0})
-        ambient_rates = arrival_rates(patterns, np.zeros_like(scenes[:1]), one, 0.0)
-    return _MountedDesign(design.as_shown(*patterns.realised), patterns, scene_rates, ambient_rates)
 
 
 def _export(design: Design, folder: Path) -> Patterns:
@@ -221,30 +175,25 @@ def _export(design: Design, folder: Path) -> Patterns:
     ).write(folder)
 
 
-def classify(
-    mounted: _MountedDesign,
-    camera: VirtualCamera,
+def _classify(
+    design: Design,
+    manifest: Manifest,
+    arrivals: np.ndarray,
     exposure_s: float,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Classes (S, R) that a design gives to exposures of a camera.
+    """Classes (S, R) of exposures of S scenes, from arrivals/s (S, F, 1) in each frame.
 
     The budget is estimated from the all-ON frames and the dark rate from the all-OFF ones, as for
-    a real run; no one knows of ambient light.
+    a real run.
     """
-    manifest = mounted.patterns.manifest
     gates = GatePlan.of(manifest, exposure_s, repeats=REPEATS)
-    arrivals = mounted.arrivals(camera)
-    counts = draw_counts(arrivals, manifest, gates, camera, rng)
+    counts = draw_counts(arrivals, manifest, gates, LAB, rng)
     window = manifest.picture_s[:2] - gates.settle_s
-    on, off = (draw(camera, arrivals[:, :2, 0], window, rng) / window).mean(axis=0)
+    on, off = (draw(LAB, arrivals[:, :2, 0], window, rng) / window).mean(axis=0)
     signal = counts - off * manifest.lengths_by_readout(manifest.shares * exposure_s)
-    chances = mounted.design.classify(mounted.design.readouts(signal), (on - off) * exposure_s)
+    chances = design.classify(design.readouts(signal), (on - off) * exposure_s)
     return chances.argmax(axis=-1)
-
-
-Group = tuple[str, list[Point]]
-"""A design's name and its points, one for each budget that it was trained for."""
 
 
 @dataclass(frozen=True)
@@ -256,16 +205,6 @@ class Laboratory:
     truth: np.ndarray  # (draws, classes), Labels; S is their number
 
 
-def _design_groups(results: Results) -> list[Group]:
-    """Designs with their points at the chosen number of masks."""
-    groups: dict[str, list[Point]] = {}
-    for point in results.points:
-        if point.best:
-            name = point.design if LIGHT_LAWS[point.light].equal_times else FREE
-            groups.setdefault(name, []).append(point)
-    return [*groups.items()]
-
-
 def measure(
     results: Results, data: Dataset, designs: Path, workers: int | None, report: Progress
 ) -> dict[str, Any]:
@@ -275,68 +214,32 @@ def measure(
     laboratory = Laboratory(
         designs, raw.x_test[places.ravel()].reshape(-1, *raw.image_shape), raw.y_test[places]
     )
-    groups = dict(_design_groups(results))
-    costly_first = sorted(groups.items(), key=lambda group: -group[1][0].masks)
+    points = sorted((each for each in results.points if each.best), key=lambda each: -each.masks)
     report(0.0, "laboratory")
-    done: dict[str, list[DigitTest]] = {}
-    at_once = min(workers or cores(), len(groups))
-    for result in processes(_in_laboratory, laboratory, costly_first, at_once):
-        done[result[0].design] = result
-        report(len(done) / len(groups), "laboratory")
-    return asdict(Measures([test for name in groups for test in done[name]]))
-
-
-def _in_laboratory(laboratory: Laboratory, group: Group) -> list[DigitTest]:
-    """Tests of one design, trained for several budgets and several times for each."""
-    name, points = group
     tests: list[DigitTest] = []
-    mounted_by_masks: dict[bytes, _MountedDesign] = {}  # fixed masks are the same in every training
-    for point in points:
-        mounted = [
-            _mounted_design(
-                Design.load(laboratory.designs / f"{key}.safetensors"), laboratory, mounted_by_masks
-            )
-            for key in point.keys
-        ]
-        for effect, value, camera, exposure in _conditions(point.photons):
-            rates, commonest = [], []
-            for training, each in enumerate(mounted):
-                rng = np.random.default_rng([training, len(tests)])
-                classes = classify(each, camera, exposure, rng)
-                classes = classes.reshape(*laboratory.truth.shape, REPEATS)
-                commonest.append(np.bincount(classes.ravel()).max() / classes.size)
-                rates.append((classes == laboratory.truth[..., None]).mean(axis=-1).tolist())
-            tests.append(
-                DigitTest(
-                    design=name,
-                    label=LABELS.get(name, point.label),
-                    specific=point.specific,
-                    masks=point.masks,
-                    assumed=point.photons,
-                    effect=effect,
-                    value=value,
-                    exposure_s=exposure,
-                    rates=rates,
-                    commonest=float(np.mean(commonest)),
-                )
-            )
-    return tests
+    at_once = min(workers or cores(), len(points))
+    for done, some in enumerate(processes(_in_laboratory, laboratory, points, at_once), start=1):
+        tests += some
+        report(done / len(points), "laboratory")
+    return asdict(Measures(tests))
 
 
-def _mounted_design(
-    design: Design, laboratory: Laboratory, known: dict[bytes, _MountedDesign]
-) -> _MountedDesign:
-    """A design on the device; what one with the same masks was mounted for before serves again."""
-    masks = design.rails.stacked.numpy().tobytes()
-    if masks not in known:
-        known[masks] = _mount(design, laboratory.images)
-    return replace(known[masks], design=design.as_shown(*known[masks].patterns.realised))
-
-
-def _conditions(assumed: float) -> Iterator[tuple[str, float, VirtualCamera, float]]:
-    """Effect, its value, camera and exposure; effects only at the laboratory's own budget."""
-    yield from (("none", 0.0, LAB, exposure) for exposure in EXPOSURES)
-    if assumed == ASSUMED:
-        for effect, values in EFFECTS.items():
-            for value, exposure in product(values, SWEPT):
-                yield effect, value, LAB.model_copy(update={effect: value}), exposure
+def _in_laboratory(laboratory: Laboratory, point: Point) -> list[DigitTest]:
+    """Tests of one design, trained several times, at every exposure."""
+    rates: dict[float, list[Any]] = {exposure: [] for exposure in EXPOSURES}
+    for training, key in enumerate(point.keys):
+        design = Design.load(laboratory.designs / f"{key}.safetensors")
+        with tempfile.TemporaryDirectory() as folder:
+            patterns = _export(design, Path(folder) / "patterns")
+            arrivals = arrival_rates(patterns, laboratory.images, LAB, FLUX)
+            shown = design.as_shown(*patterns.realised)
+        for number, exposure in enumerate(EXPOSURES):
+            rng = np.random.default_rng([training, number])
+            classes = _classify(shown, patterns.manifest, arrivals, exposure, rng)
+            right = classes.reshape(*laboratory.truth.shape, -1) == laboratory.truth[..., None]
+            rates[exposure].append(right.mean(axis=-1).tolist())
+    name = point.design if LIGHT_LAWS[point.light].equal_times else FREE
+    return [
+        DigitTest(name, LABELS.get(name, point.label), point.specific, exposure, of_trainings)
+        for exposure, of_trainings in rates.items()
+    ]
