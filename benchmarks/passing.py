@@ -12,7 +12,7 @@ there are several the last column is the standard deviation over seeds.
 
 With `--record` a binary pattern is learned that scenes enter and leave within the bins, and test
 images pass it, one after the other, in a photon file with background. Their transits are found,
-placed and classified from that file alone.
+placed and classified from that file alone. `--write DESIGN FILE` writes such a file for a design.
 """
 
 import argparse
@@ -23,13 +23,16 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
-from deepfsi import Camera, Training, evaluate, learn, load_dataset
+from deepfsi import Camera, Design, Training, evaluate, learn, load_dataset
 from deepfsi.base.intervals import wilson
 from deepfsi.base.progress import SILENT
+from deepfsi.counting.events import PtuWriter
 from deepfsi.datasets.dataset import Dataset
+from deepfsi.physics.surroundings import library_defaults
 from deepfsi_flow.settings import Passing
-from deepfsi_flow.transits import classify_transits, simulate_transits
+from deepfsi_flow.transits import FINE, classify_transits
 
 KINDS: dict[str, dict[str, Any]] = {
     "learned, grey": {"design": "deepfsi", "camera": Camera()},
@@ -110,6 +113,72 @@ def chosen(held: Dataset, kind: str, photons: float, bench: Bench, epochs: int) 
     return best([Setting(first.speed, network) for network in NETWORKS])
 
 
+def simulate_transits(
+    design: Design,
+    scenes: np.ndarray,
+    file: Path,
+    bin_s: float,
+    *,
+    photons: float,
+    background: float,
+    gaps: tuple[float, float] = (2.0, 5.0),
+    seed: int = 0,
+) -> np.ndarray:
+    """Write a photon file of scenes (n, N) that pass in turn; give the starts (n,) of their bins.
+
+    Starts are seconds, for scenes in their mean places; gaps between transits are in transits.
+    Scenes are seen from where they enter the pattern to where they leave it.
+    """
+    path = design.exposure.transit
+    step = path.speed / FINE  # pixels
+    steps = int(np.ceil((path.shifts - 1) / step))
+
+    @library_defaults(grad=False)
+    def expect() -> np.ndarray:
+        x = torch.from_numpy(np.ascontiguousarray(scenes, dtype=np.float32))
+        edges = (path.shifts - 1) / 2 + step * (torch.arange(steps + 1) - steps / 2)
+        rates = design.exposure.rates(design.scanner(), x)
+        traces = path.means(rates[:, 0], edges).double().numpy()
+        return np.asarray(traces * photons / FINE)
+
+    rng = np.random.default_rng(seed)
+    passage = steps / FINE * bin_s
+    window = path.bins * bin_s
+    between = rng.uniform(*gaps, size=len(scenes)) * window
+    enters = np.cumsum(between + passage) - passage
+    seconds = float(enters[-1] + passage + gaps[1] * window)
+    write_transits(
+        file,
+        expect(),
+        enters,
+        step_s=bin_s / FINE,
+        background=background,
+        seconds=seconds,
+        rng=rng,
+    )
+    return enters + (passage - window) / 2
+
+
+def write_transits(
+    path: Path, traces: np.ndarray, starts_s: np.ndarray, *,
+    step_s: float, background: float, seconds: float, rng: np.random.Generator,
+) -> None:  # fmt: skip
+    """Write photons of transits, counts (n, S) expected in steps from starts (n,), and background.
+
+    The background is counts/s in all seconds.
+    """
+    counts = rng.poisson(traces)
+    at = starts_s[:, None] + step_s * np.arange(traces.shape[1])
+    passing = np.repeat(at.ravel(), counts.ravel())
+    passing = passing + step_s * rng.random(len(passing))
+    dark = seconds * rng.random(rng.poisson(background * seconds))
+    times = np.sort(np.concatenate([passing, dark]))
+    tick_s = 1e-9
+    ticks = np.rint(times[(times >= 0) & (times < seconds)] / tick_s).astype(np.int64)
+    with PtuWriter(path, tick_s) as writer:
+        writer.write(ticks, np.zeros(len(ticks), np.int64))
+
+
 def recorded(data: Dataset, photons: float, bench: Bench, epochs: int, scenes: int) -> str:
     """Row on scenes that pass in a photon file."""
     speed = 4.0 if data.image_shape[1] == 32 else 2.0
@@ -156,8 +225,17 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--trial-epochs", type=int, default=4)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--record", type=int, metavar="SCENES")
+    parser.add_argument("--write", type=Path, nargs=2, metavar=("DESIGN", "FILE"))
     arguments = parser.parse_args(words)
 
+    if arguments.write:
+        design, file = arguments.write
+        scenes = load_dataset(arguments.data).x_test[: arguments.record]
+        photons = arguments.photons[0]
+        simulate_transits(
+            Design.load(design), scenes, file, BIN_S, photons=photons, background=photons
+        )
+        return
     data = load_dataset(arguments.data, rescale=(0.0, 1.0))
     lot = np.random.default_rng(0).permutation(len(data.x_train))
     held = replace(data, x_train=data.x_train[lot], y_train=data.y_train[lot]).hold_out()

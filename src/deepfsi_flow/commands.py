@@ -15,17 +15,15 @@ PassingDesign = Annotated[
 
 
 class WriteMask(Command):
-    """In an .svg polygons mark what is open, in micrometres; a .png has a dot for each pixel.
+    """Polygons of an .svg mark what is open, in micrometres.
 
-    Learn the design with two levels for a binary pattern.
+    Learn the design with two levels, for a binary pattern.
 
     Example: deepfsi mask passing.safetensors --pixel 5 -o pattern.svg
     """
 
     file: PassingDesign
-    out: Annotated[Path, fields.Output((".svg", ".png"))] = fields.option(
-        "photomask: .svg (polygons, binary patterns) or .png", ...
-    )
+    out: Annotated[Path, fields.Output((".svg",))] = fields.option("photomask, .svg", ...)
     pixel: Positive = fields.option(
         "side of a pixel on the mask, micrometres: that of a scene there", ...
     )

@@ -1,12 +1,9 @@
-"""The static pattern of a design as a photomask's file: polygons of what is open, or a picture.
+"""The static pattern of a design as a photomask's file: polygons of what is open, in micrometres.
 
-svg    polygons in micrometres: open pixels as rectangles, merged along rows and then along columns
-png    one dot a pixel, open white, with the dots of a metre; grey levels are kept
+Open pixels are rectangles, merged along rows and then along columns.
 """
 
-import io
 import os
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -45,8 +42,7 @@ def as_svg(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
     """SVG of a pattern (H, P) of 0 and 1, a unit a micrometre, whose polygons are open."""
     if not np.isin(pattern, (0, 1)).all():
         raise InputError(
-            "polygons are open or dark, and this pattern has grey levels: learn it with "
-            "`levels=2`, or write a .png"
+            "polygons are open or dark, and this pattern has grey levels: learn it with `levels=2`"
         )
     height, width = (side * pixel_um for side in pattern.shape)
     lines = [
@@ -59,23 +55,6 @@ def as_svg(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
         corners = f"{left},{top} {right},{top} {right},{bottom} {left},{bottom}"
         lines.append(f'<polygon points="{corners}"/>')
     return "\n".join([*lines, "</svg>", ""]).encode()
-
-
-def as_png(pattern: np.ndarray, pixel_um: float, about: str) -> bytes:
-    """PNG of a pattern (H, P) in 0 .. 1, a dot a pixel."""
-    from PIL import Image
-    from PIL.PngImagePlugin import PngInfo
-
-    binary = np.isin(pattern, (0, 1)).all()
-    picture = Image.fromarray(np.rint(pattern * 255).astype(np.uint8))
-    description = PngInfo()
-    description.add_text("Description", about)
-    written = io.BytesIO()
-    dots = 25_400 / pixel_um  # of an inch
-    (picture.convert("1", dither=Image.Dither.NONE) if binary else picture).save(
-        written, "png", dpi=(dots, dots), pnginfo=description
-    )
-    return written.getvalue()
 
 
 def _read_static_pattern(file: str | os.PathLike[str]) -> np.ndarray:
@@ -97,7 +76,7 @@ def write_photomask(
     file: str | os.PathLike[str], out: str | os.PathLike[str], pixel_um: float
 ) -> np.ndarray:
     """Write the pattern of a design for a photomask, and return it."""
-    check_ending(out, (".svg", ".png"))
+    check_ending(out, (".svg",))
     if not 0 < pixel_um <= 1e5:  # a hand's width
         raise InputError(
             f"a pixel of {pixel_um:g} µm is not allowed: give above 0 and up to 100000"
@@ -106,9 +85,8 @@ def write_photomask(
     rows, columns = pattern.shape
     about = (
         f"{rows} x {columns} pixels of {pixel_um:g} um, {rows * pixel_um:g} x "
-        f"{columns * pixel_um:g} um; open is {'filled' if str(out).endswith('.svg') else 'white'}; "
-        "the image of a scene, which is not mirrored, passes from left to right"
+        f"{columns * pixel_um:g} um; open is filled; the image of a scene, which is not mirrored, "
+        "passes from left to right"
     )
-    encode = as_svg if Path(out).suffix == ".svg" else as_png
-    write_atomically(out, encode(pattern, pixel_um, about))
+    write_atomically(out, as_svg(pattern, pixel_um, about))
     return pattern

@@ -25,7 +25,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.quantities import Table, time_text
 from deepfsi.camera.light import check_budget
-from deepfsi.counting.events import PtuWriter
 from deepfsi.counting.reader import read_photons
 
 if TYPE_CHECKING:  # they import torch, which those who look for no transits do without
@@ -275,91 +274,3 @@ def _passing_of(design: "Design") -> "PassingExposure":
             "that pass a pattern, with `bins`"
         )
     return design.exposure
-
-
-def simulate_transits(
-    design: "Design",
-    scenes: np.ndarray,
-    file: str | os.PathLike[str],
-    bin_s: float,
-    *,
-    photons: float,
-    background: float,
-    gaps: tuple[float, float] = (2.0, 5.0),
-    seed: int = 0,
-) -> np.ndarray:
-    """Write a photon file of scenes that pass in turn; give the starts (n,) of their first bins.
-
-    Starts are seconds, for scenes in their mean places. Scenes are seen from where they enter the
-    pattern to where they leave it.
-
-    Parameters
-    ----------
-    design : Design
-        Design for scenes that pass a pattern.
-    scenes : array, shape (n, N)
-        Reflectance.
-    file : str or path
-        PTU file to write.
-    bin_s : float
-        Length of a bin, seconds.
-    photons : float
-        Budget Φ of a transit.
-    background : float
-        Counts/s without a scene.
-    gaps : (float, float)
-        Least and most time between transits, in transits.
-    seed : int
-    """
-    import torch
-
-    from deepfsi.physics.surroundings import library_defaults
-
-    path = _passing_of(design).transit
-    step = path.speed / FINE  # pixels
-    steps = int(np.ceil((path.shifts - 1) / step))
-
-    @library_defaults(grad=False)
-    def expect() -> np.ndarray:
-        x = torch.from_numpy(np.ascontiguousarray(scenes, dtype=np.float32))
-        edges = (path.shifts - 1) / 2 + step * (torch.arange(steps + 1) - steps / 2)
-        rates = _passing_of(design).rates(design.scanner(), x)
-        traces = path.means(rates[:, 0], edges).double().numpy()
-        return np.asarray(traces * photons / FINE)
-
-    rng = np.random.default_rng(seed)
-    passage = steps / FINE * bin_s
-    window = path.bins * bin_s
-    between = rng.uniform(*gaps, size=len(scenes)) * window
-    enters = np.cumsum(between + passage) - passage
-    seconds = float(enters[-1] + passage + gaps[1] * window)
-    write_transits(
-        file,
-        expect(),
-        enters,
-        step_s=bin_s / FINE,
-        background=background,
-        seconds=seconds,
-        rng=rng,
-    )
-    return enters + (passage - window) / 2
-
-
-def write_transits(
-    path: str | os.PathLike[str], traces: np.ndarray, starts_s: np.ndarray, *,
-    step_s: float, background: float, seconds: float, rng: np.random.Generator,
-) -> None:  # fmt: skip
-    """Write photons of transits, counts (n, S) expected in steps from starts (n,), and background.
-
-    The background is counts/s in all seconds.
-    """
-    counts = rng.poisson(traces)
-    at = starts_s[:, None] + step_s * np.arange(traces.shape[1])
-    passing = np.repeat(at.ravel(), counts.ravel())
-    passing = passing + step_s * rng.random(len(passing))
-    dark = seconds * rng.random(rng.poisson(background * seconds))
-    times = np.sort(np.concatenate([passing, dark]))
-    tick_s = 1e-9
-    ticks = np.rint(times[(times >= 0) & (times < seconds)] / tick_s).astype(np.int64)
-    with PtuWriter(path, tick_s) as writer:
-        writer.write(ticks, np.zeros(len(ticks), np.int64))

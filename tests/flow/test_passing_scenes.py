@@ -8,7 +8,8 @@ from conftest import synthetic
 from deepfsi.counting.reader import read_photons
 from deepfsi_flow import transits
 from deepfsi_flow.settings import Passing
-from deepfsi_flow.transits import classify_transits, simulate_transits
+from deepfsi_flow.transits import classify_transits
+from shared.benchmarks import benchmark
 
 BIN_S, PHOTONS, BACKGROUND = 1e-3, 1e4, 200.0
 
@@ -32,7 +33,7 @@ def design(data):
 @pytest.fixture(scope="module")
 def recorded(data, design, tmp_path_factory):
     path = tmp_path_factory.mktemp("photons") / "photons.ptu"
-    starts = simulate_transits(
+    starts = benchmark("passing").simulate_transits(
         design, data.x_test, path, BIN_S, photons=PHOTONS, background=BACKGROUND, seed=1
     )
     return path, starts

@@ -6,6 +6,7 @@ import pytest
 from deepfsi.counting.events import PtuWriter
 from deepfsi.counting.reader import read_photons, summarise
 from deepfsi_flow import transits
+from shared.benchmarks import benchmark
 
 BACKGROUND, WINDOW, DURATION = 40.0, 0.1, 20.0
 """Counts/s, seconds, seconds: a mean of four photons in a window."""
@@ -70,7 +71,7 @@ def recorded(tmp_path):
     path = tmp_path / "photons.ptu"
     traces = np.tile(trace / 8, (40, 1))
     step_s = WINDOW / 48
-    transits.write_transits(
+    benchmark("passing").write_transits(
         path, traces, starts, step_s=step_s, background=BACKGROUND, seconds=15.0, rng=rng
     )
     return path, trace[::8], starts

@@ -92,7 +92,6 @@ def masks() -> dict[str, Any]:
     passing = file_of("passing")
     return {
         "svg": answer("mask", passing, "--pixel", 5, "-o", "m.svg"),
-        "png": answer("mask", passing, "--pixel", 2.5, "-o", "m.png"),
         "other": say("mask", file_of("dual"), "--pixel", 5, "-o", "n.svg").code,
         "end": answer("mask", passing, "--pixel", 5, "-o", "n.gif"),
         "files": files("."),
