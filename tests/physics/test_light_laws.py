@@ -62,6 +62,20 @@ def test_fitted_designs_use_all_the_light_they_may(digits, design, light, rails)
 
 
 @every_optics
+def test_dark_masks_stay_dark_and_obey(light, rails):
+    """Also masks that start dark, but those of a law of the whole matrix, which has no unit."""
+    law, dark = light_law(light), torch.zeros(3, 4)
+    fitted = law.fit(dark, rails)
+    assert not fitted.any()
+    assert law.excess(fitted) <= 0
+    if light in ("column", "dose"):
+        with pytest.raises(InputError, match="0 everywhere"):
+            LearnedMasks(dark, light, rails)
+    else:
+        assert torch.isfinite(LearnedMasks(dark, light, rails)().stacked).all()
+
+
+@every_optics
 def test_gradients_are_those_of_finite_differences(light, rails):
     law, signs = light_law(light), torch.arange(5) % 2 * 2 - 1
     weights = law.weights(signs_for(rails, positive(3, 5).double() * signs), rails)

@@ -118,8 +118,7 @@ def test_dark_rails_and_dark_scenes_give_finite_gradients(light, rails, name):
     ("photons", "match"),
     [
         (torch.ones(5, 3), r"shape \(5, 3\) do not fit masks of 2 pixels"),
-        (torch.ones(5, 2).numpy(), "give torch.as_tensor"),
-        (torch.ones(5, 2, dtype=torch.int64), "type torch.int64 were given"),
+        (torch.ones(5, 2, dtype=torch.int64), "torch.int64 photons"),
     ],
 )
 def test_photons_of_another_shape_or_kind_are_refused(photons, match):
@@ -127,16 +126,9 @@ def test_photons_of_another_shape_or_kind_are_refused(photons, match):
         scanner_of("poisson")(photons)
 
 
-@pytest.mark.parametrize(
-    ("make", "match"),
-    [
-        (lambda: Scanner.from_rails(torch.ones(3, 3, 64)), "3 rails"),
-        (lambda: LearnedMasks(-torch.ones(3, 64), "column", "single"), "negative entries"),
-    ],
-)
-def test_masks_of_another_shape_or_kind_are_refused(make, match):
-    with pytest.raises(InputError, match=match):
-        make()
+def test_frames_that_start_below_0_are_refused():
+    with pytest.raises(InputError, match="negative entries"):
+        LearnedMasks(-torch.ones(3, 64), "column", "single")
 
 
 def test_images_are_scenes_of_as_many_pixels():

@@ -19,7 +19,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.names import RailsKind, Readout
 
@@ -36,8 +35,6 @@ class Rails:
     @classmethod
     def of(cls, stacked: Tensor) -> Self:
         """Rails of a tensor (..., 2 or 1, m, N), the positive ones first."""
-        if stacked.shape[-3] not in (1, 2):
-            raise InputError(f"{stacked.shape[-3]} rails were given: give 2, or 1 of frames")
         if stacked.shape[-3] == 1:
             return cls(stacked[..., 0, :, :], None, stacked)
         plus, minus = stacked.unbind(dim=-3)

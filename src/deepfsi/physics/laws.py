@@ -27,6 +27,9 @@ from deepfsi.physics.detection import Rails
 ROUNDING_SLACK = 1e-5
 """Relative excess that float32 rounding may cause and `LightLaw.check` forgives."""
 
+DARK = 1e-30
+"""Light below which masks are dark, and stay so."""
+
 Weights = Mapping[str, Tensor]
 """Weights of learned masks and their scale, by name."""
 
@@ -36,6 +39,7 @@ class LightLaw(ABC):
 
     name: ClassVar[LightLawName]  # by which a camera names it
     disjoint: ClassVar[bool] = True  # no pixel is lit on both rails: learned masks' total is |M|
+    dwells: ClassVar[dict[RailsKind, int]] = {"dual": 0, "single": 0}  # that each mask learns
 
     def rails(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Rails (..., 2 or 1, m, N) whose difference is a matrix (..., m, N).
@@ -50,9 +54,9 @@ class LightLaw(ABC):
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Rails (2 or 1, m, N) of a matrix (m, N), with as much light as the law allows."""
 
-    @abstractmethod
     def excess(self, rails: Tensor) -> float:
         """Relative excess of rails (2 or 1, m, N) over the law: 0 or less if they obey it."""
+        return float(self.used(rails)[-1]) - 1
 
     @abstractmethod
     def used(self, rails: Tensor) -> Tensor:
@@ -89,13 +93,9 @@ class LightLaw(ABC):
         pattern = 0.9 * start / frame_peaks(start.abs())
         free = torch.atanh(pattern) if kind == "dual" else torch.logit(pattern.clamp(min=0.05))
         weights: dict[str, Tensor] = {"weight": nn.Parameter(free)}
-        if dwells := self.dwells_of_mask(kind):
+        if dwells := self.dwells[kind]:
             weights["dwell"] = nn.Parameter(start.new_zeros(*replicas, dwells, masks))
         return weights
-
-    def dwells_of_mask(self, kind: RailsKind) -> int:
-        """Number of dwells that each mask learns."""
-        return 0
 
     @abstractmethod
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
@@ -158,15 +158,11 @@ class _Column(LightLaw):
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Scale all masks by one factor, up to the limit."""
         parts = self.rails(matrix, kind)
-        return parts / self.most(parts.sum(dim=(0, 1)))
-
-    def excess(self, rails: Tensor) -> float:
-        """Limited quantity, less 1."""
-        return float(self.most(rails.sum(dim=(0, 1)))) - 1
+        return parts / self.most(parts.sum(dim=(0, 1))).clamp(min=DARK)
 
     def used(self, rails: Tensor) -> Tensor:
-        """max_j Σ_i |M_ij| over the first k masks i."""
-        return rails.sum(dim=-3).cumsum(dim=-2).amax(dim=-1)
+        """Limited quantity of the first k masks."""
+        return self.most(rails.sum(dim=-3).cumsum(dim=-2))[..., 0]
 
     def quantise(self, rails: Tensor, levels: int) -> Tensor:
         """Grey levels of each frame; all frames are dimmed where rounding breaks the law."""
@@ -183,15 +179,16 @@ class _Column(LightLaw):
         return {"weight": nn.Parameter(fitted / unit), "unit": unit}
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
-        """Each pixel's column, divided by its sum where it exceeds 1."""
-        sums = weights["weight"].abs().sum(dim=-2, keepdim=True)
-        return self.limited(weights, kind, sums)
-
-    def limited(self, weights: Weights, kind: RailsKind, light: Tensor) -> Tensor:
-        """Matrix of the weights, divided by the light (..., 1, N or 1) where it exceeds 1."""
+        """Each pixel's column, divided by its limited light where that exceeds 1."""
         unit = weights["unit"]
+        light = self.limited(weights["weight"].abs().sum(dim=-2, keepdim=True))
         matrix = weights["weight"] * (unit / (light * unit).clamp(min=1))
         return matrix if kind == "dual" else matrix.abs()
+
+    @staticmethod
+    def limited(sums: Tensor) -> Tensor:
+        """Light (..., N or 1) of each pixel that may not exceed 1, from column sums (..., N)."""
+        return sums
 
     def dim(self, weights: Weights, kind: RailsKind, factor: Tensor) -> None:
         """Take a smaller unit."""
@@ -210,7 +207,7 @@ class _EqualDwell(LightLaw):
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Divide each frame by its peak and by F."""
         parts = self.rails(matrix, kind)
-        return parts / (frame_peaks(parts) * len(frames(parts)))
+        return parts / (frame_peaks(parts) * max(len(frames(parts)), 1))
 
     def excess(self, rails: Tensor) -> float:
         """F max M± − 1."""
@@ -236,23 +233,16 @@ class _FreeDwell(LightLaw):
     """
 
     name = "free-dwell"
+    dwells: ClassVar[dict[RailsKind, int]] = {"dual": 2, "single": 1}  # one for each rail
 
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Scale all masks by 1 / Σ peaks."""
         parts = self.rails(matrix, kind)
-        return parts / parts.amax(dim=-1).sum()
-
-    def excess(self, rails: Tensor) -> float:
-        """Σ peaks − 1."""
-        return float(rails.amax(dim=-1).sum()) - 1
+        return parts / parts.amax(dim=-1).sum().clamp(min=DARK)
 
     def used(self, rails: Tensor) -> Tensor:
         """Σ peaks of the first k masks."""
         return rails.amax(dim=-1).sum(dim=-2).cumsum(dim=-1)
-
-    def dwells_of_mask(self, kind: RailsKind) -> int:
-        """One for each rail."""
-        return 2 if kind == "dual" else 1
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Patterns times the dwells of their frames, which are a softmax."""
@@ -273,6 +263,7 @@ class _TwoArm(LightLaw):
 
     name = "two-arm"
     disjoint = False
+    dwells: ClassVar[dict[RailsKind, int]] = {"dual": 1}  # both arms see a mask at once
 
     def rails(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """M± = (t ± M) / 2, for the time t of the peak of each mask."""
@@ -287,7 +278,7 @@ class _TwoArm(LightLaw):
         """Larger of Σ t − 1 and m times the spread, among pixels of a mask, of the arms' sum."""
         dwell = rails.sum(dim=0)
         uneven = float((dwell.amax(dim=-1) - dwell.amin(dim=-1)).max()) * len(dwell)
-        return max(float(dwell.amax(dim=-1).sum()) - 1, uneven)
+        return max(super().excess(rails), uneven)
 
     def used(self, rails: Tensor) -> Tensor:
         """Σ t of the first k masks."""
@@ -301,10 +292,6 @@ class _TwoArm(LightLaw):
         time = total.amax(dim=-1, keepdim=True)
         plus = (rails[..., 0, :, :] / frame_peaks(total) * steps).round() / steps * time
         return torch.stack([plus, time - plus], dim=-3)
-
-    def dwells_of_mask(self, kind: RailsKind) -> int:
-        """One, as both arms see the mask at once."""
-        return 1
 
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Patterns times the times of their masks, which are a softmax."""
@@ -333,14 +320,7 @@ class _Dose(_Column):
         """The mean of the sums of columns."""
         return sums.mean(dim=-1, keepdim=True)
 
-    def used(self, rails: Tensor) -> Tensor:
-        """mean_j Σ_i |M_ij| over the first k masks i."""
-        return rails.sum(dim=-3).mean(dim=-1).cumsum(dim=-1)
-
-    def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
-        """All masks, divided by the mean of their column sums where it exceeds 1."""
-        sums = weights["weight"].abs().sum(dim=-2, keepdim=True)
-        return self.limited(weights, kind, self.most(sums))
+    limited = most
 
 
 def light_law(name: str) -> LightLaw:
@@ -427,7 +407,6 @@ class FixedMasks(nn.Module):
 
     def __init__(self, rails: Tensor) -> None:
         super().__init__()
-        _check_tensor(rails, "rails", 3, "(2 or 1, masks, pixels)")
         both = Rails.of(rails)
         self.register_buffer("difference", both.difference)
         self.register_buffer("total", both.total if both.count == 2 else None)
@@ -461,7 +440,7 @@ class LearnedMasks(nn.Module):
     Raises
     ------
     InputError
-        For an unknown law, rails that it cannot have, or a start of a wrong shape or sign.
+        For an unknown law, rails that it cannot have, or a start of a wrong sign.
     """
 
     def __init__(
@@ -475,7 +454,6 @@ class LearnedMasks(nn.Module):
     ) -> None:
         super().__init__()
         check_light_law(light, rails)
-        _check_tensor(start, "a start", 2, "(masks, pixels)")
         if rails == "single" and bool((start < 0).any()):
             raise InputError("a start of a single rail has negative entries: give 0 or more")
         self.law = light_law(light)
@@ -519,12 +497,3 @@ class LearnedMasks(nn.Module):
     @property
     def _weights(self) -> dict[str, Tensor]:
         return {**dict(self.named_parameters()), **dict(self.named_buffers())}
-
-
-def _check_tensor(given: Tensor, what: str, axes: int, shape: str) -> None:
-    """Raise `InputError` unless this tensor is of real numbers and has enough axes."""
-    if not given.is_floating_point() or given.ndim < axes:
-        raise InputError(
-            f"{what} of shape {tuple(given.shape)} and type {given.dtype} cannot be used: give a "
-            f"tensor of real numbers {shape}"
-        )

@@ -55,13 +55,12 @@ class Noise(ABC):
     unbiased: ClassVar[bool] = True
     # Whether `mean` and `variance` are known and readouts are independent
     has_moments: ClassVar[bool] = True
+    numbers: ClassVar[tuple[str, ...]] = ()  # in which trainings side by side may differ
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Its numbers by the names of a camera's fields, such as `sigma`."""
-        return {
-            name: one for name, one in vars(self).items() if isinstance(one, int | float | Tensor)
-        }
+        """Its fields, which have the names of a camera's, such as `sigma`."""
+        return dict(vars(self))
 
     def __call__(self, rates: Tensor, random: Random = None) -> Tensor:
         """Counts of rates (..., m) in a whole exposure."""
@@ -111,8 +110,7 @@ class Noise(ABC):
 
     def deviation(self, light: Expectation) -> Tensor:
         """Standard deviation (..., k) of features, in units of the mean, for such a noise."""
-        # Each class has its own formula: the root of the variance would round differently
-        raise NotImplementedError(f"{self.name} noise is drawn rail by rail")
+        return root(self.variance(light) / light.gain)
 
     def check(self, learning: bool) -> None:
         """Raise `InputError` unless it draws counts, and masks can learn under it."""
@@ -120,18 +118,17 @@ class Noise(ABC):
 
     def of_jobs(self, jobs: int | slice) -> Self:
         """Noise of some of the trainings side by side."""
-        numbers = {n: one[jobs] for n, one in self.settings.items() if isinstance(one, Tensor)}
-        return replace(self, **numbers)  # type: ignore[type-var]
+        own = {name: getattr(self, name)[jobs] for name in self.numbers}
+        return replace(self, **own)  # type: ignore[type-var]
 
     @classmethod
-    def side_by_side(cls, noises: Sequence["Noise"], device: torch.device) -> "Noise":
+    def side_by_side(cls, noises: Sequence[Self], device: torch.device) -> Self:
         """One noise with the numbers (R, 1) of R trainings that differ in these alone."""
-        numbers = {
-            name: torch.tensor([noise.settings[name] for noise in noises], device=device)[:, None]
-            for name, value in noises[0].settings.items()
-            if isinstance(value, float)
+        every = {
+            name: torch.tensor([getattr(noise, name) for noise in noises], device=device)[:, None]
+            for name in cls.numbers
         }
-        return replace(noises[0], **numbers)  # type: ignore[type-var]
+        return replace(noises[0], **every)  # type: ignore[type-var]
 
 
 @dataclass(frozen=True)
@@ -153,10 +150,6 @@ class _NoNoise(Noise):
         """The means, without a draw."""
         return light.mean
 
-    def deviation(self, light: Expectation) -> Tensor:
-        """Zero."""
-        return self.variance(light)
-
 
 @dataclass(frozen=True)
 class Gaussian(Noise):
@@ -167,6 +160,7 @@ class Gaussian(Noise):
 
     sigma: float | Tensor = 1.0
     name = "gaussian"
+    numbers = ("sigma",)
     draws_rails = of_light = False
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
@@ -179,6 +173,7 @@ class Gaussian(Noise):
 
     def deviation(self, light: Expectation) -> Tensor:
         """σ √(rails that are read out)."""
+        # The base's formula would round differently
         return root(self.sigma**2 * light.read.lit.to(light.total.dtype) / light.gain**2)
 
 
@@ -244,6 +239,7 @@ class _CameraNoise(Noise):
     sigma: float | Tensor = 1.0  # σ, counts rms per readout
     dark: float | Tensor = 0.0  # D, expected dark counts of a detector in a whole exposure
     name = "camera"
+    numbers = ("sigma", "dark")
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """Counts less the expected dark ones."""
@@ -313,6 +309,7 @@ class _CustomNoise(Noise):
     function: NoiseFunction  # counts of expected counts (..., m), drawn with a generator
     path: str = ""  # import path by which it was given, if it was
     unbiased = has_moments = False
+    settings: ClassVar[dict[str, Any]] = {}
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -419,10 +416,10 @@ class Fluctuation(Noise):
         return replace(self, inner=self.inner.of_jobs(jobs))
 
     @classmethod
-    def side_by_side(cls, noises: Sequence[Noise], device: torch.device) -> Noise:
+    def side_by_side(cls, noises: Sequence[Self], device: torch.device) -> Self:
         """One noise with the numbers of R trainings; all have the same σ."""
-        inner = [noise.inner for noise in noises if isinstance(noise, Fluctuation)]
-        return replace(noises[0], inner=type(inner[0]).side_by_side(inner, device))  # type: ignore[type-var]
+        inner = [noise.inner for noise in noises]
+        return replace(noises[0], inner=type(inner[0]).side_by_side(inner, device))
 
     def brightness(self, like: Tensor, random: Random = None) -> Tensor:
         """1 + ε of frames, log-normal, in the shape of a tensor."""

@@ -1,7 +1,5 @@
 """The optical front end as a layer: photons per pixel in, noisy features out."""
 
-from typing import Any
-
 import torch
 from torch import Tensor, nn
 
@@ -136,25 +134,17 @@ class Scanner(nn.Module):
         return read._replace(time=read.time.detach())
 
     def _light(self, photons: Tensor, rails: Rails) -> Tensor:
-        """Photons, checked and arranged by detector."""
-        return self.detection.arrange(_flat(photons, rails.difference.shape[-1]))
-
-
-def _flat(photons: Any, pixels: int) -> Tensor:
-    """Photons (..., N) of scenes (..., N) or images (..., H, W)."""
-    if not isinstance(photons, Tensor) or not photons.is_floating_point():
-        kind = getattr(photons, "dtype", type(photons).__name__)
-        raise InputError(
-            f"photons of type {kind} were given: give torch.as_tensor(photons).float()"
-        )
-    if photons.ndim > 0 and photons.shape[-1] == pixels:
-        return photons
-    if photons.ndim > 1 and photons.shape[-2] * photons.shape[-1] == pixels:
-        return photons.flatten(-2)
-    raise InputError(
-        f"photons of shape {tuple(photons.shape)} do not fit masks of {pixels} pixels: give "
-        f"(..., {pixels}), or images of {pixels} pixels"
-    )
+        """Photons of scenes (..., N) or images (..., H, W), arranged by detector."""
+        pixels = rails.difference.shape[-1]
+        if photons.shape[-1] != pixels and photons.shape[-2:].numel() == pixels:
+            photons = photons.flatten(-2)
+        # masks take the type of photons: whole numbers would make them dark
+        if photons.shape[-1] != pixels or not photons.is_floating_point():
+            raise InputError(
+                f"{photons.dtype} photons of shape {tuple(photons.shape)} do not fit masks of "
+                f"{pixels} pixels: give real numbers (..., {pixels}), or images of {pixels} pixels"
+            )
+        return self.detection.arrange(photons)
 
 
 def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
