@@ -50,18 +50,6 @@ def matched_similarity(first: np.ndarray, second: np.ndarray) -> float:
     return float(cosines[linear_sum_assignment(cosines, maximize=True)].mean())
 
 
-def subspace_similarity(first: np.ndarray, second: np.ndarray) -> float:
-    """Likeness of what two sets of masks can tell: mean cos² of the angles between row spaces."""
-    # The angles are the principal ones, as many as the smaller row space has dimensions. Mixing
-    # masks does not matter either: sets of which each mask is a linear combination of the other's
-    # give 1. How strongly a direction is measured does not count, unless it is below rounding.
-    # Unrelated (random) row spaces of (m₁, N) and (m₂, N) give max(m₁, m₂) / N on average; dark
-    # masks give 0
-    own, other = _row_space(_masks(first)), _row_space(_masks(second))
-    smaller = min(len(own), len(other))
-    return float(np.square(own @ other.T).sum() / smaller) if smaller else 0.0
-
-
 def _masks(matrix: np.ndarray) -> np.ndarray:
     masks = np.asarray(matrix)
     return masks if masks.dtype == np.float32 else masks.astype(np.float64)
@@ -71,13 +59,6 @@ def _units(masks: np.ndarray) -> np.ndarray:
     """Masks at unit norm, float64; dark ones stay dark."""
     norms = np.linalg.norm(masks.astype(np.float64), axis=1, keepdims=True)
     return masks / np.where(norms > 0, norms, 1.0)
-
-
-def _row_space(masks: np.ndarray) -> np.ndarray:
-    """Orthonormal rows that span the masks', but for directions below rounding of their type."""
-    _, strengths, rows = scipy.linalg.svd(masks.astype(np.float64), full_matrices=False)
-    rounding = max(masks.shape) * np.finfo(masks.dtype).eps * strengths[0]
-    return rows[strengths > rounding]
 
 
 def impulse_imaging_error(

@@ -117,7 +117,7 @@ def claims_of(numbers: Numbers) -> list[Claim]:
             for design, label in CODES.items()
         ]
     if numbers.leakages:
-        claims += [_leakage_claim(of, numbers.leakages), _same_claim(of, numbers.results, splits)]
+        claims.append(_leakage_claim(of, numbers.leakages))
     return claims
 
 
@@ -198,31 +198,6 @@ def _leakage_claim(of: str, leakages: dict[float, _Leakage]) -> Claim:
         f"{of}: {own.random:.3f} random, {own.blocks:.3f} blocks, {own.difference}, over the "
         "classes that both test, by their shares of the scene",
         "The interval covers training seeds, for one draw of the blocks.",
-    )
-
-
-def _same_claim(of: str, results: Results, splits: Sequence[str]) -> Claim:
-    """Claim that the gain of DeepFSI under photon noise does not depend on the split."""
-    gains: list[dict[float, np.ndarray]] = []
-    for split in splits:
-        chosen = best(results, noise="poisson", split=split)
-        budgets = sorted(budget for design, budget in chosen if design == "deepfsi")
-        gains.append(
-            {
-                b: np.subtract(
-                    chosen[("deepfsi", b)].accuracies,
-                    _rival(chosen, RIVALS["poisson"], b).accuracies,
-                )
-                for b in budgets
-            }
-        )
-    apart = {b: mean_of_trials((gains[0][b] - gains[1][b]).tolist()) for b in gains[0]}
-    most = max(apart, key=lambda budget: abs(apart[budget].mean))
-    both = [*apart.values(), *(-each for each in apart.values())]
-    return Claim(
-        f"Ours: DeepFSI's advantage under PN is the same in both splits (within {NOTICED})",
-        all_above(both, -NOTICED),
-        f"{of}: random − blocks at most {apart[most]} at {photons_text(most)} photons",
     )
 
 

@@ -12,14 +12,12 @@ from deepfsi.base.intervals import Difference, all_above, mean_of_trials
 from deepfsi.base.progress import Progress
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.designfile.design_file import DesignFile
-from deepfsi.jobs.designs import sensing_matrix
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
 from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.measures import (
     effective_directions,
     matched_similarity,
-    subspace_similarity,
     throughput,
 )
 from deepfsi_paper.mnist.figures import (
@@ -32,14 +30,11 @@ from deepfsi_paper.report.section import Claim, Picture, Table
 
 SHOWN = (1e3, 1e5, 1e8)
 LIGHT, SPAN = "light counted", "independent directions"
-KEPT = "likeness to the start"
-MATCHED, SUBSPACE = "likeness, mask by mask", "likeness of what they span"
+MATCHED = "likeness, mask by mask"
 PANELS = {
     LIGHT: ("light counted", "share of the budget Φ"),
     SPAN: ("independent directions", "effective rank of the masks"),
     MATCHED: ("likeness, mask by mask", "mean |cosine|, 0 to 1"),
-    SUBSPACE: ("likeness of spanned spaces", "overlap, 0 to 1"),
-    KEPT: ("likeness to the first masks", "mean |cosine|, 0 to 1"),
 }
 """Heading and axis of each measure."""
 
@@ -58,7 +53,6 @@ class _Measures:
 
     measures: Sequence[Measure]
     masks: Sequence[LearnedMasks]  # of the first trial, at the budgets that are shown
-    chance: float  # likeness of the spaces that random masks span
 
     def at(self, name: str, series: str) -> dict[float, Measure]:
         """One measure of some masks, by budget."""
@@ -84,13 +78,7 @@ def measure(
         rows += [_row(LIGHT, noise, photons, light), _row(SPAN, noise, photons, spanned)]
     for photons in sorted({budget for _, budget in matrices}):
         pairs = list(zip(*(matrices[(noise, photons)] for noise in NOISES), strict=True))
-        for name, likeness in ((MATCHED, matched_similarity), (SUBSPACE, subspace_similarity)):
-            rows.append(_row(name, BOTH, photons, [likeness(*pair) for pair in pairs]))
-    masks, pixels = next(iter(matrices.values()))[0].shape
-    start = sensing_matrix("pca", masks, data.hold_out(results.data.validation))
-    for (noise, photons), trials in matrices.items():
-        likeness_to_start = [matched_similarity(matrix, start) for matrix in trials]
-        rows.append(_row(KEPT, noise, photons, likeness_to_start))
+        rows.append(_row(MATCHED, BOTH, photons, [matched_similarity(*pair) for pair in pairs]))
     shown = [
         LearnedMasks(
             photons,
@@ -100,7 +88,7 @@ def measure(
         for photons in SHOWN
         if all((noise, photons) in matrices for noise in NOISES)
     ]
-    return asdict(_Measures(rows, shown, masks / pixels))
+    return asdict(_Measures(rows, shown))
 
 
 def _row(name: str, series: str, photons: float, values: list[float]) -> Measure:
@@ -163,18 +151,15 @@ def _found(measures: _Measures, masks: int) -> str:
 
     pn_span, pn_light = ends(SPAN, "poisson"), ends(LIGHT, "poisson")
     agn_light = ends(LIGHT, "gaussian")
-    kept = [measures.at(KEPT, noise)[bright].value for noise in NOISES]
     return (
         f"From {photons_text(dim)} to {photons_text(bright)} photons, {masks} masks learned under "
         f"PN span {pn_span[0]:.1f} to {pn_span[1]:.1f} independent directions and count "
         f"{pn_light[0]:.2f} to {pn_light[1]:.2f} of the light; under AGN they count "
         f"{agn_light[0]:.2f} to {agn_light[1]:.2f}. Directions are the effective rank; likeness "
-        "pairs each mask with its best partner by |cosine|, whatever their order and sign, or "
-        f"compares the spaces that they span, where random masks give {measures.chance:.2f}. "
-        f"Both start from the same principal components; at {photons_text(bright)} photons they "
-        f"are like these by {kept[0]:.2f} (AGN) and {kept[1]:.2f} (PN), so that some of what they "
-        "share is their start, and the order of scenes. Masks stay dark where no training image "
-        "varies, so the share counted is below 1 for all."
+        "pairs each mask with its best partner by |cosine|, whatever their order and sign. Both "
+        "start from the same principal components, so that some of what they share is their "
+        "start, and the order of scenes. Masks stay dark where no training image varies, so the "
+        "share counted is below 1 for all."
     )
 
 
