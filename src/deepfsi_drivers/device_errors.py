@@ -1,9 +1,23 @@
-"""Ways of drivers to say what a device refused, and to let go of it."""
+"""Ways of drivers to find a maker's library, to say what a device refused, and to let go of it."""
 
 import contextlib
+import importlib
 from collections.abc import Callable, Iterator
+from typing import Any
 
 from deepfsi.base.errors import InputError
+
+
+def import_library(device: str, package: str, *modules: str) -> Any:
+    """First module of a maker's library that is there; `package` is what pip installs."""
+    for module in modules:
+        try:
+            return importlib.import_module(module)
+        except ModuleNotFoundError:
+            continue
+        except (ImportError, OSError) as error:  # the library under the module is not found
+            raise InputError(f"{device} cannot be used: {error}; install its software") from None
+    raise InputError(f"{device} needs {package}, which is not installed: pip install {package}")
 
 
 @contextlib.contextmanager

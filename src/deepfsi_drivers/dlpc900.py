@@ -23,7 +23,6 @@ a pixel holds which bit positions: TI's program and Pycrafter6500 send 16 to 23,
 0 to 7, which are red, green and blue of an exported picture.
 """
 
-import importlib
 import struct
 import time
 from collections.abc import Iterator
@@ -38,7 +37,7 @@ from deepfsi.camera.device import BIT_PLANES, DEVICES, Device
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.frames import PLANES_FORMAT
 from deepfsi.patterns.manifest import Manifest
-from deepfsi_drivers.device_errors import let_go, refusals
+from deepfsi_drivers.device_errors import import_library, let_go, refusals
 
 DMDS = {1: "dlp6500", 2: "dlp9000", 3: "dlp670s", 4: "dlp500yx"}
 """Devices by the hardware type that a board reports."""
@@ -161,48 +160,42 @@ class Dlpc900Projector:
     """Projector of pattern folders on a DLPC900 board. Untested on hardware: see the module."""
 
     def __init__(self) -> None:
-        self._device: Any = None
-        self._board: tuple[_Link, Device, int] | None = None  # and its number of controllers
+        self._hid: Any = None
         self._pass_s = self._due = 0.0  # of the frames that are loaded; when a pass is to end
 
     def __enter__(self) -> Self:
         """Open the first board that is found, and ask what it is."""
-        try:
-            device = importlib.import_module("hid").device()
-        except (ImportError, AttributeError):  # another package has the same name
-            raise InputError(
-                "DLPC900 boards need hidapi, which is not installed: pip install hidapi"
-            ) from None
+        library = import_library("the DLPC900", "hidapi", "hid")
         with _refusals("be opened"):
-            device.open(_Usb.VENDOR, _Usb.PRODUCT)
+            self._hid = library.device()
+            self._hid.open(_Usb.VENDOR, _Usb.PRODUCT)
             try:
-                link = _Link(device)
-                kind = link.read(_CommandCode.HARDWARE)
+                self._link = _Link(self._hid)
+                kind = self._link.read(_CommandCode.HARDWARE)
                 if kind not in DMDS:
                     raise InputError(
                         f"the DLPC900 has a device of hardware type {kind}, which is none of "
                         f"{', '.join(DMDS.values())}"
                     )
-                controllers = 2 if _healthy(link) & _Status.SECOND else 1
+                self._device = DEVICES[DMDS[kind]]
+                self._controllers = 2 if _healthy(self._link) & _Status.SECOND else 1
             except BaseException:
-                device.close()
+                self._hid.close()
                 raise
-        self._device = device
-        self._board = link, DEVICES[DMDS[kind]], controllers
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         """Stop and close the board."""
-        let_go(kind, self.halt, self._close)
+        let_go(kind, self.halt, self._hid.close)
 
     def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
         """Send frames of any format to the board, in place of earlier ones."""
-        link, device, controllers = self._open()
-        manifest = _for_board(patterns, device)
+        link = self._link
+        manifest = _for_board(patterns, self._device)
         self.halt()
         self._pass_s = 0.0
         # Encoding takes about a tenth of the time, USB the rest
-        pictures = _encoded(patterns, manifest, controllers, report.between(0.0, 0.1))
+        pictures = _encoded(patterns, manifest, self._controllers, report.between(0.0, 0.1))
         with _refusals("load frames"):
             link.write(_CommandCode.DISPLAY_MODE, _CommandCode.ON_THE_FLY)
             _wait_for_mode(link)
@@ -217,7 +210,7 @@ class Dlpc900Projector:
 
     def run(self) -> None:
         """Start one pass."""
-        link, _, _ = self._open()
+        link = self._link
         if not self._pass_s:
             raise InputError("no patterns on the DLPC900: load a pattern folder first")
         with _refusals("show patterns"):
@@ -230,7 +223,7 @@ class Dlpc900Projector:
 
     def wait(self) -> None:
         """Return when the pass has ended; Ctrl-C is heard meanwhile."""
-        link, _, _ = self._open()
+        link = self._link
         with _refusals("show patterns"):
             # It may say that it stands before the first pattern is shown
             while (
@@ -246,28 +239,8 @@ class Dlpc900Projector:
 
     def halt(self) -> None:
         """Stop at once."""
-        link, _, _ = self._open()
         with _refusals("be halted"):
-            link.write(_CommandCode.START_STOP, _CommandCode.STOP)
-
-    def _open(self) -> tuple[_Link, Device, int]:
-        if self._board is None:
-            raise InputError("the DLPC900 is not open: use `with` to open it")
-        return self._board
-
-    def _close(self) -> None:
-        device = self._device
-        self._device = self._board = None
-        self._pass_s = 0.0
-        device.close()
-
-
-def refuse_lists() -> None:
-    """Say why the board takes no part in live runs."""
-    raise InputError(
-        "live runs choose frames while they run, and a DLPC900 shows a table that is loaded "
-        "before: use projector vialux, or `deepfsi camera record` of a fixed design"
-    )
+            self._link.write(_CommandCode.START_STOP, _CommandCode.STOP)
 
 
 def _healthy(link: _Link) -> int:
@@ -349,8 +322,9 @@ def _wait_for_mode(link: _Link) -> None:
 
 
 def _reason(error: Exception) -> str | None:
-    # hidapi raises `OSError`, and `ValueError` for a device that was closed
-    return str(error) if isinstance(error, OSError | ValueError) else None
+    # hidapi raises `OSError`, and `ValueError` for a device that was closed; another package of its
+    # name lacks attributes
+    return str(error) if isinstance(error, OSError | ValueError | AttributeError) else None
 
 
 _refusals = partial(refusals, "the DLPC900", reason=_reason)

@@ -30,24 +30,28 @@ TAP_POLL_S = 0.0002
 """Time between two questions to a device, seconds."""
 
 
+APPEARS_S = 60.0
+"""Time in which the file must appear, seconds."""
+
+
 class FollowedCounter(AbstractContextManager["FollowedCounter"]):
-    """Streaming counter over a file, or a named pipe, that other software writes."""
+    """Streaming counter over a file, or a named pipe, that other software writes.
+
+    Someone who begins and ends its recordings may be asked to.
+    """
 
     def __init__(
         self,
         inputs: tuple[int, ...] = (0,),
         marker_bit: int = 1,
-        appears_s: float = 60.0,
         ask: Callable[[str], None] | None = None,
     ) -> None:
         self._inputs = inputs
         self._bit = marker_bit
-        self._appears_s = appears_s
         self._ask = ask
         # Bytes read at once
         self._buffer = memoryview(bytearray(2**21))
         self._file: FileIO | None = None
-        self._frames: FrameCounter | None = None
 
     def __exit__(self, *error: object) -> None:
         self._close()
@@ -57,12 +61,12 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
         self._close()
         if self._ask is not None:
             self._ask(f"begin to record {path} with the counter's software")
-        end = time.monotonic() + self._appears_s
+        end = time.monotonic() + APPEARS_S
         while not path.exists():
             if time.monotonic() > end:
                 raise InputError(
-                    f"{path} did not appear within {self._appears_s:g} s: start the recording into "
-                    "it in the counter's software"
+                    f"{path} did not appear within {APPEARS_S:g} s: start the recording into it in "
+                    "the counter's software"
                 )
             time.sleep(FILE_POLL_S)
         try:
@@ -74,20 +78,20 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
 
     def expect(self, gates: FrameGates) -> None:
         """Tell the gates of the frames that are shown next, before they are shown."""
-        self._counting()[1].expect(gates)
+        self._frames.expect(gates)
 
     def counts_since_marker(self, timeout_s: float) -> np.ndarray:
         """Counts since the last call, as `StreamingCounter` says."""
-        file, frames = self._counting()
+        assert self._file is not None
         end = time.monotonic() + timeout_s
         while True:
-            size = file.readinto(self._buffer)
-            if size and len(found := frames.feed(self._buffer[:size])):
-                return found
+            size = self._file.readinto(self._buffer)
+            if size and len(counts := self._frames.feed(self._buffer[:size])):
+                return counts
             if time.monotonic() > end:
                 return np.zeros((0, len(self._inputs)), np.int64)
             if not size:
-                self._check_same(file)
+                self._check_same(self._file)
                 time.sleep(FILE_POLL_S)
 
     def _check_same(self, file: FileIO) -> None:
@@ -112,19 +116,14 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
     def _close(self) -> None:
         if self._file is not None:
             self._file.close()
-        self._file = self._frames = None
-
-    def _counting(self) -> tuple[FileIO, FrameCounter]:
-        if self._file is None or self._frames is None:
-            raise InputError("no recording is followed: start one first")
-        return self._file, self._frames
+        self._file = None
 
 
-class TappedCounter(ABC):
+class TappedCounter(FollowedCounter, ABC):
     """Streaming counter of a device that hands events over, which a thread takes all the while."""
 
     def __init__(self, inputs: tuple[int, ...], marker_bit: int) -> None:
-        self._followed = FollowedCounter(inputs, marker_bit)
+        super().__init__(inputs, marker_bit)
         self._recording = ExitStack()
         self._fault: Exception | None = None  # of the thread
 
@@ -143,18 +142,14 @@ class TappedCounter(ABC):
         with ExitStack() as stack:
             tick_s, take = self._begin(path, stack)
             writer = stack.enter_context(PtuWriter(path, tick_s, growing=True))
-            self._followed.start(path)
-            stack.callback(self._followed.stop)
+            super().start(path)
+            stack.callback(self._close)
             ending = threading.Event()
             thread = threading.Thread(target=self._read, args=(writer, take, ending), daemon=True)
             thread.start()
             stack.callback(thread.join)
             stack.callback(ending.set)
             self._recording = stack.pop_all()
-
-    def expect(self, gates: FrameGates) -> None:
-        """Tell the gates of the frames that are shown next, before they are shown."""
-        self._followed.expect(gates)
 
     def counts_since_marker(self, timeout_s: float) -> np.ndarray:
         """Counts since the last call, as `StreamingCounter` says."""
@@ -164,9 +159,9 @@ class TappedCounter(ABC):
                 raise self._fault
             left = end - time.monotonic()
             # Time between two looks for a fault of the thread, seconds
-            found = self._followed.counts_since_marker(min(max(left, 0.0), 0.05))
-            if len(found) or left <= 0:
-                return found
+            counts = super().counts_since_marker(min(max(left, 0.0), 0.05))
+            if len(counts) or left <= 0:
+                return counts
 
     def stop(self) -> None:
         """End the recording; its file is then whole. Without one, do nothing."""

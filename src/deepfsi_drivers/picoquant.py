@@ -10,7 +10,6 @@ which is switched off here where the device can. A thread takes them all the whi
 nobody asks for counts: snAPI keeps no more than there is room for.
 """
 
-import importlib
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -20,6 +19,7 @@ from pydantic import FilePath, validate_call
 
 from deepfsi.base.errors import InputError
 from deepfsi.counting.events import PtuWriter
+from deepfsi_drivers.device_errors import import_library
 from deepfsi_drivers.file_tail import TappedCounter
 
 
@@ -44,16 +44,7 @@ class SnapiCounter(TappedCounter):
 
     def __enter__(self) -> Self:
         """Take hold of the device, in T2 mode, with one marker input."""
-        try:
-            module = importlib.import_module("snAPI.Main")
-        except ImportError:
-            raise InputError(
-                "PicoQuant counters need snAPI, which is not installed: pip install snapi"
-            ) from None
-        except OSError as error:
-            raise InputError(
-                f"snAPI's library cannot be loaded: {error}; install the device's software"
-            ) from None
+        module = import_library("the PicoQuant device", "snapi", "snAPI.Main")
         self._api = api = module.snAPI()
         try:
             found = api.getDevice() if self.serial is None else api.getDevice(self.serial)
@@ -71,8 +62,6 @@ class SnapiCounter(TappedCounter):
         return self
 
     def _begin(self, path: Path, stack: ExitStack) -> tuple[float, Callable[[PtuWriter], None]]:
-        if self._api is None:
-            raise InputError("the PicoQuant device is not open: use `with` to open it")
         raw = self._api.raw
         # Longest recording that the devices take, 100 hours, milliseconds; no file of snAPI's own
         self._accept(raw.startBlock(360_000_000, self.buffer, False), "start to record")

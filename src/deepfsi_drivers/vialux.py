@@ -18,7 +18,6 @@ of a loaded one between two lists; the controller refuses that while it shows th
 
 import contextlib
 import ctypes
-import importlib
 import itertools
 import sys
 import time
@@ -35,7 +34,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.manifest import Manifest
-from deepfsi_drivers.device_errors import let_go, refusals
+from deepfsi_drivers.device_errors import import_library, let_go, refusals
 
 USUAL_VERSION = "4.3"
 """Version of the ALP interface."""
@@ -103,12 +102,7 @@ class _Board(ABC):
 
     def __enter__(self) -> Self:
         """Open the device, with its sequence queue on."""
-        try:
-            module = importlib.import_module("ALP4")
-        except ImportError:
-            raise InputError(
-                "Vialux devices need ALP4lib, which is not installed: pip install ALP4lib"
-            ) from None
+        module = import_library("the Vialux device", "ALP4lib", "ALP4")
         folder = None if self.library is None else str(self.library)
         with _refusals("be opened"), contextlib.redirect_stdout(sys.stderr):  # it prints
             alp = module.ALP4(version=self.version, libDir=folder)
@@ -143,8 +137,6 @@ class _Board(ABC):
 
     def halt(self) -> None:
         """Stop at once, and take what waits from the queue."""
-        if self._alp is None:
-            raise InputError("the Vialux device is not open: use `with` to open it")
         with _refusals("be halted"), contextlib.ExitStack() as stack:
             stack.callback(self._alp.Halt)
             self._alp.ProjControl(Alp.RESET_QUEUE, Alp.DEFAULT)
@@ -317,8 +309,6 @@ class VialuxLooks(_Board):
 
     def _plan(self, dwells_s: np.ndarray) -> tuple[int, np.ndarray]:
         """Picture time, µs, and the repeats of each frame that hold it long enough."""
-        if not self._sequences:
-            raise InputError("no patterns on the Vialux device: load a pattern folder first")
         wanted_us = dwells_s * 1e6
         picture_us = max(self._shortest_us, int(wanted_us.sum() // self._entries))
         while (repeats := _repeats(wanted_us, picture_us)).sum() > self._entries >= len(repeats):

@@ -63,9 +63,8 @@ def test_someone_is_asked_to_begin_and_to_end_a_recording(tmp_path, content):
 
 
 def test_what_is_not_there_is_named(tmp_path, monkeypatch):
-    with followed.FollowedCounter(appears_s=0.0) as counter:
-        with pytest.raises(InputError, match="no recording is followed"):
-            counter.counts_since_marker(1.0)
+    monkeypatch.setattr(followed, "APPEARS_S", 0.0)
+    with followed.FollowedCounter() as counter:
         with pytest.raises(InputError, match="did not appear within 0 s"):
             counter.start(tmp_path / "absent.ptu")
         with pytest.raises(InputError, match="cannot be read: Is a directory"):

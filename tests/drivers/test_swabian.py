@@ -33,8 +33,9 @@ def signals() -> tuple[np.ndarray, np.ndarray]:
 
 def test_counts_are_those_of_the_file_that_is_left(device, signals, tmp_path):
     path, times = tmp_path / "photons.ptu", signals[0]
-    settings = swabian.TaggerSettings(trigger_levels={"1": 0.1, "8": -0.5})
-    with swabian.TaggerCounter((2, 0), marker_bit=2, trigger=8, settings=settings) as counter:
+    config = tmp_path / "levels.toml"
+    config.write_text("[trigger_levels]\n1 = 0.1\n8 = -0.5\n")
+    with swabian.TaggerCounter((2, 0), marker_bit=2, trigger=8, config=config) as counter:
         counter.start(path)
         counter.expect(GATES)
         counter.expect(FrameGates.of(10e-6, [0.0]))  # of the marker that ends the last frame
@@ -104,10 +105,11 @@ def test_a_loss_at_the_very_end_is_said_by_stop(device, tmp_path):
 @pytest.mark.parametrize("step", ["createTimeTagger", "setTriggerLevel", "TimeTagStream"])
 def test_a_refusal_is_one_line_and_lets_go_of_the_device(device, tmp_path, step):
     device.fail_at[step] = RuntimeError("Got the USB error 'Failed'")
-    settings = swabian.TaggerSettings(trigger_levels={1: 0.5})
+    config = tmp_path / "levels.toml"
+    config.write_text("[trigger_levels]\n1 = 0.5\n")
     with (
         pytest.raises(InputError, match=r"the Time Tagger cannot .* USB error") as caught,
-        swabian.TaggerCounter(trigger=-8, settings=settings) as counter,
+        swabian.TaggerCounter(trigger=-8, config=config) as counter,
     ):
         counter.start(tmp_path / "photons.ptu")
     assert "\n" not in str(caught.value)
