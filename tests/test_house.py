@@ -35,7 +35,7 @@ LINES = {
 }
 """Lines of each room, which may only fall: lower the number with them."""
 
-COMMANDS, OPTIONS = 25, 29
+COMMANDS, OPTIONS = 24, 29
 """Commands, and options of `design`: they may only leave."""
 
 DOORS = ("cli",)

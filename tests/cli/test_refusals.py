@@ -58,7 +58,6 @@ REFUSED = {
     """,
     "sweep": """
         nosuch | no recipe at nosuch
-        vast-pca.toml | at most 100000 trials
         split.toml | digits takes no
         halves.toml | 'random' or 'blocks'
     """,
@@ -74,7 +73,6 @@ REFUSED = {
     "evaluate": """
         a --photons 1e3 | no design file at a: give one
         a.safetensors --photons 1e4 --draws 0 | --draws 0: give
-        a.safetensors --photons 1e3 --ideal --noise gaussian | leave --ideal out
         a.safetensors --photons 1e3 --data small.npz | (8, 8)
     """,
     "predict a.safetensors nosuch --photons 1e4": "| there is nothing at nosuch",
@@ -154,8 +152,6 @@ def folder(tmp_path_factory):
     }
     for name, array in arrays.items():
         np.save(folder / f"{name}.npy", array)
-    rates = [1e-3 + 1e-6 * k for k in range(1000)]
-    vast = f"masks = 3\nphotons = {[100.0 + k for k in range(1000)]}\ntrials = 1000\n"
     texts = {
         "key": 'lihgt = "column"\n',
         "unit": 'exposure = "10 parsec"\n',
@@ -163,10 +159,6 @@ def folder(tmp_path_factory):
         "split": 'data = "digits"\nsplit = "blocks"\n',
         "halves": 'data = "digits"\nsplit = "halves"\n',
         "capped": 'designs = "deepfsi"\nmasks = 3\nphotons = 1e3\n[exposure]\ncap = 2\n',
-        **{
-            f"vast-{design}": f'designs = "{design}"\n{vast}[training]\nlr = {rates}\n'
-            for design in ("pca", "deepfsi")
-        },
     }
     for name, text in texts.items():
         (folder / f"{name}.toml").write_text(text)

@@ -156,12 +156,11 @@ def described() -> dict[str, Any]:
 
 @CASES
 def devices_and_data() -> dict[str, Any]:
-    """List of data sets; scenes as pictures."""
+    """Scenes as pictures."""
     return {
         "export": answer("data", "export", "digits", "--per-class", 2, "--seed", 1, "-o", "d"),
         "small": answer("data", "export", "digits", "--size", 4, "-o", "s"),
         "files": files("."),
-        "names": [one["name"] for one in say("data", "list", "--json").json["data_sets"]],
         "version": say("--version").code,
         "module": say("nosuch").refused(),
         "option": say("design", "--nosuch").refused(),
@@ -187,7 +186,6 @@ def design(words: str) -> dict[str, Any]:
 TESTED = {
     "evaluate": "evaluate dual --photons 1e3,1e4 --draws 1",
     "evaluate, noise": "evaluate quad --photons 1e4 --noise gaussian --draws 1",
-    "evaluate, ideal": "evaluate single --photons 1e3 --draws 1 --ideal",
     "evaluate, clicks": "evaluate click --photons 1e2 --draws 1",
     "evaluate, passing": "evaluate passing --photons 1e4 --draws 1 --seed 2",
     "evaluate, adaptive": "evaluate adaptive --photons 1e4 --draws 1",

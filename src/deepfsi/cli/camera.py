@@ -7,7 +7,6 @@ from pydantic import Field
 
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.models import Count, Seconds, WholeNumber
-from deepfsi.base.quantities import Table
 from deepfsi.camera.camera import PRESETS, Camera
 from deepfsi.camera.device import find_device
 from deepfsi.camera.layout import DmdLayout
@@ -15,7 +14,6 @@ from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.counting.recording import Recording
-from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.display import read_display, write_display
 from deepfsi.datasets.load import load_dataset
 from deepfsi.designfile.design_file import find_design
@@ -190,27 +188,6 @@ def _patterns_in(folder: Path, patterns: Patterns) -> Outcome:
 
 
 # scenes
-
-
-class DataList(Command):
-    """Some are downloaded when they are first used.
-
-    Example: deepfsi data list --json
-    """
-
-    def run(self, terminal: Terminal) -> Outcome:
-        entries = [
-            {
-                "name": each.name,
-                "images": each.images,
-                "pixels": each.pixels,
-                "classes": len(each.classes),
-                "where": each.where,
-            }
-            for each in DATASETS.values()
-        ]
-        rows = [tuple(map(str, entry.values())) for entry in entries]
-        return Outcome({"data_sets": entries}, [Table("data sets", tuple(entries[0]), rows)])
 
 
 class DataExport(Command):

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
-from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
 from deepfsi.base.quantities import Table
 from deepfsi.cli import fields
@@ -32,7 +31,6 @@ class EvaluateDesign(Command):
     data: fields.TestData = None
     size: fields.Size = None
     draws: Annotated[int, Field(ge=1, le=MOST_DRAWS)] = fields.option("draws of each scene", 3)
-    ideal: bool = fields.option("also give the accuracy of the ideal observer of the counts", False)
     seed: fields.NoiseSeed = 0
     view: fields.View = None
     trust: fields.Trust = False
@@ -40,24 +38,15 @@ class EvaluateDesign(Command):
 
     def run(self, terminal: Terminal) -> Outcome:
         from deepfsi.evaluation.accuracy import camera_for, evaluate
-        from deepfsi.evaluation.ideal import ideal_observer
         from deepfsi.lab.design_data import data_of, open_design
         from deepfsi.physics.surroundings import torch_device
 
         design = open_design(self.file, trust=self.trust).to(torch_device(self.device))
         camera = camera_for(design, **self.settings)
-        if self.ideal and not camera.noise_facts.exact:
-            raise InputError(
-                "the ideal observer is of photon noise in steady light: leave --ideal out"
-            )
         scenes, notes = data_of(design, self.data, self.size, self.view)
-        how: dict[str, Any] = {"draws": self.draws, "seed": self.seed}
-        bounds: list[Result] = []
-        if self.ideal:
-            with terminal.progress("ideal observer") as report:
-                bounds = ideal_observer(design, scenes, self.photons, report=report, **how)
+        how: dict[str, Any] = {"camera": camera, "draws": self.draws, "seed": self.seed}
         with terminal.progress("evaluate") as report:
-            results = evaluate(design, scenes, self.photons, camera=camera, report=report, **how)
+            results = evaluate(design, scenes, self.photons, report=report, **how)
         return Outcome(
             {
                 "design": str(self.file),
@@ -65,12 +54,8 @@ class EvaluateDesign(Command):
                 "readout": design.exposure.detection.readout,
                 "notes": notes,
                 "results": [with_classes(design, result) for result in results],
-                "ideal": [with_classes(design, result) for result in bounds],
             },
-            [
-                *data_lines(scenes, notes),
-                *evaluation_lines(design, results, camera.noise_name, bounds),
-            ],
+            [*data_lines(scenes, notes), *evaluation_lines(design, results, camera.noise_name)],
         )
 
 
@@ -125,11 +110,8 @@ def with_classes(design: "Design", result: Result | Estimates) -> dict[str, Any]
 
 
 def evaluation_lines(
-    design: "Design",
-    results: Sequence[Result | Estimates],
-    noise: str,
-    bounds: Sequence[Result] = (),
+    design: "Design", results: Sequence[Result | Estimates], noise: str
 ) -> Iterator[str | Table]:
     """Say how a design tests."""
     title = f"{design.name}, {design.exposure.title}, {noise} noise"
-    yield from results_lines(results, title=title, classes=design.classes, bounds=bounds)
+    return results_lines(results, title=title, classes=design.classes)

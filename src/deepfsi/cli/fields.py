@@ -19,6 +19,7 @@ from deepfsi.base.files import check_ending
 from deepfsi.base.models import Count, Seconds, WholeNumber
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import MOST_INPUTS
+from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.load import check_source
 from deepfsi.designfile.design_file import find_design
 from deepfsi.jobs.exposures import SharedLight
@@ -135,7 +136,7 @@ Source = Annotated[str, AfterValidator(check_source)]
 Size = Annotated[HeightWidth | None, option("resize images to HEIGHTxWIDTH, or a number for both")]
 TrainingData = Annotated[
     Source,
-    option("name (deepfsi data list), folder or .csv list of images, cube, or .npz"),
+    option(f"{', '.join(DATASETS)}, a folder or .csv list of images, a cube, or an .npz file"),
 ]
 TestData = Annotated[Source | None, option("data, as for `design`; default: the design's own")]
 View = Annotated[

@@ -90,11 +90,6 @@ class _NamedDataset(ABC):
                 return folder
         return None
 
-    @property
-    def where(self) -> str:
-        """Where its files are: "embedded", a folder or file, or "not here"."""
-        return str(self.find() or "not here")
-
     def download(self) -> Path:
         """Folder of the files; the cache downloads what is missing or damaged."""
         import pooch
@@ -126,10 +121,6 @@ class Digits(_NamedDataset):
     """The digits of scikit-learn, which have no files."""
 
     ends = DIM_BLACK
-
-    def find(self) -> str:
-        """Where they are."""
-        return "embedded"
 
     def load(self, options: Origin) -> Dataset:
         """Load them; a fifth is drawn for testing."""

@@ -70,7 +70,7 @@ def load_dataset(
     source : str, path or tuple
         One of
 
-        - a name of `deepfsi data list`; the module `deepfsi.datasets.catalog` says what each is
+        - a name: digits, mnist, …; the module `deepfsi.datasets.catalog` says what each is
           and where its files are found. ``./mnist`` is a folder of that name;
         - a folder with a sub-folder of images for each class, or with such folders within its own
           ``train/`` and ``test/``. Images of equal depth; colours turn grey;

@@ -189,9 +189,8 @@ def results_lines(
     *,
     title: str,
     classes: Sequence[str] = (),
-    bounds: Sequence[Result] = (),
 ) -> Iterator[str | Table]:
-    """Tests of a design in a table, and what the numbers mean; `bounds` are of ideal observers."""
+    """Tests of a design in a table, and what the numbers mean."""
     results = sorted(tests, key=lambda r: r.photons)
     first = results[0]
     clicks = any(result.clicks for result in results)
@@ -202,11 +201,9 @@ def results_lines(
         if measure.column and any(r.score(measure.key) is not None for r in results)
     ]
     main = measures[0]
-    ideal = {bound.photons: _interval(bound, main) for bound in bounds}
     rows = [
         (
             budget_text(r.photons),
-            *([ideal[r.photons]] if ideal else []),
             _interval(r, main),
             *(_number(r.score(measure.key)) for measure in measures[1:]),
             *_answers(r, classes),
@@ -218,7 +215,7 @@ def results_lines(
     values = first.values if isinstance(first, Estimates) else []
     names = map(short_name, values) if values else ("worst class",)
     heads = (*(measure.column for measure in measures), *names, *light, "counted")
-    yield Table(title, ("photons", *(["ideal observer"] if ideal else []), *heads), rows)
+    yield Table(title, ("photons", *heads), rows)
     if values:
         yield "of each value: root mean squared error (that of the best linear estimator)"
     yield f"± half of the 95 % interval: {first.covers}"
