@@ -6,27 +6,14 @@ import numpy as np
 import pytest
 import torch
 from scipy.stats import binom
-from torch.nn import functional
 
-from conftest import generator, quick
-from deepfsi import Mlp, load_design
-from deepfsi.datasets.arrays import from_arrays
-from deepfsi.exposure.training import JobGroup
-from deepfsi.exposure.training_set import TrainingSet
-from deepfsi.jobs.job import Job
-from deepfsi.jobs.training import Training
+from conftest import quick
+from deepfsi import load_design
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
-from deepfsi.physics.noise import attach_gradient
-from deepfsi.training.learning import train
-from deepfsi_paper.patches.settings import Patches, cut_patches
 from shared.benchmarks import benchmark
 
-DRAWS = 400_000
 RUNS = 40
 """Without a fault, of each test of light and counts; 15 do not show one that alarms too often."""
-
-RATES = torch.tensor([[0.7, 1.3], [0.4, 0.0]], dtype=torch.float64)
-"""Two readouts; the second has one rail."""
 
 
 @pytest.fixture
@@ -44,113 +31,6 @@ def cells(line):
     return [cell.strip() for cell in line.split("|")]
 
 
-def network():
-    made = Mlp(2, 3, (6, 5), generator=generator(3)).double()
-    with torch.no_grad():
-        for parameter in made.parameters():
-            parameter *= 3  # so that it is far from linear over one count
-    return made
-
-
-def exact_slopes():
-    """∂ E[f] / ∂r by summing over all counts that are at all likely."""
-    rates = RATES.clone().requires_grad_()
-    count = torch.arange(16, dtype=torch.float64)
-    r = rates[..., None]
-    law = torch.exp(-r) * r**count / torch.exp(torch.lgamma(count + 1))
-    joint = torch.einsum("a,b,c,d->abcd", *law.flatten(0, 1))
-    counts = torch.cartesian_prod(count, count, count, count)
-    with torch.no_grad():
-        logits = network()(counts[:, :2] - counts[:, 2:])
-        losses = benchmark("gradients").cross_entropy(logits, torch.ones(len(counts)).long())
-    assert 1 - joint.sum() < 1e-9
-    (joint.flatten() @ losses).backward()
-    return rates.grad
-
-
-@pytest.mark.parametrize(
-    ("name", "unbiased"),
-    [(name, True) for name in ("difference", "sampled", "score")]
-    + [(name, False) for name in ("straight", "residual", "paired", "midpoint")],
-)
-def test_estimators_that_claim_it_are_unbiased_and_no_others(name, unbiased):
-    gradients, seeded = benchmark("gradients"), generator(8)
-    rates = RATES.expand(DRAWS, 2, 2)
-    counts = torch.poisson(rates, generator=seeded)
-    scaled = (counts[:, 0] - counts[:, 1]).requires_grad_()
-    labels = torch.ones(DRAWS).long()
-    losses = gradients.cross_entropy(network()(scaled), labels)
-    (slope,) = torch.autograd.grad(losses.sum(), scaled)
-    one = torch.ones((), dtype=torch.float64)
-    draw = gradients.Draw(
-        network(), labels, rates, counts, scaled.detach(), one, losses.detach(), slope
-    )
-    slopes = gradients.ESTIMATORS[name](draw, seeded)
-    off = (slopes.mean(dim=0) - exact_slopes()).abs() / (slopes.std(dim=0) / DRAWS**0.5)
-    lit = RATES > 0 if name == "score" else torch.ones_like(RATES, dtype=torch.bool)
-    assert (off[lit] <= 5).all() if unbiased else (off > 10).any()
-
-
-def test_paired_is_what_the_package_trains_with():
-    gradients, net = benchmark("gradients"), network()
-    rates = RATES.repeat(50, 1, 1).requires_grad_()
-    counts = torch.poisson(rates.detach(), generator=generator(2))
-    y = attach_gradient(counts[:, 0] - counts[:, 1], rates[:, 0] - rates[:, 1], rates.sum(dim=1))
-    labels = torch.zeros(len(rates)).long()
-    losses = functional.cross_entropy(net(0.3 * y), labels, reduction="none")
-    wanted, slope = torch.autograd.grad(losses.sum(), [rates, y])
-    step = torch.tensor(0.3, dtype=torch.float64)
-    draw = gradients.Draw(
-        net, labels, rates.detach(), counts, 0.3 * y.detach(), step, losses.detach(), slope / step
-    )
-    assert torch.allclose(gradients.paired(draw, generator()), wanted, rtol=1e-9, atol=1e-12)
-
-
-def test_a_step_with_straight_slopes_is_what_autograd_gives():
-    """All that `descend` writes out by hand but the slopes themselves: centre, size, classifier."""
-    gradients, net = benchmark("gradients"), network()
-    rates = (4 * torch.rand(7, 2, 2, generator=generator()).double()).requires_grad_()
-    centre = torch.tensor([0.3, -0.2], dtype=torch.float64, requires_grad=True)
-    size = torch.tensor(1.7, dtype=torch.float64, requires_grad=True)
-    labels = torch.arange(7) % 3
-    parts = [rates, centre, size, *net.parameters()]
-
-    gradients.descend(net, rates, centre, size, labels, gradients.straight, generator(5))
-    slopes = [part.grad.clone() for part in parts]
-    counts = torch.poisson(rates.detach(), generator=generator(5)) + rates - rates.detach()
-    scaled = (counts[:, 0] - counts[:, 1] - centre) / size
-    wanted = torch.autograd.grad(functional.cross_entropy(net(scaled), labels), parts)
-    for one, other in zip(slopes, wanted, strict=True):
-        assert torch.allclose(one, other, rtol=1e-9, atol=1e-12)
-
-
-def test_the_comparison_trains_as_the_package_and_keeps_masks(digits):
-    gradients, scenes = benchmark("gradients"), TrainingSet(digits, "cpu")
-    settings = Training(epochs=2, precision="float32")
-    job = Job(masks=6, photons=300, camera="paper", seed=3, training=settings)
-    [theirs] = train(scenes, [job])
-    ours = gradients.learn(scenes, job, None)
-    assert torch.allclose(ours.rails.stacked, theirs.rails.stacked, rtol=0, atol=1e-4)
-    for name in ("mean", "std", "shares"):
-        mine, other = (getattr(made.exposure, name) for made in (ours, theirs))
-        assert torch.allclose(mine, other, rtol=1e-3, atol=1e-5)
-    pairs = zip(ours.classifier.parameters(), theirs.classifier.parameters(), strict=True)
-    assert all(torch.allclose(mine, other, rtol=0, atol=1e-3) for mine, other in pairs)
-    again = gradients.learn(scenes, job, gradients.straight, keep=ours.matrix)
-    assert torch.allclose(again.rails.stacked, ours.rails.stacked, rtol=0, atol=1e-5)
-    assert not torch.equal(again.classifier.layers[0].weight, ours.classifier.layers[0].weight)
-
-
-def test_the_comparison_of_gradients_runs(tmp_path, printed):
-    gradients, table = benchmark("gradients"), tmp_path / "trials.csv"
-    lines = "\n".join(printed("gradients", f"--data digits --quick --csv {table}"))
-    for name in (*gradients.ESTIMATORS, *gradients.CONTROLS):
-        assert f"| 100 | 6 | {name} |" in lines
-    estimators, grid, seeds = len(gradients.ESTIMATORS), 2, 2
-    rows = estimators * (grid + seeds) + len(gradients.CONTROLS) * seeds
-    assert len(table.read_text().splitlines()) == 1 + rows
-
-
 READER = "--records 2e5 --frame 1e-4 --blocks 65536 --rounds 1"
 ADAPTIVE = "--validation 1100 --scenes 200 --looks 3"
 
@@ -165,11 +45,6 @@ ADAPTIVE = "--validation 1100 --scenes 200 --looks 3"
         ("clicks", "--counts 2 --looks 6 --images 300", ["price ", "| 200 | ", "| 300 | "]),
         ("inference", "--data digits --masks 5 --exposures 20 --rounds 1", ["| 5 | 40 128 |"]),
         ("calibration_light", "--cells 8 --photons 1e5 --seeds 2", ["| raster |", "| hadamard |"]),
-        (
-            "conditions",
-            "--data digits --scenes 600 --epochs 2 --masks 4",
-            ["trained with "],
-        ),
     ],
 )
 def test_a_comparison_runs(printed, name, words, rows):
@@ -177,49 +52,6 @@ def test_a_comparison_runs(printed, name, words, rows):
     lines = printed(name, words)
     for row in rows:
         assert sum(row in line for line in lines) >= rows.count(row), row
-
-
-def test_both_trainings_of_ovit_do_the_same_work(printed):
-    """They start from one set of masks, and see the same patches in the same light."""
-    ovit = benchmark("ovit")
-    lines = printed("ovit", "--images 100 --size 16 --rounds 1 --epochs 1")
-    assert sum("images/s" in line for line in lines) == 2
-
-    x = torch.rand(60, 16, 16, generator=generator()).numpy()
-    data = from_arrays(x, torch.arange(60).numpy() % 10)
-    scenes = TrainingSet(data, "cpu")
-    job = Job(
-        masks=16,
-        photons=ovit.BUDGET,
-        camera="paper",
-        exposure=Patches(patch=4),
-        training={"classifier_arguments": {"width": 8, "depth": 1, "heads": 2, "hidden": 8}},
-    )
-    plain = ovit.Plain(job, data, scenes.summed_reflectance)
-    start = JobGroup(scenes, [job]).training().masks()
-    assert torch.allclose(plain.masks.detach() * plain.unit, start.difference[0], atol=1e-6)
-    rows = torch.from_numpy(data.x_train) * (ovit.BUDGET / scenes.summed_reflectance)
-    cut = torch.nn.functional.unfold(rows.view(-1, 1, 16, 16), 4, stride=4).transpose(1, 2)
-    assert torch.allclose(cut, cut_patches(rows, (16, 16), 4))
-    assert plain(torch.from_numpy(data.x_train)).shape == (len(data.x_train), 10)
-
-
-def test_a_design_elsewhere_sees_the_same_features(digits):
-    """Under stray light whose mean is subtracted the features keep their mean and scale."""
-    design = quick(digits, light="free-dwell", rails="single")
-    there = benchmark("conditions").under(design, digits, 0.0, 2.0)
-    here, other = (
-        made.scanner("none")(torch.from_numpy(x) / made.summed_reflectance) * 1e3
-        for made, x in (
-            (design, digits.x_test),
-            (there, benchmark("conditions").ambient(digits, 2.0).x_test * 1.0),
-        )
-    )
-    torch.testing.assert_close(
-        *(made.answer(each / 1e3, 1e3).logits for made, each in ((design, here), (there, other))),
-        rtol=1e-3,
-        atol=1e-3,
-    )
 
 
 def test_the_bound_rises_with_the_budget(printed):

@@ -1,7 +1,6 @@
 """Published networks and rules for few photons, beside which designs are compared."""
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +11,7 @@ from deepfsi import evaluate, learn
 from deepfsi.camera.light import summed_reflectance
 from deepfsi.datasets.load import load_dataset
 from deepfsi.physics.laws import light_law
-from shared.benchmarks import HERE, benchmark
-
-
-@pytest.fixture
-def rules(monkeypatch):
-    monkeypatch.syspath_prepend(HERE)
-    return benchmark("few_photons")
+from shared.benchmarks import benchmark
 
 
 def published_network(folder: Path, pixels: int, light: float = 3.0) -> Path:
@@ -116,40 +109,3 @@ def test_published_networks_reach_what_was_published():
         assert shots[0].sum(axis=1).mean() == pytest.approx(clicked, rel=0.01)
         least = [network.least_photons(light, s) for light in published.LAWS]
         assert least == pytest.approx(budgets, abs=0.6)
-
-
-def test_the_rule_of_photons_is_the_rule_of_bayes_where_they_are_independent(rules, digits):
-    """Two classes, a photon of which lands at their pixel with 3/4: the majority decides."""
-    y = np.arange(40_000) % 2
-    x = np.where(y[:, None] == np.arange(2), 0.75, 0.25).astype(np.float32)
-    data = replace(digits, x_train=x, y_train=y, x_test=x, y_test=y, classes=("0", "1"))
-    for photons, wanted in ((1, 0.75), (3, 0.75**3 + 3 * 0.75**2 * 0.25)):
-        right, _ = rules.first_photons(data, photons)
-        assert abs(right.mean() - wanted) < 5 * np.sqrt(wanted * (1 - wanted) / len(y))
-
-
-@pytest.mark.parametrize("click", [True, False])
-def test_eigentasks_are_ordered_by_their_noise_which_is_that_of_counts(rules, digits, click):
-    """Noise 1 by their scale, and a mean square of 1 / β² over scenes."""
-    masks = np.random.default_rng(5).random((6, 64)) < 0.2
-    detectors = rules.Detectors(masks.astype(float), click).scaled(digits.x_train, 4.0)
-    assert detectors.mean(digits.x_train).sum(axis=1).mean() == pytest.approx(4, rel=1e-4)
-    tasks, signal = rules.eigentasks(detectors, digits.x_train)
-    assert (np.diff(signal) < 0).all()
-    mean = detectors.mean(digits.x_train) @ tasks
-    assert (mean**2).mean(axis=0) == pytest.approx(signal, rel=1e-6)
-    rng, draws = np.random.default_rng(6), 40
-    off = [detectors.counts(digits.x_train, rng) @ tasks - mean for _ in range(draws)]
-    noise = np.einsum("dnk,dnl->kl", off, off) / (draws * len(mean))
-    assert np.abs(noise - np.eye(6)).max() < 5 * np.sqrt(3 / (draws * len(mean)))
-
-
-def test_rules_for_few_photons_are_tabled(rules, tmp_path, capsys, monkeypatch):
-    published_network(tmp_path, 64, light=0.05)
-    monkeypatch.setattr(rules, "OPEN", (0.5,))
-    rules.main([str(tmp_path), "--data", "digits", "--neurons", "5"])
-    photons, tasks = capsys.readouterr().out.split("| neurons |")
-    accuracy = [float(row.split(" | ")[1].split()[0]) for row in photons.splitlines()[3:8]]
-    assert accuracy == sorted(accuracy)
-    assert 0.1 < accuracy[0] < 0.4
-    assert tasks.count("\n| 5 | ") == 3
