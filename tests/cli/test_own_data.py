@@ -1,6 +1,7 @@
 """A user's own pictures on the command line: what was done to them is said."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -110,6 +111,9 @@ def test_a_design_remembers_its_data_size_and_camera(done, pictures, file, tmp_p
     assert "averaged to 4x4" in out
     assert "1e4 photons" in out
     assert "were trained on" in out.splitlines()[-1]  # the sum, below 90 rows
+    picture = shutil.copy(next(pictures.rglob("*.png")), tmp_path / "=1+1.png")
+    done("predict", file, picture, "-o", tmp_path / "classes.csv")
+    assert (tmp_path / "classes.csv").read_text().splitlines()[1].startswith("'=1+1.png,")
     done("dmd", "export", file, "-o", tmp_path / "frames")
     done("camera", "simulate", tmp_path / "frames", "--scene", pictures, "-o", run)
     counted = done("camera", "count", run)

@@ -59,6 +59,7 @@ REFUSED = {
     "sweep": """
         nosuch | no recipe at nosuch
         split.toml | digits takes no
+        digits.toml | a number of too many digits
         halves.toml | 'random' or 'blocks'
     """,
     "reproduce nosuch": "| unknown experiment 'nosuch'",
@@ -158,6 +159,7 @@ def folder(tmp_path_factory):
         "broken": "columns = 40\nrows = ",
         "split": 'data = "digits"\nsplit = "blocks"\n',
         "halves": 'data = "digits"\nsplit = "halves"\n',
+        "digits": f'data = "digits"\nphotons = [0x{"f" * 5000}]\n',
         "capped": 'designs = "deepfsi"\nmasks = 3\nphotons = 1e3\n[exposure]\ncap = 2\n',
     }
     for name, text in texts.items():

@@ -65,8 +65,10 @@ def test_a_terminal_that_is_too_narrow_loses_nothing(capsys, monkeypatch):
     )
 
 
-def test_names_in_brackets_are_text(capsys):
-    terminal.print_table(Table("[bold]title", ("name",), [("[red]class",), (":smile:",)]))
+def test_names_are_text(capsys):
+    """Brackets and colons stay; what a terminal takes for a command goes."""
+    rows = [("[red]class",), (":smile:",), ("\x1b[31mred",)]
+    terminal.Terminal(False).say(Table("[bold]title", ("name",), rows), "a\x9bb\nc")
     printed = capsys.readouterr().out
-    for text in ("[bold]title", "[red]class", ":smile:"):
+    for text in ("[bold]title", "[red]class", ":smile:", " [31mred", "a b\nc"):
         assert text in printed

@@ -32,6 +32,7 @@ BAD = {
     "batch": (1,),
     "lr": (0, *NOT_FINITE),
     "dropout": (-0.1, 1.0, math.nan),
+    "dictionary": (1,),
     "hidden": ((0,), (8, 0), (1.5,)),
     "start": ("pcaa", "deepfsi", "control", "custom", "hadamard"),
     "levels": (1, -1, 2.5, 2**25),

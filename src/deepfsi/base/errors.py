@@ -113,7 +113,10 @@ def _given(fault: "ErrorDetails") -> str:
         return ""
     if isinstance(fault["input"], dict):
         return f"{_field(fault)}: "
-    text = " ".join(repr(fault["input"]).split())
+    try:
+        text = " ".join(repr(fault["input"]).split())
+    except ValueError:  # Python writes no number of more than 4300 digits
+        text = "a number of too many digits"
     text = text if len(text) <= 120 else f"{text[:120]} ..."
     return f"{_field(fault)} = {text}: "
 

@@ -89,8 +89,12 @@ class PredictClasses(Command):
         content = predictions.as_dict()
         if self.out is not None:
             import polars
+            from polars import selectors
 
+            # a spreadsheet would take a name such as =1+1 for a formula
+            plain = selectors.string().str.replace(r"^[=+@-]", "'$0")
             table = polars.DataFrame(content["pictures"], infer_schema_length=None)
+            table = table.with_columns(plain)
             write_atomically(self.out, table.write_csv().encode())
         written = None if self.out is None else str(self.out)
         return Outcome(

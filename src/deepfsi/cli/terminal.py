@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
-from deepfsi.base.errors import InputError
+from deepfsi.base.errors import InputError, one_line
 from deepfsi.base.files import readable_name
 from deepfsi.base.progress import SILENT, Progress, progress_bar
 from deepfsi.base.quantities import Table
@@ -45,7 +45,7 @@ class Terminal:
             if isinstance(line, Table):
                 print_table(line)
             else:
-                print(line, flush=True)
+                print(*map(one_line, line.split("\n")), sep="\n", flush=True)
 
     def ask(self, what: str) -> None:
         """Ask someone to do something, and wait until it is done."""
@@ -81,7 +81,7 @@ def print_table(content: Table) -> None:
     for number, head in enumerate(content.heads):
         grid.add_column(head, justify="right" if number else "left", overflow="fold")
     for row in content.rows:
-        grid.add_row(*row)
+        grid.add_row(*map(one_line, row))  # a name of a file may hold commands to a terminal
     console = Console(markup=False, emoji=False, highlight=False)
     if not console.is_terminal:  # a file or a pipe has no width
         unbounded = console.options.update(max_width=sys.maxsize)

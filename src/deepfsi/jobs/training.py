@@ -160,7 +160,7 @@ class Training(UserModel):
     )
     dictionary: int | None = Field(
         default=None,
-        ge=1,
+        ge=2,
         le=MOST_READY,
         exclude_if=lambda count: count is None,
         description="of adaptive masks: so many masks stay on the device; default: made anew",

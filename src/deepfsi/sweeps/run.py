@@ -4,6 +4,7 @@ Trials are locked, trained here, in processes or on a Ray cluster, and recorded.
 stopped goes on where it was, and several processes may work on one folder.
 """
 
+import multiprocessing
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
@@ -100,6 +101,8 @@ def run_trials(
 
     trainer = BatchTrainer(data, trials[0].validation, device, matrix)
     workers = workers or (1 if trainer.processor.type == "cuda" else cores())
+    if multiprocessing.current_process().daemon:
+        workers = 1  # a daemon may start no processes
     records = Records(folder)
     diverged: set[str] = set()
     before = 0
