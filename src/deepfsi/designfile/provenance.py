@@ -7,7 +7,7 @@ scenes from others.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from hashlib import blake2b
 from typing import Any
 
@@ -130,58 +130,38 @@ def trained_budgets(info: Mapping[str, Any]) -> tuple[float, ...]:
     return job["photons"], job["photons"] * job.get("exposure", {}).get("span", 1.0)
 
 
-@dataclass(frozen=True)
-class _RightAnswers:
-    """Right answers to some scenes."""
+_KINDS = {
+    "new": (False, "new {}s"),
+    "trained_on": (True, "{}s that were trained on, no measure of the design"),
+    "unknown": (None, "{}s that may have been trained on"),
+}
+"""Scenes by whether a design was trained on them, and the words for pictures or exposures."""
 
-    right: int
-    answers: int  # to all their exposures
-    scenes: int
+Score = dict[str, dict[str, Any]]
+"""Right answers by kind of scene: counts, and the share that is right with its 95 % interval."""
 
-    def as_dict(self) -> dict[str, Any]:
-        """Numbers, with the share that is right and its 95 % interval; JSON types only."""
-        share = self.right / self.answers if self.answers else None
+
+def score_of(scenes: Iterable[tuple[bool | None, int, int]]) -> Score:
+    """Score of scenes, each with whether it was trained on, right answers and all answers."""
+    answered = [scene for scene in scenes if scene[2]]
+    score = {}
+    for name, (kind, _) in _KINDS.items():
+        numbers = [(right, every) for trained, right, every in answered if trained is kind]
+        right = sum(each for each, _ in numbers)
+        answers = sum(each for _, each in numbers)
+        share = right / answers if answers else None
         # exposures of one scene are alike: scenes are the trials
-        low, high = (None, None) if share is None else wilson(share, self.scenes)
-        return {**vars(self), "share": share, "low": low, "high": high}
+        low, high = (None, None) if share is None else wilson(share, len(numbers))
+        counts = {"right": right, "answers": answers, "scenes": len(numbers)}
+        score[name] = {**counts, "share": share, "low": low, "high": high}
+    return score
 
 
-@dataclass(frozen=True)
-class Score:
-    """Right answers to labelled scenes. Only new scenes measure the design."""
-
-    new: _RightAnswers
-    trained_on: _RightAnswers
-    unknown: _RightAnswers  # whether these were trained on is not known
-
-    @classmethod
-    def of(cls, scenes: Iterable[tuple[bool | None, int, int]]) -> "Score":
-        """Score of scenes, each with whether it was trained on, right answers and all answers."""
-        answered = [scene for scene in scenes if scene[2]]
-
-        def of_kind(kind: bool | None) -> _RightAnswers:
-            own = [numbers for trained, *numbers in answered if trained is kind]
-            right, answers = (sum(column) for column in zip(*own, strict=True)) if own else (0, 0)
-            return _RightAnswers(right, answers, len(own))
-
-        return cls(of_kind(False), of_kind(True), of_kind(None))
-
-    @property
-    def answers(self) -> int:
-        """Number of answers to all scenes."""
-        return self.new.answers + self.trained_on.answers + self.unknown.answers
-
-    def lines(self, noun: str) -> list[str]:
-        """Sentences on the score, new scenes first; the noun is a picture or an exposure."""
-        kinds = {
-            f"new {noun}s": self.new,
-            f"{noun}s that were trained on, no measure of the design": self.trained_on,
-            f"{noun}s that may have been trained on": self.unknown,
-        }
-        line = "right: {right} of {answers} {0} ({share:.2f}, 95 % {low:.2f} to {high:.2f})"
-        told = [(words, kind.as_dict()) for words, kind in kinds.items() if kind.answers]
-        return [line.format(words, **numbers) for words, numbers in told]
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON types only."""
-        return {name: each.as_dict() for name, each in vars(self).items()}
+def score_lines(score: Score, noun: str) -> list[str]:
+    """Sentences on a score, new scenes first; the noun is a picture or an exposure."""
+    line = "right: {right} of {answers} {0} ({share:.2f}, 95 % {low:.2f} to {high:.2f})"
+    return [
+        line.format(words.format(noun), **score[name])
+        for name, (_, words) in _KINDS.items()
+        if score[name]["answers"]
+    ]

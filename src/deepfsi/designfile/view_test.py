@@ -181,17 +181,16 @@ class ViewResult:
     scenes: int
     faults: tuple[str, ...]  # "the picture on the device is ..."
     odds: np.ndarray  # (V,), logarithm of the likelihood with each fault, over that without
-    before: np.ndarray  # (V,), logarithm of the probability of each fault before the run
     alike: float = 0.0  # like `odds`, 0 or more, if all scenes were a single one, seen soundly
     ever: bool = False  # whether the run was refused after fewer scenes
 
     @property
     @np.errstate(under="ignore")
     def evidence(self) -> float:
-        """Logarithm of the mean of the likelihood ratios."""
+        """Logarithm of the mean of the likelihood ratios: all faults are as likely."""
         from scipy.special import logsumexp
 
-        return float(logsumexp(self.odds + self.before))
+        return float(logsumexp(self.odds + np.log(1 / len(self.odds))))
 
     @property
     def named(self) -> bool:
@@ -220,14 +219,9 @@ class ViewResult:
         )
 
     @property
-    def open(self) -> dict[str, float]:
-        """Faults that this run does not exclude, and from how many scenes on it would; or inf."""
-        needed = -log(FALSE_ALARM)
-        return {
-            words: self.scenes * needed / -odds if odds < 0 else np.inf
-            for words, odds in zip(self.faults, self.odds.tolist(), strict=True)
-            if odds > -needed
-        }
+    def open(self) -> list[str]:
+        """Faults that this run does not exclude."""
+        return [self.faults[place] for place in np.flatnonzero(self.odds > log(FALSE_ALARM))]
 
     @property
     def remark(self) -> str | None:
@@ -237,15 +231,11 @@ class ViewResult:
         possible = self.open
         if not possible:
             return None
-        counts = [scenes for scenes in possible.values() if np.isfinite(scenes)]
-        enough = f"about {max(counts):.0f} scenes would" if counts else "more light or scenes would"
-        first = list(possible)[:3]
-        others = len(possible) - len(first)
-        more = f" or {others} others" if others else ""
+        more = f" or {len(possible) - 3} others" if len(possible) > 3 else ""
         return (
             f"{self.scenes} scenes do not exclude that the picture on the device is "
-            f"{' or '.join(first)}{more}: {enough}, or a recording of the reference target "
-            "(`deepfsi camera check`)"
+            f"{' or '.join(possible[:3])}{more}: more light or scenes would, or a recording of the "
+            "reference target (`deepfsi camera check`)"
         )
 
     def as_dict(self) -> dict[str, object]:
@@ -258,7 +248,7 @@ class ViewResult:
             "evidence": self.evidence,
             "likeliest": self.likeliest,
             "log_odds": dict(zip(self.faults, self.odds.tolist(), strict=True)),
-            "open": list(self.open),
+            "open": self.open,
         }
 
 
@@ -295,7 +285,8 @@ class ViewTest:
         self._log = np.zeros(count)
         self._scenes = 0
         self._refused = False
-        self._all_alike = _AllAlike(self._shares)
+        # What scenes change of all counts, as `_log_densities` takes it, seen as in training
+        self._sums: list[np.ndarray] = []
 
     @np.errstate(under="ignore")
     def add(self, rows: SceneReadouts) -> None:
@@ -326,24 +317,35 @@ class ViewTest:
         self._log += total
         self._often = often + np.exp(chances - total[:, None])
         self._scenes += 1
-        self._all_alike.add(precision[0], along[0], squares[0])
+        sums = [precision[0] - np.eye(len(precision[0])), along[0], squares[0]]
+        if self._sums:
+            sums = [before + more for before, more in zip(self._sums, sums, strict=True)]
+        self._sums = sums
         self._refused |= self.result.refused
 
     @property
     def result(self) -> ViewResult:
         """Evidence of the scenes so far."""
         sound = float(self._log[: self._sound].max())
-        alike = max(self._all_alike.log - sound, 0.0) if self._scenes else 0.0
+        alike = max(self._all_alike - sound, 0.0) if self._scenes else 0.0
         odds = self._log[self._sound :] - sound
         return ViewResult(
             scenes=self._scenes,
             faults=self._faults,
             odds=odds,
-            # every fault is as likely as another
-            before=np.log([1 / len(odds)] * len(odds)),
             alike=alike,
             ever=self._refused,
         )
+
+    @property
+    @np.errstate(under="ignore")
+    def _all_alike(self) -> float:
+        """Logarithm of the likelihood of all counts if every scene were the same sound one."""
+        from scipy.special import logsumexp
+
+        precision, along, squares = self._sums
+        logs = _log_densities(precision + np.eye(len(precision)), along, squares)
+        return float(logsumexp(logs + np.log(self._shares)))
 
 
 def _log_densities(precision: np.ndarray, along: np.ndarray, squares: np.ndarray) -> np.ndarray:
@@ -355,28 +357,3 @@ def _log_densities(precision: np.ndarray, along: np.ndarray, squares: np.ndarray
     solved = np.linalg.solve(factor, along.swapaxes(-1, -2))
     half = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
     return np.asarray(-(squares - (solved**2).sum(axis=-2)) / 2 - half[..., None])
-
-
-class _AllAlike:
-    """Likelihood of all counts of a run if every scene were the same one, seen as in training."""
-
-    def __init__(self, shares: np.ndarray) -> None:
-        self._shares = shares
-        self._sums: list[np.ndarray] = []
-
-    def add(self, precision: np.ndarray, along: np.ndarray, squares: np.ndarray) -> None:
-        """Take in a scene: what scenes change of its counts, as `_log_densities` has it."""
-        sums = [precision - np.eye(len(precision)), along, squares]
-        if self._sums:
-            sums = [before + more for before, more in zip(self._sums, sums, strict=True)]
-        self._sums = sums
-
-    @property
-    @np.errstate(under="ignore")
-    def log(self) -> float:
-        """Its logarithm."""
-        from scipy.special import logsumexp
-
-        precision, along, squares = self._sums
-        logs = _log_densities(precision + np.eye(len(precision)), along, squares)
-        return float(logsumexp(logs + np.log(self._shares)))

@@ -36,7 +36,7 @@ class Predictions(ClassifiedRun):
             "preprocessing": self.preprocessing,
             "remarks": self.remarks,
             "classes": self.classes,
-            "score": self.score.as_dict(),
+            "score": self.score,
             "pictures": [
                 {
                     "picture": each.name,

@@ -20,7 +20,7 @@ from deepfsi.camera.light import TOO_DIM
 from deepfsi.counting.acquisition import Scene
 from deepfsi.counting.checks import SPOILING, Fault
 from deepfsi.designfile.distribution import ConsistencyResult
-from deepfsi.designfile.provenance import Score
+from deepfsi.designfile.provenance import Score, score_lines, score_of
 from deepfsi.designfile.view_test import ViewResult
 
 LOG = "shown.jsonl"
@@ -186,7 +186,7 @@ class ClassifiedRun:
     @property
     def score(self) -> Score:
         """Right answers to scenes whose label is a class of the design."""
-        return Score.of(
+        return score_of(
             (scene.trained_on, scene.answers.count(scene.label), len(scene.answers))
             for scene in self.scenes
             if scene.label in self.classes
@@ -209,16 +209,16 @@ class ClassifiedRun:
         if none:
             yield f"no class: {none} of {plural(len(self.scenes), 'scene')}"
         labelled = sum(len(scene.answers) for scene in self.scenes if scene.label)
-        if foreign := labelled - self.score.answers:
+        if foreign := labelled - sum(kind["answers"] for kind in self.score.values()):
             what = plural(foreign, self.noun)
             yield f"{what} with labels that are none of the design's classes: left out"
-        yield from self.score.lines(self.noun)
+        yield from score_lines(self.score, self.noun)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         tests = {"consistency": self.consistency, "view": self.view}
         return {
-            "score": self.score.as_dict(),
+            "score": self.score,
             **{name: test.as_dict() for name, test in tests.items() if test is not None},
             "remarks": list(self.remarks),
             "scenes": [scene.as_dict() for scene in self.scenes],
