@@ -38,7 +38,6 @@ extensions = [
     "links",
     "modules",
     "playable",
-    "words",
 ]
 exclude_patterns = [
     "_build",

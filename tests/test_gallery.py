@@ -16,7 +16,6 @@ DOCS = Path(__file__).parents[1] / "docs"
 sys.path[:0] = [str(DOCS / "extensions")]
 
 import lessons  # noqa: E402
-import words  # noqa: E402
 
 GALLERY = sorted(DOCS.glob("gallery/*/plot_*.py"))
 TUTORIAL = sorted(DOCS.glob("tutorial/plot_*.py"))
@@ -119,22 +118,6 @@ def test_no_scaffolding():
         assert "my-pictures" in text, path
 
 
-def test_the_folder_of_the_scripts_is_new_at_each_build(tmp_path):
-    folder = tmp_path / "a"
-    lessons.prepared(DOCS / "tutorial", folder)
-    (folder / "left.over").touch()
-    assert lessons.prepared(DOCS / "tutorial", folder) == folder
-    names = {path.name for path in folder.iterdir()}
-    assert names == {"GALLERY_HEADER.rst", *(path.name for path in TUTORIAL)}
-
-
 def test_a_command_that_fails_ends_the_build():
     with pytest.raises(lessons.subprocess.CalledProcessError):
         lessons.run("deepfsi no-such-command")
-
-
-def test_words_of_code_stay_whole():
-    page = {"body": '<p>a-b</p><pre><span class="a-b">x --masks</span> 8</pre>'}
-    words.keep(None, "", "", page, None)
-    kept = '<span class="a-b">x <span class="word">--masks</span></span> 8'
-    assert page["body"] == f"<p>a-b</p><pre>{kept}</pre>"

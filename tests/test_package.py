@@ -1,8 +1,6 @@
 """The package as a program of one's own sees it: names, keywords, errors and words."""
 
-import ast
 import inspect
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -73,23 +71,3 @@ def test_a_bar_is_shown_where_a_terminal_is_attached(digits, capsys, monkeypatch
     with progress_bar(Progress(lambda share, _: shares.append(share)), "work") as report:
         report(0.5)
     assert (shares, capsys.readouterr().err) == ([0.5], "")
-
-
-@cache
-def trees(folder):
-    """Modules of a folder by their files."""
-    return {path: ast.parse(path.read_text()) for path in folder.rglob("*.py")}
-
-
-def words_of(node):
-    """Texts in a piece of code."""
-    texts = (part.value for part in ast.walk(node) if isinstance(part, ast.Constant))
-    return [text for text in texts if isinstance(text, str)]
-
-
-def test_rooms_that_programs_use_name_no_options():
-    """Settings stand in backticks, which the command line writes as its options."""
-    for path, tree in trees(SOURCE).items():
-        if {"datasets", "design", "training", "physics"} & {*path.parts}:
-            raised = [node for node in ast.walk(tree) if isinstance(node, ast.Raise)]
-            assert not [text for node in raised for text in words_of(node) if "--" in text], path

@@ -36,6 +36,13 @@ def test_counts_in_the_mean_are_those_asked_for(digits, design, light, rails):
 
 
 @pytest.mark.usefixtures("uncharacterised")
+def test_a_design_that_misses_its_counts_says_so(digits, monkeypatch):
+    monkeypatch.setattr(learning, "NEAR", -1.0)  # no design is near enough
+    with pytest.warns(UserWarning, match="counts 40 photons after six trainings, not the 40"):
+        learn(digits, counts=40.0, design="pca", **{**RECIPE, "masks": 4, "device": "cpu"})
+
+
+@pytest.mark.usefixtures("uncharacterised")
 @pytest.mark.parametrize(
     ("noise", "light", "rails"),
     [("click", "free-dwell", "single"), ("camera", "column", "dual")],

@@ -49,34 +49,31 @@ class EpochWatch:
     lengths: list[int] = field(default_factory=list)  # epochs of each finished loop
     history: list[Epoch] = field(default_factory=list)  # of the last loop
 
+    @property
+    def most_of_loop(self) -> int | None:
+        """Largest number of epochs of the loop that runs now."""
+        return self.most[len(self.lengths)] if self.most else None
+
     def for_fold(self) -> "EpochWatch":
         """Watch of a fold: it takes as many epochs and tells nobody."""
         return EpochWatch(most=tuple(self.lengths) if self.callback else ())
 
 
+@dataclass
 class LoopWatch:
     """Epochs of a loop."""
 
-    def __init__(
-        self,
-        watch: EpochWatch,
-        exposure: ExposureTraining,
-        *,
-        state: LoopState,
-        loss: SceneLoss,
-        networks: Sequence[nn.Module],
-    ) -> None:
-        self.watch = watch
-        self.most = watch.most[len(watch.lengths)] if watch.most else None
-        watch.history = []
-        self.exposure = exposure
-        self.state = state
-        self.loss = loss
-        self.networks = networks
-        self.steps = state.draws.steps
+    watch: EpochWatch
+    exposure: ExposureTraining
+    state: LoopState
+    loss: SceneLoss
+    networks: Sequence[nn.Module]
+
+    def __post_init__(self) -> None:
+        self.watch.history = []
+        self.steps = self.state.draws.steps
         self._losses: list[Tensor] = []
         self._lr = 0.0
-        self._fixed: Design | None = None
 
     @property
     def number(self) -> int:
@@ -95,7 +92,7 @@ class LoopWatch:
         if self.state.step % self.steps:
             return False
         if self.watch.callback is None:
-            return self.number == self.most
+            return self.number == self.watch.most_of_loop
         job = self.exposure.job
         epoch = Epoch(
             epoch=self.number,
@@ -125,22 +122,14 @@ class LoopWatch:
         for network in self.networks:
             network.eval()
         with torch.no_grad():
-            tested = self._tested(self._design())
+            exposure = copy.copy(self.exposure)  # the original goes on learning
+            exposure.fix()
+            tested = self._tested(*designs_of(exposure, self.networks))
         for module, mode in modes:
             module.training = mode
         for generator, state in zip(self.state.generators, before, strict=True):
             generator.set_state(state)
         return tested
-
-    def _design(self) -> Design:
-        """The design as if the training ended here."""
-        if self._fixed is not None:
-            return self._fixed
-        exposure = copy.copy(self.exposure)  # the original goes on learning
-        exposure.fix()
-        [design] = designs_of(exposure, self.networks)
-        self._fixed = None if exposure.learns else design
-        return design
 
     def _tested(self, design: Design) -> dict[str, float]:
         """Loss and accuracy of a design in one exposure of each held-out scene."""

@@ -8,6 +8,7 @@ agree.
 
 import os
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
@@ -172,12 +173,18 @@ def learn_job(
             made = train_at(job.photons, bar)
         else:
             share = _first_share(training_set, job, matrix)
-            for number in range(6):  # the last design is taken as it is
+            for number in range(6):
                 photons = counts / share
                 made = train_at(photons, bar.between(1 - 2.0**-number, 1 - 2.0 ** -(number + 1)))
                 share = float(made.exposure.shares.sum())
                 if abs(photons * share / counts - 1) <= NEAR:
                     break
+            else:
+                warnings.warn(
+                    f"the design counts {photons * share:.3g} photons after six trainings, not the "
+                    f"{counts:.3g} asked for: train longer, or give `photons` in place of `counts`",
+                    stacklevel=2,
+                )
     state.remove()
     return made
 

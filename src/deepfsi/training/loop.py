@@ -70,7 +70,7 @@ def optimise(
     )
     elements = batch * len(exposure.jobs) * exposure.parts * max(job.masks, *settings.hidden, 1)
     of_torch = seeded(job.seed) if settings.is_custom else nullcontext()
-    watch = LoopWatch(epochs, exposure, state=state, loss=scene_loss, networks=classifiers)
+    watch = LoopWatch(epochs, exposure, state, loss=scene_loss, networks=classifiers)
     with _threads(elements), of_torch, checkpoint.of_loop(state):
         report(state.step / total)
         due = time.monotonic() + REPORT_SECONDS
