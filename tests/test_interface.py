@@ -71,7 +71,6 @@ MISTAKES = [
     (learn, {"photons": True}, "budget True is not allowed.* such as 1e4"),
     (learn, {"photons": None, "counts": True}, "number of counts True is not allowed"),
     (learn, {"photons": (1e3, 1e4)}, "is no number.*exposure=Range"),
-    (deepfsi.load_dataset, {"source": object()}, "given as object: give a Dataset.*two such"),
     # nesting
     (learn, {"exposure": {"exposure": {"span": 4}}}, "an exposure has no setting 'exposure'"),
     (learn, {"training": {"training": {}}}, "training: there is no such setting: give one of"),

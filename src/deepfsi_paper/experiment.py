@@ -15,7 +15,6 @@ from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import write_atomically
 from deepfsi.base.intervals import Difference, all_above
 from deepfsi.base.progress import SILENT, Progress
-from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import load_dataset
 from deepfsi.report.style import photons_text
@@ -49,7 +48,6 @@ class Experiment:
     # Further numbers, kept in the results as `extra`; the data are those of the first recipe
     measure: Measure | None = None
     prepare: Callable[[Dataset], Dataset] = lambda data: data  # of trainings and tests
-    adapt: Callable[[Recipe], Recipe] = lambda recipe: recipe  # to the data of this machine
     label: str = ""  # of learned designs, where it is another here
     changes: Mapping[str, Any] = field(default_factory=dict, hash=False)  # of the recipes
     part: str | None = None  # the only part to run, where the recipe has several
@@ -70,7 +68,7 @@ class Experiment:
             every = {self.part: only(content, self.part, quick)}
         with as_input_error():
             return {
-                part or self.name: self.adapt(Recipe.model_validate({**settings, **changes}))
+                part or self.name: Recipe.model_validate({**settings, **changes})
                 for part, settings in every.items()
             }
 
@@ -183,14 +181,6 @@ def _load(
 ) -> Dataset:
     data = load_dataset(name, size=size, images=images, split=split)
     return replace(data, name=f"{data.name}, {split} split") if split else data
-
-
-def cifar10_here(recipe: Recipe) -> Recipe:
-    """The recipe on the copy of CIFAR-10 in JPEG, where that is at hand and the original is not."""
-    here = {name for name, named in DATASETS.items() if named.find()}
-    if "cifar10" in here or "cifar10-jpeg" not in here:
-        return recipe
-    return recipe.model_copy(update={"data": "cifar10-jpeg"})
 
 
 def points(results: Results, **fields: Any) -> list[Point]:

@@ -3,7 +3,6 @@
 import hashlib
 import io
 import os
-import shutil
 import tarfile
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from scipy.io import savemat
 from deepfsi.datasets import catalog
 from deepfsi.datasets.catalog import load_indian_pines
 from deepfsi.datasets.load import load_dataset
-from shared.pictures import save_images
 
 MINE = Path(os.environ.get("DEEPFSI_DATA") or ".")
 
@@ -100,34 +98,6 @@ def test_size_is_bilinear_and_images_are_drawn_by_class(archive):
     assert np.abs(x[:, 10, 10] - inside - 0.0625 * plain[:, 4, 4]).max() < 1.01 / 255
     few = [load_dataset("cifar10", images=30, seed=seed).hash for seed in range(2)]
     assert len(set(few)) == 2
-
-
-def put_jpegs(folder, train, test):
-    for part, count in (("train", train), ("test", test)):
-        for k, label in enumerate(CIFAR.classes):
-            colours = np.full((count, 32, 32, 3), (20 * k, 0, 0), np.uint8)
-            save_images(folder / "cifar10-jpeg" / part / label, colours, ".jpg")
-
-
-@pytest.mark.parametrize("zipped", [False, True])
-def test_the_copy_in_jpeg_says_so(archive, zipped):
-    put_jpegs(archive.parent, 10, 2)
-    if zipped:
-        copy = archive.parent / "cifar10-jpeg"
-        shutil.make_archive(str(copy), "zip", copy)
-        shutil.rmtree(copy)
-    data = load_dataset("cifar10-jpeg", images=40, size=(16, 16))
-    assert data.name == "JPEG-decoded CIFAR-10"
-    assert data.image_shape == (16, 16)
-    assert np.bincount(data.y_train).tolist() == [4] * 10
-    assert np.bincount(data.y_test).tolist() == [2] * 10
-    assert data.classes == CIFAR.classes
-    level = 0.299 * 20 * data.y_test / 255
-    assert np.abs(data.x_test - level[:, None]).max() < 4 / 255
-
-
-def test_a_copy_in_jpeg_is_not_downloaded(archive):
-    not_loaded("cifar10-jpeg", "cifar10-jpeg is not here", "DEEPFSI_DATA")
 
 
 # ---------------------------------------------------------------- Indian Pines

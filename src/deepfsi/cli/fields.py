@@ -20,7 +20,7 @@ from deepfsi.base.models import Count, Seconds, WholeNumber
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.detectors import MOST_INPUTS
 from deepfsi.datasets.catalog import DATASETS
-from deepfsi.datasets.load import check_source
+from deepfsi.datasets.load import find_source
 from deepfsi.designfile.design_file import find_design
 from deepfsi.jobs.exposures import SharedLight
 from deepfsi.jobs.job import Job
@@ -125,6 +125,11 @@ def _existing(path: Path) -> Path:
     return path
 
 
+def _known_source(source: str) -> str:
+    find_source(source)
+    return source
+
+
 NumberList = Annotated[tuple[float, ...], BeforeValidator(split_commas)]
 Names = Annotated[tuple[str, ...], BeforeValidator(split_commas)]
 HeightWidth = Annotated[tuple[int, int], BeforeValidator(height_width)]
@@ -132,7 +137,7 @@ ExistingPath = Annotated[Path, AfterValidator(_existing)]
 
 # scenes
 
-Source = Annotated[str, AfterValidator(check_source)]
+Source = Annotated[str, AfterValidator(_known_source)]
 Size = Annotated[HeightWidth | None, option("resize images to HEIGHTxWIDTH, or a number for both")]
 TrainingData = Annotated[
     Source,

@@ -9,16 +9,11 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from deepfsi.base.arrays import check_memory, read_npz
+from deepfsi.base.arrays import read_npz
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import normal_name
 from deepfsi.datasets.dataset import Dataset, Ends, Labels, Origin, Reflectance, Truth
-from deepfsi.datasets.levels import (
-    AnyArray,
-    ValueRange,
-    measure_levels,
-    reflectance,
-)
+from deepfsi.datasets.levels import AnyArray, ValueRange, measure_levels, reflectance
 
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
 """Scenes (n, H, W) or (n, N), and their labels (n,) or values (n, q)."""
@@ -113,13 +108,7 @@ def as_test_part(
     if set(words.ravel().tolist()) <= set(classes):  # classes that are called "0", "1", ..
         y = words
     part = x, y
-    data = split_arrays(
-        part,
-        part,
-        classes=classes or None,
-        values=values or None,
-        name="arrays",
-    )
+    data = split_arrays(part, part, classes=classes or None, values=values or None, name="arrays")
     return replace(data, x_train=data.x_train[:0], y_train=data.y_train[:0])
 
 
@@ -137,10 +126,7 @@ def split_arrays(
     levels: ValueRange | None = None,
 ) -> Dataset:
     """Data set of arrays; a test part is drawn unless it is given."""
-    check_seed(seed)
     drawn = all(part is None for part in test)
-    if not drawn and any(part is None for part in test):
-        raise InputError(f"{name}: only one of x_test and y_test is there; give both or neither")
     pairs = [train] if drawn else [train, test]
     x, words, levels = _scenes([pair[0] for pair in pairs], name, white, levels)
     y = [pair[1] for pair in pairs]
@@ -243,12 +229,6 @@ def _read_values(
     return truths, values
 
 
-def check_seed(seed: object) -> None:
-    """Raise `InputError` for what scikit-learn cannot take as a seed."""
-    if not (isinstance(seed, int | np.integer) and 0 <= seed < 2**32):
-        raise InputError(f"seed {seed!r}: give an integer from 0 to 2**32 - 1")
-
-
 def _scenes(
     parts: Sequence[npt.ArrayLike],
     name: str,
@@ -273,13 +253,6 @@ def _scenes(
         )
     levels = levels or measure_levels(read, white)
     words = levels.words[0].upper() + levels.words[1:]
-    size = sum(part.size for part in read.values())
-    count = sum(len(part) for part in read.values())
-    check_memory(
-        8 * size,  # two copies of 32 bits
-        f"{name}: {count} scenes of {shapes[0]} values",
-        "give fewer or smaller ones",
-    )
     return [reflectance(part, levels) for part in read.values()], words, levels
 
 
@@ -350,7 +323,6 @@ def draw_stratified(
     labels: npt.ArrayLike, count: int, seed: int, name: str
 ) -> npt.NDArray[np.intp]:
     """Sorted indices of scenes; each class of labels (n,) has as nearly its share as can be."""
-    check_seed(seed)
     labels = np.asarray(labels)
     values, numbers, sizes = np.unique(labels, return_inverse=True, return_counts=True)
     if not len(values) <= count <= len(labels):
@@ -364,21 +336,21 @@ def draw_stratified(
     return np.sort(order[np.argsort(rank, kind="stable")[:count]])
 
 
-def load_arrays(path: Path, options: Origin) -> Dataset:
+def load_arrays(options: Origin) -> Dataset:
     """Data set of the arrays x and y of a file, and of its test part if it has one."""
+    path = Path(options.data)
     arrays = read_npz(path)
     if not {"x", "y"} <= arrays.keys() <= {"x", "y", "x_test", "y_test", "values"}:
         raise InputError(
             f"{path} holds {', '.join(arrays) or 'nothing'}; "
             "give x and y, optionally x_test, y_test and names of values, and no other names"
         )
-    name = path.stem
     values = arrays.get("values")
     return split_arrays(
         (arrays["x"], arrays["y"]),
         (arrays.get("x_test"), arrays.get("y_test")),
         values=None if values is None else np.atleast_1d(values).astype(str).tolist(),
-        name=name,
+        name=path.stem,
         seed=options.seed,
         rescale=options.rescale,
         white=options.white,

@@ -5,8 +5,6 @@
   ``$DEEPFSI_DATA/NAME/`` or else downloaded once;
 - ``cifar10``: 32x32, grey; the official binary archive, found in ``$DEEPFSI_DATA/cifar10/`` or
   else downloaded once. At 64x64 the whole of it takes 1 GB, and twice that while it is loaded;
-- ``cifar10-jpeg``: its images decoded from lossy JPEG, in folders ``train/CLASS`` and
-  ``test/CLASS`` of ``$DEEPFSI_DATA/cifar10/cifar10-jpeg/``, or of ``cifar10-jpeg.zip`` beside it;
 - ``indian-pines``: 200 of 220 bands, each labelled pixel a scene, padded with darkness to 256
   bands; the corrected cube and its label map in ``$DEEPFSI_DATA/indian_pines/`` or in the package
   ``tensorly``.
@@ -15,7 +13,6 @@
 import gzip
 import hashlib
 import os
-import shutil
 import tarfile
 import tomllib
 from abc import ABC, abstractmethod
@@ -25,7 +22,6 @@ from dataclasses import dataclass, field, replace
 from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import ClassVar, cast
 from urllib.parse import urlsplit
 
@@ -34,9 +30,7 @@ import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
 from deepfsi.datasets.arrays import assemble, draw_stratified, split_arrays
-from deepfsi.datasets.dataset import Dataset, Ends, Origin, Reflectance
-from deepfsi.datasets.levels import PictureSize
-from deepfsi.datasets.pictures import load_pictures, sized_text
+from deepfsi.datasets.dataset import Dataset, Ends, Origin
 from deepfsi.datasets.spectra import CUBE_ENDINGS, SpectralImage, read_cube
 
 DIM_BLACK = (0.3, 1.0)
@@ -61,7 +55,7 @@ def _data_folders(name: str) -> list[Path]:
 
 
 @dataclass
-class _NamedDataset(ABC):
+class NamedDataset(ABC):
     """A data set that has a name."""
 
     name: str
@@ -73,8 +67,6 @@ class _NamedDataset(ABC):
     mirrors: Sequence[str] = ()  # addresses of folders that have the files
     options: ClassVar[tuple[str, ...]] = ()
     ends: ClassVar[Ends] = (0.0, 1.0)  # reflectance of black and white, unless another is asked for
-    shape: ClassVar[PictureSize | None] = None
-    bilinear: ClassVar[bool] = False  # whether that is done bilinearly
 
     def __post_init__(self) -> None:
         self.classes = tuple(self.classes)
@@ -112,12 +104,8 @@ class _NamedDataset(ABC):
                 )
         return folder
 
-    def frame(self, x: Reflectance) -> Reflectance:
-        """Pictures (n, H, W) with the frame of the data set."""
-        return x
 
-
-class Digits(_NamedDataset):
+class Digits(NamedDataset):
     """The digits of scikit-learn, which have no files."""
 
     ends = DIM_BLACK
@@ -136,7 +124,7 @@ class Digits(_NamedDataset):
         )
 
 
-class IdxImages(_NamedDataset):
+class IdxImages(NamedDataset):
     """MNIST or Fashion-MNIST: the original gzipped idx files, framed to 32x32."""
 
     FRAME = ((0, 0), (2, 2), (2, 2))  # pixels in front of and behind each axis
@@ -166,10 +154,6 @@ class IdxImages(_NamedDataset):
             rescale=options.rescale or self.ends,
         )
 
-    def frame(self, x: Reflectance) -> Reflectance:
-        """Pictures of 28x28 padded to 32x32; others stay."""
-        return np.pad(x, self.FRAME) if x.shape[1:] == (28, 28) else x
-
 
 def _read_idx(path: Path) -> npt.NDArray[np.uint8]:
     """Bytes of a gzipped idx file: the fourth says how many lengths follow, then the array."""
@@ -179,13 +163,11 @@ def _read_idx(path: Path) -> npt.NDArray[np.uint8]:
     return np.frombuffer(content, np.uint8, offset=start).reshape(lengths)
 
 
-class _Cifar10(_NamedDataset):
+class _Cifar10(NamedDataset):
     """CIFAR-10 in grey: the official binary archive."""
 
     BATCHES = (*(f"data_batch_{i}.bin" for i in range(1, 6)), "test_batch.bin")
     options = ("size", "images")
-    shape = (32, 32)
-    bilinear = True
 
     def load(self, options: Origin) -> Dataset:
         """Load it in its own split; the training part is shuffled."""
@@ -196,16 +178,20 @@ class _Cifar10(_NamedDataset):
                 for member in archive
                 if (file := archive.extractfile(member)) is not None
             }
-        train = np.concatenate([cifar_records(contents[name]) for name in self.BATCHES[:-1]])
-        test = cifar_records(contents[self.BATCHES[-1]])
+        # Records of a label, then all reds, all greens and all blues
+        *train_parts, test = (
+            np.frombuffer(contents[name], np.uint8).reshape(-1, 3073) for name in self.BATCHES
+        )
+        train = np.concatenate(train_parts)
         drawn = ""
         if options.images is not None:
             train = train[draw_stratified(train[:, 0], options.images, options.seed, "CIFAR-10")]
             drawn = f"{options.images} training images drawn by class; "
-        sized = sized_text(options.size, True, {self.shape})
+        height, width = options.size or (32, 32)
+        sized = f", resized bilinearly to {height}x{width} pixels" if options.size else ""
         return split_arrays(
-            (grey_pictures(train, options.size), train[:, 0]),
-            (grey_pictures(test, options.size), test[:, 0]),
+            (_grey_pictures(train, height, width), train[:, 0]),
+            (_grey_pictures(test, height, width), test[:, 0]),
             classes=self.classes,
             name="CIFAR-10",
             seed=options.seed,
@@ -214,18 +200,12 @@ class _Cifar10(_NamedDataset):
         )
 
 
-def cifar_records(content: bytes) -> npt.NDArray[np.uint8]:
-    """Records (n, 3073): a label, then all reds, all greens and all blues."""
-    return np.frombuffer(content, np.uint8).reshape(-1, 3073)
-
-
-def grey_pictures(
-    records: npt.NDArray[np.uint8], size: PictureSize | None
+def _grey_pictures(
+    records: npt.NDArray[np.uint8], height: int, width: int
 ) -> npt.NDArray[np.uint8]:
     """Grey pictures (n, H, W) of records (n, 3073)."""
     from PIL import Image
 
-    height, width = size or (32, 32)
     out = np.empty((len(records), height, width), np.uint8)
     for index, colours in enumerate(records[:, 1:].reshape(-1, 3, 32, 32)):
         grey = Image.fromarray(np.ascontiguousarray(colours.transpose(1, 2, 0))).convert("L")
@@ -233,37 +213,7 @@ def grey_pictures(
     return out
 
 
-class _CifarJpeg(_Cifar10):
-    """CIFAR-10 decoded from a copy in JPEG, which says so in its name."""
-
-    ZIP = "cifar10-jpeg.zip"
-
-    def find(self) -> Path | None:
-        """First folder that has the copy, or its zip file."""
-        copies = [
-            folder / name for folder in _data_folders(self.folder) for name in (self.name, self.ZIP)
-        ]
-        return next(filter(Path.exists, copies), None)
-
-    def load(self, options: Origin) -> Dataset:
-        """Load the copy in its own split; the training part is shuffled."""
-        if not (copy := self.find()):
-            raise InputError(
-                "cifar10-jpeg is not here, and not to be downloaded: put the JPEG images as "
-                f"train/CLASS/ and test/CLASS/ into cifar10/cifar10-jpeg/, or cifar10/{self.ZIP}, "
-                "in the folder that DEEPFSI_DATA names, or use the original, cifar10"
-            )
-        with TemporaryDirectory() as unpacked:
-            if copy.is_file():
-                try:
-                    shutil.unpack_archive(copy, unpacked)
-                except Exception as error:  # zipfile raises almost anything on a damaged file
-                    raise InputError(f"cannot unpack {copy} ({error}): replace it") from None
-                copy = Path(unpacked)
-            return load_pictures(copy, options, "JPEG-decoded CIFAR-10", bilinear=True)
-
-
-class _IndianPines(_NamedDataset):
+class _IndianPines(NamedDataset):
     """Indian Pines: the scene of the AVIRIS spectrometer, without the bands of water vapour.
 
     The corrected cube of the Grupo de Inteligencia Computacional, UPV/EHU, has 200 of its 220
@@ -325,12 +275,11 @@ def _restore_high_bytes(cube: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
     return np.ascontiguousarray(np.moveaxis(bands, 0, 2))
 
 
-_KINDS: dict[str, type[_NamedDataset]] = {
+_KINDS: dict[str, type[NamedDataset]] = {
     "digits": Digits,
     "mnist": IdxImages,
     "fashion-mnist": IdxImages,
     "cifar10": _Cifar10,
-    "cifar10-jpeg": _CifarJpeg,
     "indian-pines": _IndianPines,
 }
 

@@ -33,7 +33,7 @@ class Origin(BaseModel):
     data: str  # name, or absolute path
     # As in `load_dataset`; white is the one in force, where the type of the values has none
     size: tuple[Count, Count] | None = None
-    seed: int = 0
+    seed: int = Field(default=0, ge=0, lt=2**32)  # as scikit-learn takes it
     rescale: Ends | None = None
     images: int | None = None
     split: str | None = None

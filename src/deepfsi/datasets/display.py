@@ -52,12 +52,11 @@ def read_display(
     path: str | os.PathLike[str],
     white: float | None = None,
     shape: PictureSize | None = None,
-    bilinear: bool = False,
 ) -> Display:
     """Read a picture, a folder of some, or a folder with one for each class.
 
     They are of equal size and depth, and turned to grey. `shape` is the height and width that they
-    are brought to, by averaging over areas unless `bilinear`.
+    are brought to, by averaging over areas.
     """
     source = Path(path)
     labels: tuple[str, ...] | None = None
@@ -71,7 +70,7 @@ def read_display(
         pictures = [picture for part in list_pictures(source) for picture in part]
         labels = tuple(map(class_name, pictures))
     folder = source.parent if source.is_file() else source
-    pixels, tally = decode_pictures(pictures, shape, bilinear)
+    pixels, tally = decode_pictures(pictures, shape)
     names = [picture.relative_to(folder).as_posix() for picture in pictures]
     levels = tally.levels(white)
     return Display(
@@ -79,7 +78,7 @@ def read_display(
         labels=labels,
         x=reflectance(pixels, levels),
         levels=levels,
-        preprocessing=f"{tally.words}{sized_text(shape, bilinear, tally.sizes)}; {levels.words}",
+        preprocessing=f"{tally.words}{sized_text(shape, tally.sizes)}; {levels.words}",
         written=tally.written,
     )
 

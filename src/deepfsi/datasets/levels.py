@@ -9,7 +9,7 @@ divided by the same.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,9 +29,6 @@ WRITTEN = "deepfsi"
 """Word in the head of a PNG file that holds reflectance as a data set had it."""
 
 AnyArray = npt.NDArray[Any]
-
-Family = Literal["truth", "byte", "integer", "float"]
-"""Types that share a rule for white."""
 
 
 class ValueRange(NamedTuple):
@@ -54,13 +51,17 @@ class ValueRange(NamedTuple):
 
 def measure_levels(parts: Mapping[str, AnyArray], white: float | None = None) -> ValueRange:
     """Range of the values of scenes, by their names in messages, and their white."""
-    families = {_family_of(part.dtype, what): what for what, part in parts.items()}
-    if len(families) > 1:
+    families = {_family_of(part.dtype): what for what, part in parts.items()}
+    if len(families) > 1 or not families.keys() <= {"byte", *"bif"}:
         types = " and ".join(f"{what} {parts[what].dtype}" for what in families.values())
-        raise InputError(f"{types} have no white in common; give one type")
+        raise InputError(f"{types}: give one type, of floats in [0, 1], integers or truth values")
     [family] = families
+    if family == "byte":
+        white = 255.0
+    elif family != "i":
+        white = 1.0
+    most = white or 2.0 ** BITS[-1] - 1
     reach = {what: (float(part.min()), float(part.max())) for what, part in parts.items()}
-    most = {"float": 1.0, "integer": white or 2.0 ** BITS[-1] - 1}.get(family, 255.0)
     for what, (low, high) in reach.items():
         if not -1e-6 <= low <= high <= most + 1e-6:  # but for rounding; NaN is refused, too
             raise InputError(
@@ -69,22 +70,15 @@ def measure_levels(parts: Mapping[str, AnyArray], white: float | None = None) ->
             )
     low = min(low for low, _ in reach.values())
     high = max(high for _, high in reach.values())
-    if family != "integer":
-        white = 255.0 if family == "byte" else 1.0
-    elif white is None:
+    if white is None:
         white = float(next(2**bits - 1 for bits in BITS if high < 2**bits))
     kind = str(next(iter(parts.values())).dtype)
-    return ValueRange(kind, low, high, white=white, chosen=family == "integer")
+    return ValueRange(kind, low, high, white=white, chosen=family == "i")
 
 
-def _family_of(dtype: np.dtype[Any], what: str) -> Family:
-    """Rule for white of values of a type; `what` is their name in messages."""
-    if dtype == np.uint8:
-        return "byte"
-    kinds: dict[str, Family] = {"b": "truth", "i": "integer", "u": "integer", "f": "float"}
-    if dtype.kind not in kinds:
-        raise InputError(f"{what} is {dtype}; give floats in [0, 1], integers or truth values")
-    return kinds[dtype.kind]
+def _family_of(dtype: np.dtype[Any]) -> str:
+    """Kind of a type, with one rule for the white of its values."""
+    return "byte" if dtype == np.uint8 else dtype.kind.replace("u", "i")
 
 
 def reflectance(values: AnyArray, levels: ValueRange) -> npt.NDArray[np.float32]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from deepfsi.base.errors import InputError, as_input_error, closest_choice
 from deepfsi.base.files import readable_name
 from deepfsi.datasets.arrays import from_arrays, load_arrays
-from deepfsi.datasets.catalog import DATASETS
+from deepfsi.datasets.catalog import DATASETS, NamedDataset
 from deepfsi.datasets.dataset import Dataset, Ends, Origin
 from deepfsi.datasets.display import Display, array_display, read_display
 from deepfsi.datasets.pictures import load_pictures
@@ -24,11 +24,12 @@ class _FileKind(NamedTuple):
     what: str
     endings: tuple[str, ...]  # of their names, in small letters; "/" of a folder
     options: tuple[str, ...]  # options of `load_dataset` that they take, and not every source does
-    load: Callable[[Path, Origin], Dataset]
+    load: Callable[[Origin], Dataset]
 
 
-def _load_cube(path: Path, options: Origin) -> Dataset:
-    return read_cube(path).dataset(options.split, options.seed, rescale=options.rescale)
+def _load_cube(options: Origin) -> Dataset:
+    cube = read_cube(Path(options.data))
+    return cube.dataset(options.split, options.seed, rescale=options.rescale)
 
 
 FILE_KINDS = (
@@ -43,9 +44,6 @@ FILE_KINDS = (
     _FileKind("an .npz file of arrays x and y", (".npz",), ("white",), load_arrays),
 )
 """Kinds of files that hold a data set: a new one is an entry here."""
-
-SOURCES_OF_PATHS = ", ".join(kind.what for kind in FILE_KINDS)
-"""Sources of data sets besides names, for messages."""
 
 Source: TypeAlias = Dataset | str | os.PathLike[str] | tuple[Any, ...]
 """A data set, or what `load_dataset` makes one of."""
@@ -104,16 +102,10 @@ def load_dataset(
     >>> deepfsi.load_dataset("digits").image_shape
     (8, 8)
     """
-    if not isinstance(source, str | os.PathLike | tuple):
-        raise InputError(
-            f"data were given as {type(source).__name__}: give a Dataset of deepfsi, a name such "
-            "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays; scenes "
-            "and labels of a torch data set make two such arrays"
-        )
-    name = "arrays" if isinstance(source, tuple) else absolute_source(source)
+    found: Any = None if isinstance(source, tuple) else find_source(source)
     with as_input_error():
         options = Origin(
-            data=name,
+            data="arrays" if found is None else absolute_source(source),
             size=(size, size) if isinstance(size, int) else size,
             seed=seed,
             rescale=rescale,
@@ -121,50 +113,42 @@ def load_dataset(
             split=split,
             white=white,
         )
-    allowed = () if isinstance(source, tuple) else options_of(source)
     for option in ("size", "images", "split", "white"):
-        if option not in allowed and getattr(options, option) is not None:
-            raise InputError(f"{Path(name).name} takes no `{option}`: leave it out")
+        taken = found is not None and option in found.options
+        if getattr(options, option) is not None and not taken:
+            raise InputError(f"{Path(options.data).name} takes no `{option}`: leave it out")
     if isinstance(source, tuple):
         return from_arrays(*source, seed=seed, rescale=rescale)
-    if name in DATASETS:
-        data = DATASETS[name].load(options)
-    else:
-        path, kind = _find(source)
-        data = kind.load(path, options)
+    data = found.load(options)
     return replace(data, origin=options.model_copy(update={"white": data.white}))
 
 
-def _find(source: str | os.PathLike[str]) -> tuple[Path, _FileKind]:
-    """Path of a data set that has no name, and its kind; `InputError` where none is there."""
+def find_source(source: Any) -> NamedDataset | _FileKind:
+    """What loads a data set, by its name or its path; `InputError` where none is there."""
+    if source in DATASETS:
+        return DATASETS[source]
     path = Path(source).expanduser()
+    sources = ", ".join(kind.what for kind in FILE_KINDS)
     if not (source and path.exists()):
         raise InputError(
             f"unknown data set '{source}': {closest_choice(str(source), DATASETS)}; or the path of "
-            f"{SOURCES_OF_PATHS}"
+            f"{sources}"
         )
     ending = "/" if path.is_dir() else path.suffix.lower()
     for kind in FILE_KINDS:
         if ending in kind.endings:
-            return path, kind
-    raise InputError(f"{path} is no data set that is read: give {SOURCES_OF_PATHS}")
+            return kind
+    raise InputError(f"{path} is no data set that is read: give {sources}")
 
 
-def absolute_source(source: str | os.PathLike[str]) -> str:
+def absolute_source(source: Any) -> str:
     """Name of a data set as it is, absolute path of any other; a path is never a name."""
-    if isinstance(source, str) and source in DATASETS:
-        return source
+    if source in DATASETS:
+        return str(source)
     path = str(Path(source).expanduser().absolute())
     if readable_name(path) != path:  # a file of ours could not keep it
         raise InputError(f"the name {readable_name(path)} is not UTF-8: rename the file or folder")
     return path
-
-
-def options_of(source: str | os.PathLike[str]) -> tuple[str, ...]:
-    """Options of `load_dataset` that this source takes, and not every one does."""
-    if isinstance(source, str) and source in DATASETS:
-        return DATASETS[source].options
-    return _find(source)[1].options
 
 
 def as_dataset(data: Source) -> Dataset:
@@ -172,29 +156,16 @@ def as_dataset(data: Source) -> Dataset:
     return data if isinstance(data, Dataset) else load_dataset(data)
 
 
-def check_source(source: str) -> str:
-    """Known name or existing path; else `InputError`."""
-    options_of(source)
-    return source
-
-
 def prepare_display(pictures: Path | npt.NDArray[Any], origin: Origin) -> Display:
     """Make scenes of pictures like those of a data set, without the view of a camera.
 
     Pictures that `write_pictures` wrote are mapped already.
     """
-    named = DATASETS.get(origin.data)
     if isinstance(pictures, Path):
-        shape = origin.size or (named.shape if named else None)
-        bilinear = named is not None and named.bilinear
-        display = read_display(pictures, origin.white, shape, bilinear)
+        display = read_display(pictures, origin.white, origin.size)
     else:
         display = array_display(pictures, origin.white)
-    if named:
-        framed = named.frame(display.x)
-        if framed.shape != display.x.shape:
-            words = f"{display.preprocessing}, padded as {origin.data}"
-            display = display._replace(x=framed, preprocessing=words)
+    named = DATASETS.get(origin.data)
     low, high = origin.rescale or (named.ends if named else (0, 1))
     if (low, high) == (0, 1) or display.written == len(display.x):
         return display

@@ -32,8 +32,9 @@ OF_SYSTEMS = ("__MACOSX", "@eaDir", "$RECYCLE.BIN", "System Volume Information",
 """Folders that operating systems and servers put beside those of a user, as do hidden ones."""
 
 
-def load_pictures(path: Path, options: Origin, name: str = "", bilinear: bool = False) -> Dataset:
+def load_pictures(options: Origin) -> Dataset:
     """Data set of the images of a folder or of a ``.csv`` file, which gives the name, too."""
+    path = Path(options.data)
     shape = options.size
     images = options.images
     test: list[list[Path]] = []
@@ -42,7 +43,7 @@ def load_pictures(path: Path, options: Origin, name: str = "", bilinear: bool = 
         name = path.stem
         train, labels, values = _read_list(path)
     else:
-        name = name or path.resolve().name
+        name = path.resolve().name
         train, *test = list_pictures(path)
         if images is not None:
             if not test:
@@ -53,7 +54,7 @@ def load_pictures(path: Path, options: Origin, name: str = "", bilinear: bool = 
             kept = draw_stratified(list(map(class_name, train)), images, options.seed, name)
             train = [train[i] for i in kept]
         labels = np.array([class_name(path) for part in (train, *test) for path in part])
-    pixels, tally = decode_pictures([*train, *(test[0] if test else [])], shape, bilinear)
+    pixels, tally = decode_pictures([*train, *(test[0] if test else [])], shape)
     levels = tally.levels(options.white)
     n = len(train)
     drawn = "" if images is None else f"{images} training images drawn by class; "
@@ -64,7 +65,7 @@ def load_pictures(path: Path, options: Origin, name: str = "", bilinear: bool = 
         name=name,
         seed=options.seed,
         rescale=options.rescale,
-        described=f"{drawn}{tally.words}{sized_text(shape, bilinear, tally.sizes)}; {levels.words}",
+        described=f"{drawn}{tally.words}{sized_text(shape, tally.sizes)}; {levels.words}",
         levels=levels,
     )
 
@@ -96,10 +97,9 @@ def _read_list(path: Path) -> tuple[list[Path], npt.NDArray[Any], Sequence[str] 
     return images, cells[:, 1:].cast(pl.Float64).to_numpy(), heads[1:] if named else None
 
 
-def sized_text(shape: PictureSize | None, bilinear: bool, sizes: set[PictureSize]) -> str:
+def sized_text(shape: PictureSize | None, sizes: set[PictureSize]) -> str:
     """Say to what size images of some sizes were brought, as the end of a phrase."""
-    how = "resized bilinearly" if bilinear else "averaged"
-    return f", {how} to {shape[0]}x{shape[1]} pixels" if shape and sizes != {shape} else ""
+    return f", averaged to {shape[0]}x{shape[1]} pixels" if shape and sizes != {shape} else ""
 
 
 def is_image(name: str) -> bool:
@@ -154,9 +154,7 @@ class _Unreadable(InputError):
     """An image that is damaged."""
 
 
-def decode_pictures(
-    paths: list[Path], shape: PictureSize | None, bilinear: bool = False
-) -> tuple[npt.NDArray[Any], Tally]:
+def decode_pictures(paths: list[Path], shape: PictureSize | None) -> tuple[npt.NDArray[Any], Tally]:
     """Grey images (n, H, W) of equal shape, and a tally of what they were."""
     from PIL import Image
 
@@ -167,13 +165,13 @@ def decode_pictures(
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         for index, path in enumerate(paths):
             try:
-                image = _read(path, tally, shape, bilinear)
+                image = _read(path, tally, shape)
             except _Unreadable as error:
                 bad.append(f"{path} ({error})")
                 continue
             if not grey.size:
                 check_memory(
-                    len(paths) * image.nbytes,
+                    len(paths) * image.size * (image.itemsize + 8),  # and reflectance, twice
                     f"{len(paths)} images of {image.shape[0]}x{image.shape[1]} pixels",
                     "give a smaller size, or fewer",
                 )
@@ -190,7 +188,7 @@ def decode_pictures(
     return grey, tally
 
 
-def _read(path: Path, tally: Tally, shape: PictureSize | None, bilinear: bool) -> npt.NDArray[Any]:
+def _read(path: Path, tally: Tally, shape: PictureSize | None) -> npt.NDArray[Any]:
     from PIL import Image, UnidentifiedImageError
 
     # Pillow's decoders of other formats may start programs, as that of EPS does
@@ -211,6 +209,5 @@ def _read(path: Path, tally: Tally, shape: PictureSize | None, bilinear: bool) -
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
         raise _Unreadable(str(error)) from error
     if shape is not None:
-        how = Image.Resampling.BILINEAR if bilinear else Image.Resampling.BOX
-        grey = grey.resize(shape[::-1], how)
+        grey = grey.resize(shape[::-1], Image.Resampling.BOX)
     return np.asarray(grey)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from deepfsi.base.arrays import read_array
 from deepfsi.base.errors import InputError, check_choice
-from deepfsi.datasets.arrays import TEST_SHARE, assemble, check_seed, draw_fifth
+from deepfsi.datasets.arrays import TEST_SHARE, assemble, draw_fifth
 from deepfsi.datasets.dataset import Dataset, Ends
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
@@ -44,14 +44,12 @@ class SpectralImage:
         cube = self.cube
         labels = self.labels
         fits = cube.ndim == 3 and cube.size and labels.shape == cube.shape[:2]
-        if not fits or labels.dtype.kind not in "ui":
+        if not fits or labels.dtype.kind not in "ui" or not np.isfinite(cube).all():
             raise InputError(
                 f"{self.name}: the cube is of shape {cube.shape}, the label map {labels.dtype} of "
-                f"shape {labels.shape}; give (height, width, bands), and integers (height, width), "
-                "0 where there is no label"
+                f"shape {labels.shape}; give (height, width, bands) without NaN, and integers "
+                "(height, width), 0 where there is no label"
             )
-        if not np.isfinite(cube).all():
-            raise InputError(f"{self.name}: the cube holds NaN or infinite values; remove them")
         if len(self.present) < 2:
             raise InputError(f"{self.name}: its labels are of one class or none; give two or more")
 
@@ -68,7 +66,6 @@ class SpectralImage:
 
     def parts(self, split: str = "random", seed: int = 0) -> tuple[Mask, Mask]:
         """Divide the labelled pixels into a training and a test part, where they are in (H, W)."""
-        check_seed(seed)
         check_choice("split", split, ("random", "blocks"))
         counts = np.unique(self.labels[self.labels != 0], return_counts=True)[1]
         if counts.min() < TEST_SHARE:
@@ -134,8 +131,6 @@ class SpectralImage:
         low, high = float(self.cube.min()), float(self.cube.max())
         if self.cube.dtype.kind == "f" and 0 <= low <= high <= 1:
             low, high = 0.0, 1.0
-        elif low == high:
-            raise InputError(f"{self.name}: every value of the cube is {low:g}; give spectra")
         lit = self.cube.shape[2]
         x = np.zeros((self.labels.size, bands or lit), np.float32)  # padded with darkness
         x[:, :lit] = self.cube.reshape(-1, lit)
@@ -168,7 +163,17 @@ def read_cube(
     origin: str = "Spectra",
 ) -> SpectralImage:
     """Read a cube and the label map beside it."""
-    label_file = _find_labels(path)
+    label_files = [
+        path.with_name(f"{path.stem.removesuffix('_corrected')}_gt{ending}")
+        for ending in CUBE_ENDINGS
+    ]
+    label_file = next(filter(Path.is_file, label_files), None)
+    if label_file is None:
+        names = " or ".join(file.name for file in label_files)
+        raise InputError(
+            f"{path} has no label map beside it: put one there as {names}, 0 where a pixel has no "
+            "label"
+        )
     advice = "save it alone"
     cube = read_array(path, (3,), advice=advice)
     labels = read_array(label_file, (2,), advice=advice)
@@ -176,15 +181,3 @@ def read_cube(
     if labels.dtype.kind == "f" and (np.abs(labels) < 2**31).all() and not (labels % 1).any():
         labels = labels.astype(np.int64)
     return SpectralImage(name or path.stem, cube, labels, classes=classes, origin=origin)
-
-
-def _find_labels(path: Path) -> Path:
-    stems = [path.stem + "_gt", path.stem.removesuffix("_corrected") + "_gt"]
-    files = {file.name.lower(): file for file in path.parent.iterdir() if file.is_file()}
-    for name in (stem + suffix for stem in stems for suffix in CUBE_ENDINGS):
-        if labels := files.get(name.lower()):
-            return labels
-    raise InputError(
-        f"{path} has no label map beside it: put one there as {stems[-1]} with the ending "
-        f"{' or '.join(CUBE_ENDINGS)}, 0 where a pixel has no label"
-    )

@@ -29,7 +29,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.counting.acquisition import Calibration, Scene
 from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.display import array_display, read_display, read_scene_list
-from deepfsi.datasets.load import absolute_source, load_dataset, options_of, prepare_display
+from deepfsi.datasets.load import absolute_source, find_source, load_dataset, prepare_display
 from deepfsi.designfile.design_file import AdaptiveHeader, DesignFile
 from deepfsi.designfile.provenance import TrainedOn, new_scenes, scene_hashes, trained_on
 from deepfsi.patterns.folder import Patterns
@@ -109,7 +109,7 @@ def _asked(
     told = {option: value for option, value in told.items() if value is not None}
     if known is None or name == known.data:
         return (known or Origin(data=name)).model_copy(update=told)
-    allowed = options_of(name)
+    allowed = find_source(name).options
     same = ["rescale", "view", *({"size", "white"} & set(allowed))]
     kept = {option: getattr(known, option) for option in same}
     return Origin(data=name).model_copy(update=kept | told)

@@ -22,7 +22,7 @@ from deepfsi.design.design import Design
 from deepfsi.report.accuracy import accuracy_figure
 from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Point, Results, accuracy_difference
-from deepfsi_paper.experiment import Experiment, Finding, cifar10_here
+from deepfsi_paper.experiment import Experiment, Finding
 from deepfsi_paper.measures import effective_directions
 from deepfsi_paper.ovit.figures import LearnedMasks, patch_masks_figure
 from deepfsi_paper.report.section import Claim, Picture, Table, english_list
@@ -215,7 +215,7 @@ def grows(
 
 def _experiment(name: str, title: str) -> Experiment:
     """The study at one size."""
-    return Experiment(name, title, PAPER, show, _measure, adapt=cifar10_here, label=LABEL)
+    return Experiment(name, title, PAPER, show, _measure, label=LABEL)
 
 
 TITLE = "A vision transformer with an optical front end (OViT)"
