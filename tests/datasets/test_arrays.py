@@ -163,10 +163,10 @@ def test_bad_arrays(case):
 
 def test_shares_of_unequal_classes():
     labels = np.repeat([0, 1, 2], [80, 15, 5])
-    drawn = arrays.draw_stratified(labels, 20, 0, "a")
+    drawn, _ = arrays.draw_stratified(labels, 20, 0, "a")
     assert np.bincount(labels[drawn]).tolist() == [16, 3, 1]
     assert len(set(drawn)) == 20
-    assert set(labels[arrays.draw_stratified(labels, 3, 0, "a")]) == {0, 1, 2}
+    assert set(labels[arrays.draw_stratified(labels, 3, 0, "a")[0]]) == {0, 1, 2}
 
 
 @pytest.mark.parametrize(

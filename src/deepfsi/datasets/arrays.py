@@ -320,9 +320,11 @@ def draw_fifth(
 
 
 def draw_stratified(
-    labels: npt.ArrayLike, count: int, seed: int, name: str
-) -> npt.NDArray[np.intp]:
-    """Sorted indices of scenes; each class of labels (n,) has as nearly its share as can be."""
+    labels: npt.ArrayLike, count: int | None, seed: int, name: str
+) -> tuple[npt.NDArray[np.intp], str]:
+    """Sorted indices of scenes, each class (n,) with its share, and words on them; all of None."""
+    if count is None:
+        return np.arange(np.size(labels)), ""
     labels = np.asarray(labels)
     values, numbers, sizes = np.unique(labels, return_inverse=True, return_counts=True)
     if not len(values) <= count <= len(labels):
@@ -333,7 +335,8 @@ def draw_stratified(
     order = np.random.default_rng(seed).permutation(len(labels))
     order = order[np.argsort(numbers[order], kind="stable")]
     rank = np.concatenate([np.arange(size) for size in sizes]) / np.repeat(sizes, sizes)
-    return np.sort(order[np.argsort(rank, kind="stable")[:count]])
+    drawn = np.sort(order[np.argsort(rank, kind="stable")[:count]])
+    return drawn, f"{count} training images drawn by class; "
 
 
 def load_arrays(options: Origin) -> Dataset:

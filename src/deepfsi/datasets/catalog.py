@@ -1,4 +1,4 @@
-"""Data sets that have a name: listing, download, check of their files, and loading.
+"""Data sets that have a name: download, check of their files, and loading.
 
 - ``digits``: 8x8, embedded in scikit-learn;
 - ``mnist``, ``fashion-mnist``: padded to 32x32; the original gzipped idx files, found in
@@ -12,6 +12,7 @@
 
 import gzip
 import hashlib
+import itertools
 import os
 import tarfile
 import tomllib
@@ -37,21 +38,17 @@ DIM_BLACK = (0.3, 1.0)
 """Reflectance of black and white in named images: black reflects, so that every pixel counts."""
 
 
-def _cache_folder(name: str) -> Path:
-    """Folder of this user's cache for the files of a data set."""
+def _data_folders(name: str) -> list[Path]:
+    """Folders where the files of a data set may be, the user's before the cache."""
     import pooch
 
-    return Path(pooch.os_cache("deepfsi")) / name
-
-
-def _data_folders(name: str) -> list[Path]:
-    """Folders where the files of a data set may be, the first before the second."""
+    cache = Path(pooch.os_cache("deepfsi")) / name
     root = os.environ.get("DEEPFSI_DATA")
     if not root:
-        return [_cache_folder(name)]
+        return [cache]
     if not Path(root).is_dir():
         raise InputError(f"DEEPFSI_DATA is '{root}', which is no folder; correct or unset it")
-    return [Path(root) / name, _cache_folder(name)]
+    return [Path(root) / name, cache]
 
 
 @dataclass
@@ -59,8 +56,6 @@ class NamedDataset(ABC):
     """A data set that has a name."""
 
     name: str
-    images: int
-    pixels: int
     classes: tuple[str, ...]
     folder: str = ""  # name of the folder of its files
     hashes: dict[str, str] = field(default_factory=dict)  # hash of each file, "algorithm:hex"
@@ -75,20 +70,15 @@ class NamedDataset(ABC):
     def load(self, options: Origin) -> Dataset:
         """Load it."""
 
-    def find(self) -> Path | str | None:
-        """First folder that has all files, or None."""
-        for folder in _data_folders(self.folder):
-            if all((folder / file).is_file() for file in self.hashes):
-                return folder
-        return None
-
     def download(self) -> Path:
         """Folder of the files; the cache downloads what is missing or damaged."""
         import pooch
 
-        folder = Path(self.find() or _cache_folder(self.folder))
+        *users, cache = _data_folders(self.folder)
+        whole = (all((user / file).is_file() for file in self.hashes) for user in users)
+        folder = next(itertools.compress(users, whole), cache)
         for file, expected in self.hashes.items():
-            own = folder != _cache_folder(self.folder)  # a user's file is never replaced
+            own = folder != cache  # a user's file is never replaced
             if own and not pooch.hashes.hash_matches(folder / file, expected):
                 raise InputError(f"{folder / file} is damaged: replace it with the original")
             for mirror in self.mirrors:
@@ -135,12 +125,9 @@ class IdxImages(NamedDataset):
         """Load the original in its own split and order."""
         folder = self.download()
         images, labels, images_test, labels_test = (_read_idx(folder / f) for f in self.hashes)
-        drawn = ""
-        if options.images is not None:
-            kept = draw_stratified(labels, options.images, options.seed, self.name)
-            images = images[kept]
-            labels = labels[kept]
-            drawn = f"{options.images} training images drawn by class; "
+        kept, drawn = draw_stratified(labels, options.images, options.seed, self.name)
+        images = images[kept]
+        labels = labels[kept]
         train, test = (
             (np.divide(np.pad(x, self.FRAME), 255, dtype=np.float32), y.astype(np.int64))
             for x, y in ((images, labels), (images_test, labels_test))
@@ -183,10 +170,8 @@ class _Cifar10(NamedDataset):
             np.frombuffer(contents[name], np.uint8).reshape(-1, 3073) for name in self.BATCHES
         )
         train = np.concatenate(train_parts)
-        drawn = ""
-        if options.images is not None:
-            train = train[draw_stratified(train[:, 0], options.images, options.seed, "CIFAR-10")]
-            drawn = f"{options.images} training images drawn by class; "
+        kept, drawn = draw_stratified(train[:, 0], options.images, options.seed, "CIFAR-10")
+        train = train[kept]
         height, width = options.size or (32, 32)
         sized = f", resized bilinearly to {height}x{width} pixels" if options.size else ""
         return split_arrays(
@@ -243,7 +228,7 @@ class _IndianPines(NamedDataset):
 
     def load(self, options: Origin) -> Dataset:
         """Load its labelled pixels."""
-        return self.scene().dataset(options.split, options.seed, self.pixels, options.rescale)
+        return self.scene().dataset(options.split, options.seed, 256, options.rescale)
 
     def scene(self) -> SpectralImage:
         """Whole image."""

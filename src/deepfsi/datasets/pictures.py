@@ -36,28 +36,28 @@ def load_pictures(options: Origin) -> Dataset:
     """Data set of the images of a folder or of a ``.csv`` file, which gives the name, too."""
     path = Path(options.data)
     shape = options.size
-    images = options.images
     test: list[list[Path]] = []
     values = None
+    drawn = ""
     if path.is_file():
         name = path.stem
         train, labels, values = _read_list(path)
     else:
         name = path.resolve().name
         train, *test = list_pictures(path)
-        if images is not None:
-            if not test:
-                raise InputError(
-                    f"{name}: {images} training images were asked for; that needs images with "
-                    "their own train and test folders, leave it out"
-                )
-            kept = draw_stratified(list(map(class_name, train)), images, options.seed, name)
-            train = [train[i] for i in kept]
+        if options.images is not None and not test:
+            raise InputError(
+                f"{name}: {options.images} training images were asked for; that needs images with "
+                "their own train and test folders, leave it out"
+            )
+        kept, drawn = draw_stratified(
+            list(map(class_name, train)), options.images, options.seed, name
+        )
+        train = [train[i] for i in kept]
         labels = np.array([class_name(path) for part in (train, *test) for path in part])
     pixels, tally = decode_pictures([*train, *(test[0] if test else [])], shape)
     levels = tally.levels(options.white)
     n = len(train)
-    drawn = "" if images is None else f"{images} training images drawn by class; "
     return split_arrays(
         (pixels[:n], labels[:n]),
         (pixels[n:], labels[n:]) if test else (None, None),
