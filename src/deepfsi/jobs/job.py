@@ -285,30 +285,26 @@ def job_of(
         given["training"] = {**training, "counts": counts}
     elif counts is not None:
         given["photons"] = check_budget(counts, "number of counts")
-    code = DESIGNS.get(given.get("design", "deepfsi"))
-    whole = code is not None and code.complete and "masks" not in given
-    if whole:
-        given["masks"] = 1  # until the data say how many
-    job = Job(**given)
-    if whole:
+    code = DESIGNS[check_design(given.get("design", "deepfsi"))]
+    whole = code.complete and "masks" not in given
+    job = Job(**given, **({"masks": 1} if whole else {}))
+    if whole:  # the camera says how many pixels each detector sees
         scene = job.exposure.scene(data)
-        detectors = job.optics.detector_map(scene.image_shape)
-        _, most = count_allowed(job.design, scene, detectors)
+        _, most = count_allowed(job.design, scene, job.optics.detector_map(scene.image_shape))
         job = job.model_copy(update={"masks": most})
     if counts is not None and job.training.counts is None and job.camera.clicks is not None:
         raise InputError("clicks are not in proportion to the light: give `photons`, too")
     if counts is not None and job.exposure.highest(1.0) != 1.0:
         raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
-    for name in training:
-        if job.code.adaptive:
-            used = name in ("clusters", "dictionary", "counts")
-        else:
-            used = name not in ("clusters", "dictionary")
-            used &= name not in ("start", "start_counts") or job.code.learns_masks
-        if not used:
-            raise InputError(
-                f"{job.code.title} has no use for `{name}`: leave it out, or give another design"
-            )
+    unused = {"clusters", "dictionary"}
+    if code.adaptive:
+        unused = Training.model_fields.keys() - unused - {"counts"}
+    elif not code.learns_masks:
+        unused |= {"start", "start_counts"}
+    for name in training.keys() & unused:
+        raise InputError(
+            f"{code.title} has no use for `{name}`: leave it out, or give another design"
+        )
     return job
 
 

@@ -97,10 +97,6 @@ def _widths(given: Any) -> Any:
     return [width for width in given.split(",") if width] if isinstance(given, str) else given
 
 
-MASK_SETTINGS = ("start", "start_counts", "mask_lr")
-"""Settings of the training that only learned masks have."""
-
-
 class Training(UserModel):
     """Settings of a training: its steps, its network, its precision and its start.
 

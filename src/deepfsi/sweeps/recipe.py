@@ -24,7 +24,7 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.evaluation.measures import MOST_DRAWS
 from deepfsi.jobs.designs import DESIGNS, check_design
 from deepfsi.jobs.exposures import Exposure, find_exposure
-from deepfsi.jobs.training import MASK_SETTINGS, Training
+from deepfsi.jobs.training import Training
 from deepfsi.sweeps.workers import Resources
 
 Settings = dict[str, Any]
@@ -226,9 +226,10 @@ class Recipe(UserModel):
 
     def trainings(self, design: str) -> Iterator[tuple[str, Settings]]:
         """Trainings of a design, each with a name if there are several."""
-        axes = self.training
+        axes = dict(self.training)
         if not DESIGNS[design].learns_masks:
-            axes = {name: axes[name] for name in axes if name not in MASK_SETTINGS}
+            for name in ("start", "start_counts", "mask_lr"):
+                axes.pop(name, None)
         return _points(axes)
 
     def parts(self, data: Dataset) -> list[Dataset]:
