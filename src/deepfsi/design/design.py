@@ -144,8 +144,11 @@ class Design:
 
     @property
     def camera(self) -> Camera:
-        """The camera that it was trained for, as the file keeps it; of older files its optics."""
-        return trained_camera(self.info) or self.exposure.camera
+        """The camera that it was trained for, as the file keeps it."""
+        camera = trained_camera(self.info)
+        if camera is None:
+            raise InputError("this design does not say its camera: train it again")
+        return camera
 
     # Exposing
 

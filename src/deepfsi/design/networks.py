@@ -15,7 +15,6 @@ from contextlib import contextmanager
 from pkgutil import resolve_name
 from typing import Any, Self
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -90,15 +89,6 @@ class Mlp(Classifier):
     ) -> Self:
         """Untrained classifier of a training, with its inputs from each part of a scene."""
         return cls(inputs, classes, settings.hidden, settings.dropout, generator)
-
-    @property
-    def arrays(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Weights (outputs, inputs) and biases (outputs,) of the layers."""
-        layers = (
-            [parameter.detach().cpu().numpy() for parameter in each.parameters()]
-            for each in self.layers
-        )
-        return [(weight, bias) for weight, bias in layers]
 
     @property
     def header(self) -> dict[str, Any]:
@@ -274,18 +264,9 @@ class OwnClassifier(Classifier):
 
     def forward(self, features: Tensor) -> Tensor:
         """Logits (..., C) of features (..., inputs)."""
-        module = self.loaded
+        # A module of a user's own may take rows alone
         rows = features if features.ndim == 2 else features.reshape(-1, features.shape[-1])
-        try:
-            logits = module(rows)
-        except (Exception, SystemExit) as error:
-            if torch.compiler.is_exporting() or isinstance(error, torch.OutOfMemoryError):
-                raise  # the caller answers it
-            told = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(
-                f"the classifier {self.title} fails at features of shape {tuple(rows.shape)}: "
-                f"{told}; mend it, so that it takes any number of rows"
-            ) from error
+        logits = self.loaded(rows)
         return logits.reshape(*features.shape[:-1], logits.shape[-1])
 
 

@@ -156,7 +156,8 @@ def _networks(design: Design) -> dict[str, Any]:
         "mean": _pack(masks.mean.cpu().numpy()),
         "std": _pack(masks.std.cpu().numpy()),
         "network": [
-            {"weight": _pack(weight), "bias": _pack(bias)} for weight, bias in network.arrays
+            {name: _pack(each.detach().cpu().numpy()) for name, each in layer.named_parameters()}
+            for layer in network.layers
         ],
         "exposure": masks.entry.model_dump(),
     }

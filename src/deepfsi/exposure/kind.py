@@ -10,13 +10,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import prod
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.base.errors import InputError, as_input_error
+from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.names import LIGHT_LAWS, LightLawName
 from deepfsi.designfile.design_file import Temperatures
@@ -63,7 +63,6 @@ class ExposureKind(ABC):
     image_shape: tuple[int, ...]  # of a scene
     summed_reflectance: float  # s, the training scenes' mean summed reflectance; λ = Φ x / s
     shares: Tensor  # (k,), share of the budget counted for each feature, in the training mean
-    camera: Camera  # of a design that does not say for which one it was trained
     detection: Detection  # detectors on parts of the device, and what is read of two rails
     makes_masks: ClassVar[bool] = False  # whether each mask is made from the counts so far
     comparable: ClassVar[bool] = True  # whether counts can be tested against the training's
@@ -142,16 +141,6 @@ class MaskExposure(ExposureKind):
     def count(self) -> int:
         """m, number of masks."""
         return self.rails.masks
-
-    @property
-    def camera(self) -> Camera:  # type: ignore[override]
-        """The camera of a design that does not say for which one it was trained."""
-        fields: dict[str, Any] = {"light": self.light, "rails": self.rails.kind}
-        fields["readout"] = self.detection.readout
-        if self.detection.labels is not None and LIGHT_LAWS[self.light].one_device:
-            fields["detectors"] = self.detection.labels.cpu()
-        with as_input_error("the design's camera", "train it again"):
-            return Camera.restored(fields)
 
     @property
     def title(self) -> str:
@@ -296,16 +285,11 @@ class MaskExposure(ExposureKind):
 class ConditionedExposure(MaskExposure):
     """Exposure of fixed dwells for a range of budgets, which its classifier must know.
 
-    Two inputs more are the logarithm of the budget, mapped from the range to -1 .. 1, and 1, the
-    share of masks shown, which designs of earlier versions could have below that.
+    Two inputs more are the logarithm of the budget, mapped from the range to -1 .. 1, and 1, which
+    was the share of masks shown in designs of earlier versions.
     """
 
     entry: ConditionedEntry
-
-    def __post_init__(self) -> None:
-        """Raise `ValueError` unless the masks can be exposed so."""
-        if self.count > self.entry.masks:
-            raise ValueError("more masks than in the whole sequence")
 
     @property
     def input_count(self) -> int:

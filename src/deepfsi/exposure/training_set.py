@@ -28,13 +28,12 @@ Matrices = dict[tuple[str, int, int, tuple[int, ...] | None], np.ndarray]
 """Sensing matrices (m, N) by design, number of masks, seed and detectors."""
 
 
-def check_classes(values: "Values | tuple[str, ...] | None", what: str) -> None:
-    """Raise `InputError` where a design estimates values and `what` is of classes."""
+def check_classes(values: object, what: str) -> None:
+    """Raise `InputError` where scenes have values and `what` is of classes."""
     if values:
-        names = values if isinstance(values, tuple) else values.names
         raise InputError(
-            f"{what} is of classes, and this design estimates {', '.join(names)}: use "
-            "Design.estimate, or `deepfsi evaluate`"
+            f"{what} is of classes, and these are values: use Design.estimate, or `deepfsi "
+            "evaluate`"
         )
 
 

@@ -31,7 +31,13 @@ from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.display import array_display, read_display, read_scene_list
 from deepfsi.datasets.load import absolute_source, find_source, load_dataset, prepare_display
 from deepfsi.designfile.design_file import AdaptiveHeader, DesignFile
-from deepfsi.designfile.provenance import TrainedOn, new_scenes, scene_hashes, trained_on
+from deepfsi.designfile.provenance import (
+    TrainedOn,
+    new_scenes,
+    scene_hashes,
+    trained_camera,
+    trained_on,
+)
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.manifest import Manifest
 from deepfsi.patterns.rails import DesignRails
@@ -317,7 +323,7 @@ def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) 
     camera = None
     if file.is_file():
         with suppress(InputError):  # whoever opens the design says what is wrong with it
-            camera = DesignFile.read(file, ()).camera
+            camera = trained_camera(DesignFile.read(file, ()).header.info)
     return Camera.of_run(camera, **settings)
 
 

@@ -116,7 +116,8 @@ def _mask_panels(
     files = [(p, designs / f"{p.keys[0]}.safetensors") for p in learned]
     for number, (point, path) in enumerate((each for each in files if each[1].is_file()), start=1):
         design = DesignFile.read(path, ("rails",))
-        shape = design.mask_header.mask_shape
+        header = design.mask_header
+        shape = header.exposure.mask_shape(header.image_shape)
         drawn = masks_figure(signed(design.rails), shape, count=MASKS_SHOWN)
         heading = f"{point.title} at {photons_text(photons)} photons"
         words = f"Masks of {heading}, up to {MASKS_SHOWN} of {design.masks}."
