@@ -162,6 +162,7 @@ def test_photons_are_conserved(light):
         ({"spread": float("nan")}, "spread"),
         ({"camera": "paper"}, "not column"),
         ({"camera": {"noise": "camera", "sigma": 2.0}}, "photon counts"),
+        ({"camera": {"light": "free-dwell", "fluctuation": 0.1}}, "steady light"),
     ],
 )
 def test_what_cannot_be_is_refused(digits, settings, match):

@@ -64,12 +64,11 @@ def test_tables_give_the_exact_posterior_of_scenes_that_are_known(dark):
     assert exact.max() > 2 / SCENES  # the counts told something
 
 
-@pytest.mark.parametrize("optics", [{}, {"fluctuation": 0.05}])
-def test_one_look_tells_what_it_tells_of_masks_that_are_made(optics):
+def test_one_look_tells_what_it_tells_of_masks_that_are_made():
     """To a power: what a look says of scenes near those of the prior is lost for the next looks."""
     prior = prior_with(spread=0.7)
-    state = state_of(prior, **optics)
-    made = AdaptivePosterior(prior, len(state), posterior.LookOptics(PHOTONS, **optics))
+    state = state_of(prior)
+    made = AdaptivePosterior(prior, len(state), posterior.LookOptics(PHOTONS))
     masks = EVERY.masks[: len(state)]
     counts = Poisson().draw(made.expected(masks, torch.from_numpy(X[:5]), SHARE), generator(5))
     for each in (state, made):

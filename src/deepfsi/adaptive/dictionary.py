@@ -91,7 +91,7 @@ class _MaskTables:
                 light = torch.addmm(mean[rows, None], components[rows], prior.coefficients.T)
                 counts = light.clamp_(min=least).mul_(gain).add_(dark)
                 usual = counts @ often
-                variance = nearby[rows] + (optics.fluctuation * (usual - dark)) ** 2
+                variance = nearby[rows]
                 size = (usual**2 / variance.clamp(min=1e-30)).clamp(max=LARGEST_SIZE)
                 roots = 2 * (counts + 3 / 8).sqrt()
                 roots -= (roots @ often)[:, None]
@@ -140,7 +140,7 @@ class MaskDictionary:
 
     def tables(self, prior: ScenePrior, optics: LookOptics, share: float) -> _MaskTables:
         """Tables for scenes and a budget; the last ones are kept."""
-        key = prior, optics.photons, optics.fluctuation, optics.dark_sum, share
+        key = prior, optics.photons, optics.dark_sum, share
         if self._tables is None or self._tables[0] != key:
             self._tables = key, _MaskTables.of(self.masks, prior, optics, share)
         return self._tables[1]

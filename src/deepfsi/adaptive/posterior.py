@@ -6,9 +6,6 @@ so that the likelihood of all scenes takes one product a readout. The light then
 and counts have a negative binomial law. With e = 0 they are Poisson counts, and this is the
 posterior of the ideal observer of the same masks.
 
-Light that fluctuates adds one normal number ε to each look, the same for all its readouts. It is
-learned with e from the readouts of the look, and then forgotten.
-
 The next mask is chosen greedily. A candidate separates the likeliest classes in two groups: its
 mirrors are ON where the mean scenes of the groups differ most for the photon noise that they bring.
 Scenes drawn from the posterior say which candidate's counts tell most of the class.
@@ -34,7 +31,7 @@ from deepfsi.designfile.design_file import Temperatures
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.exposure.kind import temperatures_at
 from deepfsi.jobs.exposures import AdaptiveMasks
-from deepfsi.physics.noise import Fluctuation, Poisson
+from deepfsi.physics.noise import Poisson
 
 CENTRE_SPREAD = 1.4
 """Distance of new scenes from centres of clusters, as a multiple of that of the clusters' members.
@@ -273,7 +270,6 @@ class LookOptics:
     dark: float | Tensor = 0.0  # (arms * D,)
     arms: int = 1  # 2 if the light of mirrors that are OFF is counted, too
     detectors: Tensor | None = None  # (N,), detector of each pixel, 0 .. D-1
-    fluctuation: float = 0.0  # relative standard deviation of the light from look to look
 
     @classmethod
     def of(cls, camera: Camera, image_shape: tuple[int, ...], photons: float) -> "LookOptics":
@@ -287,9 +283,7 @@ class LookOptics:
         labels = camera.detector_map(image_shape).labels
         arms = LIGHT_LAWS[camera.light].arms
         detectors = None if labels is None else torch.from_numpy(labels)
-        return cls(
-            photons, camera.dark_counts, arms, detectors=detectors, fluctuation=camera.fluctuation
-        )
+        return cls(photons, camera.dark_counts, arms, detectors=detectors)
 
     @property
     def dark_sum(self) -> float:
@@ -380,9 +374,6 @@ class AdaptivePosterior:
             steps = usual.clamp(min=1e-6).rsqrt()
             scale = steps * gain
             unknown = unknown * scale * scale.transpose(2, 3)
-            if self.optics.fluctuation:  # alike for all readouts of a look
-                bright = self.optics.fluctuation * (usual - dark) * steps
-                unknown = unknown + bright * bright.transpose(2, 3)
         members = functional.one_hot(self.prior.labels[places], self.prior.classes)
         best = information(counts, members * drawn[..., None], unknown).argmax(dim=1)
         return masks[torch.arange(len(masks)), best]
@@ -418,11 +409,7 @@ class AdaptivePosterior:
         """Next look at scenes (b, N) for a share of the exposure, which is not taken in yet."""
         masks = self.next_masks(share, generator)
         expected = self.expected(masks, x, share)
-        dark = self.optics.dark * share
-        light = expected - dark
-        if self.optics.fluctuation:
-            noise = Fluctuation(Poisson(), self.optics.fluctuation)
-            expected = light * noise.brightness(light[:, :1], generator) + dark
+        light = expected - self.optics.dark * share
         return Look(masks, Poisson().draw(expected, generator), light)
 
     def misfit(self, masks: Tensor, counts: Tensor, share: float) -> Tensor:
@@ -444,9 +431,6 @@ class AdaptivePosterior:
         covariance = (apart * weights[:, None, :, 0]) @ apart.transpose(1, 2)
         if self.prior.spread:
             covariance = covariance + left @ parts.transpose(1, 2)
-        if self.optics.fluctuation:
-            bright = self.optics.fluctuation * light[..., None]
-            covariance = covariance + bright @ bright.transpose(1, 2)
         noise = torch.diag_embed(expected.clamp(min=1e-6))
         away = (counts - expected)[..., None]
         solved = torch.linalg.solve(covariance * gain**2 + noise, away)
@@ -461,21 +445,12 @@ class AdaptivePosterior:
         """Take in counts (b, Q) behind masks (b, N) that were shown for a share of the exposure."""
         here = self.class_sums.sum(dim=1)  # (b, d): mean scene of the posterior before this look
         mean, parts = self.prior.light(self.optics.readouts(masks))
-        size = here.shape[1]
-        if self.optics.fluctuation:  # ε, one more number that is unknown, of this look
-            usual = self._light(masks)[0] + (self.unknown(parts) @ here[..., None])[..., 0]
-            bright = self.optics.fluctuation * usual.clamp(min=0)
-            parts = torch.cat([parts, bright[..., None]], dim=-1)
-            self._known = functional.pad(self._known, (0, 1))
-            self._shift = functional.pad(self._shift, (0, 1))
         dark = torch.as_tensor(self.optics.dark * share, dtype=torch.double)
         darks = dark.expand(counts.shape[1]).tolist()
         for each, at_mean, through, own in zip(
             counts.unbind(1), mean.unbind(1), parts.unbind(1), darks, strict=True
         ):
             self._take(here, each, at_mean, through, gain=self.gain * share, dark=own)
-        self._known = self._known[..., :size]
-        self._shift = self._shift[:, :size]
         self._end_look()
 
     def _take(
@@ -487,7 +462,7 @@ class AdaptivePosterior:
         gain: float,
         dark: float,
     ) -> None:
-        """One readout: counts (b,), light of the mean scene (b,) and of e (b, d), or e and ε."""
+        """One readout: counts (b,), light of the mean scene (b,) and of e (b, d)."""
         # With n counts, a gain g, rates μ_k of the scenes and μ of the mean one, and Σ of e, light
         # of a variance v = aᵀΣa makes counts negative binomial, of a size s = μ²/(g²v):
         #     log p_k += n log(μ_k/μ) − (n + s) log1p((μ_k/μ − 1) μ/(μ + s))
@@ -496,9 +471,9 @@ class AdaptivePosterior:
         least = LEAST_LIGHT * float(self.prior.mean.sum())
         response = self.unknown(through)  # Σa
         offset = at_mean + (through * self._shift).sum(dim=1)
-        own = response[:, : here.shape[1]]  # scenes of the prior differ in e alone
-        rate = (offset + (own * here).sum(dim=1)).clamp(min=least) * gain + dark
-        light = torch.addmm(offset[:, None], own, self.prior.coefficients.T).clamp_(min=least)
+        rate = (offset + (response * here).sum(dim=1)).clamp(min=least) * gain + dark
+        light = torch.addmm(offset[:, None], response, self.prior.coefficients.T)
+        light = light.clamp_(min=least)
         # relative to the mean scene: differences of likelihoods alone need float32's digits
         ratio = light.mul_(gain).add_(dark).div_(rate[:, None])
         self.logs.addcmul_(ratio.log(), counts[:, None])

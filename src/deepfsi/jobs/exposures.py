@@ -243,10 +243,10 @@ class AdaptiveMasks(UserModel):
                 f"adaptive masks are shown by one device, not {camera.light}: {advice}"
             )
         noise = camera.noise_facts
-        if not noise.counting or (noise.read_noise and camera.sigma):
+        if not noise.counting or (noise.read_noise and camera.sigma) or camera.fluctuation:
             raise InputError(
-                "adaptive masks are for photon counts or clicks: give poisson noise, click noise, "
-                "or camera noise of dark counts alone"
+                "adaptive masks are for photon counts or clicks of steady light: give poisson "
+                "noise, click noise, or camera noise of dark counts alone, without `fluctuation`"
             )
         several = camera.gates != 1 or not camera.one_detector or LIGHT_LAWS[camera.light].arms > 1
         if noise.gates and several:
