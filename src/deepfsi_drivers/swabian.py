@@ -53,7 +53,7 @@ class TaggerCounter(TappedCounter):
         inputs: tuple[int, ...] = (0,),
         marker_bit: int = 1,
         *,
-        trigger: int,
+        trigger: int = 0,
         config: FilePath | None = None,
     ) -> None:
         # The channel of the trigger is negative for falling edges; `config` is a TOML file

@@ -115,7 +115,7 @@ def test_settings_that_cannot_be_are_refused(digits, patterns, tmp_path):
 
 @pytest.mark.parametrize(
     ("limits", "words"),
-    [({"video_us": 8333}, "frames of a video"), ({"longest_us": 3000}, "for 3000 at most")],
+    [({"video_us": 8333}, "takes no frame then"), ({"longest_us": 3000}, "for 3000 at most")],
 )
 def test_devices_that_cannot_show_a_look_are_refused(digits, tmp_path, limits, words):
     device = DEVICE.model_copy(update=limits)

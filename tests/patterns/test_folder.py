@@ -160,7 +160,7 @@ def test_another_design_beside_the_frames_is_found(tmp_path):
         ({"rails": np.zeros((2, 3, 16))}, "every mask is dark"),
         ({"light": "two-arm"}, "do not sum to one time"),
         ({"dwell_s": math.inf}, "dwell inf"),
-        ({"dwell_s": 999, "rails": UNEQUAL}, "longest picture takes"),
+        ({"dwell_s": 999, "rails": UNEQUAL}, "export again with another --exposure"),
         ({"format": "bin"}, "give one of npy, raw, bmp"),
         ({"device": find_device("3x3")}, "do not fit"),
         ({"device": Device(name="slow", columns=8, rows=8, settle_us=1e3)}, "leave no time after"),

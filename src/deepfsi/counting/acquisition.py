@@ -101,36 +101,31 @@ class Acquisition(StrictModel):
         if exposure is None:
             longest = manifest.longest_exposure_s(settle + manifest.usual_tolerance_s)
             exposure = max(longest, 0) / (repeats or 1)
-        gates = GatePlan.of(manifest, exposure, settle, repeats)
-        countable = max(MOST_READOUTS // (len(scenes) * manifest.readouts), 1)
-        if manifest.inputs > MOST_INPUTS:
-            raise InputError(
-                f"a counter has up to {MOST_INPUTS} inputs, and these patterns need "
-                f"{manifest.inputs}, one for each detector: use a design with fewer `detectors`"
-            )
         with as_input_error():
-            return cls(
-                scenes=scenes,
-                exposure_s=exposure,
-                settle_s=settle,
-                repeats=repeats or min(gates.repeats, countable),
-                **others,
-            )
+            planned = cls(scenes=scenes, exposure_s=exposure, settle_s=settle, repeats=1, **others)
+        gates = planned.gates(manifest, exposure, repeats=repeats)
+        return planned.model_copy(update={"repeats": gates.repeats})
 
     def gates(
-        self, manifest: Manifest, exposure_s: float | None = None, parts: int = 1
+        self,
+        manifest: Manifest,
+        exposure_s: float | None = None,
+        *,
+        repeats: int | None = None,
+        parts: int = 1,
     ) -> GatePlan:
-        """Gates to count it with, for its exposure or another, each in equal parts."""
-        wanted = self.repeats if exposure_s is None else None
-        exposure = self.exposure_s if exposure_s is None else exposure_s
-        gates = GatePlan.of(manifest, exposure, self.settle_s, wanted)
+        """Gates as recorded, or of another exposure, as many as fit where None, in equal parts."""
+        if exposure_s is None:
+            exposure_s = self.exposure_s
+            repeats = self.repeats
+        gates = GatePlan.of(manifest, exposure_s, self.settle_s, repeats)
         most = MOST_READOUTS // (len(self.scenes) * manifest.readouts * parts)
-        if most < (wanted or 1):
+        if most < (repeats or 1):
             raise InputError(
-                f"{len(self.scenes)} scenes with {wanted or 1} repeats are more than "
+                f"{len(self.scenes)} scenes with {repeats or 1} repeats are more than "
                 f"{MOST_READOUTS} gates: give fewer repeats, or split the acquisition"
             )
-        return gates if gates.repeats <= most else replace(gates, repeats=most)
+        return replace(gates, repeats=min(gates.repeats, most))
 
     @property
     def digest(self) -> str:

@@ -143,7 +143,9 @@ class Recording:
             raise InputError(
                 f"{self.folder} holds the first photons alone of its gates: leave the exposure out"
             )
-        gates = self.acquisition.gates(self.manifest, settings.exposure_s, settings.clicks or 1)
+        gates = self.acquisition.gates(
+            self.manifest, settings.exposure_s, parts=settings.clicks or 1
+        )
         if settings.clicks is None:
             counts = _count_photons(self, gates, settings, progress)
         else:

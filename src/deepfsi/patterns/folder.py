@@ -162,10 +162,6 @@ class Patterns:
             )
         numbers = manifest.rails * manifest.masks * on.shape[1]
         check_unpacked(numbers, on.nbytes, f"the masks of {path}", AGAIN)
-        if on.max(initial=0) > manifest.grid.mirrors:
-            raise InputError(
-                f"{counts} has cells with more than their {manifest.grid.mirrors} mirrors: {AGAIN}"
-            )
         return cls(manifest, on, Path(folder))
 
     def frames(self) -> Iterator[np.ndarray]:
@@ -298,12 +294,6 @@ def _times_us(
     wanted = device.settle_us + rest * len(shares) * shares / shares.sum()
     if LIGHT_LAWS[light].equal_times:
         wanted = np.full(len(shares), mean)
-    elif wanted.max() > device.longest_us:
-        raise InputError(
-            f"with pictures of {time_text(dwell_s)} in the mean the longest picture takes "
-            f"{time_text(wanted.max() / 1e6)}, and {device.name} allows "
-            f"{time_text(device.longest_us / 1e6)}: give a shorter --exposure"
-        )
     pictures = [device.whole_us(us) for us in wanted.tolist()]
     sentinel = device.whole_us(dwell_s * 1e6)
     if not device.video_us:

@@ -265,10 +265,6 @@ class Manifest(StrictModel):
         wide: Any = (*inputs.shape[:-1], self.rails, self.detector_count)
         return np.broadcast_to(split, wide).reshape(*wide[:-1], *self.several)
 
-    def dark_inputs(self, on: np.ndarray, off: np.ndarray) -> np.ndarray:
-        """Values (inputs,) of frames in which inputs see no mirror: all OFF, or ON of arm two."""
-        return np.append(off[: self.detector_count], on[self.detector_count :])
-
     @property
     def usual_tolerance_s(self) -> float:
         """Time by which a frame's marker may be off: 10 µs, or a tenth of the shortest frame."""
@@ -288,15 +284,11 @@ class Manifest(StrictModel):
                 f"{device.patterns}: use fewer masks (of a scan: a smaller --size; of adaptive "
                 "masks: a smaller `dictionary`), or a device that holds more"
             )
-        if self.looks and device.video_us is not None:
+        in_order = device.video_us is not None  # a video shows its frames in their order
+        loads = self.looks and not self.looks.dictionary
+        if (self.looks and in_order) or (loads and device.load_us is None):
             raise InputError(
-                f"adaptive masks are shown when the counts ask for them, and {device.name} shows "
-                "the frames of a video in their order: use a device that stores frames, such as "
-                "dlp7000"
-            )
-        if self.looks and not self.looks.dictionary and device.load_us is None:
-            raise InputError(
-                f"adaptive masks are loaded while the run goes on, and {device.name} takes no "
+                f"adaptive masks are shown as the counts ask for them, and {device.name} takes no "
                 "frame then: use a device that does, such as dlp7000, or a device file with its "
                 "`load_us`"
             )
