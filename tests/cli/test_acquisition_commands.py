@@ -79,7 +79,7 @@ def test_a_lab_counts_its_recording_and_wrong_wiring_is_put_right(
         right = settings | {"inputs": [2], "marker_bit": 4}
         (run / "acquisition.json").write_text(json.dumps(right))
     counted = json.loads(done("camera", "count", run, "--json"))
-    assert (counted["whole"], counted["inputs"]) == (3, [3])
+    assert (counted["exposures"], counted["inputs"]) == (3, [3])
     assert counted["photons_counted"] == lab.photons[:, 2:-2].sum()
 
 

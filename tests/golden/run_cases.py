@@ -143,7 +143,7 @@ def with_a_flat() -> dict[str, Any]:
         "arrays": arrays(Path(run, "counts.npz")),
         "classes": answer("camera", "classify", file_of("quad"), run),
         "dim": [
-            answer("camera", "count", "dim")["whole"],
+            answer("camera", "count", "dim")["exposures"],
             answer("camera", "count", run, "--flat", "dim"),
         ],
     }

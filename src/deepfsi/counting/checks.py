@@ -97,12 +97,14 @@ class PassLight:
 
     def find_faults(self, chance: float) -> list[Fault]:
         """Faults of passes, which are then no more sound; one without light has no other."""
+        tested = self.sound.copy()
         dark = list(self._find_dark())
         without = {fault.scene for fault in dark}
         others = [*self._find_brighter(chance), *self._find_drift(chance)]
         for fault in (*dark, *others):
             self.sound[self.curve.scenes == fault.scene] = False
-        return dark + [fault for fault in others if fault.scene not in without]
+        faults = dark + [fault for fault in others if fault.scene not in without]
+        return faults + _find_restless_lamp(self.curve.scenes, tested, self.sound)
 
     def _find_dark(self) -> Iterator[Fault]:
         """Faults of passes that are not lit. A detector that sees a part need not be lit."""
@@ -243,19 +245,8 @@ def check_light(arrivals: Arrivals, manifest: Manifest, inputs: Sequence[int]) -
     wired = [tuple(inputs[first : first + count]) for first in range(0, len(inputs), count)]
     curves = light_curves(arrivals, scenes, wired)
     chance = FALSE_ALARMS / len(curves) / CHECKS
-    lights = []
-    faults = list[Fault]()
-    of_arms = set[tuple[str, int | None]]()
-    for curve in curves:
-        light = PassLight.of(curve, Background.of(curve, chance), chance)
-        tested = light.sound.copy()
-        of_curve = light.find_faults(chance) + _find_restless_lamp(scenes, tested, light.sound)
-        if curve.sees_part:  # what all detectors of an arm show together is said once
-            of_curve = [fault for fault in of_curve if (fault.kind, fault.scene) not in of_arms]
-        else:
-            of_arms |= {(fault.kind, fault.scene) for fault in of_curve}
-        faults += of_curve
-        lights.append(light)
+    lights = [PassLight.of(curve, Background.of(curve, chance), chance) for curve in curves]
+    faults = _find_faults(lights, chance)
     arms = lights[: len(wired)]
     of_inputs = lights[-len(inputs) :]
     flux = arms[0].measure_flux(manifest.brightness, chance)
@@ -268,6 +259,20 @@ def check_light(arrivals: Arrivals, manifest: Manifest, inputs: Sequence[int]) -
     rates = np.stack([light.background.rate for light in of_inputs], axis=1)
     lit = np.logical_and.reduce([light.lit for light in arms])
     return Light(flux.rate, rates, tuple(faults), lit)
+
+
+def _find_faults(lights: Sequence[PassLight], chance: float) -> list[Fault]:
+    """Faults of arms, and of their detectors: what an arm shows as a whole is said once."""
+    faults = list[Fault]()
+    of_arms = set[tuple[str, int | None]]()
+    for light in lights:  # those of arms come first
+        of_curve = light.find_faults(chance)
+        if light.curve.sees_part:
+            of_curve = [fault for fault in of_curve if (fault.kind, fault.scene) not in of_arms]
+        else:
+            of_arms |= {(fault.kind, fault.scene) for fault in of_curve}
+        faults += of_curve
+    return faults
 
 
 def _find_blind_detectors(detectors: Sequence[PassLight]) -> Iterator[Fault]:
@@ -402,21 +407,15 @@ class LightMonitor:
         last = len(self._ends) - 1
         self._ends[-1] = Arrivals.join([lists[0], lists[-1]])
         self._look_back()
-        faults: list[Fault] = []
-        of_arms: set[str] = set()
         curves = light_curves(Arrivals.stack([scene]), np.array([last]), self._wired)
-        for index, curve in enumerate(curves):
-            so_far = self._backgrounds[index]
+        lights = []
+        for curve, so_far in zip(curves, self._backgrounds, strict=True):
             dark = Background(so_far.photons[-1:], so_far.seconds[-1:], [slice(0, 1)])
-            light = PassLight.of(curve, dark, self._chance)
-            of_curve = light.find_faults(self._chance)
-            self._sound[-1] &= bool(light.sound[0])
-            faults += [fault for fault in of_curve if fault.kind not in of_arms]
-            if index == len(self._wired) - 1:
-                of_arms = {fault.kind for fault in faults}
+            lights.append(PassLight.of(curve, dark, self._chance))
+        faults = _find_faults(lights, self._chance)
+        self._sound[-1] &= all(bool(light.sound[0]) for light in lights)
         scenes = np.arange(last + 1)
-        lit = np.array(self._lit)
-        faults += _find_restless_lamp(scenes, lit, np.array(self._sound))
+        faults += _find_restless_lamp(scenes, np.array(self._lit), np.array(self._sound))
         return tuple(faults)
 
     def _look_back(self) -> None:

@@ -6,11 +6,11 @@ inputs, so that all that reads PTU files works.
 
 import os
 import struct
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, ExitStack
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -28,9 +28,6 @@ class PtuWriter:
     `growing` is there from the start, and is read while it is written.
     """
 
-    record_type: ClassVar[str] = GENERIC_T2.name
-    inputs: ClassVar[int] = GENERIC_T2.inputs
-
     def __init__(
         self, path: str | os.PathLike[str], tick_s: float = 1e-12, *, growing: bool = False
     ) -> None:
@@ -42,25 +39,18 @@ class PtuWriter:
         self._records = self._latest = self._wraps = 0
 
     def __enter__(self) -> Self:
-        self._opened = self._open()
-        return self._opened.__enter__()
-
-    def __exit__(self, *error: Any) -> None:
-        self._opened.__exit__(*error)
-
-    @contextmanager
-    def _open(self) -> Iterator[Self]:
-        """Open the file; the header is written again at the end, with the number of records."""
         opened: AbstractContextManager[BinaryIO | GrowingFile] = (
             GrowingFile(self._path) if self._growing else open_atomically(self._path)
         )
-        with opened as self._file:
-            self._file.write(self._header())
-            try:
-                yield self
-            finally:
-                self._file.seek(0)
-                self._file.write(self._header())
+        with ExitStack() as stack:
+            self._file = stack.enter_context(opened)
+            self._write_header()
+            stack.callback(self._write_header)  # again, with the number of records
+            self._opened = stack.pop_all()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._opened.__exit__(*error)
 
     def write(self, times: np.ndarray, codes: np.ndarray) -> None:
         """Append events at ticks (n,) that rise over all calls.
@@ -107,8 +97,8 @@ class PtuWriter:
         self._latest = int(times[-1])
         self._wraps = int(wraps[-1])
 
-    def _header(self) -> bytes:
-        """Header, with the number of records so far."""
+    def _write_header(self) -> None:
+        """Write the header, with the number of records so far."""
         tags: dict[str, str | int | float | None] = {
             "CreatorSW_Name": "deepfsi",
             "CreatorSW_Version": version("deepfsi"),
@@ -120,9 +110,9 @@ class PtuWriter:
             "TTResult_NumberOfRecords": self._records,
             "Header_End": None,
         }
-        return struct.pack("<8s8s", MAGIC, b"1.0.00") + b"".join(
-            _encode_tag(name, value) for name, value in tags.items()
-        )
+        encoded = b"".join(_encode_tag(name, value) for name, value in tags.items())
+        self._file.seek(0)
+        self._file.write(struct.pack("<8s8s", MAGIC, b"1.0.00") + encoded)
 
 
 def _encode_tag(name: str, value: str | int | float | None) -> bytes:
@@ -169,7 +159,7 @@ def write_ptu(
         if channel not in available:
             some = ", ".join(map(str, available[:20])) or "none"
             raise InputError(f"channel {channel} has no events; there are some on {some}")
-    most = PtuWriter.inputs
+    most = GENERIC_T2.inputs
     if not 0 < len(inputs) <= most or len(set(wanted)) < len(wanted):
         raise InputError(
             f"channels {inputs} for the detectors beside {marker} for the trigger are not allowed: "

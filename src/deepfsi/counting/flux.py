@@ -173,27 +173,11 @@ def change_chance(
     return np.minimum(1.0, 2 * np.minimum(more, less))
 
 
-@dataclass(frozen=True)
-class _PassRates:
-    """Rates of passes; several sum."""
-
-    counts: np.ndarray  # (P,): photons, less the background where it is known
-    variances: np.ndarray  # (P,): of the counts
-    seconds: np.ndarray  # (P,)
-
-    def mean(self, segment: slice) -> float:
-        """Rate of passes together, counts/s."""
-        return float(self.counts[segment].sum() / self.seconds[segment].sum())
-
-
-def _find_segments(rates: _PassRates, allowed: AllowedRatio, chance: float) -> list[slice]:
-    """Segments between the change points of a row of passes."""
+def _find_segments(passes: np.ndarray, allowed: AllowedRatio, chance: float) -> list[slice]:
+    """Segments between the change points of passes: counts, variances, seconds (3, P)."""
     segments = []
-    todo = [(0, len(rates.counts))]
-    rows = np.stack([rates.counts, rates.variances, rates.seconds]).astype(np.float64)
-    sums = np.pad(
-        np.cumsum(rows, axis=1), ((0, 0), (1, 0))
-    )  # of the first 0 … P passes, (3, P + 1)
+    todo = [(0, passes.shape[1])]
+    sums = np.pad(np.cumsum(passes, axis=1), ((0, 0), (1, 0)))  # of the first 0 … P passes
     while todo:
         start, stop = todo.pop()
         cut = _find_cut(sums[:, start : stop + 1], allowed, chance)
@@ -281,8 +265,8 @@ class Background:
         photons, seconds = curve.together(curve.dark)
         usual = (photons.sum() + 1) / max(seconds.sum(), 1e-300)
         ratio = 1 + HARMLESS_DARK * _usual_light(curve) / usual
-        rates = _PassRates(photons, photons, seconds)
-        segments = _find_segments(rates, lambda *_: np.array(ratio), chance)
+        passes = np.stack([photons, photons, seconds]).astype(np.float64)
+        segments = _find_segments(passes, lambda *_: np.array(ratio), chance)
         pooled = photons.astype(np.float64)
         pooled_s = seconds.copy()
         for segment in segments:
@@ -344,45 +328,51 @@ class Flux:
         error = rate**2 / np.maximum(background.photons, 1)
         counts = (on - rate * on_s)[used]
         noise = on[used] + error[used] * on_s[used] ** 2
-        rates = _PassRates(counts, noise, on_s[used])
-        segments = [slice(0, int(used.sum()))]
-        passes = np.flatnonzero(used)
+        passes = np.stack([counts, noise, on_s[used]])
+        segments = [slice(0, len(counts))]
+        lit = np.flatnonzero(used)
         if brightness is not None:
-            segments = _find_segments(rates, allowed_ratio(brightness), chance)
-            line = _fit_decay(rates, segments, brightness)
+            segments = _find_segments(passes, allowed_ratio(brightness), chance)
+            line = _fit_decay(passes, segments, brightness)
             if line is not None:
-                every = np.interp(np.arange(len(used)), passes, line)
+                every = np.interp(np.arange(len(used)), lit, line)
                 return cls(every, trend=line[-1] / line[0])
-        starts = [0, *(int(passes[segment.start]) for segment in segments[1:]), len(used)]
+        starts = [0, *(int(lit[segment.start]) for segment in segments[1:]), len(used)]
         lengths = np.diff(starts)
-        scenes = curve.scenes[passes]
+        scenes = curve.scenes[lit]
         levels = [
-            _Level(scenes[segment.start], scenes[segment.stop - 1], rates.mean(segment))
+            _Level(scenes[segment.start], scenes[segment.stop - 1], _mean_rate(passes, segment))
             for segment in segments
         ]
         return cls(np.repeat([level.rate for level in levels], lengths), tuple(levels))
 
 
+def _mean_rate(passes: np.ndarray, segment: slice) -> float:
+    """Counts/s of some passes (3, P) together."""
+    return float(passes[0, segment].sum() / passes[2, segment].sum())
+
+
 def _fit_decay(
-    rates: _PassRates, segments: list[slice], brightness: Brightness
+    rows: np.ndarray, segments: list[slice], brightness: Brightness
 ) -> np.ndarray | None:
     """Rates (P,) of a light that rises or falls steadily, if it does, and not in steps."""
-    passes = len(rates.counts)
+    counts, variances, seconds = rows
+    passes = len(counts)
     # A line through fewer passes fits their noise
-    if passes < 5 or not (rates.counts > 0).all():
+    if passes < 5 or not (counts > 0).all():
         return None
-    logs = np.log(rates.counts / rates.seconds)
+    logs = np.log(counts / seconds)
     when = np.arange(passes) - (passes - 1) / 2
     line = logs.mean() + when * ((logs @ when) / (when @ when))
     change = abs(float(line[-1] - line[0]))
-    noise = brightness.within**2 + float((rates.variances / rates.counts**2).mean())
+    noise = brightness.within**2 + float((variances / counts**2).mean())
     error = np.sqrt(noise / (when @ when)) * (passes - 1)
-    # Two classes one after the other are a step, and the line through it is half as much longer.
+    # Two classes one after the other are a step, and the line through it is half as much longer
     sound = 1.5 * np.log(brightness.between) + SPREAD_SIGMAS * error + HARMLESS
     if len(segments) == 1 and change <= sound:
         return None
     steps = np.concatenate(
-        [np.full(segment.stop - segment.start, rates.mean(segment)) for segment in segments]
+        [np.full(segment.stop - segment.start, _mean_rate(rows, segment)) for segment in segments]
     )
     free = max(passes - 2 * len(segments) + 1, 1)
     by_line = float(((logs - line) ** 2).sum()) / (passes - 2)

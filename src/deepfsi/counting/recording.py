@@ -171,8 +171,7 @@ class Recording:
         ]
         return {
             "scenes": len(counts.counts),
-            "exposures": int(counts.valid.size),
-            "whole": int(counts.valid.sum()),
+            "exposures": counts.valid.size,
             "exposure_s": counts.exposure_s,
             "photons_counted": int(counts.counts.sum()),
             "photons": [None if math.isnan(flux) else flux for flux in counts.photons.tolist()],
@@ -186,7 +185,6 @@ class Recording:
             "problems": list(PtuFile(self.photons).header.problems),
             "faults": faults,
             "counts": counts.counts.tolist(),
-            "valid": counts.valid.tolist(),
         }
 
     def lines(self, counts: Counts) -> Iterator[str]:
@@ -196,23 +194,19 @@ class Recording:
         names = [scene.name for scene in self.acquisition.scenes]
         for fault in counts.faults:
             yield fault.words(names)
-        counted = int(counts.counts.sum())
         if counts.dead_time.seconds:
             yield f"dead time of {counts.dead_time} is corrected"
         if counts.gains:
-            gains = ", ".join(f"{gain:.3f}" for gain in counts.gains)
-            yield f"efficiencies corrected: {gains}"
+            yield f"efficiencies corrected: {', '.join(f'{gain:.3f}' for gain in counts.gains)}"
         kind = "photons" if counts.gates is None else f"clicks of up to {counts.gates} a frame"
         stated = counts.gates is not None and self.acquisition.flux in counts.flux
         source = "that acquisition.json states" if stated else "by the all-ON frames"
         yield (
             f"{len(counts.counts)} scenes, {counts.valid.size} exposures of "
-            f"{time_text(counts.exposure_s)}, {int(counts.valid.sum())} of them whole"
+            f"{time_text(counts.exposure_s)}, {int(counts.counts.sum())} {kind} counted"
         )
-        yield f"{counted} {kind} counted"
         yield f"budget {source}: {_span(counts.photons)} photons an exposure"
-        yield f"dark counts: {_span(counts.dark_rate[counts.valid.any(axis=1)])} a second"
-        yield f"clocks: frames last {1 + counts.drift:.7g} times as long as planned"
+        yield f"dark counts: {_span(counts.dark_rate)} a second"
         yield f"counts: {self._counts_file}"
 
 

@@ -214,21 +214,19 @@ def _as_measured(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> n
     places = np.unique((np.arange(64) * 0.6180339887498949 % 1 * len(steps)).astype(np.int64))
     total = planned.sum(axis=1)
     shortest = float(pictures.min())
-    fits: dict[str, list[tuple[float, float]]] = {"rate": [], "extra": []}
-    for block in steps[places]:
-        rate = block.sum() / total - 1
-        extra = (block.sum() - total) / size
-        off_rate = np.abs(block - (1 + rate[:, None]) * planned).max(axis=1)
-        off_extra = np.abs(block - planned - extra[:, None]).max(axis=1)
-        off_rate[np.abs(rate) > MOST_RATE] = np.inf
-        off_extra[(extra > MOST_EXTRA * shortest) | (extra < -MOST_RATE * shortest)] = np.inf
-        for kind, values, off in (("rate", rate, off_rate), ("extra", extra, off_extra)):
-            best = int(np.argmin(off))
-            fits[kind].append((values[best], off[best]))
+    blocks = steps[places][:, None]
+    rate = blocks.sum(axis=2) / total - 1
+    extra = (blocks.sum(axis=2) - total) / size
+    off_rate = np.abs(blocks - (1 + rate[..., None]) * planned).max(axis=2)
+    off_extra = np.abs(blocks - planned - extra[..., None]).max(axis=2)
+    off_rate[np.abs(rate) > MOST_RATE] = np.inf
+    off_extra[(extra > MOST_EXTRA * shortest) | (extra < -MOST_RATE * shortest)] = np.inf
     medians = {}
-    for kind, best_fits in fits.items():
-        close = [fit for fit in best_fits if fit[1] <= 2 * tolerance]
-        if len(close) >= len(best_fits) / 8:
+    for kind, values, off in (("rate", rate, off_rate), ("extra", extra, off_extra)):
+        best = np.arange(len(off)), off.argmin(axis=1)
+        fits = np.stack([values[best], off[best]], axis=1)
+        close = fits[fits[:, 1] <= 2 * tolerance]
+        if len(close) >= len(fits) / 8:
             medians[kind] = np.median(close, axis=0)
     if not medians:
         return pictures

@@ -291,11 +291,6 @@ class EventRecorder:
     def __init__(
         self, camera: VirtualCamera, rng: np.random.Generator, inputs: Sequence[int]
     ) -> None:
-        if max(inputs) >= PtuWriter.inputs:
-            raise InputError(
-                f"input {max(inputs) + 1} is none of a {PtuWriter.record_type} file, which has "
-                f"{PtuWriter.inputs}: use fewer `detectors`"
-            )
         self.inputs = inputs  # of the file, one for each detector
         self.writer: PtuWriter | None = None
         self.end = 0  # ticks up to which the detectors' light is known
