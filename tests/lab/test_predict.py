@@ -55,7 +55,8 @@ def test_light_is_that_of_the_camera_unless_it_is_told(digits, raw, design):
     assert deepfsi.predict(several, raw).photons == pytest.approx(3e4)
     with pytest.raises(InputError, match="does not know what to do to pictures"):
         deepfsi.predict(replace(design, info={"job": design.info["job"]}), raw, 1e4)
-    silent = replace(design, info={k: v for k, v in design.info.items() if k != "job"})
+    camera = {"camera": design.info["job"]["camera"]}
+    silent = replace(design, info=design.info | {"job": camera})
     with pytest.raises(InputError, match="give `photons`"):
         deepfsi.predict(silent, raw)
 

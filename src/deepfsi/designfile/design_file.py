@@ -312,7 +312,10 @@ def _check_prior(header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]) -> No
         raise ValueError("temperatures are of other looks, or no camera is known")
     # Each scene or centre stands for one or more, and belongs to one class
     sizes = arrays["sizes"]
-    if arrays["members"].min() < 1 or sizes.min() < 0 or sizes.sum() != scenes:
+    light, spread = arrays["numbers"]
+    populated = arrays["members"].min() > 0 and sizes.min() >= 0 and sizes.sum() == scenes
+    lit = math.isclose(light, arrays["mean"].sum(dtype=float), rel_tol=1e-3) and light > 0
+    if not (populated and lit and 0 <= spread <= 1e2):
         raise ValueError("the scenes of the prior are none")
 
 
