@@ -16,13 +16,14 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import new_folder, readable_name
 from deepfsi.base.tables import normal_name, read_cells
 from deepfsi.datasets.dataset import Dataset, Reflectance
-from deepfsi.datasets.levels import WRITTEN, PictureSize, ValueRange, measure_levels, reflectance
+from deepfsi.datasets.levels import ValueRange, measure_levels, reflectance
 from deepfsi.datasets.pictures import (
+    WRITTEN,
+    PictureSize,
     class_name,
-    decode_pictures,
     is_image,
     list_pictures,
-    sized_text,
+    read_pictures,
 )
 
 
@@ -70,16 +71,15 @@ def read_display(
         pictures = [picture for part in list_pictures(source) for picture in part]
         labels = tuple(map(class_name, pictures))
     folder = source.parent if source.is_file() else source
-    pixels, tally = decode_pictures(pictures, shape)
+    pixels, levels, words, written = read_pictures(pictures, shape, white)
     names = [picture.relative_to(folder).as_posix() for picture in pictures]
-    levels = tally.levels(white)
     return Display(
         names=tuple(map(readable_name, names)),
         labels=labels,
         x=reflectance(pixels, levels),
         levels=levels,
-        preprocessing=f"{tally.words}{sized_text(shape, tally.sizes)}; {levels.words}",
-        written=tally.written,
+        preprocessing=words,
+        written=written,
     )
 
 

@@ -8,25 +8,15 @@ divided by the same.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base.errors import InputError
-from deepfsi.base.quantities import plural
-
-if TYPE_CHECKING:
-    from PIL.Image import Image as PillowImage
 
 BITS = (1, 8, 10, 12, 14, 16, 24, 32)
 """Depths of integers in files of cameras."""
-
-PictureSize = tuple[int, int]
-
-WRITTEN = "deepfsi"
-"""Word in the head of a PNG file that holds reflectance as a data set had it."""
 
 AnyArray = npt.NDArray[Any]
 
@@ -86,51 +76,3 @@ def reflectance(values: AnyArray, levels: ValueRange) -> npt.NDArray[np.float32]
     if levels.white == 1:
         return np.array(values, np.float32)
     return np.divide(values, levels.white, dtype=np.float32)
-
-
-@dataclass
-class Tally:
-    """Facts of pictures that were read."""
-
-    coloured: int = 0
-    written: int = 0  # those that `write_pictures` wrote, as reflectance
-    sizes: set[PictureSize] = field(default_factory=set)  # heights and widths
-    # Smallest and largest value of each before it is resized, by the name of its file
-    reach: dict[str, AnyArray] = field(default_factory=dict)
-
-    def grey(self, image: "PillowImage", where: str) -> "PillowImage":
-        """Count an image and give it in grey: mode L of 8 bits, else F in its own values."""
-        from PIL import Image, ImageOps
-
-        ImageOps.exif_transpose(image, in_place=True)
-        values = _values(image, where)
-        self.reach[where] = np.array([values.min(), values.max()])
-        self.coloured += image.mode not in ("1", "L", "LA", "I", "F") and image.mode[:4] != "I;16"
-        self.written += WRITTEN in image.info
-        self.sizes.add((image.height, image.width))
-        return Image.fromarray(values if values.dtype == np.uint8 else values.astype(np.float32))
-
-    def levels(self, white: float | None) -> ValueRange:
-        """Range of all pictures, and their white."""
-        levels = measure_levels(self.reach, white)
-        kinds = {"uint8": "8-bit", "float32": "float", "int32": "32-bit"}
-        return levels._replace(kind=kinds.get(levels.kind, "16-bit"))
-
-    @property
-    def words(self) -> str:
-        """Pictures, sizes and colours, as the beginning of a sentence."""
-        sizes = [f"{height}x{width} pixels" for height, width in self.sizes]
-        size = sizes[0] if len(sizes) == 1 else "several sizes"
-        coloured = f", {self.coloured} in colour, turned to grey" if self.coloured else ""
-        return f"{plural(len(self.reach), 'image')} of {size}{coloured}"
-
-
-def _values(image: "PillowImage", where: str) -> AnyArray:
-    """Grey levels of an image: uint8, 16 or 32 bits, or float32."""
-    if image.mode not in ("I", "F") and not image.mode.startswith("I;16"):
-        return np.asarray(image.convert("L"))
-    tags = getattr(image, "tag_v2", {})
-    if tags.get(262) == 0:  # TIFF's PhotometricInterpretation: Pillow turns it over in 8 bits alone
-        raise InputError(f"{where} has 0 for white: save it with 0 for black")
-    values = np.asarray(image)
-    return values.astype(values.dtype.newbyteorder("="))

@@ -8,18 +8,27 @@ import os
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base.arrays import check_memory
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import check_unpacked, read_regular, readable_name
+from deepfsi.base.files import read_regular, readable_name
+from deepfsi.base.quantities import plural
 from deepfsi.base.tables import normal_name, read_cells
 from deepfsi.datasets.arrays import draw_stratified, split_arrays
 from deepfsi.datasets.dataset import Dataset, Origin
-from deepfsi.datasets.levels import PictureSize, Tally
+from deepfsi.datasets.levels import ValueRange, measure_levels
+
+if TYPE_CHECKING:
+    from PIL.Image import Image as PillowImage
+
+PictureSize = tuple[int, int]
+
+WRITTEN = "deepfsi"
+"""Word in the head of a PNG file that holds reflectance as a data set had it."""
 
 IMAGE_SUFFIXES = (
     *(".png", ".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".gif", ".tif", ".tiff", ".webp"),
@@ -35,7 +44,6 @@ OF_SYSTEMS = ("__MACOSX", "@eaDir", "$RECYCLE.BIN", "System Volume Information",
 def load_pictures(options: Origin) -> Dataset:
     """Data set of the images of a folder or of a ``.csv`` file, which gives the name, too."""
     path = Path(options.data)
-    shape = options.size
     test: list[list[Path]] = []
     values = None
     drawn = ""
@@ -55,8 +63,8 @@ def load_pictures(options: Origin) -> Dataset:
         )
         train = [train[i] for i in kept]
         labels = np.array([class_name(path) for part in (train, *test) for path in part])
-    pixels, tally = decode_pictures([*train, *(test[0] if test else [])], shape)
-    levels = tally.levels(options.white)
+    every = [*train, *(test[0] if test else [])]
+    pixels, levels, words, _ = read_pictures(every, options.size, options.white)
     n = len(train)
     return split_arrays(
         (pixels[:n], labels[:n]),
@@ -65,7 +73,7 @@ def load_pictures(options: Origin) -> Dataset:
         name=name,
         seed=options.seed,
         rescale=options.rescale,
-        described=f"{drawn}{tally.words}{sized_text(shape, tally.sizes)}; {levels.words}",
+        described=f"{drawn}{words}",
         levels=levels,
     )
 
@@ -95,11 +103,6 @@ def _read_list(path: Path) -> tuple[list[Path], npt.NDArray[Any], Sequence[str] 
         return images, cells[:, 1].to_numpy(), None
     named = heads and heads[1] not in ("label", "class")
     return images, cells[:, 1:].cast(pl.Float64).to_numpy(), heads[1:] if named else None
-
-
-def sized_text(shape: PictureSize | None, sizes: set[PictureSize]) -> str:
-    """Say to what size images of some sizes were brought, as the end of a phrase."""
-    return f", averaged to {shape[0]}x{shape[1]} pixels" if shape and sizes != {shape} else ""
 
 
 def is_image(name: str) -> bool:
@@ -147,67 +150,85 @@ def list_pictures(path: Path) -> list[list[Path]]:
     return [[each for each in paths if each.parent.parent == root] for root in roots]
 
 
-# ---------------------------------------------------------------- reading
+class Pictures(NamedTuple):
+    """Grey pictures of one size and depth."""
+
+    values: npt.NDArray[Any]  # (n, H, W), bytes or floats
+    levels: ValueRange
+    words: str  # what they were and what was done, as the beginning of a sentence
+    written: int  # those that `write_pictures` wrote, as reflectance
 
 
-class _Unreadable(InputError):
-    """An image that is damaged."""
-
-
-def decode_pictures(paths: list[Path], shape: PictureSize | None) -> tuple[npt.NDArray[Any], Tally]:
-    """Grey images (n, H, W) of equal shape, and a tally of what they were."""
+def read_pictures(paths: list[Path], shape: PictureSize | None, white: float | None) -> Pictures:
+    """Read pictures, turn them to grey, and average them to a shape if one is given."""
     from PIL import Image
 
-    tally = Tally()
-    bad: list[str] = []
-    grey: npt.NDArray[Any] = np.empty(0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", Image.DecompressionBombWarning)
-        for index, path in enumerate(paths):
-            try:
-                image = _read(path, tally, shape)
-            except _Unreadable as error:
-                bad.append(f"{path} ({error})")
-                continue
-            if not grey.size:
-                check_memory(
-                    len(paths) * image.size * (image.itemsize + 8),  # and reflectance, twice
-                    f"{len(paths)} images of {image.shape[0]}x{image.shape[1]} pixels",
-                    "give a smaller size, or fewer",
-                )
-                grey = np.empty((len(paths), *image.shape), image.dtype)
-            if image.shape != grey.shape[1:]:
-                raise InputError(
-                    f"images differ in size: others are {grey.shape[1]}x{grey.shape[2]}, "
-                    f"{path} is {image.shape[0]}x{image.shape[1]}; give a size to bring "
-                    "them to one"
-                )
-            grey[index] = image
-    if bad:
-        raise InputError(f"cannot read {_names_text(bad)}; replace or remove what is damaged")
-    return grey, tally
+    sizes: set[PictureSize] = set()
+    reach: dict[str, npt.NDArray[Any]] = {}
+    written = 0
+    out: npt.NDArray[Any] = np.empty(0)
+    for index, path in enumerate(paths):
+        grey, marked = _read(path)
+        height, width = grey.shape
+        sizes.add((height, width))
+        reach[str(path)] = np.array([grey.min(), grey.max()])
+        written += marked
+        if grey.dtype != np.uint8:
+            grey = grey.astype(np.float32)
+        if shape is not None:
+            grey = np.asarray(Image.fromarray(grey).resize(shape[::-1], Image.Resampling.BOX))
+        if not out.size:
+            size = f"{grey.shape[0]}x{grey.shape[1]} pixels"
+            check_memory(
+                len(paths) * grey.size * (grey.itemsize + 8),  # and reflectance, twice
+                f"{len(paths)} images of {size}",
+                "give a smaller size, or fewer",
+            )
+            out = np.empty((len(paths), *grey.shape), grey.dtype)
+        if grey.shape != out.shape[1:]:
+            raise InputError(
+                f"images differ in size: others are {size}, {path} is {height}x{width}; give a "
+                "size to bring them to one"
+            )
+        out[index] = grey
+    levels = measure_levels(reach, white)
+    kinds = {"uint8": "8-bit", "float32": "float", "int32": "32-bit"}
+    levels = levels._replace(kind=kinds.get(levels.kind, "16-bit"))
+    how = "averaged to" if shape and sizes != {shape} else "of"
+    words = f"{plural(len(paths), 'image')} {how} {size}; {levels.words}"
+    return Pictures(out, levels, words, written)
 
 
-def _read(path: Path, tally: Tally, shape: PictureSize | None) -> npt.NDArray[Any]:
-    from PIL import Image, UnidentifiedImageError
+def _read(path: Path) -> tuple[npt.NDArray[Any], bool]:
+    """Grey levels of an image (H, W), and whether `write_pictures` wrote it."""
+    from PIL import Image, ImageOps, UnidentifiedImageError
 
     # Pillow's decoders of other formats may start programs, as that of EPS does
     formats = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
     content = read_regular(path, 2**28, "replace or remove it")
     try:
-        with Image.open(io.BytesIO(content), formats=formats) as image:
-            pixels = image.width * image.height
-            check_unpacked(pixels, len(content), str(path), "replace or remove it")
-            grey = tally.grey(image, str(path))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(io.BytesIO(content), formats=formats) as image:
+                ImageOps.exif_transpose(image, in_place=True)
+                return _values(image, str(path)), WRITTEN in image.info
     except InputError:
         raise
     except UnidentifiedImageError:
         # Pillow reads floats of 32 bits alone
         tiff = path.suffix.lower() in (".tif", ".tiff")
-        kind = "floats of 16 or 64 bits, or no TIFF" if tiff else "no image of a kind that is read"
-        raise _Unreadable(kind) from None
+        fault = "floats of 16 or 64 bits, or no TIFF" if tiff else "no image of a kind that is read"
     except Exception as error:  # Pillow's decoders raise almost anything on a damaged file
-        raise _Unreadable(str(error)) from error
-    if shape is not None:
-        grey = grey.resize(shape[::-1], Image.Resampling.BOX)
-    return np.asarray(grey)
+        fault = str(error)
+    raise InputError(f"cannot read {path} ({fault}): replace or remove it")
+
+
+def _values(image: "PillowImage", where: str) -> npt.NDArray[Any]:
+    """Grey levels of an image: uint8, 16 or 32 bits, or float32."""
+    if image.mode not in ("I", "F") and not image.mode.startswith("I;16"):
+        return np.asarray(image.convert("L"))
+    tags = getattr(image, "tag_v2", {})
+    if tags.get(262) == 0:  # TIFF's PhotometricInterpretation: Pillow turns it over in 8 bits alone
+        raise InputError(f"{where} has 0 for white: save it with 0 for black")
+    values = np.asarray(image)
+    return values.astype(values.dtype.newbyteorder("="))
