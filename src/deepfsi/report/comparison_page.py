@@ -189,29 +189,20 @@ def _errors_table(results: Results, best: Iterable[Point]) -> Table:
 
 def comparison_lines(results: Results) -> Iterator[str | Table]:
     """A comparison for a terminal: a row for each design, a column for each budget, the verdict."""
-    tables = {noise: _best_table(results, noise) for noise in noises(results)}
-    budgets = sorted({photons for table in tables.values() for photons in table["budgets"]})
-    several = len(tables) > 1
-    rows = []
-    for noise, table in tables.items():
-        for name, _, cells in table["rows"]:
-            at = {
-                cell.photons: rate_text(cell.accuracy, cell.low, cell.high).replace(" ", "")
-                + " *"[cell in table["leaders"]]
-                for cell in cells
-                if cell
-            }
-            under = (noise,) if several else ()
-            rows.append((name, *under, *(at.get(photons, "– ") for photons in budgets)))
-    yield Table(
-        f"{main_measure(results.data.measure).title} by photon budget",
-        ("design", *("noise",) * several, *(f"{budget_text(photons)} " for photons in budgets)),
-        rows,
-    )
+    measure = main_measure(results.data.measure).title
+    for noise in noises(results):
+        table = _best_table(results, noise)
+        rows = []
+        for name, _, points in table["rows"]:
+            cells = ["– "] * len(points)
+            for column, point in enumerate(points):
+                if point:
+                    rate = rate_text(point.accuracy, point.low, point.high).replace(" ", "")
+                    cells[column] = rate + ("*" if point in table["leaders"] else " ")
+            rows.append((name, *cells))
+        heads = ("design", *(f"{budget_text(photons)} " for photons in table["budgets"]))
+        yield Table(f"{measure} by photon budget, {noise_text(noise)}", heads, rows)
     best = [point for point in results.points if point.best]
-    for point in best:
-        if point.one_class:
-            yield f"{point.title} at {budget_text(point.photons)} photons answers one class only"
     aside = ", impulse imaging aside" if any(point.every_pixel for point in best) else ""
     yield (
         f"* the highest{aside}, and all that cannot be told apart from it; chance is "

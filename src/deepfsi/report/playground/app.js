@@ -87,11 +87,8 @@ class Page {
     const share = accuracyAt(model.curve, photons);
     const used = accuracyAt(model.curve, photons, "used");
     const mean = Math.abs(used - 1) < 0.05 ? "" : ` (they take ${used.toFixed(1)} times it in the mean)`;
-    const brightness = this.scene.reduce((a, b) => a + b, 0) / model.summed_reflectance;
-    $("light-words").textContent =
-      `About ${percent(share)} of ${model.test.images} test scenes are right with so much light${mean}. ` +
-      `From this scene come ${photonsText(photons * brightness)} photons, ` +
-      `${photonsText((photons * brightness) / model.pixels)} per pixel.`;
+    const of = `${percent(share)} of ${model.test.images} test scenes`;
+    $("light-words").textContent = `About ${of} are right with so much light${mean}.`;
     const name = this.label === null ? null : model.classes[this.label];
     $("scene-words").textContent = name === null ? "Your own scene." : `Class ${name}. Draw, or choose another:`;
   }
