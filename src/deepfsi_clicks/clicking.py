@@ -333,10 +333,9 @@ class ClickTraining(AdaptiveTraining):
         settings = self.settings.model_copy(update={"light_price": light_price})
         looks = ClickLooks(self.prior, settings, job.photons)  # which end nowhere: no price
         runs = []
-        for rows, some in left_out.parts(self.prior.exposed_at_once, report):
-            state = looks.posterior(len(rows))
-            some.leave(state)
-            steps = looks.steps(state, some.scenes, generator)
+        at_once = self.prior.exposed_at_once
+        for rows, scenes, state in left_out.states(looks.posterior, at_once, report):
+            steps = looks.steps(state, scenes, generator)
             size = len(rows), settings.looks
             runs.append(PricedLooks.of(steps, size, self.prior.classes))
         whole = PricedLooks(*(torch.cat(some) for some in zip(*runs, strict=True)))

@@ -8,10 +8,11 @@ recognise it sooner and better than a new scene; centres of clusters stay, as ea
 """
 
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pkgutil import resolve_name
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -46,6 +47,8 @@ from deepfsi.exposure.kind import (
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import Job
 from deepfsi.physics.detection import Detection
+
+State = TypeVar("State", bound=AdaptivePosterior)
 
 
 def prior_of(data: Dataset, settings: AdaptiveMasks) -> ScenePrior:
@@ -136,15 +139,15 @@ def measure(
     ones, and its misfit (B, K, S), 0 if that is not asked for.
     """
     settings = exposure.settings
-    size = len(optics), settings.looks, len(left_out.scenes)
-    odds = torch.zeros(*size, exposure.prior.classes)
-    counted, misfits = torch.zeros(2, *size, dtype=torch.double)
+    shape = len(optics), settings.looks, len(left_out.scenes)
+    odds = torch.zeros(*shape, exposure.prior.classes)
+    counted, misfits = torch.zeros(2, *shape, dtype=torch.double)
     for row, each in enumerate(optics):
-        for rows, some in left_out.parts(exposure.prior.exposed_at_once, report):
-            state = exposure.posterior(len(rows), each)
-            some.leave(state)
+        posterior = partial(exposure.posterior, optics=each)
+        size = exposure.prior.exposed_at_once
+        for rows, scenes, state in left_out.states(posterior, size, report):
             for look, share in enumerate(settings.shares):
-                masks, counts, light = state.look_at(some.scenes, share, generator)
+                masks, counts, light = state.look_at(scenes, share, generator)
                 if misfit:
                     misfits[row, look, rows] = state.misfit(masks, counts, share).double()
                 state.update(masks, counts, share)
@@ -339,19 +342,16 @@ class LeftOutScenes(NamedTuple):
     labels: Tensor  # (S,)
     places: Tensor | None  # (S,)
 
-    def leave(self, state: AdaptivePosterior) -> None:
-        """Make each scene impossible in the exposure of its row."""
-        if self.places is not None:
-            state.logs[torch.arange(len(state)), self.places] = -torch.inf
-
-    def parts(
-        self, size: int, report: Progress = SILENT
-    ) -> Iterator[tuple[Tensor, "LeftOutScenes"]]:
-        """Rows and scenes, at most `size` at a time."""
+    def states(
+        self, make: Callable[[int], State], size: int, report: Progress = SILENT
+    ) -> Iterator[tuple[Tensor, Tensor, State]]:
+        """Rows, scenes and their posterior, at most `size` at a time; `make` makes it of a size."""
         every = torch.arange(len(self.scenes)).split(size)
         for done, rows in enumerate(every, start=1):
-            places = None if self.places is None else self.places[rows]
-            yield rows, LeftOutScenes(self.scenes[rows], self.labels[rows], places)
+            state = make(len(rows))
+            if self.places is not None:  # each scene is impossible in its own exposure
+                state.logs[torch.arange(len(rows)), self.places[rows]] = -torch.inf
+            yield rows, self.scenes[rows], state
             report(done / len(every))
 
 
@@ -428,10 +428,9 @@ class AdaptiveTraining:
         optics = LookOptics.of(job.optics, self.data.image_shape, job.photons)
         made = AdaptiveMasks(looks=min(self.settings.looks, 32))
         masks: list[Tensor] = []
-        for rows, some in left_out.parts(MOST_EXPOSURES):
-            state = AdaptivePosterior(self.prior, len(rows), optics)
-            some.leave(state)
-            looks = _looks(state, some.scenes, made.shares, generator)
+        posterior = partial(AdaptivePosterior, self.prior, optics=optics)
+        for _, scenes, state in left_out.states(posterior, MOST_EXPOSURES):
+            looks = _looks(state, scenes, made.shares, generator)
             masks += [look.masks.bool() for look in looks]
         return MaskDictionary.drawn(torch.cat(masks), count, generator)
 
