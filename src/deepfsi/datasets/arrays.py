@@ -129,13 +129,14 @@ def split_arrays(
     drawn = all(part is None for part in test)
     pairs = [train] if drawn else [train, test]
     x, words, levels = _scenes([pair[0] for pair in pairs], name, white, levels)
-    y = [pair[1] for pair in pairs]
-    truths: Sequence[Truth]
-    if values is not None or (classes is None and np.asarray(y[0]).dtype.kind == "f"):
-        truths, values = _read_values(y, values, x, name)
+    y = _answers([pair[1] for pair in pairs], x, name)
+    n = len(x[0])
+    truth: Truth
+    if values is not None or (classes is None and y.dtype.kind == "f"):
+        truth, values = _read_values(y, n, values, name)
     else:
-        truths, classes = _read_classes(y, classes, x, name)
-        sizes = np.bincount(truths[0], minlength=len(classes))
+        truth, classes = _read_classes(y, n, classes, name)
+        sizes = np.bincount(truth[:n], minlength=len(classes))
         if drawn and sizes.min() < TEST_SHARE:  # a fifth of fewer may be none
             fewest = classes[int(sizes.argmin())]
             raise InputError(
@@ -143,14 +144,14 @@ def split_arrays(
                 f"{TEST_SHARE} or more of each class, or a test part of your own"
             )
     if drawn:
-        order, chosen = draw_fifth(len(x[0]), truths[0] if classes else None, seed)
-        tested = x[0][chosen], truths[0][chosen]
+        order, chosen = draw_fifth(n, truth if classes else None, seed)
+        tested = x[0][chosen], truth[chosen]
     else:
-        order = np.random.default_rng(seed).permutation(len(x[0]))
-        tested = x[1], truths[1]
+        order = np.random.default_rng(seed).permutation(n)
+        tested = x[1], truth[n:]
     data = assemble(
         name,
-        (x[0][order], truths[0][order]),
+        (x[0][order], truth[order]),
         tested,
         described=described or words,
         rescale=rescale,
@@ -160,73 +161,77 @@ def split_arrays(
     return replace(data, white=levels.white if levels.chosen else None, drawn=drawn)
 
 
+def _answers(
+    parts: Sequence[npt.ArrayLike], scenes: Sequence[Reflectance], name: str
+) -> npt.NDArray[Any]:
+    """Labels (n,) or values (n, q) of the scenes of all parts, one part after another."""
+    answers = []
+    for part, x in zip(parts, scenes, strict=True):
+        y = np.asarray(part)
+        if y.dtype == object and all(isinstance(label, str) for label in y.flat):
+            y = y.astype(str)
+        if y.shape == (1, len(x)):  # MATLAB's vectors
+            y = y.ravel()
+        if y.ndim not in (1, 2) or len(y) != len(x) or y.dtype.kind not in "iufU":
+            raise InputError(
+                f"{name}: y is {y.dtype} of shape {y.shape} for {len(x)} scenes; give each an "
+                "integer or a string as its label, or floats that are its values"
+            )
+        answers.append(y.reshape(len(x), -1))
+    if answers[0].shape[1] != answers[-1].shape[1]:
+        raise InputError(f"{name}: y and y_test have other numbers of values; give the same")
+    return np.concatenate(answers)
+
+
 def _read_classes(
-    parts: Sequence[npt.ArrayLike],
-    names: Sequence[str] | None,
-    scenes: Sequence[Reflectance],
-    name: str,
-) -> tuple[list[Labels], Sequence[str]]:
-    """Class numbers (n,) of the labels of each part, and the names of the classes."""
-    whats = (f"{name}: y", f"{name}: y_test")
-    labels = [_labels(y, len(x), w) for y, x, w in zip(parts, scenes, whats, strict=False)]
-    keys = np.unique(labels[0]).tolist()
+    y: npt.NDArray[Any], n: int, names: Sequence[str] | None, name: str
+) -> tuple[Labels, Sequence[str]]:
+    """Class numbers of labels, the first n of which are trained on, and names of the classes."""
+    labels = y.ravel().tolist()
+    if y.dtype.kind == "U":
+        labels = [normal_name(label) for label in labels]
+    keys = sorted(set(labels[:n]))
     classes = tuple(map(str, keys)) if names is None else tuple(names)
-    if len(set(classes)) < max(2, len(classes)):
+    if y.shape[1] > 1 or len(set(classes)) < max(2, len(classes)):
         raise InputError(
-            f"{name}: the classes are {', '.join(classes)}; give two or more, each with its own "
-            "name"
+            f"{name}: the classes are {', '.join(classes)}; give one label to a scene, of two "
+            "classes or more, each with its own name"
         )
     if names is not None:
-        keys = list(classes if labels[0].dtype.kind == "U" else range(len(classes)))
+        keys = list(classes if y.dtype.kind == "U" else range(len(classes)))
     numbers = {label: number for number, label in enumerate(keys)}
-    for part, what in zip(labels, whats, strict=False):
-        if unknown := set(part.tolist()) - numbers.keys():
-            raise InputError(
-                f"{what} holds the label {min(unknown)!r}; "
-                f"the classes to train on are {', '.join(map(repr, numbers))}"
-            )
-    truths = [[numbers[label] for label in part.tolist()] for part in labels]
-    return [np.array(truth, dtype=np.int64) for truth in truths], classes
+    if unknown := set(labels) - numbers.keys():
+        raise InputError(
+            f"{name} holds the label {min(unknown)!r}; "
+            f"the classes to train on are {', '.join(map(repr, numbers))}"
+        )
+    return np.array([numbers[label] for label in labels], dtype=np.int64), classes
 
 
 def _read_values(
-    parts: Sequence[npt.ArrayLike],
-    names: Sequence[str] | None,
-    scenes: Sequence[Reflectance],
-    name: str,
-) -> tuple[list[Truth], Sequence[str]]:
-    """Values (n, q) of each part, and their names."""
-    truths = []
-    for part, x, what in zip(parts, scenes, ("y", "y_test"), strict=False):
-        numbers = np.asarray(part)
-        truth = numbers[:, None] if numbers.ndim == 1 else numbers
-        fits = truth.ndim == 2 and len(truth) == len(x) and truth.dtype.kind in "fiu"
-        if not (fits and np.isfinite(truth.astype(np.float32)).all()):
-            raise InputError(
-                f"{name}: {what} of shape {np.shape(part)} for {len(x)} scenes; give (scenes,) or "
-                "(scenes, values) finite numbers"
-            )
-        truths.append(truth.astype(np.float32))
-    train = truths[0]
+    y: npt.NDArray[Any], n: int, names: Sequence[str] | None, name: str
+) -> tuple[Truth, Sequence[str]]:
+    """Values, the first n of which are trained on, and their names."""
+    truth = y.astype(np.float32)
+    train = truth[:n]
     width = train.shape[1]
+    values = tuple(names or (f"value {k + 1}" for k in range(width)))
+    vary = np.isfinite(truth).all() and (np.ptp(train, axis=0) > 0).all()
+    if not vary or len(set(values)) != width or n < TEST_SHARE:
+        raise InputError(
+            f"{name}: {width} values of {n} training scenes, named {', '.join(values)}; give "
+            f"finite ones that differ, each with its own name, of {TEST_SHARE} scenes or more"
+        )
     distinct = np.unique(train)
-    few = 1 < len(distinct) <= len(train) / TEST_SHARE
+    whole = width == 1 and len(distinct) <= n / TEST_SHARE and not (distinct % 1).any()
     one_hot = width > 1 and np.isin(train, (0, 1)).all() and (train.sum(axis=1) == 1).all()
     # As MATLAB or one-hot codes write classes: a design would estimate them without a word
-    if names is None and (one_hot or (width == 1 and few and not (distinct % 1).any())):
+    if names is None and (whole or one_hot):
         raise InputError(
             f"{name}: y holds whole numbers written as floats: if they are classes, give integers "
             "(1 and not 1.0, `y.argmax(axis=1)` of one-hot rows) or strings; if values, name them"
         )
-    values = tuple(names or (f"value {k + 1}" for k in range(width)))
-    fits = len(set(values)) == truths[-1].shape[1] == width and len(train) >= TEST_SHARE
-    if not (fits and (np.ptp(train, axis=0) > 0).all()):
-        raise InputError(
-            f"{name}: {width} values of a training scene, {truths[-1].shape[1]} of a test scene, "
-            f"named {', '.join(values)}; give as many in both parts, each with a name of its own "
-            f"and not the same of all scenes, which are {TEST_SHARE} or more"
-        )
-    return truths, values
+    return truth, values
 
 
 def _scenes(
@@ -254,23 +259,6 @@ def _scenes(
     levels = levels or measure_levels(read, white)
     words = levels.words[0].upper() + levels.words[1:]
     return [reflectance(part, levels) for part in read.values()], words, levels
-
-
-def _labels(y: npt.ArrayLike, count: int, what: str) -> npt.NDArray[Any]:
-    """Labels (count,), integers or strings."""
-    labels = np.asarray(y)
-    if labels.dtype == object and all(isinstance(label, str) for label in labels.flat):
-        labels = labels.astype(str)
-    if labels.shape in ((count, 1), (1, count)):  # MATLAB's vectors
-        labels = labels.ravel()
-    if labels.shape != (count,) or labels.dtype.kind not in "iuU":
-        raise InputError(
-            f"{what} is {labels.dtype} of shape {labels.shape} for {count} scenes; give each an "
-            "integer or a string as its label, or floats that are its values"
-        )
-    if labels.dtype.kind == "U":
-        labels = np.array(list(map(normal_name, labels.tolist())))
-    return labels
 
 
 def assemble(
