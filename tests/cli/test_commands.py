@@ -1,6 +1,5 @@
 """The command line: what it prints, and one clear line with exit code 2 for bad input."""
 
-import json
 import subprocess
 import sys
 
@@ -42,16 +41,6 @@ def test_own_masks_are_a_matrix(done, tmp_path):
     words = ["--matrix", source, "--epochs", 1, "--light", "free-dwell", "-o", file]
     done("design", "--photons", "1e3", *words)
     assert np.allclose(Design.load(file).matrix, masks)
-
-
-def test_a_design_for_a_budget_of_counts(done, tmp_path):
-    file = tmp_path / "one.safetensors"
-    words = ["design", "--masks", 4, "--epochs", 1, "-o", file]
-    made = json.loads(done(*words, "--counts", 30, "--design", "pca", "--json"))
-    [test] = made["tests"]
-    assert test["photons"] * test["throughput"] == pytest.approx(30, rel=1e-4)
-    assert test["counts"] == pytest.approx(30, rel=0.05), "test scenes are no brighter"
-    assert f"{test['throughput']:.3f}" in done(*words, "--counts", 30, "--design", "pca", "--force")
 
 
 def test_a_recipe_of_the_package_goes_by_its_name_and_a_file_by_its_path(tmp_path, monkeypatch):

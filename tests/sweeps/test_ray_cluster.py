@@ -238,10 +238,6 @@ def address_there() -> Callable[[None, int], str]:
     return work
 
 
-def test_auto_is_the_running_cluster(alone, address_there):
-    assert list(run_on_ray(address_there, None, [0])) == [alone]
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("alone")
 def test_local_starts_a_cluster_and_stops_it(nodes, address_there):

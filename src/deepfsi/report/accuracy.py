@@ -155,7 +155,6 @@ def accuracy_axes(
     across: Callable[[Measured], float],
     *,
     chance: float,
-    span: tuple[float, float] | None = None,
     top: float = 1.0,
 ) -> None:
     """Draw accuracies over a quantity, one line for each series, named at its right."""
@@ -163,13 +162,12 @@ def accuracy_axes(
     groups = series.groups
     names = series.figure_names()
     values = [across(point) for members in groups.values() for point in members]
-    left, right = span or (min(values), max(values))
-    decades = max(1.0, abs(math.log10(max(left, right) / min(left, right))))
+    decades = max(1.0, math.log10(max(values) / min(values)))
     apart = 10 ** (0.004 * decades)
     lines: list[tuple[float, Any]] = []
     for index, (key, members) in enumerate(groups.items()):
         variant = sum(other[0] == key[0] for other in list(groups)[:index])
-        rows = sorted(members, key=across, reverse=left > right)
+        rows = sorted(members, key=across)
         x = np.array([across(point) for point in rows]) * apart ** (index - (len(groups) - 1) / 2)
         y = np.array([point.accuracy for point in rows])
         bars = [y - [point.low for point in rows], [point.high for point in rows] - y]
@@ -180,9 +178,7 @@ def accuracy_axes(
             y,
             yerr=np.clip(bars, 0, None),
             label=names[key],
-            linestyle=style.DESIGN_LINES.get(design, "-")
-            if variant == 0
-            else (0, (1 + variant,) * 2),
+            linestyle=(0, (1 + variant,) * 2) if variant else style.DESIGN_LINES.get(design, "-"),
             marker="o" if rows[0].specific else "s",
             markerfacecolor=style.PAPER if variant else colour,
             color=colour,
@@ -193,8 +189,7 @@ def accuracy_axes(
         lines.append((float(y[-1]), drawn))
     ax.set_xscale("log")
     margin = 10 ** (0.06 * decades)
-    edges = min(left, right) / margin, max(left, right) * margin
-    ax.set_xlim(edges[::-1] if left > right else edges)
+    ax.set_xlim(min(values) / margin, max(values) * margin)
     dotted: dict[str, Any] = {"color": style.MUTED, "linewidth": 0.9, "linestyle": (0, (1, 1))}
     guessing = ax.axhline(chance, zorder=2, label="chance", **dotted)
     ax.set_ylim(0, top)

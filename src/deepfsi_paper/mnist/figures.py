@@ -99,8 +99,8 @@ def error_figure(results: Results) -> Figure:
             series_axes(results),
             error,
             chance=1 / len(results.data.classes),
-            span=(max(errors), min(errors)),
         )
+        ax.set_xlim(1.3 * max(errors), min(errors) / 1.3)
         ax.set_title(noise_text(noise))
         ax.label_outer()
         ax.set_xlabel("noise: RMS error of impulse imaging (reflectance)\nless noise →")
