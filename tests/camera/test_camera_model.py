@@ -48,7 +48,6 @@ def test_a_camera_comes_back_from_json(given):
         ({"device": "no.toml"}, "device = 'no.toml': no.toml is missing"),
         ({"shortest_dwell": "2s", "exposure": 1}, "exposure = 1: .*give a longer exposure"),
         ({"dark": 3, "noise": saturating}, "shared.noises:saturating noise has no dark counts"),
-        ({"contrast": 100}, "contrast = 100: contrast is of a projector: give light dose"),
         ({"dark": -1, "flux": 0}, "flux = 0: .*; dark = -1: "),
     ],
 )

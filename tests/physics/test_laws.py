@@ -21,7 +21,7 @@ from deepfsi.jobs.designs import sensing_matrix
 from deepfsi.physics import detection
 from deepfsi.physics import noise as noise_module
 from deepfsi.physics.detection import Rails
-from deepfsi.physics.laws import LearnedMasks, frames, light_law
+from deepfsi.physics.laws import frames, light_law
 
 N = 64
 DRAWS = 20_000
@@ -53,34 +53,6 @@ def test_no_design_counts_more_than_its_light(made, digits, design, light, rails
     assert torch.allclose(counted, shares * PHOTONS, rtol=1e-5, atol=1e-3)
     white = torch.ones(1, N) * PHOTONS / made_design.summed_reflectance
     assert scanner.rates(white).sum() <= white.sum() * (1 + FLOAT32)
-
-
-@pytest.mark.parametrize("levels", [0, 4])
-@pytest.mark.parametrize("rails", ["dual", "single"])
-def test_what_a_projector_leaks_is_of_its_dose(rails, levels):
-    """An OFF pixel sends 1 / C of the frame's light, learned masks and fixed ones alike."""
-    matrix = torch.randn(5, N, generator=generator())
-    matrix = matrix if rails == "dual" else matrix.clamp(min=0)
-    dose = light_law("dose")
-    dark = LearnedMasks(matrix, "dose", rails, levels)().stacked.detach()
-    masks = LearnedMasks(matrix, "dose", rails, levels, contrast=50.0)
-    lit = masks().stacked.detach()
-    assert torch.equal(lit, dose.leak(dark, 50.0))
-    assert float(lit.sum(dim=(0, 1)).mean()) == pytest.approx(1, rel=1e-5)
-    assert torch.allclose(frames(lit).amin(dim=-1), frames(lit).amax(dim=-1) / 50)
-    assert torch.allclose(dose.leak(dark, 1e9), dark, atol=1e-6)
-    assert not masks.disjoint
-
-
-@pytest.mark.usefixtures("uncharacterised", "trained_once")
-@pytest.mark.parametrize("design", ["deepfsi", "pca", "raster", "control"])
-def test_a_design_for_a_projector_counts_what_leaks(design):
-    camera = {"light": "dose", "rails": "single", "contrast": 20.0}
-    made_design = quick(synthetic((8, 8)), design, camera=camera)
-    lit = frames(made_design.rails.stacked)
-    assert torch.allclose(lit.amin(dim=-1), lit.amax(dim=-1) / 20, rtol=1e-4)
-    assert light_law("dose").excess(made_design.rails.stacked) <= FLOAT32
-    assert made_design.camera.contrast == 20
 
 
 def scan(design: str, digits) -> Tensor:

@@ -133,8 +133,6 @@ def _conflict(field: str, value: Any, fields: Fields) -> str:
             )
         case "fluctuation" if value > 0 and not noise.fluctuation:
             return "clicks have no light that fluctuates here: leave fluctuation or noise out"
-        case "contrast" if value is not None and (law.one_device or not law.in_turn):
-            return "contrast is of a projector: give light dose, or leave contrast out"
     return ""
 
 
@@ -260,21 +258,12 @@ class Camera(UserModel):
         exclude_if=lambda deviation: not deviation,  # so that older files are the same
         description="relative standard deviation of the light from frame to frame, such as 0.05",
     )
-    contrast: float | None = Field(
-        default=None,
-        gt=1,
-        allow_inf_nan=False,
-        validate_default=True,
-        exclude_if=lambda contrast: not contrast,
-        description="contrast of a projector (light law dose), light of an ON pixel over that of "
-        "an OFF one, such as 1000; default: OFF is dark",
-    )
 
     if TYPE_CHECKING:  # a field has one type, and may be given as others
 
         def __init__(self, **fields: Any) -> None: ...
 
-    @field_validator("rails", "detectors", "device", "exposure", "noise", "fluctuation", "contrast")
+    @field_validator("rails", "detectors", "device", "exposure", "noise", "fluctuation")
     @classmethod
     def _fits(cls, value: Any, info: ValidationInfo) -> Any:
         """The value of a field, or `ValueError` where it does not go with those before it."""

@@ -141,7 +141,6 @@ class ExposureTraining(ABC):
             camera.rails,
             levels=self.levels,
             shortest=camera.shortest_share,
-            contrast=camera.contrast,
         ).to(self.scenes.device)
 
     def fixed_masks(self, matrix: np.ndarray | None = None) -> FixedMasks:
@@ -154,8 +153,6 @@ class ExposureTraining(ABC):
         else:
             rails = torch.stack([self.law.fit(each, rails_kind) for each in self._matrices()])
         rails = self.law.quantise(rails, self.levels) if self.levels else rails
-        if self.camera.contrast is not None:
-            rails = self.law.leak(rails, self.camera.contrast)
         return FixedMasks(rails).to(self.scenes.device)
 
     def centred(self) -> tuple[Tensor, FixedMasks | LearnedMasks]:

@@ -75,14 +75,6 @@ class LightLaw(ABC):
         step = frame_peaks(rails) / (levels - 1)
         return (rails / step).round() * step
 
-    def leak(self, rails: Tensor, contrast: float) -> Tensor:
-        """Rails (..., 2 or 1, m, N) of a projector whose OFF pixels send 1 / contrast of the light.
-
-        A frame is ON at its peak. The leak is part of the dose: beyond it all frames are dimmed.
-        """
-        lit = rails + (rails.amax(dim=-1, keepdim=True) - rails) / contrast
-        return lit / lit.sum(dim=(-3, -2), keepdim=True).mean(dim=-1, keepdim=True).clamp(min=1)
-
     def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
         """Weights that begin at a start (..., m, N): parameters, and their scale.
 
@@ -434,8 +426,6 @@ class LearnedMasks(nn.Module):
         Grey levels, dark included; 0 for continuous masks.
     shortest : float
         Shortest frame, as a share of the exposure, for laws with dwells.
-    contrast : float, optional
-        Contrast of a projector, whose OFF pixels leak light. Default: OFF pixels are dark.
 
     Raises
     ------
@@ -450,7 +440,6 @@ class LearnedMasks(nn.Module):
         rails: RailsKind = "dual",
         levels: int = 0,
         shortest: float = 0.0,
-        contrast: float | None = None,
     ) -> None:
         super().__init__()
         check_light_law(light, rails)
@@ -460,7 +449,6 @@ class LearnedMasks(nn.Module):
         self.rails = rails
         self.levels = levels
         self.shortest = shortest
-        self.contrast = contrast
         for name, tensor in self.law.weights(start, rails).items():
             if isinstance(tensor, nn.Parameter):
                 self.register_parameter(name, tensor)
@@ -470,16 +458,14 @@ class LearnedMasks(nn.Module):
     def forward(self) -> Rails:
         """Rails of the masks, (..., m, N)."""
         rails = self.law.project(self._weights, self.rails, self.shortest)
-        if self.levels:
-            with torch.no_grad():
-                shown = Rails.of(self.law.quantise(rails.stacked, self.levels))
-            rails = rails.map(through, shown)
-        if self.contrast is None:
+        if not self.levels:
             return rails
-        return Rails.of(self.law.leak(rails.stacked, self.contrast))
+        with torch.no_grad():
+            shown = Rails.of(self.law.quantise(rails.stacked, self.levels))
+        return rails.map(through, shown)
 
     def matrix(self) -> Tensor:
-        """Difference (..., m, N) of the rails, before rounding to grey levels and leaks."""
+        """Difference (..., m, N) of the rails, before rounding to grey levels."""
         return self.law.matrix(self._weights, self.rails, self.shortest)
 
     def dim(self, factor: Tensor) -> None:
@@ -490,9 +476,8 @@ class LearnedMasks(nn.Module):
     @property
     def disjoint(self) -> bool:
         """True if the total is |M| and has its gradient."""
-        # Each pixel is then on one of two rails, and nothing rounds or leaks
-        changed = self.levels or self.contrast is not None
-        return self.rails == "dual" and self.law.disjoint and not changed
+        # Each pixel is then on one of two rails, and nothing rounds
+        return self.rails == "dual" and self.law.disjoint and not self.levels
 
     @property
     def _weights(self) -> dict[str, Tensor]:
