@@ -7,7 +7,7 @@ from counting.recording_samples import SHAPE, patterns_of
 from deepfsi.base.errors import InputError
 from deepfsi.base.tables import NumberTable
 from deepfsi.camera.dead_time import DeadTime
-from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.counting.recording import Recording
 from deepfsi.counting.tables import TableSettings, count_table
 from deepfsi.lab.virtual_detector import Detector
 from deepfsi.lab.virtual_optics import (
@@ -73,10 +73,6 @@ def run(request, tmp_path_factory):
     return folder / "run", shown, rates, DeadTime(seconds=TAU, paralysable=request.param)
 
 
-def corrected(kind, dead):
-    return kind(dead_time=dead)
-
-
 def off_by(counts, shown, rates) -> np.ndarray:
     dark = rates[:, 1:2]
     wanted = (rates[:, shown.manifest.shown] - dark) * counts.lengths_s[0] * counts.counts.shape[1]
@@ -88,7 +84,7 @@ def test_a_recording_is_corrected_gate_by_gate_with_its_budget(run):
     folder, shown, rates, dead = run
     bare, counts = (
         Recording.read(folder).count(),
-        Recording.read(folder).count(corrected(CountSettings, dead)),
+        Recording.read(folder).count(dead_time=dead),
     )
     assert counts.faults == ()
     assert np.array_equal(bare.counts, counts.counts)
@@ -112,7 +108,7 @@ def test_a_counter_near_saturation_is_named(run):
     folder, shown, rates, dead = run
     slow = dead.model_copy(update={"seconds": 200e-9})
     with pytest.raises(InputError, match=r"counts/s on input 1 in all ON, .* dim the light"):
-        Recording.read(folder).count(corrected(CountSettings, slow))
+        Recording.read(folder).count(dead_time=slow)
     values = NumberTable(np.rint(rates * shown.manifest.picture_s))
     with pytest.raises(InputError, match="all ON"):
-        count_table(values, shown.manifest, corrected(TableSettings, slow))
+        count_table(values, shown.manifest, TableSettings(dead_time=slow))

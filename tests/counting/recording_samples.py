@@ -16,7 +16,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.camera.device import DEVICES, find_device
 from deepfsi.counting.acquisition import Acquisition, Scene
 from deepfsi.counting.events import PtuWriter
-from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.counting.recording import Recording
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.manifest import Frame, Manifest
 from deepfsi.patterns.rails import DesignRails
@@ -194,7 +194,7 @@ class Run:
 
     def refused(self, match: str, **settings) -> None:
         with pytest.raises(InputError, match=match) as error:
-            Recording.read(self.folder).count(CountSettings(**settings))
+            Recording.read(self.folder).count(**settings)
         assert "\n" not in str(error.value)
 
 

@@ -16,7 +16,7 @@ from recording_samples import (
 )
 
 from deepfsi.base.errors import InputError
-from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.counting.recording import Recording
 from deepfsi.counting.windows import FrameStarts
 
 run, whole = recording_samples.run, recording_samples.whole
@@ -92,4 +92,4 @@ def test_gates_that_do_not_fit_frames_as_they_were_are_refused(run):
     run.record(starts, starts.ravel(), run.photons)
     said = "1.00% shorter than planned.*--exposure 0.01067 or less"
     run.refused(said, exposure_s=11 * DWELL * 0.972)
-    assert Recording.read(run.folder).count(CountSettings(exposure_s=11 * DWELL * 0.97)).valid.all()
+    assert Recording.read(run.folder).count(exposure_s=11 * DWELL * 0.97).valid.all()

@@ -6,7 +6,7 @@ import pytest
 from deepfsi.base.errors import InputError
 from deepfsi.camera.detectors import DetectorMap
 from deepfsi.camera.device import Device
-from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.counting.recording import Recording
 from deepfsi.lab.calibration import find_gains
 from deepfsi.lab.virtual_optics import VirtualCamera
 from deepfsi.patterns.folder import Patterns
@@ -42,7 +42,7 @@ def export(folder, light="equal-dwell"):
 def run(folder, x, camera_gains=None, name="run", **settings):
     camera = VirtualCamera(gains=camera_gains, dark=500.0)
     record(folder / name, folder / "p", x, camera, 1e7, 0.01, seed=0)
-    return Recording.read(folder / name).count(CountSettings(**settings))
+    return Recording.read(folder / name).count(**settings)
 
 
 @pytest.mark.parametrize("seed", range(1, 3))

@@ -17,7 +17,7 @@ from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.counting.acquisition import Acquisition, Scene
 from deepfsi.counting.events import read_events, write_ptu
-from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.counting.recording import Recording
 from deepfsi.datasets.display import Display
 from deepfsi.lab.design_data import camera_of, listed_scenes, shown_scenes
 from deepfsi.lab.devices import Setup, virtual_setup
@@ -164,10 +164,9 @@ class RecordRun(_DeviceRun):
             for line in lines:
                 terminal.say(line)
         clicks = camera_of(self.patterns).clicks
-        settings = CountSettings(dead_time=camera.counter_dead_time, clicks=clicks)
         with terminal.progress("counting") as report:
             run = Recording.read(self.out)
-            counts = run.count(settings, progress=report)
+            counts = run.count(dead_time=camera.counter_dead_time, clicks=clicks, progress=report)
         after = f"run: {self.out}; then: deepfsi camera classify {self.patterns} {self.out}"
         return Outcome(run.as_dict(counts), [*run.lines(counts), after])
 

@@ -8,7 +8,7 @@ from deepfsi.cli import fields
 from deepfsi.cli.command import Command
 from deepfsi.cli.terminal import Outcome, Terminal
 from deepfsi.counting.reader import summarise
-from deepfsi.counting.recording import CountSettings, Recording
+from deepfsi.counting.recording import Recording
 from deepfsi.counting.tables import TableSettings
 from deepfsi.lab.calibration import find_gains
 from deepfsi.lab.classify import classify_run, classify_table
@@ -53,16 +53,16 @@ class CountRun(Command):
     )
 
     def run(self, terminal: Terminal) -> Outcome:
-        options = self.model_dump(exclude={"folder", "settings", "flat"}, exclude_unset=True)
         with terminal.progress("counting") as report:
-            settings = CountSettings(
-                **options,
-                dead_time=camera_of(self.folder, self.settings).counter_dead_time,
+            dead_time = camera_of(self.folder, self.settings).counter_dead_time
+            recording = Recording.read(self.folder)
+            counts = recording.count(
+                exposure_s=self.exposure_s,
+                dead_time=dead_time,
                 gains=() if self.flat is None else find_gains(self.flat),
                 clicks=camera_of(self.folder).clicks,
+                progress=report,
             )
-            recording = Recording.read(self.folder)
-            counts = recording.count(settings, progress=report)
         return Outcome(recording.as_dict(counts), recording.lines(counts))
 
 

@@ -45,16 +45,6 @@ from deepfsi.patterns.manifest import GatePlan, Manifest
 
 
 @dataclass(frozen=True)
-class CountSettings:
-    """Settings with which a recording is counted; its acquisition gives what is None."""
-
-    exposure_s: float | None = None
-    dead_time: DeadTime | None = None  # to be corrected for
-    gains: tuple[float, ...] = ()  # efficiency of each detector, relative to their mean
-    clicks: int | None = None  # parts of a gate of which only the first photon counts
-
-
-@dataclass(frozen=True)
 class Recording:
     """Folder of a recording: its settings, and the patterns that were shown."""
 
@@ -129,28 +119,39 @@ class Recording:
         write_atomically(self.folder / "acquisition.json", content)
 
     def count(
-        self, settings: CountSettings | None = None, *, progress: Progress = SILENT
+        self,
+        *,
+        exposure_s: float | None = None,
+        dead_time: DeadTime | None = None,
+        gains: tuple[float, ...] = (),
+        clicks: int | None = None,
+        progress: Progress = SILENT,
     ) -> Counts:
         """Count the photons of each readout, and write counts.npz.
 
-        Raises `InputError` if the photon file is missing or damaged, gates do not fit the frames,
-        markers do not follow the schedule, or no pass has light.
+        The folder says what is None: the exposure, and the dead time that is corrected. Gains are
+        efficiencies of detectors, relative to their mean. Of each of the equal parts of a gate that
+        `clicks` asks for only the first photon counts. Raises `InputError` if the photon file is
+        missing or damaged, gates do not fit the frames, markers do not follow the schedule, or no
+        pass has light.
         """
-        settings = settings or CountSettings()
         self.acquisition.check_fixed(self.folder)
-        if settings.exposure_s is not None and (self.acquisition.camera or {}).get("gates"):
+        if exposure_s is not None and (self.acquisition.camera or {}).get("gates"):
             # Virtual detectors of earlier versions recorded the clicks alone
             raise InputError(
                 f"{self.folder} holds the first photons alone of its gates: leave the exposure out"
             )
-        gates = self.acquisition.gates(
-            self.manifest, settings.exposure_s, parts=settings.clicks or 1
-        )
-        if settings.clicks is None:
-            counts = _count_photons(self, gates, settings, progress)
+        gates = self.acquisition.gates(self.manifest, exposure_s, parts=clicks or 1)
+        if clicks is None:
+            calibrated = self.folder / "calibration"
+            if dead_time is None and (calibrated / "calibration.json").is_file():
+                dead_time = Calibration.load(calibrated).dead_time
+            corrections = Corrections.of(dead_time or NO_DEAD_TIME, self.manifest, gains)
+            counts = _count_photons(self, gates, corrections, progress)
+            counts = replace(counts, gains=gains)
         else:
-            check_clicks(settings.dead_time, *settings.gains)
-            counts = _count_clicks(self, gates, settings.clicks, settings, progress)
+            check_clicks(dead_time, *gains)
+            counts = _count_clicks(self, gates, clicks, progress)
         counts.save(self._counts_file, self.photons, self.acquisition.digest)
         return counts
 
@@ -261,18 +262,14 @@ def _check_lit(recording: Recording, lit: np.ndarray) -> None:
 
 
 def _counts_of_run(
-    recording: Recording,
-    plan: GatePlan,
-    starts: FrameStarts,
-    settings: CountSettings,
-    **fields: Any,
+    recording: Recording, plan: GatePlan, starts: FrameStarts, **fields: Any
 ) -> Counts:
     """Counts of a run with what its settings say."""
     acquisition = recording.acquisition
     return Counts(
         **fields,
         valid=np.ones((len(acquisition.scenes), plan.repeats), bool),
-        exposure_s=settings.exposure_s or acquisition.exposure_s,
+        exposure_s=plan.exposure_s,
         settle_s=plan.settle_s,
         lengths_s=recording.manifest.lengths_by_readout(plan.length_s),
         drift=starts.drift,
@@ -281,17 +278,11 @@ def _counts_of_run(
 
 
 def _count_photons(
-    recording: Recording, gates: GatePlan, settings: CountSettings, progress: Progress
+    recording: Recording, gates: GatePlan, corrections: Corrections, progress: Progress
 ) -> Counts:
     """Photons of each readout, and what arrived."""
     manifest = recording.manifest
     inputs = recording.acquisition.inputs
-    dead_time = settings.dead_time
-    calibration = recording.folder / "calibration"
-    if dead_time is None and (calibration / "calibration.json").is_file():
-        dead_time = Calibration.load(calibration).dead_time
-    dead_time = dead_time or NO_DEAD_TIME
-    corrections = Corrections.of(dead_time, manifest, settings.gains)
     shortest_s = float(gates.length_s.min())
     source, starts = _find_frames(recording, gates, shortest_s, progress.between(0.0, 0.4))
     windows = Windows.of_gates(manifest, gates, starts)
@@ -311,25 +302,17 @@ def _count_photons(
         recording,
         gates,
         starts,
-        settings,
         counts=manifest.by_readout(counts),
         arrivals=manifest.by_readout(counts * factors.arrivals[of_masks]),
         variance=manifest.by_readout(counts * factors.variance[of_masks]),
         flux=light.flux,
         dark_rate=manifest.by_rail(light.dark_rate),
         faults=light.faults,
-        dead_time=dead_time,
-        gains=settings.gains,
+        dead_time=corrections.dead_time,
     )
 
 
-def _count_clicks(
-    recording: Recording,
-    gates: GatePlan,
-    clicks: int,
-    settings: CountSettings,
-    progress: Progress,
-) -> Counts:
+def _count_clicks(recording: Recording, gates: GatePlan, clicks: int, progress: Progress) -> Counts:
     """Clicks of each readout: the first photon of each of the equal parts of a gate."""
     manifest = recording.manifest
     acquisition = recording.acquisition
@@ -356,7 +339,6 @@ def _count_clicks(
         recording,
         gates,
         starts,
-        settings,
         counts=counts,
         arrivals=counts.astype(float),
         variance=counts * (1 - counts / clicks),

@@ -311,6 +311,7 @@ class Manifest(StrictModel):
 class GatePlan:
     """Gates of a pass, in seconds after each frame's start."""
 
+    exposure_s: float  # of all masks together
     settle_s: float  # time before the first gate of each frame
     length_s: np.ndarray  # duration of a gate of each mask's frame, (f,): share times exposure
     repeats: int  # R, gates that follow each other in every mask's frame
@@ -340,7 +341,7 @@ class GatePlan:
             )
         if repeats is not None and not 1 <= repeats <= fit:
             raise InputError(f"{repeats} repeats do not fit: give 1 to {fit}")
-        return cls(settle, manifest.shares * exposure_s, repeats or fit)
+        return cls(exposure_s, settle, manifest.shares * exposure_s, repeats or fit)
 
     @property
     def starts_s(self) -> np.ndarray:
