@@ -121,7 +121,7 @@ REFUSED = {
     f"camera live run/patterns --scene few {FAST}": "| masks are known before",
     "camera import run/photons.ptu": """
         --patterns looks --scenes few | use `deepfsi camera live`
-        --patterns run/patterns | give --scenes
+        --patterns run/patterns | --scenes
     """,
     f"camera simulate clicks --scene few {FAST}": """
         --dead-time 20ns | clicks have no dead time
