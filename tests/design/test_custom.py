@@ -64,7 +64,7 @@ def leaving(inputs, classes):
     [
         (nn.Linear(7, 10), "cannot be used: mat1 and mat2"),
         (nn.Linear(6, 9), r"logits of shape \(3, 9\)"),
-        (lambda inputs, classes: 3, "int is no torch.nn.Module"),
+        (lambda inputs, classes: 3, "cannot be used: 'int' object"),
         ("shared.networks:Rnn", "has no Rnn"),
         ("no_such_module:Cnn", "No module named"),
         (leaving, "cannot be used: 7"),

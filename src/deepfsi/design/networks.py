@@ -277,21 +277,17 @@ def make_custom(
     factory = load_plugin(given) if isinstance(given, str) else given
     with seeded(seed):
         try:
-            if not isinstance(factory, nn.Module):
-                module = factory(inputs, classes, **arguments)
-            elif arguments:
-                raise InputError("arguments go with a factory: a module has its own already")
-            else:
+            if isinstance(factory, nn.Module):
+                if arguments:
+                    raise TypeError("arguments go with a factory, and it is a module")
                 module = copy.deepcopy(factory)
-            if not isinstance(module, nn.Module):
-                raise TypeError(f"{type(module).__name__} is no torch.nn.Module")
+            else:
+                module = factory(inputs, classes, **arguments)
             first = next(iter(module.parameters()), torch.empty(0))
             with torch.no_grad():
                 tried = module.eval()(torch.zeros(3, inputs, device=first.device))
             if tuple(tried.shape) != (3, classes):
                 raise ValueError(f"it makes logits of shape {tuple(tried.shape)} of 3 exposures")
-        except InputError:
-            raise
         except (Exception, SystemExit) as error:
             told = " ".join(str(error).split())
             raise InputError(

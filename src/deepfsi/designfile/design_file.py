@@ -37,11 +37,10 @@ DESIGN_SCHEMA: Literal[1] = 1
 
 
 def _check_info(info: dict[str, Any]) -> dict[str, Any]:
-    if any(not isinstance(info.get(part, {}), dict) for part in ("job", "data", "detector_light")):
-        raise ValueError("the provenance is no table")
-    budget = info.get("job", {}).get("photons", 1.0)
+    tables = all(type(info.get(part, {})) is dict for part in ("job", "data", "detector_light"))
+    budget: Any = info.get("job", {}).get("photons", 1.0) if tables else None
     if type(budget) not in (int, float) or not 0 < budget < math.inf:
-        raise ValueError("the training has no budget")
+        raise ValueError("the provenance is no table, or the training has no budget")
     return info
 
 
@@ -94,11 +93,22 @@ class MaskHeader(StrictModel, strict=True, populate_by_name=True):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if find_classifier(self.classifier.kind).features != self.exposure.features:
-            raise ValueError("classifier and masks have features of different kinds")
-        if bool(self.classes) == bool(self.values):
-            raise ValueError("a design answers either classes or values")
+        alike = find_classifier(self.classifier.kind).features == self.exposure.features
+        if not alike or bool(self.classes) == bool(self.values):
+            raise ValueError("classifier and masks do not fit, or answers are of both kinds")
         return self
+
+    def fits(self, arrays: Mapping[str, np.ndarray], whole: bool) -> bool:
+        """Whether arrays are of the masks of this header."""
+        if not _are_sound(arrays, own=self.classifier.kind == "own"):
+            return False
+        if not (whole or "rails" in arrays):
+            return True
+        rails, _, pixels = arrays["rails"].shape
+        mask_pixels = math.prod(self.exposure.mask_shape(self.image_shape))
+        scene_pixels = math.prod(self.image_shape)
+        fit = pixels == mask_pixels and scene_pixels == pixels * self.classifier.parts
+        return fit and rails in (1, 2)
 
 
 class AdaptiveHeader(StrictModel, populate_by_name=True):
@@ -111,6 +121,53 @@ class AdaptiveHeader(StrictModel, populate_by_name=True):
     image_shape: tuple[Count, ...]
     classes: tuple[str, ...]
     info: DesignInfo
+
+    def fits(self, arrays: Mapping[str, np.ndarray], whole: bool) -> bool:
+        """Whether arrays are of a prior of scenes, and of the looks of this header."""
+        if not (whole and _are_sound(arrays)):
+            return not whole
+        scenes, components = arrays["levels"].shape
+        pixels = math.prod(self.image_shape)
+        looks = self.settings.looks
+        kinds: dict[str, tuple[tuple[int, ...], type]] = {
+            "mean": ((pixels,), np.float32),
+            "components": ((components, pixels), np.float32),
+            "steps": ((components,), np.float32),
+            "levels": ((scenes, components), np.int8),
+            "members": ((scenes,), np.int32),
+            "sizes": ((len(self.classes),), np.int64),
+            "numbers": ((2,), np.float64),
+            "shares": ((looks,), np.float32),
+        }
+        stored = len(arrays.get("dictionary", ()))
+        if "dictionary" in arrays:
+            kinds["dictionary"] = ((stored, -(-pixels // 8)), np.uint8)
+        fit = all(
+            arrays[name].shape == shape and arrays[name].dtype == kind
+            for name, (shape, kind) in kinds.items()
+        )
+        # Each scene or centre stands for one or more, and belongs to one class
+        sizes = arrays["sizes"]
+        light, spread = arrays["numbers"]
+        populated = arrays["members"].min() > 0 and sizes.min() >= 0 and sizes.sum() == scenes
+        lit = light > 0 and math.isclose(light, arrays["mean"].sum(dtype=float), rel_tol=1e-3)
+        timed = len(arrays.get("temperature_logs", arrays["shares"])) == looks
+        most = self.settings.dictionary or 0
+        ready = min(most, 1) <= stored <= most
+        return bool(fit and populated and lit and timed and ready and 0 <= spread <= 1e2)
+
+
+def _are_sound(arrays: Mapping[str, np.ndarray], own: bool = False) -> bool:
+    """Whether arrays are finite and of their types; a user's own classifier has any."""
+    for name, array in arrays.items():
+        if own and name.startswith("classifier."):
+            continue
+        computed = name in ("rails", *STATISTICS) or name.startswith(("classifier.", "exposure."))
+        if (computed and array.dtype != np.float32) or not np.isfinite(array).all():
+            return False
+    hashes = arrays.get(SCENE_HASHES, np.zeros(0, np.int32))
+    rising = bool((hashes[1:] > hashes[:-1]).all())
+    return hashes.dtype == np.int32 and hashes.ndim == 1 and rising
 
 
 DesignHeader = MaskHeader | AdaptiveHeader
@@ -141,13 +198,11 @@ class Temperatures:
     def restored(cls, arrays: Mapping[str, np.ndarray], stops: int) -> "Temperatures":
         """Temperatures from a design file, or `ValueError` if they have other stops."""
         logs, budgets = (arrays[name].astype(float) for name in ("logs", "budgets"))
-        if logs.shape != (stops, len(budgets)) or len(budgets) < 2 or not budgets.min() > 0:
-            raise ValueError("temperatures are not of this design")
-        least, most = LOG_BOUNDS
+        fit = logs.shape == (stops, len(budgets)) and len(budgets) >= 2 and budgets.min() > 0
         ratios = np.diff(np.log(budgets))
-        rising = ratios.min() > 0 and np.allclose(ratios, ratios[0], rtol=1e-3)
-        if not (rising and least - 1e-6 <= logs.min() and logs.max() <= most + 1e-6):
-            raise ValueError("temperatures are none that are fitted")
+        rising = fit and ratios.min() > 0 and np.allclose(ratios, ratios[0], rtol=1e-3)
+        if not rising or np.abs(logs - logs.clip(*LOG_BOUNDS)).max() > 1e-6:
+            raise ValueError("temperatures are not of this design")
         return cls(logs, budgets)
 
     @property
@@ -201,13 +256,14 @@ class DesignFile:
                 raise ValueError(facts["schema"])
             code = DESIGNS.get(str(facts.get("name")))
             kind = AdaptiveHeader if code is not None and code.adaptive else MaskHeader
-            file = cls(kind.model_validate_json(text), tensors, Path(path), text)
-            file.check(whole=arrays is None)
+            header = kind.model_validate_json(text)
+            if not header.fits(tensors, whole=arrays is None):
+                raise ValueError("arrays are not those of the header")
         except (RecursionError, *DAMAGED) as error:
             if isinstance(error, InputError) and not text:
                 raise  # it is no file, or larger than any
             raise damaged_design(path, text) from error
-        return file
+        return cls(header, tensors, Path(path), text)
 
     def to_bytes(self) -> bytes:
         """Content of the file; the bytes of a file that was read."""
@@ -222,30 +278,6 @@ class DesignFile:
         start = f"{owner}."
         every = self.arrays.items()
         return {name.removeprefix(start): array for name, array in every if name.startswith(start)}
-
-    def check(self, whole: bool) -> None:
-        """Raise an error of `DAMAGED` unless arrays are finite, and of the header's masks."""
-        custom = isinstance(self.header, MaskHeader) and self.header.classifier.kind == "own"
-        networks = ("classifier.", "exposure.")
-        for name, array in self.arrays.items():
-            if custom and name.startswith("classifier."):
-                continue  # whatever its maker's module keeps
-            computed = name in ("rails", *STATISTICS) or name.startswith(networks)
-            if (computed and array.dtype != np.float32) or not np.isfinite(array).all():
-                raise ValueError(f"{name} holds other numbers than a design")
-        hashes = self.arrays.get(SCENE_HASHES, np.zeros(0, np.int32))
-        if hashes.dtype != np.int32 or hashes.ndim != 1 or (hashes[1:] <= hashes[:-1]).any():
-            raise ValueError(f"{SCENE_HASHES} are no hashes in order")
-        if isinstance(self.header, AdaptiveHeader):
-            if whole:
-                _check_prior(self.header, self.arrays)
-        elif whole or "rails" in self.arrays:
-            rails, _, pixels = self.rails.shape
-            mask_shape = self.header.exposure.mask_shape(self.header.image_shape)
-            if rails not in (1, 2) or pixels != math.prod(mask_shape):
-                raise ValueError("rails are not of the masks of these scenes")
-            if math.prod(self.header.image_shape) != pixels * self.header.classifier.parts:
-                raise ValueError("images have other pixels than masks of all parts")
 
     @property
     def mask_header(self) -> MaskHeader:
@@ -279,44 +311,6 @@ def damaged_design(path: str | os.PathLike[str], header: str = "") -> InputError
         f"{path} is not a whole deepfsi design file, or is of looks or nested masks, which ended "
         "with 0.3: give a .safetensors file that `deepfsi design` or Design.save wrote"
     )
-
-
-def _check_prior(header: AdaptiveHeader, arrays: Mapping[str, np.ndarray]) -> None:
-    """Raise `ValueError` unless arrays are of a prior of scenes, and of the header's looks."""
-    scenes, components = arrays["levels"].shape
-    pixels = math.prod(header.image_shape)
-    looks = header.settings.looks
-    shapes = {
-        "mean": ((pixels,), np.float32),
-        "components": ((components, pixels), np.float32),
-        "steps": ((components,), np.float32),
-        "levels": ((scenes, components), np.int8),
-        "members": ((scenes,), np.int32),
-        "sizes": ((len(header.classes),), np.int64),
-        "numbers": ((2,), np.float64),
-        "shares": ((looks,), np.float32),
-    }
-    for name, (shape, kind) in shapes.items():
-        if arrays[name].shape != shape or arrays[name].dtype != kind:
-            raise ValueError(f"{name} is not of this design")
-    most = header.settings.dictionary
-    if most is None and "dictionary" in arrays:
-        raise ValueError("the header has no dictionary")
-    if most is not None:
-        bits = arrays["dictionary"]
-        fits = bits.ndim == 2 and bits.shape[1] == -(-pixels // 8) and bits.dtype == np.uint8
-        if not (fits and 1 <= len(bits) <= most):
-            raise ValueError("dictionary is not of this design")
-    timed = len(arrays.get("temperature_logs", arrays["shares"])) == looks
-    if not timed or not isinstance(header.info.get("job", {}).get("camera"), dict):
-        raise ValueError("temperatures are of other looks, or no camera is known")
-    # Each scene or centre stands for one or more, and belongs to one class
-    sizes = arrays["sizes"]
-    light, spread = arrays["numbers"]
-    populated = arrays["members"].min() > 0 and sizes.min() >= 0 and sizes.sum() == scenes
-    lit = math.isclose(light, arrays["mean"].sum(dtype=float), rel_tol=1e-3) and light > 0
-    if not (populated and lit and 0 <= spread <= 1e2):
-        raise ValueError("the scenes of the prior are none")
 
 
 SHIPPED_DESIGNS = Path(str(files(__package__) / "shipped"))

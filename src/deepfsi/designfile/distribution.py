@@ -222,15 +222,14 @@ class ReadoutDistribution:
         }
         if "fluctuation" in arrays:
             shapes["fluctuation"] = ()
-        if {name: array.shape for name, array in arrays.items()} != shapes:
-            raise ValueError("the distribution of the readouts is not of these masks")
+        fit = {name: array.shape for name, array in arrays.items()} == shapes
         positive = ("mean", "spread", "rest", "fluctuation")
         least = min(float(arrays[name].min()) for name in positive if name in arrays)
         shares = [arrays[name] for name in ("mean", "directions", "rest") if arrays[name].size]
         most = max(float(np.abs(share).max()) for share in shares)
         falling = any((np.diff(arrays[name]) < 0).any() for name in ("tails", "pairs"))
-        if least < 0 or most > 1.001 or falling or not (arrays["mean"] > 0).any():
-            raise ValueError("the distribution of the readouts is none")
+        if not fit or least < 0 or most > 1.001 or falling or not (arrays["mean"] > 0).any():
+            raise ValueError("the distribution of the readouts is not of these masks")
         return cls(**arrays)
 
     @property

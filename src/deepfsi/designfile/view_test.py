@@ -157,10 +157,9 @@ class SceneModel:
         shapes = {"means": (classes, pixels), "rest": (pixels,), "shares": (classes,)}
         shapes["axes"] = (len(arrays["axes"]), pixels)
         fits = {name: array.shape for name, array in arrays.items()} == shapes
-        if not fits or min(arrays["rest"].min(), arrays["shares"].min()) < 0:
+        least = min(arrays["rest"].min(), arrays["shares"].min())
+        if not fits or least < 0 or not arrays["means"].any():
             raise ValueError("the model of the scenes is not of these masks")
-        if not arrays["means"].any():
-            raise ValueError("the model of the scenes is none")
         return cls(**arrays)
 
 
