@@ -22,11 +22,12 @@ from deepfsi.counting.acquisition import Scene
 from deepfsi.counting.counts import Counts
 from deepfsi.counting.recording import Recording
 from deepfsi.counting.tables import TableSettings, count_table
-from deepfsi.designfile.distribution import ConsistencyResult
+from deepfsi.designfile.distribution import UNSURE, ConsistencyResult
 from deepfsi.designfile.provenance import was_trained_on
-from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
+from deepfsi.designfile.view_test import ViewResult
+from deepfsi.lab.count_test import CountTest
 from deepfsi.lab.design_data import design_rails, open_design, shown_design
-from deepfsi.lab.results import LOG, ClassifiedRun, ClassifiedScene, find_dim, read_log
+from deepfsi.lab.results import LOG, ClassifiedRun, ClassifiedScene, read_log
 from deepfsi.patterns.folder import Patterns
 
 if TYPE_CHECKING:  # they import torch, which the command line loads late
@@ -217,45 +218,34 @@ def _classify_counts(
     known = np.isfinite(stated) if photons is None else counts.valid.any(axis=1)
     lit = known & (stated > 0)  # dark counts that are stated may be more than all
     budgets = np.where(lit, stated, 1.0)
-    trained = design.info.get("job", {}).get("photons")
-    dim = [] if force else find_dim(trained, np.where(known, stated, np.nan))
+    test = CountTest(design)
+    dim = [] if force else test.find_dim(np.where(known, stated, np.nan))
     counts = replace(counts, faults=(*dim, *counts.faults))
-    sound = (lit | ~known) & ~counts.spoilt
-    usable = counts.valid & sound[:, None]  # (S, R): exposures without faults
+    usable = counts.valid & ((lit | ~known) & ~counts.spoilt)[:, None]  # (S, R)
     if not usable.any():
         forced = "; `force` classifies them all the same" if dim else ""
         raise InputError(
             f"{source} has no exposure that can be classified ({counts.faults[0]}): record "
             f"again{forced}"
         )
-    often = usable.sum(axis=1)
-    exposures = counts.by_readout(usable)
-    number = exposures.sum(axis=1)
-    signal = counts.signal()
-    noise = counts.background.clip(min=0) * number + counts.excess.sum(axis=1, where=exposures)
-    sums = signal.sum(axis=1, where=exposures)
-    consistency = None
-    if design.distribution is not None:
-        some = often > 0
-        read, beyond = (design.readouts(each[some]) for each in (sums, noise))
-        consistency = design.consistency(read, (budgets * often)[some], beyond)
-    view = _view_of(design, budgets * often, sums=sums, noise=noise)
-    chances = design.classify(design.readouts(signal), budgets[:, None])
-    for test in (consistency, view):
-        if test is not None and test.refused and not force:
-            raise InputError(f"{test.refusal}; `force` classifies them all the same")
-    remarks = [NOT_COMPARED] if consistency is None else [*consistency.remarks]
-    remarks.append(NOT_VIEWED if view is None else view.remark or "")
+    consistency, view = _test(design, test, counts, budgets, usable)
+    for verdict in (consistency, view):
+        if verdict is not None and verdict.refused and not force:
+            raise InputError(f"{verdict.refusal}; `force` classifies them all the same")
     if counts.gates is not None:
+        tested = budgets[usable.any(axis=1)].mean()
         remarks = [
             "these clicks were not compared with those of the training: the test is of photon "
-            f"counts. They are read for the stated budget: this is {budgets[often > 0].mean():.3g} "
-            f"photons, that of the training was {trained:.3g}"
+            f"counts. They are read for the stated budget: this is {tested:.3g} photons, that of "
+            f"the training was {design.info['job']['photons']:.3g}"
         ]
+    else:
+        remarks = [NOT_COMPARED] if consistency is None else [*consistency.remarks]
+        remarks.append(NOT_VIEWED if view is None else view.remark or "")
     return ClassifiedRun(
         title=f"{design.name}, {design.masks} masks",
         classes=design.classes,
-        scenes=tuple(_answers(design, counts, scenes, usable, budgets, chances, consistency)),
+        scenes=tuple(_answers(design, counts, scenes, usable, budgets, consistency)),
         remarks=tuple(filter(None, remarks)),
         faults=counts.faults,
         consistency=consistency,
@@ -274,32 +264,27 @@ NOT_VIEWED = (
 )
 
 
-def _view_of(
-    design: "Design", light: np.ndarray, *, sums: np.ndarray, noise: np.ndarray
-) -> ViewResult | None:
-    """Test of the camera's view, from counts (S, rails, m, D) of scenes with this light (S,).
-
-    None if the design has no model of scenes, or reads clicks.
-    """
-    if design.scene_model is None or design.camera.clicks is not None:
-        return None
-    rails = design.rails.stacked.cpu().numpy().astype(float)[..., None, :]
-    detection = design.exposure.detection
-    if detection.labels is not None:
-        rails = rails * (detection.labels.cpu().numpy() == np.arange(detection.count)[:, None])
-    shape = rails.shape[:-1]  # (rails, m, D)
+def _test(
+    design: "Design", test: CountTest, counts: Counts, budgets: np.ndarray, usable: np.ndarray
+) -> tuple[ConsistencyResult | None, ViewResult | None]:
+    """Verdicts on the counts of usable exposures (S, R), summed over those of a scene."""
+    exposures = counts.by_readout(usable)
+    number = exposures.sum(axis=1)
+    sums = counts.signal().sum(axis=1, where=exposures)
+    noise = counts.background.clip(min=0) * number + counts.excess.sum(axis=1, where=exposures)
+    light = budgets * usable.sum(axis=1)
+    seen = np.flatnonzero(light)
+    consistency = None
+    if design.distribution is not None:
+        read, beyond = (design.readouts(values[seen]) for values in (sums, noise))
+        consistency = design.consistency(read, light[seen], beyond)
+    rails = design.rails.stacked.cpu().numpy().astype(float)
     two_arms = LIGHT_LAWS[design.mask_exposure.light].arms == 2
-    arms = np.arange(shape[0]) if two_arms else np.zeros(shape[0], int)
-    inputs = np.broadcast_to(arms[:, None, None] * shape[2] + np.arange(shape[2]), shape)
-    test = ViewTest(design.scene_model, design.image_shape)
-    for scene in np.flatnonzero(light).tolist():
-        gain = light[scene] / design.summed_reflectance
-        masks = gain * rails.reshape(-1, rails.shape[-1])
-        summed = SceneReadouts(
-            masks, sums[scene].ravel(), noise=noise[scene].ravel(), inputs=inputs.ravel()
-        )
-        test.add(summed)
-    return test.result
+    arms = np.arange(len(rails))[:, None] * two_arms
+    view = None
+    for scene in seen.tolist():
+        view = test.see(rails, light[scene], sums[scene], noise[scene], arms)
+    return consistency, view
 
 
 def _answers(
@@ -308,14 +293,14 @@ def _answers(
     scenes: Sequence[Scene],
     usable: np.ndarray,
     budgets: np.ndarray,
-    chances: np.ndarray,
     consistency: ConsistencyResult | None,
 ) -> Iterator[ClassifiedScene]:
     """Class of each scene, by the mean probabilities of its usable exposures (S, R)."""
+    probabilities = design.classify(design.readouts(counts.signal()), budgets[:, None])
     trained = was_trained_on(design.training_scenes, [scene.hash for scene in scenes])
     tested = np.cumsum(usable.any(axis=1)) - 1  # scenes in the order of the consistency
     for index, scene in enumerate(scenes):
-        sound = chances[index][usable[index]]
+        sound = probabilities[index][usable[index]]
         answer = ClassifiedScene(
             name=scene.name,
             label=scene.label,
@@ -326,15 +311,13 @@ def _answers(
         )
         if len(sound):
             mean = sound.mean(axis=0)
-            tests: dict[str, Any] = {}
-            if consistency is not None:
-                tests["consistency"] = float(consistency.exposures[tested[index]])
-                tests["unsure"] = bool(consistency.unsure[tested[index]])
             answer = replace(
                 answer,
                 predicted=design.classes[mean.argmax()],
                 probability=float(mean.max()),
                 photons=float(budgets[index]),
-                **tests,
             )
+            if consistency is not None:
+                p_value = float(consistency.exposures[tested[index]])
+                answer = replace(answer, consistency=p_value, unsure=p_value < UNSURE)
         yield answer

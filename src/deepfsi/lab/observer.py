@@ -14,7 +14,6 @@ correction is sure ends the run; a short gate beyond it, by chance, is corrected
 """
 
 import os
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -31,9 +30,9 @@ from deepfsi.counting.checks import SPOILING, Fault, LightMonitor
 from deepfsi.counting.counts import Corrections
 from deepfsi.counting.flux import Arrivals
 from deepfsi.design.design import Design
-from deepfsi.designfile.distribution import REFUSED, UNSURE
-from deepfsi.designfile.view_test import SceneReadouts, ViewTest
-from deepfsi.lab.results import MARGIN_NS, OFF, Decision, FrameList, find_dim
+from deepfsi.designfile.view_test import ViewResult
+from deepfsi.lab.count_test import CountTest
+from deepfsi.lab.results import MARGIN_NS, OFF, Decision, FrameList
 from deepfsi.patterns.manifest import Brightness, LookPlan, Manifest
 from deepfsi.patterns.rails import DesignRails
 from deepfsi.physics.surroundings import library_defaults
@@ -47,20 +46,14 @@ class SceneObserver:
 
     def __init__(self, design: Design, manifest: Manifest, acquisition: Acquisition) -> None:
         assert acquisition.live is not None
-        self._design = design
         self._made = design.prior_exposure
         self._manifest = manifest
-        plan = manifest.looks
-        self._stored = self._made.dictionary if plan and plan.dictionary else None
         self._tabled: LookOptics | None = None
         self._settings = acquisition.live
         self._exposure_ns = round(acquisition.exposure_s * 1e9)
         self._scenes = len(acquisition.scenes)
         self._light = LightMonitor(manifest, acquisition.inputs, self._scenes)
-        # A run is doubted by its last 20 scenes: what was sound before says nothing of now
-        self._unsure: deque[bool] = deque(maxlen=20)
-        model = self._made.prior.model
-        self._view = ViewTest(model, manifest.image_shape) if model else None
+        self._test = CountTest(design)
         self._ends = _scene_ends(manifest, acquisition.settle_s)
 
     def observe(self, scene: int, count: Callable[[FrameList], np.ndarray]) -> Iterator[Decision]:
@@ -77,32 +70,27 @@ class SceneObserver:
             return
         photons = float(self._light.flux * self._exposure_ns * 1e-9)
         self._begin(scene, photons)
-        asked: list[FrameList] = []
         arrivals: list[Arrivals] = []
-        light_ns = 0
         last = self._made.settings.looks - 1
         rule = self._settings.rule
         for look in range(last + 1):
-            asked.append(self._ask(look))
-            arrivals.append(self._arrivals(count, asked[-1]))
-            chances = self._take(asked[-1], arrivals[-1])
-            light_ns += int(asked[-1].gate_ns.sum())
-            decision = Decision(scene, look, chances, photons, light_ns * 1e-9, final=False)
+            asked = self._ask(look)
+            arrivals.append(self._arrivals(count, asked))
+            chances = self._take(arrivals[-1])
+            light_s = sum(self._gates_ns) * 1e-9
+            decision = Decision(scene, look, chances, photons, light_s, final=False)
             sure = rule is not None and float(chances.max()) > rule.threshold
             if sure or look == last:
                 break
             yield decision
         end = self._arrivals(count, self._ends)
         faults = self._light.end([begin, *arrivals, end])
-        trained = self._design.info["job"].get("photons")
-        dim = find_dim(trained, np.array([photons]), first=scene)
-        doubts = [*dim, *self._check_counts(scene)]
+        doubts = self._test.find_dim(np.array([photons]), first=scene) + self._find_unlike(scene)
         view = None
         # With other faults the counts tell nothing of how the camera sees scenes
         kinds = {fault.kind for fault in (*faults, *doubts)} - {"unsure", "unlike"}
-        if self._view and not kinds & set(SPOILING):
-            self._view.add(self._readouts(photons, asked, arrivals))
-            view = self._view.result
+        if not kinds & set(SPOILING):
+            view = self._see(photons, arrivals)
         if view is not None and view.refused:
             faults += (Fault(kind="view", scene=scene, detail=view.refusal),)
         yield replace(decision, final=True, faults=(*changes, *faults, *doubts), view=view)
@@ -114,12 +102,13 @@ class SceneObserver:
         # Tables of a dictionary take a hundred times as long as all looks at a scene, and the light
         # that is measured changes a little with each scene: they stay while it is nearly alike
         last = self._tabled
-        if self._stored is None or scene == 0 or not last or not _alike(last, self._optics):
+        if not (self._made.dictionary and scene and last and _alike(last, self._optics)):
             self._tabled = last = self._optics
         self._posterior = self._made.posterior(1, last)
         self._generator = torch.Generator().manual_seed(scene)
         self._misfit = 0.0
         self._masks: list[torch.Tensor] = []  # of the looks so far
+        self._gates_ns: list[int] = []
         self._counts: list[torch.Tensor] = []
         self._logs: list[torch.Tensor] = []  # of the scenes, before each look
 
@@ -129,19 +118,20 @@ class SceneObserver:
         share = self._made.settings.shares[look]
         mask = self._posterior.next_masks(share, self._generator)
         self._masks.append(mask)
-        gate = np.array([round(share * self._exposure_ns)])
+        self._gates_ns.append(round(share * self._exposure_ns))
+        gate = np.array(self._gates_ns[-1:])
         frames = self._manifest.shown
-        if self._stored is not None:
-            return FrameList(look, frames[self._stored.indices(mask)], gate)
+        if self._made.dictionary is not None:
+            return FrameList(look, frames[self._made.dictionary.indices(mask)], gate)
         return FrameList(look, frames, gate, mask.bool().numpy())
 
     @library_defaults(grad=False)
-    def _take(self, asked: FrameList, arrivals: Arrivals) -> np.ndarray:
+    def _take(self, arrivals: Arrivals) -> np.ndarray:
         """Probabilities (C,) of the classes, from the photons of a look and those before."""
         counts = torch.from_numpy(arrivals.photons).float()
         mask = self._masks[-1]
-        share = float(asked.gate_ns[0]) / self._exposure_ns
-        if self._stored is not None:
+        share = self._gates_ns[-1] / self._exposure_ns
+        if self._made.dictionary is not None:
             self._logs.append(self._posterior.logs.clone())
         elif self._made.usual_misfit is not None:
             self._misfit += float(self._posterior.misfit(mask, counts, share))
@@ -161,39 +151,31 @@ class SceneObserver:
         factors = corrections.factors(rates)
         return Arrivals(frames, counts * factors.arrivals, counts * factors.variance, gate_s)
 
-    def _readouts(
-        self, photons: float, asked: list[FrameList], arrivals: list[Arrivals]
-    ) -> SceneReadouts:
-        """Counts of a scene, and what each of its looks showed."""
-        manifest = self._manifest
-        cells = manifest.detectors and manifest.detectors.cells
-        of_detector = np.equal.outer(np.arange(manifest.detector_count), np.array(cells or 0))
+    def _see(self, photons: float, arrivals: list[Arrivals]) -> ViewResult | None:
+        """How the camera sees the scenes so far, with the one that ends."""
+        arms = np.arange(self._manifest.arms)
         lit = torch.cat(self._masks).double().numpy()
-        gate_ns = np.concatenate([look.gate_ns for look in asked])
-        arms = np.stack([lit, 1 - lit][: manifest.arms], axis=1)
-        masks = (arms[:, :, None] * of_detector).reshape(len(lit), manifest.inputs, -1)
-        gain = photons * (gate_ns / self._exposure_ns) / manifest.summed_reflectance
+        gates_ns = np.array(self._gates_ns)[:, None]
         counts = np.concatenate([arrived.photons for arrived in arrivals])
         variance = np.concatenate([arrived.variance for arrived in arrivals])
-        dark = self._light.dark * (gate_ns * 1e-9)[:, None]
-        return SceneReadouts(
-            masks=(gain[:, None, None] * masks).reshape(-1, lit.shape[-1]),
-            counts=(counts - dark).ravel(),
-            noise=(dark.clip(min=0) + (variance - counts).clip(min=0)).ravel(),
-            inputs=np.tile(np.arange(manifest.inputs), len(lit)),
+        dark = self._light.dark * (gates_ns * 1e-9)
+        return self._test.see(
+            np.stack([lit, 1 - lit][: len(arms)], axis=1),
+            photons * (gates_ns / self._exposure_ns),
+            counts - dark,
+            dark.clip(min=0) + (variance - counts).clip(min=0),
+            arms,
         )
 
     @library_defaults(grad=False)
-    def _check_counts(self, scene: int) -> list[Fault]:
+    def _find_unlike(self, scene: int) -> list[Fault]:
         """Faults of counts that do not look like the training's."""
-        from scipy.special import bdtrc
-
         usual = self._made.usual_misfit
         if usual is None:
             return []
         looks = len(self._masks)
         misfit = self._misfit
-        if self._stored is not None:
+        if self._logs:
             # The misfit takes longer than a decision by tables: once, after all looks
             before = AdaptivePosterior(self._made.prior, looks, self._optics)
             before.logs = torch.cat(self._logs)
@@ -201,23 +183,8 @@ class SceneObserver:
             counts = torch.cat(self._counts)
             misfit = float(before.misfit(torch.cat(self._masks), counts, share).sum())
         chance = usual.chance(misfit, looks - 1, self._optics.photons)
-        self._unsure.append(chance < UNSURE)
-        unsure = sum(self._unsure)
-        looked_at = len(self._unsure)
-        faults = []
-        if chance < UNSURE:
-            detail = (
-                f"its counts do not look like what this design was trained for (p = "
-                f"{chance:.1g}; a misfit of {misfit:.3g} in {looks} looks)"
-            )
-            faults.append(Fault(kind="unsure", scene=scene, detail=detail))
-        if bdtrc(unsure - 1, looked_at, 2 * UNSURE) * self._scenes < REFUSED:
-            detail = (
-                f"{unsure} of the last {looked_at} scenes do not look like those of the training: "
-                "look at the light, the design, the scenes and their scale, and `dead_time`"
-            )
-            faults.append(Fault(kind="unlike", scene=scene, detail=detail))
-        return faults
+        words = f"a misfit of {misfit:.3g} in {looks} looks"
+        return self._test.find_unlike(scene, self._scenes, chance, words)
 
 
 def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:

@@ -13,8 +13,9 @@ from deepfsi.base.quantities import budget_text
 from deepfsi.camera.camera import CameraSource
 from deepfsi.camera.light import check_budget
 from deepfsi.designfile.provenance import scene_hashes, trained_budgets, was_trained_on
+from deepfsi.lab.count_test import CountTest
 from deepfsi.lab.design_data import design_scenes
-from deepfsi.lab.results import ClassifiedRun, ClassifiedScene, find_dim
+from deepfsi.lab.results import ClassifiedRun, ClassifiedScene
 
 if TYPE_CHECKING:  # it imports torch, which those who predict nothing do without
     from deepfsi.design.design import Design
@@ -136,7 +137,7 @@ def predict(
             answer, _ = design.exposures(some, tested)(budget, generator)
             chances.append(answer.chances.cpu())
         confidence, best = torch.cat(chances).max(dim=-1)
-        dim = find_dim(design.info.get("job", {}).get("photons"), np.array([budget]))
+        dim = CountTest(design).find_dim(np.array([budget]))
     labels = shown.labels or [None] * len(shown.names)
     trained = was_trained_on(design.training_scenes, scene_hashes(shown.x, design.image_shape))
     size = f"{design.name}, {design.exposure.title}"

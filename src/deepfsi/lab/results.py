@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from deepfsi.base.errors import InputError
+from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_regular
 from deepfsi.base.models import StrictModel, WholeNumber
 from deepfsi.base.quantities import Table, plural, time_text
-from deepfsi.camera.light import TOO_DIM
 from deepfsi.counting.acquisition import Scene
 from deepfsi.counting.checks import SPOILING, Fault
 from deepfsi.designfile.distribution import ConsistencyResult
@@ -107,15 +106,14 @@ def read_log(folder: Path) -> tuple[LoggedScene, ...]:
     # A last line that is not whole is that of a run that was killed, and is left out
     path = folder / LOG
     lines = read_regular(path, 2**31, "give a run of `camera live`").split(b"\n")[:-1]
-    try:
+    with as_input_error(f"{path} is damaged and", "run `deepfsi camera live` again"):
         scenes = tuple(LoggedScene.model_validate_json(line) for line in lines)
-    except ValidationError:
-        raise InputError(f"{path} is damaged: run `deepfsi camera live` again") from None
     numbers = [scene.scene for scene in scenes]
-    if not numbers:
-        raise InputError(f"{path} has no finished scene: run `deepfsi camera live` again")
-    if numbers != list(range(len(numbers))):
-        raise InputError(f"{path} has scenes that do not follow each other: it was changed")
+    if not scenes or numbers != list(range(len(scenes))):
+        raise InputError(
+            f"{path} has no scenes, or scenes that do not follow each other: run `deepfsi camera "
+            "live` again"
+        )
     return scenes
 
 
@@ -223,18 +221,3 @@ class ClassifiedRun:
             "remarks": list(self.remarks),
             "scenes": [scene.as_dict() for scene in self.scenes],
         }
-
-
-def find_dim(trained: float | None, budgets: np.ndarray, first: int = 0) -> list[Fault]:
-    """Scenes, from the first on, whose budgets (S,) are far below a known one of the training."""
-    if trained is None:
-        return []
-    return [
-        Fault(
-            kind="budget",
-            scene=first + scene,
-            detail=f"{budgets[scene]:.3g} photons are too little light for this design, which was "
-            f"trained for {trained:g}: give more light, or a longer exposure",
-        )
-        for scene in np.flatnonzero(budgets * TOO_DIM < trained).tolist()
-    ]

@@ -1,0 +1,107 @@
+"""The one test of counts, of recorded and live runs, tables and pictures.
+
+It asks three questions. Was there enough light? Do the counts look like those of the training? Does
+the camera see scenes as the training did?
+"""
+
+from collections import deque
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deepfsi.camera.light import TOO_DIM
+from deepfsi.counting.checks import Fault
+from deepfsi.designfile.distribution import REFUSED, UNSURE
+from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
+
+if TYPE_CHECKING:  # it imports torch, which the command line loads late
+    from deepfsi.design.design import Design
+
+
+class CountTest:
+    """Test of the counts of scenes of a design, one after another or all together."""
+
+    def __init__(self, design: "Design") -> None:
+        self._design = design
+        self._trained = design.info.get("job", {}).get("photons")
+        # A run is doubted by its last 20 scenes: what was sound before says nothing of now
+        self._unsure: deque[bool] = deque(maxlen=20)
+
+    @cached_property
+    def _view(self) -> ViewTest | None:
+        design = self._design
+        model = design.scene_model
+        if design.exposure.makes_masks:
+            model = design.prior_exposure.prior.model
+        # The model is of photons, and clicks are not in proportion to them
+        clicks = design.camera.clicks is not None
+        return None if model is None or clicks else ViewTest(model, design.image_shape)
+
+    def find_dim(self, budgets: np.ndarray, first: int = 0) -> list[Fault]:
+        """Faults of scenes, from the first on, with far less light (S,) than the training had."""
+        if self._trained is None:
+            return []
+        return [
+            Fault(
+                kind="budget",
+                scene=first + scene,
+                detail=f"{budgets[scene]:.3g} photons are too little light for this design, which "
+                f"was trained for {self._trained:g}: give more light, or a longer exposure",
+            )
+            for scene in np.flatnonzero(budgets * TOO_DIM < self._trained).tolist()
+        ]
+
+    def find_unlike(self, scene: int, scenes: int, chance: float, misfit: str) -> list[Fault]:
+        """Faults of a scene of a live run, whose misfit has this chance in a sound run."""
+        from scipy.special import bdtrc
+
+        self._unsure.append(chance < UNSURE)
+        unsure = sum(self._unsure)
+        tested = len(self._unsure)
+        faults = []
+        if chance < UNSURE:
+            detail = (
+                "its counts do not look like what this design was trained for (p = "
+                f"{chance:.1g}; {misfit})"
+            )
+            faults.append(Fault(kind="unsure", scene=scene, detail=detail))
+        if bdtrc(unsure - 1, tested, 2 * UNSURE) * scenes < REFUSED:
+            detail = (
+                f"{unsure} of the last {tested} scenes do not look like those of the training: "
+                "look at the light, the design, the scenes and their scale, and `dead_time`"
+            )
+            faults.append(Fault(kind="unlike", scene=scene, detail=detail))
+        return faults
+
+    def see(
+        self,
+        masks: np.ndarray,
+        photons: np.ndarray | float,
+        counts: np.ndarray,
+        noise: np.ndarray,
+        arms: np.ndarray,
+    ) -> ViewResult | None:
+        """Take in a scene, and say how the camera sees all so far; None if that is not tested.
+
+        Reflectances of masks (..., N) at budgets that go with them, counts less the dark ones and
+        their variance beyond Poisson's (..., D), and the arm (...) that counts.
+        """
+        if self._view is None:
+            return None
+        detection = self._design.exposure.detection
+        cells = 0 if detection.labels is None else detection.labels.cpu().numpy()
+        detectors = np.arange(detection.count)
+        sees = np.equal.outer(detectors, cells)
+        gain = np.asarray(photons / self._design.summed_reflectance)[..., None, None]
+        seen = gain * (masks[..., None, :] * sees)
+        inputs = np.broadcast_to(arms[..., None] * len(detectors) + detectors, seen.shape[:-1])
+        self._view.add(
+            SceneReadouts(
+                masks=seen.reshape(-1, seen.shape[-1]),
+                counts=counts.ravel(),
+                noise=noise.ravel(),
+                inputs=inputs.ravel(),
+            )
+        )
+        return self._view.result
