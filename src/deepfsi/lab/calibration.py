@@ -3,7 +3,7 @@
 The centre of a spot that is smaller than a cell is biased. So centres only give a first homography,
 and the spots that agree on it. Then each picture is compared with what the view would show of its
 spot, light averaged over the cells: all share one homography and one blur, and each has its own
-brightness. Cells weigh by their noise, which grows with the light of raster patterns.
+brightness.
 """
 
 import math
@@ -60,21 +60,23 @@ def fit_calibration(
     cells = (grid.down, grid.across)
     floor = 0.0 if black is None else np.asarray(black, dtype=float)
     pictures = pictures - floor
-    first, agreed = find_homography(_centroids(scenes), _find_spots(pictures), cells)
+    first, agreed = find_homography(_find_spots(scenes), _find_spots(pictures), cells)
     spots = DisplayedScenes(scenes[agreed], grid)
     start = np.append(first.ravel()[:8], 0.3)
-    view, jacobian, noise = _fit_view(spots, pictures[agreed], start)
+    view, covariance = _fit_view(spots, pictures[agreed], start)
+    # Centroids of small spots are biased alike in the pictures and in their fit
+    shifts = _find_spots(pictures[agreed]) - _find_spots(spots.images(view))
+    distances = np.linalg.norm(shifts * spots.cells[::-1], axis=1)
     matrix = np.append(view[:8], 1).reshape(3, 3)
     down, across = (view[8] * spots.side / spots.cells).tolist()
     flat = np.ones((1, 1))
     if white is not None:
         flat = _find_flat(white - floor, scenes.shape[1:], matrix, (down, across))
-    shifts = _shifts(spots, pictures[agreed], view)
     return Calibration(
         homography=matrix.tolist(),
-        residual=float(np.sqrt((shifts**2).sum(axis=1).mean())),
-        error=_corner_error(spots, view, jacobian, noise),
-        spots=len(shifts),
+        residual=float(np.sqrt((distances**2).mean())),
+        error=_corner_error(spots, view, covariance),
+        spots=len(distances),
         shown=len(scenes),
         blur=(down, across),
         flat=tuple(map(tuple, flat.tolist())),
@@ -134,43 +136,36 @@ def _find_spots(pictures: np.ndarray) -> np.ndarray:
 def find_homography(
     display: np.ndarray, device: np.ndarray, cells: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Homography (3, 3) from display to device in unit squares, and the spots (n,) it rests on."""
-    # Spots that lie more than a cell from what the others say are left out (RANSAC). display,
-    # device (n, 2)
-    found = np.isfinite(device).all(axis=1)
-    scale = np.array(cells[::-1], dtype=float)
-    source = np.asarray(display)[found]
-    target = np.asarray(device)[found] * scale
-    trouble = (
-        f"{found.sum()} of {len(found)} spots are seen, or too few agree on one perspective: four "
-        "that do not lie on a line are needed; show larger spots, expose longer or aim the camera"
-    )
-    if found.sum() < 4:
-        raise InputError(trouble)
+    """Homography (3, 3) of spots (n, 2) in unit squares, and which of them (n,) it rests on."""
     from skimage import measure, transform
 
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "No inliers found")
-        model, inliers = measure.ransac(
-            (source, target),
-            transform.ProjectiveTransform,
-            min_samples=4,
-            residual_threshold=1.0,  # cells
-            max_trials=500,
-            stop_probability=0.9999,
-            rng=0,
+    seen = np.flatnonzero(np.isfinite(display + device).all(axis=1))
+    scale = np.array(cells[::-1], dtype=float)
+    pairs = display[seen], device[seen] * scale
+    model = None
+    if len(seen) >= 4:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "No inliers found")
+            model, _ = measure.ransac(
+                pairs,
+                transform.ProjectiveTransform,
+                min_samples=4,
+                residual_threshold=1.0,  # cells
+                max_trials=500,
+                stop_probability=0.9999,
+                rng=0,
+            )
+    # The fit to all that agree has more of them than the four that were drawn had
+    agreed = seen[model.residuals(*pairs) < 1.0] if model else seen[:0]
+    # Spots on a line agree on many perspectives
+    spread = display[agreed] - display[agreed[:1]]
+    if model is None or len(agreed) < 4 or np.linalg.matrix_rank(spread, tol=1e-9) < 2:
+        raise InputError(
+            f"{len(seen)} of {len(device)} spots are seen, or too few agree on one perspective: "
+            "four that do not lie on a line are needed; show larger spots, expose longer or aim "
+            "the camera"
         )
-    if inliers is None or inliers.sum() < 4:
-        raise InputError(trouble)
-    inliers = model.residuals(source, target) < 1.0  # of the fit to all that agreed
-    agreeing = source[inliers]
-    model = transform.estimate_transform("projective", agreeing, target[inliers])
-    on_a_line = np.linalg.matrix_rank(agreeing - agreeing.mean(axis=0), tol=1e-9) < 2
-    if on_a_line or not model:
-        raise InputError(trouble)
     matrix = np.diag([*(1 / scale), 1.0]) @ model.params
-    agreed = np.zeros(len(found), dtype=bool)
-    agreed[np.flatnonzero(found)[inliers]] = True
     return matrix / matrix[2, 2], agreed
 
 
@@ -206,17 +201,6 @@ def _find_flat(
     return np.asarray(flat / flat.max())
 
 
-def _centroids(scenes: np.ndarray) -> np.ndarray:
-    """Centroid (across, down) of each scene, in the unit square."""
-    from scipy import ndimage
-
-    bright = scenes - scenes.min(axis=(1, 2), keepdims=True)
-    if not bright.any(axis=(1, 2)).all():
-        raise InputError("a displayed scene is uniform: show one bright spot in each")
-    places = np.array([ndimage.center_of_mass(scene) for scene in bright])
-    return np.asarray((places[:, ::-1] + 0.5) / scenes.shape[:0:-1])
-
-
 class DisplayedScenes:
     """Displayed scenes, and what cells see of them through a view (8 of its homography, blur)."""
 
@@ -236,8 +220,8 @@ class DisplayedScenes:
             self.light.append(scene[tuple(pixels.T)].repeat(len(inside)))
         self.spacing = self.cells / (shape * fine * np.sqrt(12))
 
-    def images(self, view: np.ndarray, shift: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-        """Pictures (spots, down, across), all of brightness 1; shifted by cells down and across."""
+    def images(self, view: np.ndarray) -> np.ndarray:
+        """Pictures (spots, down, across), all of brightness 1."""
         from scipy import special
 
         matrix = np.append(view[:8], 1).reshape(3, 3)
@@ -248,7 +232,7 @@ class DisplayedScenes:
             shares = []  # of each point's light, (points, cells), down and across
             for axis, place in enumerate((y / scale, x / scale)):
                 edges = np.arange(self.cells[axis] + 1)
-                away = edges - (place * self.cells[axis] + shift[axis])[:, None]
+                away = edges - (place * self.cells[axis])[:, None]
                 shares.append(np.diff(special.ndtr(away / width[axis]), axis=1))
             image[:] = (shares[0] * light[:, None]).T @ shares[1]
         return out
@@ -256,78 +240,32 @@ class DisplayedScenes:
 
 def _fit_view(
     spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Least-squares view, the Jacobian of its weighted misfit, and the misfit's variance."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least-squares view (9,) and its covariance (9, 9); the brightness of each spot is free."""
     from scipy import optimize
-
-    weight = np.ones_like(pictures)
-
-    def fitted(view: np.ndarray) -> np.ndarray:
-        images = spots.images(view)
-        power = (weight**2 * images**2).sum(axis=(1, 2))
-        match = (weight**2 * images * pictures).sum(axis=(1, 2))
-        brightness = np.divide(match, power, out=np.zeros_like(power), where=power > 1e-12)
-        return np.asarray(brightness.clip(0)[:, None, None] * images)
 
     def misfit(view: np.ndarray) -> np.ndarray:
-        return (weight * (pictures - fitted(view))).ravel()
+        images = spots.images(view)
+        power = (images**2).sum(axis=(1, 2))
+        match = (images * pictures).sum(axis=(1, 2))
+        brightness = match.clip(0) / np.maximum(power, 1e-12)
+        return (pictures - brightness[:, None, None] * images).ravel()
 
-    for weighted in (False, True):
-        if weighted:
-            weight = _weights(pictures, fitted(view))
-        # The largest blur that is looked for is of 2 cells
-        found = optimize.least_squares(
-            misfit,
-            view,
-            bounds=([-np.inf] * 8 + [0.0], [np.inf] * 8 + [2.0]),
-            x_scale=[0.01] * 8 + [0.1],
-            xtol=1e-6,
-            ftol=1e-6,
-        )
-        view = found.x
-    free = max(pictures.size - len(view) - len(pictures), 1)
-    return view, found.jac, float(2 * found.cost / free)
-
-
-def _weights(pictures: np.ndarray, model: np.ndarray) -> np.ndarray:
-    """One over the noise of each cell: a variance of its own for darkness, and more with light."""
-    from scipy import optimize
-
-    squares = (pictures - model).ravel() ** 2
-    (dark, light), _ = optimize.nnls(np.stack([np.ones(model.size), model.ravel()], 1), squares)
-    variance = dark + light * model.ravel()
-    most = variance.max()
-    if most <= 0:
-        return np.ones_like(pictures)
-    # Least variance of a cell, of the largest: a cell without photons is not known exactly
-    return np.asarray(1 / np.sqrt(variance / most + 1e-3)).reshape(pictures.shape)
+    fit = optimize.least_squares(
+        misfit,
+        view,
+        bounds=([-np.inf] * 8 + [0.0], [np.inf] * 8 + [2.0]),  # blur of up to 2 cells
+        x_scale=[0.01] * 8 + [0.1],
+        xtol=1e-6,
+        ftol=1e-6,
+    )
+    # Bright cells are noisier: this covariance takes no noise for equal to another's
+    inverse = np.linalg.pinv(fit.jac)
+    return fit.x, (inverse * fit.fun**2) @ inverse.T
 
 
-def _shifts(spots: DisplayedScenes, pictures: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """Distances (spots, 2) of spots from where the view shows them, cells."""
-    step = 0.02  # cells, of the derivatives by a spot's place
-    centre = spots.images(view)
-    slopes = [
-        (spots.images(view, shift) - spots.images(view, (-shift[0], -shift[1]))) / (2 * step)
-        for shift in ((step, 0.0), (0.0, step))
-    ]
-    shifts = np.zeros((len(pictures), 2))
-    for k, picture in enumerate(pictures):
-        brightness = (centre[k] * picture).sum() / max((centre[k] ** 2).sum(), 1e-12)
-        rest = picture - brightness * centre[k]
-        slope = brightness * np.stack([each[k].ravel() for each in slopes], axis=1)
-        # A distance that a picture does not tell, as the spot lies within one cell or is faint, is
-        # taken to be small beside half a cell
-        prior = ((rest**2).mean() + 1e-300) / 0.5**2 * np.eye(2)
-        shifts[k] = np.linalg.solve(slope.T @ slope + prior, slope.T @ rest.ravel())
-    return shifts
-
-
-def _corner_error(
-    spots: DisplayedScenes, view: np.ndarray, jacobian: np.ndarray, noise: float
-) -> float:
+def _corner_error(spots: DisplayedScenes, view: np.ndarray, covariance: np.ndarray) -> float:
     """Standard error, cells, of the place on the device of the display's worst corner."""
-    spread = np.linalg.pinv(jacobian.T @ jacobian)[:8, :8] * noise
     worst = 0.0
     for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
         place = np.array([*corner, 1.0])
@@ -336,7 +274,7 @@ def _corner_error(
         slopes[0, :3] = slopes[1, 3:6] = place / scale
         slopes[:, 6:] = -np.outer([x, y], place[:2]) / scale**2
         slopes *= spots.cells[::-1, None]
-        worst = max(worst, float(np.trace(slopes @ spread @ slopes.T)))
+        worst = max(worst, float(np.trace(slopes @ covariance[:8, :8] @ slopes.T)))
     return float(np.sqrt(worst))
 
 
@@ -376,37 +314,34 @@ def find_gains(white: Path) -> tuple[float, ...]:
     run = Recording.read(white)
     counts = run.read_counts().check_photons(white)
     manifest = run.manifest
-    spoilt = [each.kind for each in counts.faults if each.kind in SPOILING and each.kind != "gain"]
-    if counts.gains or spoilt:
+    spoilt = [fault.kind in SPOILING and fault.kind != "gain" for fault in counts.faults]
+    if counts.gains or any(spoilt):
         raise InputError(
             "the flat field's light is not what it should be, or it was corrected itself: record "
             "uniform white, and count it without a flat field"
         )
     detectors = manifest.detectors
-    count = manifest.detector_count
     if manifest.inputs == 1 or (detectors is not None and detectors.cells is None):
         raise InputError(
             "these patterns do not say which cells each of several detectors sees: leave the flat "
             "field out, or record it with patterns of a design for several detectors"
         )
     rails = run.patterns.rails
-    labels = np.zeros(rails.shape[-1], int) if detectors is None else np.array(detectors.cells)
+    cells = np.array(0 if detectors is None else detectors.cells)
+    sees = np.equal.outer(np.arange(manifest.detector_count), cells)
     usable = counts.by_readout(counts.valid)
-
-    def by_input(values: np.ndarray) -> np.ndarray:
-        """Sums of readouts (rails, m, D) that each input counts, (arms, D)."""
-        each = values.reshape(manifest.rails, -1, count).sum(axis=1)
-        return each if manifest.two_arm else each.sum(axis=0, keepdims=True)
-
-    found = by_input(counts.signal().sum(axis=(0, 1), where=usable))
-    noise = by_input(counts.variance.sum(axis=(0, 1), where=usable))
-    lit = by_input(np.stack([rails[..., labels == d].sum(axis=-1) for d in range(count)], axis=-1))
+    signal = counts.signal().sum(axis=(0, 1), where=usable)
+    variance = counts.variance.sum(axis=(0, 1), where=usable)
+    lit = (rails[..., None, :] * sees).sum(axis=-1)
+    # Two arms count one rail each, one arm counts all rails: (arms, D)
+    shape = (manifest.arms, -1, manifest.detector_count)
+    found, noise, sent = (part.reshape(shape).sum(axis=1) for part in (signal, variance, lit))
     if not (np.sqrt(noise) < 0.01 * found).all():
         raise InputError(
             "the flat field does not tell each detector's share to 1.0%: record it longer, or with "
             "more light"
         )
-    gains = (found / lit).ravel()
+    gains = (found / sent).ravel()
     return tuple((gains / gains.mean()).tolist())
 
 
