@@ -42,11 +42,12 @@ class LearnDesign(Command):
     force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
-        from deepfsi.lab.design_data import view_dataset
-
         scenes = load_dataset(self.data, size=self.size)
         if self.view is not None:
-            scenes = view_dataset(scenes, self.view)
+            from deepfsi.counting.acquisition import Calibration
+            from deepfsi.lab.design_data import view_dataset
+
+            scenes = view_dataset(scenes, Calibration.load(self.view), self.view)
         own = {"counts": self.counts, "matrix": self.matrix}
         job = job_of(_job_settings(self.settings), scenes, **own)
         from deepfsi.evaluation.accuracy import evaluate

@@ -327,14 +327,14 @@ def find_gains(white: Path) -> tuple[float, ...]:
             "field out, or record it with patterns of a design for several detectors"
         )
     rails = run.patterns.rails
-    cells = np.array(0 if detectors is None else detectors.cells)
-    sees = np.equal.outer(np.arange(manifest.detector_count), cells)
+    cells = np.zeros(rails.shape[-1], int) if detectors is None else np.array(detectors.cells)
+    count = manifest.detector_count
     usable = counts.by_readout(counts.valid)
     signal = counts.signal().sum(axis=(0, 1), where=usable)
     variance = counts.variance.sum(axis=(0, 1), where=usable)
-    lit = (rails[..., None, :] * sees).sum(axis=-1)
+    lit = np.stack([rails[..., cells == each].sum(axis=-1) for each in range(count)], axis=-1)
     # Two arms count one rail each, one arm counts all rails: (arms, D)
-    shape = (manifest.arms, -1, manifest.detector_count)
+    shape = (manifest.arms, -1, count)
     found, noise, sent = (part.reshape(shape).sum(axis=1) for part in (signal, variance, lit))
     if not (np.sqrt(noise) < 0.01 * found).all():
         raise InputError(

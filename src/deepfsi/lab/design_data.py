@@ -30,14 +30,8 @@ from deepfsi.counting.acquisition import Calibration, Scene
 from deepfsi.datasets.dataset import Dataset, Origin
 from deepfsi.datasets.display import array_display, read_display, read_scene_list
 from deepfsi.datasets.load import absolute_source, find_source, load_dataset, prepare_display
-from deepfsi.designfile.design_file import AdaptiveHeader, DesignFile
-from deepfsi.designfile.provenance import (
-    TrainedOn,
-    new_scenes,
-    scene_hashes,
-    trained_camera,
-    trained_on,
-)
+from deepfsi.designfile.design_file import DesignFile
+from deepfsi.designfile.provenance import new_scenes, scene_hashes, trained_camera, trained_on
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.manifest import Manifest
 from deepfsi.patterns.rails import DesignRails
@@ -84,41 +78,42 @@ def data_of(
     size: tuple[int, int] | None = None,
     view: Path | None = None,
 ) -> tuple[Dataset, tuple[str, ...]]:
-    """Data to test a design on, its training's unless given, and notes on what differs from it."""
+    """Data to test a design on, by default its training's, and notes on what differs from it."""
     training = trained_on(design.info)
     known = training.origin if training else None
-    asked = _asked(known, data, size, view)
+    told = {"size": size, "view": absolute_source(view) if view else None}
+    told = {option: value for option, value in told.items() if value is not None}
+    name = absolute_source(data) if data is not None else None
+    if known is not None and name in (None, known.data):
+        asked = known.model_copy(update=told)
+    elif name is None:
+        raise InputError(f"{NO_ORIGIN}: give the data to test it on, `data`")
+    else:
+        same = {"rescale", "view", *({"size", "white"} & set(find_source(name).options))}
+        kept = {option: getattr(known, option) for option in same} if known else {}
+        asked = Origin(data=name).model_copy(update=kept | told)
     try:
         loaded = _load(asked)
     except InputError as error:
         if data is not None:
             raise
         raise InputError(f"{error}; or give the data to test it on, `data`") from error
-    notes = _notes(training, asked, loaded)
+    notes = []
+    if training is not None and not training.is_of(loaded):
+        if known is None:
+            note = f"this is not the data that the design was trained on, {training.name}"
+        elif known == asked:
+            note = f"{known.words} has changed since the design was trained on it"
+        else:
+            note = f"the design was trained on {known.words}; this is {asked.words}"
+        notes.append(note)
     _, left = new_scenes(design.training_scenes, loaded)
     if design.training_scenes is None and notes:
         left = "test scenes may be among those it was trained on, which its file does not hold"
     return loaded, tuple(notes if left is None else [*notes, left])
 
 
-def _asked(
-    known: Origin | None, data: str | None, size: tuple[int, int] | None, view: Path | None
-) -> Origin:
-    """Source that is told, the rest of it as the design remembers."""
-    if data is None and known is None:
-        raise InputError(
-            "this design was trained on data that no file or name holds, such as arrays in "
-            "memory: give the data to test it on, `data`, or export pictures by their own name"
-        )
-    name = known.data if data is None and known else absolute_source(str(data))
-    told = {"size": size, "view": absolute_source(str(view)) if view else None}
-    told = {option: value for option, value in told.items() if value is not None}
-    if known is None or name == known.data:
-        return (known or Origin(data=name)).model_copy(update=told)
-    allowed = find_source(name).options
-    same = ["rescale", "view", *({"size", "white"} & set(allowed))]
-    kept = {option: getattr(known, option) for option in same}
-    return Origin(data=name).model_copy(update=kept | told)
+NO_ORIGIN = "this design was trained on data that no file or name holds, such as arrays in memory"
 
 
 def _load(origin: Origin) -> Dataset:
@@ -127,43 +122,31 @@ def _load(origin: Origin) -> Dataset:
     if origin.fold is not None:
         place, count = origin.fold
         scenes = scenes.folds(count)[place]
-    return scenes if origin.view is None else view_dataset(scenes, Path(origin.view))
-
-
-def _notes(training: TrainedOn | None, asked: Origin, data: Dataset) -> list[str]:
-    known = training.origin if training else None
-    if training is None or training.is_of(data):
-        return []
-    if known is None:
-        return [f"this is not the data that the design was trained on, {training.name}"]
-    if known == asked:
-        return [f"{known.words} has changed since the design was trained on it"]
-    return [f"the design was trained on {known.words}; this is {asked.words}"]
+    if origin.view is None:
+        return scenes
+    folder = Path(origin.view)
+    return view_dataset(scenes, Calibration.load(folder), folder)
 
 
 def design_scenes(
-    info: Mapping[str, Any],
-    image_shape: tuple[int, ...],
-    pictures: Path | np.ndarray,
+    info: Mapping[str, Any], image_shape: tuple[int, ...], pictures: Path | np.ndarray
 ) -> "Display":
     """Pictures as a design with that provenance sees them, prepared as the data that it knows."""
     known = trained_on(info)
     origin = known.origin if known else None
-    if not isinstance(pictures, Path):
+    if isinstance(pictures, Path):
+        if origin is None:
+            raise InputError(
+                f"{NO_ORIGIN}, and does not know what to do to pictures: learn it from pictures, "
+                "or `evaluate` it on arrays with labels"
+            )
+        shown = prepare_display(pictures, origin)
+    else:
         if pictures.ndim == 2 and pictures.shape[1] == prod(image_shape):
             pictures = pictures.reshape(-1, *image_shape)
         if pictures.dtype.kind == "f":  # reflectance, as a data set has it
             origin = None
-    if origin is not None:
-        shown = prepare_display(pictures, origin)
-    elif not isinstance(pictures, Path):
-        shown = array_display(pictures)
-    else:
-        raise InputError(
-            "this design was trained on data that no file or name holds, such as arrays in memory, "
-            "and does not know what to do to pictures: learn it from pictures, or `evaluate` it on "
-            "arrays with labels"
-        )
+        shown = prepare_display(pictures, origin) if origin else array_display(pictures)
     if shown.x.shape[1:] != image_shape:
         pixels, scene = ("x".join(map(str, shape)) for shape in (shown.x.shape[1:], image_shape))
         raise InputError(
@@ -240,22 +223,20 @@ def camera_view(
     return np.clip(out, 0, 1, out=out)  # rounding
 
 
-def view_dataset(data: Dataset, camera: Calibration | Path) -> Dataset:
-    """Data set of images as the camera sees them, to train on; its preprocessing says so."""
-    calibration = Calibration.load(camera) if isinstance(camera, Path) else camera
+def view_dataset(data: Dataset, calibration: Calibration, folder: Path | None = None) -> Dataset:
+    """Data set of images as a camera sees them; it has an origin if its calibration is a file's."""
     origin = None
-    if isinstance(camera, Path) and data.origin is not None:
-        origin = data.origin.model_copy(update={"view": str(camera.absolute())})
+    if folder is not None and data.origin is not None:
+        origin = data.origin.model_copy(update={"view": str(folder.absolute())})
     digest = hashlib.sha256(calibration.model_dump_json().encode()).hexdigest()
+    cells = "x".join(map(str, data.image_shape))
+    words = f"Then as {cells} cells of a camera see it (calibration {digest[:12]})."
     return replace(
         data,
         origin=origin,
         x_train=camera_view(np.asarray(data.x_train), data.image_shape, calibration),
         x_test=camera_view(np.asarray(data.x_test), data.image_shape, calibration),
-        preprocessing=(
-            f"{data.preprocessing} Then as {'x'.join(map(str, data.image_shape))} cells of a "
-            f"camera see it (calibration {digest[:12]})."
-        ),
+        preprocessing=f"{data.preprocessing} {words}",
     )
 
 
@@ -330,7 +311,7 @@ def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) 
 def design_rails(file: str | os.PathLike[str]) -> DesignRails:
     """Rails of a design file; only adaptive masks need torch."""
     path = Path(file)
-    if isinstance(DesignFile.read(path, ()).header, AdaptiveHeader):
+    if DesignFile.read(path, ()).header.name == "adaptive":
         with require_extras():
             from deepfsi.lab.observer import adaptive_rails
         return adaptive_rails(path)

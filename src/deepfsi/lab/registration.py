@@ -39,11 +39,17 @@ TARGET = np.array(
 )
 """The target: white blocks on black, unlike itself in all other orientations."""
 
-WELL = {"scale": 0.05, "shift": 0.02, "rotation": 3.0}
-"""Departures that are well: share of 1, share of the region's side, degrees.
+WELL = {
+    "scale": (1.0, 0.05, ""),
+    "rotation": (0.0, 3.0, " degrees clockwise"),
+    "down": (0.0, 0.02, " of the region's height"),
+    "across": (0.0, 0.02, " of the region's width"),
+    "blur": (0.0, 0.5, " cells (standard deviation)"),
+}
+"""Numbers of a place that is well, by how much each may differ, and its unit.
 
-On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each costs 1 to 4 points of
-accuracy, and twice as much 3 to 15.
+On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each of the first four costs
+1 to 4 points of accuracy where it differs so, and twice as much 3 to 15.
 """
 
 
@@ -68,84 +74,60 @@ class ReferenceFit:
 
     exported: DmdLayout
     layout: DmdLayout  # that masks need to lie on the device as scenes do
-    scale: float  # of the target's image, over that of the region
-    shift: tuple[float, float]  # of its middle, down and across, shares of the region's sides
-    rotation: float  # beyond the orientation's, degrees clockwise
-    blur: float
-    blur_error: float
-    errors: tuple[float, float, float, float]  # standard errors of scale, shifts and rotation
-    chance: float  # of a misfit as large
-    clear: float  # difference of the squared misfits from the next best orientation
+    place: dict[str, float]  # numbers of `WELL`, beyond the orientation
+    errors: dict[str, float]  # standard errors of these
+    doubt: str | None  # reason why what was found is not certain
 
     @property
-    def doubt(self) -> str | None:
-        """Reason why what was found is not certain; None where it is."""
-        # Chance of the counts' misfit below which no place of the target explains them
-        if self.chance < 1e-6:
-            return (
-                "no place of the reference explains these counts: show it alone, on black, and "
-                "give the patterns that were shown"
-            )
-        limits = WELL["scale"], WELL["shift"], WELL["shift"], WELL["rotation"]
-        more = max(error / most for error, most in zip(self.errors, limits, strict=True)) ** 2
-        # Difference of the squared misfits by which one orientation must fit better than all others
-        more = max(more, 25.0 / max(self.clear, 1e-3))
-        if more <= 1:
-            return None
-        return f"too little light to be certain: record the reference with {more:.2g} times as much"
+    def departures(self) -> list[str]:
+        """What lies otherwise than the masks do."""
+        names = ["orientation"] if self.layout != self.exported else []
+        for name, (usual, most, _) in WELL.items():
+            # Blur is known less than the rest
+            sure = 2.0 * self.errors[name] if name == "blur" else 0.0
+            if abs(self.place[name] - usual) - sure > most:
+                names.append(name)
+        return names
 
     @property
     def fits(self) -> bool:
         """True if the target certainly lies as the masks do."""
-        return self.doubt is None and not any(departs for _, _, departs in self.findings)
+        return self.doubt is None and not self.departures
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
         layouts = {"exported": self.exported, "found": self.layout}
-        numbers = ("scale", "shift", "rotation", "blur", "blur_error", "errors")
-        return {
-            "fits": self.fits,
-            "doubt": self.doubt,
-            "orientation": {
-                name: {"flip": layout.flip, "rotate": layout.rotate}
-                for name, layout in layouts.items()
-            },
-            **{name: getattr(self, name) for name in numbers},
+        turns = {
+            name: each.model_dump(include={"flip", "rotate"}) for name, each in layouts.items()
         }
+        verdict = {"fits": self.fits, "doubt": self.doubt, "departures": self.departures}
+        return {**verdict, "orientation": turns, "place": self.place, "errors": self.errors}
 
     def lines(self) -> Iterator[str]:
         """Say how scenes lie, and whether as the masks do."""
-        for what, words, departs in self.findings:
-            far = ": too far" if departs and what != "orientation" else ""
-            yield f"{what}: {words}{far}"
+        again = ["--flip"] * self.layout.flip + ["--rotate", str(self.layout.rotate)]
+        turned = f"not that of the masks: export again with {' '.join(again)}"
+        yield f"orientation: {'as exported' if self.layout == self.exported else turned}"
+        for name, (_, _, unit) in WELL.items():
+            far = ": too far" if name in self.departures else ""
+            yield f"{name}: {self.place[name]:.3f} ± {self.errors[name]:.3f}{unit}{far}"
         fits = "the scenes lie as the masks do" if self.fits else "the scenes do not fit the masks"
         yield self.doubt or fits
 
-    @property
-    def findings(self) -> list[tuple[str, str, bool]]:
-        """Name and text of each finding, and whether it departs from what was exported."""
-        scale, down, across, turn = self.errors
-        turned = self.layout != self.exported
-        words = "as exported"
-        if turned:
-            given = ["--flip"] * self.layout.flip
-            given += [f"--rotate {self.layout.rotate}"] * bool(self.layout.rotate)
-            again = " ".join(given) or "neither --flip nor --rotate"
-            words = f"not that of the masks: export again with {again}"
-        down_across = (
-            f"{self.shift[0]:+.1%} ± {down:.1%} down, {self.shift[1]:+.1%} ± {across:.1%} across, "
-            "of the region"
+
+def _doubt(chance: float, clear: float, errors: dict[str, float]) -> str | None:
+    """Reason to doubt a fit, by its misfit's chance and how clear its orientation is."""
+    if chance < 1e-6:
+        return (
+            "no place of the reference explains these counts: show it alone, on black, and give "
+            "the patterns that were shown"
         )
-        rotation = f"{self.rotation:+.1f} ± {turn:.1f} degrees clockwise"
-        blur = f"{self.blur:.2f} ± {self.blur_error:.2f} cells (standard deviation)"
-        return [
-            ("orientation", words, turned),
-            ("scale", f"{self.scale:.3f} ± {scale:.3f}", abs(self.scale - 1) > WELL["scale"]),
-            ("shift", down_across, max(map(abs, self.shift)) > WELL["shift"]),
-            ("rotation", rotation, abs(self.rotation) > WELL["rotation"]),
-            # Blur is known less than the place; half a cell is well
-            ("blur", blur, self.blur - 2.0 * self.blur_error > 0.5),
-        ]
+    more = max(errors[name] / WELL[name][1] for name in WELL if name != "blur") ** 2
+    # Squared misfits grow with the light; a difference of 25 tells two orientations apart
+    more = max(more, 25.0 / max(clear, 1e-3))
+    if more <= 1:
+        return None
+    return f"too little light to be certain: record the reference with {more:.2g} times as much"
 
 
 def _image(
@@ -240,18 +222,15 @@ def _fit_place(
             fits.append((2 * step.cost, layout, step))
     fits.sort(key=lambda fit: fit[0])
     cost, layout, best = fits[0]
-    spread = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac)))
     others = [fit[0] for fit in fits if fit[1] != layout]
-    scale, turn, down, across, blur = best.x.tolist()
+    degrees = np.array([1.0, np.degrees(1.0), 1.0, 1.0, 1.0])
+    spread = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac))) * degrees
+    errors = dict(zip(WELL, spread.tolist(), strict=True))
+    chance = float(chi2.sf(cost, max(len(counts) - 7, 1)))
     return ReferenceFit(
         exported=exported,
         layout=layout,
-        scale=scale,
-        shift=(down, across),
-        rotation=float(np.degrees(turn)),
-        blur=blur,
-        blur_error=float(spread[4]),
-        errors=(spread[0], spread[2], spread[3], float(np.degrees(spread[1]))),
-        chance=float(chi2.sf(cost, max(len(counts) - 7, 1))),
-        clear=min(others) - cost,
+        place=dict(zip(WELL, (best.x * degrees).tolist(), strict=True)),
+        errors=errors,
+        doubt=_doubt(chance, min(others) - cost, errors),
     )
