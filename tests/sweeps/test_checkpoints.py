@@ -1,9 +1,5 @@
 """A sweep that is stopped within a trial goes on within it, to the same bits."""
 
-import os
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -99,30 +95,3 @@ def test_a_checkpoint_left_by_a_kill_before_its_removal_is_removed(digits, trial
         (tmp_path / "checkpoints" / name).touch()
     Records(tmp_path)
     assert [path.stem for path in (tmp_path / "checkpoints").iterdir()] == ["0" * 24]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("trained_once")
-def test_a_kill_within_a_training_costs_no_bit(done, refuse, tmp_path):
-    """A process that is killed at its fifth checkpoint, and the same command again."""
-    words = {}
-    for out in ("killed", "whole"):
-        (tmp_path / out / "designs").mkdir(parents=True)
-        settings = ["--masks", "4", "--photons", "1e3", "--epochs", "2", "--batch", "100"]
-        words[out] = ["design", *settings, "-o", str(tmp_path / out / "designs" / "a.safetensors")]
-    kill = (
-        "import os, sys; from deepfsi.cli import run_command_line\n"
-        "from deepfsi.training import checkpoint\n"
-        "checkpoint.CHECKPOINT_SECONDS, calls = 0.0, []\n"
-        f"write, sys.argv = checkpoint.write_atomically, ['deepfsi', *{words['killed']}]\n"
-        "def written(*given):\n"
-        "    calls.append(write(*given)); os.kill(os.getpid(), 9) if len(calls) == 5 else None\n"
-        "checkpoint.write_atomically = written; run_command_line()"
-    )
-    killed = subprocess.run([sys.executable, "-c", kill], capture_output=True)
-    assert killed.returncode == -signal.SIGKILL, killed.stderr
-    assert "of another training" in refuse(*words["killed"], "--seed", 1)
-    done(*words["killed"])
-    done(*words["whole"])
-    assert tensors(tmp_path / "killed") == tensors(tmp_path / "whole") != {}
-    assert os.listdir(tmp_path / "killed" / "designs") == ["a.safetensors"]
