@@ -8,7 +8,6 @@ import pytest
 from click.testing import CliRunner
 from PIL import Image
 
-from conftest import quick
 from deepfsi import Design, InputError, evaluate
 from deepfsi.cli import app
 from deepfsi.counting.recording import Recording
@@ -165,19 +164,3 @@ def test_scenes_have_the_white_of_the_design(done, digits, tmp_path):
     said = done("camera", "simulate", p, "--scene", tmp_path / "dim", *words)
     assert "4 images of 8x8 pixels" in said
     assert "divided by 4095 (12 bits)" in said
-
-
-def test_counts_of_another_design_are_refused_unless_forced(
-    refuse, done, digits, lab, run, acquire, tmp_path
-):
-    theirs = acquire(tmp_path / "theirs", quick(digits, "random", light="equal-dwell"))
-    (theirs / "photons.ptu").rename(run / "photons.ptu")
-    done("camera", "count", run)
-    words = ["camera", "classify", lab / "design.safetensors", run]
-    assert "do not look like what this design was trained for" in refuse(*words)
-    said = json.loads(done(*words, "--force", "--json"))
-    assert said["consistency"]["whole"] < said["consistency"]["false_alarms"]
-    assert any(scene["unsure"] for scene in said["scenes"])
-    text = done(*words, "--force")
-    assert "do not look like" in text
-    assert "unsure" in text

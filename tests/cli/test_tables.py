@@ -52,19 +52,6 @@ def test_a_comparison_is_one_matrix_one_sentence_and_one_path(done, tmp_path, mo
     assert told["verdict"] == said
 
 
-def test_a_terminal_that_is_too_narrow_loses_nothing(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "30")
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("NO_COLOR", "1")
-    heads = ("design", "photons", "masks", "accuracy", "counted")
-    row = ("impulse imaging", "1.27e3", "64", "0.279 ± 0.020", "0.016")
-    terminal.print_table(Table("a table", heads, [row]))
-    words = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out).split()
-    assert "".join(sorted("".join((*heads, *row)).replace(" ", ""))) == "".join(
-        sorted("".join(words).replace("atable", "").replace("─", ""))
-    )
-
-
 def test_names_are_text(capsys):
     """Brackets and colons stay; what a terminal takes for a command goes."""
     rows = [("[red]class",), (":smile:",), ("\x1b[31mred",)]
