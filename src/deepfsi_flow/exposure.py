@@ -35,7 +35,7 @@ from deepfsi.physics.detection import Rails, Readouts
 from deepfsi.physics.laws import FixedMasks, LearnedMasks, check_levels, through
 from deepfsi.physics.noise import NoiseFunction
 from deepfsi.physics.scanner import Scanner, project
-from deepfsi.physics.training_noise import Draws, SeedStream
+from deepfsi.physics.training_noise import Draws, SeedStream, side_by_side
 from deepfsi_flow.settings import STATIC, Passing, PassingEntry
 
 
@@ -301,7 +301,7 @@ class PassingTraining(ExposureTraining):
                 expected = stream.repeated(expected)
             return stream.noise.features(expected, expected, self.read, stream.normal)
 
-        drawn = draws.side_by_side(features)
+        drawn = side_by_side([features(stream) for stream in draws.streams])
         return standardise(drawn - drawn.mean(dim=0), self.scale)
 
     def fix(self) -> None:

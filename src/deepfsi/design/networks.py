@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pkgutil import resolve_name
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor, nn
@@ -25,6 +25,9 @@ from deepfsi.jobs.training import MLP, Training, find_classifier, part_name
 
 class Classifier(nn.Module, ABC):
     """A classifier that a design file can hold."""
+
+    stackable: ClassVar[bool] = False  # whether several learn faster on a GPU with weights stacked
+    generator: torch.Generator | None = None  # that it draws from in a training
 
     @property
     @abstractmethod
@@ -61,6 +64,8 @@ class Mlp(Classifier):
     >>> classifier(torch.zeros(5, 6)).shape
     torch.Size([5, 10])
     """
+
+    stackable = True
 
     def __init__(
         self,

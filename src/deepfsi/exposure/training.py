@@ -336,7 +336,7 @@ class _FixedTraining(ExposureTraining):
 
     def inputs(self, draws: Draws) -> Tensor:
         """Features (B, R, k), standardised by the statistics of the whole training set."""
-        return draws.side_by_side(self._of_seed)
+        return side_by_side([self._of_seed(stream) for stream in draws.streams])
 
     def _of_seed(self, stream: SeedStream) -> Tensor:
         mean = stream.products(self.means)
@@ -451,7 +451,7 @@ class ConditionedTraining(ExposureTraining):
         for stream in draws.streams:
             # a factor 1 whose gradient is only rounding: it keeps the bits of earlier trainings
             whole = stream.of_jobs(used / used).T.unsqueeze(-1)
-            ratio = stream.budgets(self.span, self.job.masks) / whole
+            ratio = stream.budgets(self.span) / whole
             normal = stream.normal(masks.shape[-2] * parts) * stream.noise.unit / ratio.sqrt()
             x = self.x.index_select(0, stream.with_mean)
             of_seed = stream.of_jobs(masks, -3)

@@ -11,7 +11,6 @@ masks, (..., 1, m, N) a single rail. `LearnedMasks` computes them from free weig
 that cannot break the law.
 """
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
@@ -120,8 +119,7 @@ class LightLaw(ABC):
             )
         factor = 1 + self.excess(rails)
         if factor > 1 + ROUNDING_SLACK:
-            step = 10.0 ** (math.floor(math.log10(factor)) - 3)
-            above = math.ceil(factor / step) * step  # at least the factor, in four digits
+            above = 1.0006 * factor  # so that four digits of it are at least the factor
             raise InputError(
                 f"the matrix is {factor:.4g} times as bright as {self.name} allows, and breaks the "
                 f"{self.name} constraint: divide it by {above:.4g}, or choose another with `light`"

@@ -104,12 +104,8 @@ class Noise(ABC):
             return counts
         return attach_gradient(counts, light.mean, self.variance(light))
 
-    def features(self, light: Expectation, random: Random = None) -> Tensor:
-        """Features (..., k) from one normal number each, for a noise that does not count."""
-        return light.mean + self.deviation(light) * _normal(light.mean, random)
-
     def deviation(self, light: Expectation) -> Tensor:
-        """Standard deviation (..., k) of features, in units of the mean, for such a noise."""
+        """Standard deviation (..., k) of features in units of the mean; not of drawn rails."""
         return root(self.variance(light) / light.gain)
 
     def check(self, learning: bool) -> None:
@@ -146,10 +142,6 @@ class _NoNoise(Noise):
         """Zero."""
         return torch.zeros_like(light.read.lit, dtype=light.total.dtype)
 
-    def features(self, light: Expectation, random: Random = None) -> Tensor:
-        """The means, without a draw."""
-        return light.mean
-
 
 @dataclass(frozen=True)
 class Gaussian(Noise):
@@ -165,7 +157,7 @@ class Gaussian(Noise):
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """Rates with read noise."""
-        return rates + self.sigma * _normal(rates, random)
+        return rates + self.sigma * normal(rates, random)
 
     def variance(self, light: Expectation) -> Tensor:
         """σ² for each rail that is read out."""
@@ -191,7 +183,7 @@ class _MlGauss(Noise):
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """Rates with normal noise whose variance is the rate."""
-        return rates + root(rates) * _normal(rates, random)
+        return rates + root(rates) * normal(rates, random)
 
     def deviation(self, light: Expectation) -> Tensor:
         """√(r⁺ + r⁻)."""
@@ -424,7 +416,7 @@ class Fluctuation(Noise):
     def brightness(self, like: Tensor, random: Random = None) -> Tensor:
         """1 + ε of frames, log-normal, in the shape of a tensor."""
         sigma = math.sqrt(math.log1p(self.fluctuation**2))
-        return torch.exp(sigma * _normal(like, random) - sigma**2 / 2)
+        return torch.exp(sigma * normal(like, random) - sigma**2 / 2)
 
 
 def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
@@ -496,7 +488,8 @@ class _Root(torch.autograd.Function):
         return torch.where(value > 0, gradient / (2 * value), 0.0)
 
 
-def _normal(like: Tensor, random: Random) -> Tensor:
+def normal(like: Tensor, random: Random) -> Tensor:
+    """Standard normal numbers in the shape and type of a tensor."""
     return torch.randn(like.shape, generator=random, device=like.device, dtype=like.dtype)
 
 

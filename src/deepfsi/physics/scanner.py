@@ -6,7 +6,7 @@ from torch import Tensor, nn
 from deepfsi.base.errors import InputError
 from deepfsi.physics.detection import Detection, Rails, Readouts
 from deepfsi.physics.laws import FixedMasks
-from deepfsi.physics.noise import Expectation, NoiseFunction, make_noise
+from deepfsi.physics.noise import Expectation, NoiseFunction, make_noise, normal
 
 
 class Scanner(nn.Module):
@@ -82,15 +82,13 @@ class Scanner(nn.Module):
         if noise.draws_rails:
             rates = self.rates(photons, rails)
             counts = seen.features(self.read(rates, generator, rails))
-            if not noise.unbiased:  # its draws bring a gradient
-                return counts
             light = Expectation(seen.features(rates), seen.totals(rates), read)
             return noise.gradient(counts, light)
         masks = seen.read_of(arranged)
         if not noise.of_light:
             masks = Rails(masks.difference)  # spares the product with the total
         mean, total = project_rails(self._light(photons, rails), masks, seen.count)
-        return noise.features(Expectation(mean, total, read), generator)
+        return mean + noise.deviation(Expectation(mean, total, read)) * normal(mean, generator)
 
     def counts(self, photons: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Noisy counts (..., [replicas,] rails, m · D) of photons (..., N).

@@ -179,12 +179,12 @@ class SeedStream:
             self.batch, 1, count, generator=self.generator, device=self._labels.device
         )
 
-    def budgets(self, span: float, masks: int) -> Tensor:
+    def budgets(self, span: float) -> Tensor:
         """Draw budgets (B, 1, 1), as multiples of the lowest."""
-        uniform = torch.rand(self.batch, 1, 1, generator=self.generator, device=self._labels.device)
-        # Earlier versions drew how many masks are shown: a draw that is always m keeps the stream
-        last = torch.eye(masks, device=self._labels.device)[-1]
-        torch.multinomial(last, self.batch, True, generator=self.generator)
+        device = self._labels.device
+        uniform = torch.rand(self.batch, 1, 1, generator=self.generator, device=device)
+        # Earlier versions drew how many masks are shown: this draw of one keeps the later numbers
+        torch.multinomial(torch.ones(1, device=device), self.batch, True, generator=self.generator)
         return span**uniform
 
     def repeated(self, shared: Tensor) -> Tensor:
@@ -231,11 +231,7 @@ class Draws:
 
     def gather(self, step: int) -> Tensor:
         """Move to the scenes of a step; return their labels (B, R) or values (B, R, q)."""
-        return self.side_by_side(lambda stream: stream.gather(step))
-
-    def side_by_side(self, of_seed: Callable[[SeedStream], Tensor]) -> Tensor:
-        """Tensor (B, R, …) of all jobs, from a function that gives (B, R_i, …) for a seed."""
-        return side_by_side([of_seed(stream) for stream in self.streams])
+        return side_by_side([stream.gather(step) for stream in self.streams])
 
 
 def side_by_side(parts: list[Tensor]) -> Tensor:

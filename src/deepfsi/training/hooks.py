@@ -6,12 +6,12 @@ set back, so that a callback changes no bit of it.
 """
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from deepfsi.design.design import Design
 from deepfsi.design.networks import Replicas
@@ -67,7 +67,7 @@ class LoopWatch:
     exposure: ExposureTraining
     state: LoopState
     loss: SceneLoss
-    networks: Sequence[nn.Module]
+    classify: Replicas
 
     def __post_init__(self) -> None:
         self.watch.history = []
@@ -113,18 +113,15 @@ class LoopWatch:
         if not self.exposure.training_set.data.held_out:
             return {}
         before = [generator.get_state() for generator in self.state.generators]
-        modes = [
-            (module, module.training) for network in self.networks for module in network.modules()
-        ]
-        for module in self.state.modules:
-            if isinstance(module, Replicas):
-                module.hand_back()
-        for network in self.networks:
+        networks = self.classify.networks
+        modes = [(module, module.training) for network in networks for module in network.modules()]
+        self.classify.hand_back()
+        for network in networks:
             network.eval()
         with torch.no_grad():
             exposure = copy.copy(self.exposure)  # the original goes on learning
             exposure.fix()
-            tested = self._tested(*designs_of(exposure, self.networks))
+            tested = self._tested(*designs_of(exposure, networks))
         for module, mode in modes:
             module.training = mode
         for generator, state in zip(self.state.generators, before, strict=True):

@@ -20,7 +20,7 @@ from torch.optim.lr_scheduler import OneCycleLR
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import Progress
-from deepfsi.design.networks import Classifier, Mlp, Replicas, find_network, make_custom, seeded
+from deepfsi.design.networks import Classifier, Replicas, find_network, make_custom, seeded
 from deepfsi.exposure.training import ExposureTraining
 from deepfsi.exposure.training_set import network_dtype
 from deepfsi.jobs.training import Training
@@ -42,7 +42,7 @@ def optimise(
     device = exposure.training_set.device
     labels = exposure.training_set.labels
     classifiers = _classifiers(exposure)
-    stacked = device.type == "cuda" and isinstance(classifiers[0], Mlp)
+    stacked = device.type == "cuda" and classifiers[0].stackable
     classify = Replicas(classifiers, stacked, network_dtype(job, device))
     batch = batch_of(settings, len(labels))
     draws = Draws([job.seed for job in exposure.jobs], exposure.noise, labels, batch)
@@ -70,7 +70,7 @@ def optimise(
     )
     elements = batch * len(exposure.jobs) * exposure.parts * max(job.masks, *settings.hidden, 1)
     of_torch = seeded(job.seed) if settings.is_custom else nullcontext()
-    watch = LoopWatch(epochs, exposure, state, loss=scene_loss, networks=classifiers)
+    watch = LoopWatch(epochs, exposure, state, loss=scene_loss, classify=classify)
     with _threads(elements), of_torch, checkpoint.of_loop(state):
         report(state.step / total)
         due = time.monotonic() + REPORT_SECONDS
@@ -100,8 +100,7 @@ def optimise(
     epochs.lengths.append(watch.number)
     classify.hand_back()
     for network in classifiers:
-        if isinstance(network, Mlp):
-            network.generator = None
+        network.generator = None
         network.eval()
     return classifiers
 
@@ -118,16 +117,15 @@ def _parameter_group(module: nn.Module, lr: float, decay: float = 0.0) -> dict[s
 
 
 def _generators(
-    settings: Training, networks: Sequence[nn.Module], device: torch.device
+    settings: Training, networks: Sequence[Classifier], device: torch.device
 ) -> list[torch.Generator]:
     """Generators that networks draw from in a training: their own, or torch's global ones."""
-    generators = [
-        network.generator for network in networks if isinstance(network, Mlp) and network.generator
-    ]
+    generators = [network.generator for network in networks if network.generator]
     if settings.is_custom:
         generators.append(torch.default_generator)
         if device.type == "cuda":
-            generators.append(torch.cuda.default_generators[device.index])
+            index = torch.empty(0, device=device).device.index  # that "cuda" alone lacks
+            generators.append(torch.cuda.default_generators[index])
     return generators
 
 
