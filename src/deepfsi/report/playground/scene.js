@@ -36,61 +36,41 @@ export function show(canvas, model, values) {
   paint(canvas, model.image_shape, (i) => (values[i] - low) / (high - low));
 }
 
-/** Canvas to draw an image on: strokes are fine, the scene is their mean over each pixel. */
+/** Canvas to draw an image on, pixel by pixel; the edges of a stroke are smooth. */
 export class Pad {
   constructor(canvas, model, scenes, changed) {
     Object.assign(this, { canvas, model, changed, stroke: null });
     [this.height, this.width] = model.image_shape;
-    this.fine = Math.max(1, Math.ceil(256 / Math.max(this.height, this.width)));
-    this.wide = this.width * this.fine;
-    this.tall = this.height * this.fine;
     const { low, high } = model.scenes;
-    const edge = scenes.flatMap((scene) => this.edge(scene)).sort((a, b) => a - b);
-    const ground = edge[Math.floor(edge.length / 2)];
-    const level = Math.round((255 * (ground - low)) / (high - low || 1));
+    const edge = scenes.flatMap((scene) => [...scene.slice(0, this.width)]).sort((a, b) => a - b);
+    const level = Math.round((255 * (edge[Math.floor(edge.length / 2)] - low)) / (high - low || 1));
     this.ground = `rgb(${level} ${level} ${level})`;
-    this.radius = (this.height > 16 ? 0.05 : 0.075) * Math.max(this.wide, this.tall);
-    const sheet = Object.assign(document.createElement("canvas"), { width: this.wide, height: this.tall });
+    const sheet = Object.assign(document.createElement("canvas"), { width: this.width, height: this.height });
     this.ink = sheet.getContext("2d", { willReadFrequently: true });
-    Object.assign(this.ink, { imageSmoothingEnabled: false, lineCap: "round", strokeStyle: level < 128 ? "white" : "black" });
+    const lineWidth = (this.height > 16 ? 0.1 : 0.15) * Math.max(this.width, this.height);
+    Object.assign(this.ink, { lineCap: "round", lineWidth, strokeStyle: level < 128 ? "white" : "black" });
     this.listen();
-  }
-
-  edge(scene) {
-    const found = [];
-    scene.forEach((value, i) => {
-      const [y, x] = [Math.floor(i / this.width), i % this.width];
-      if (!y || !x || y === this.height - 1 || x === this.width - 1) found.push(value);
-    });
-    return found;
   }
 
   /** Reflectance of each pixel, in the 256 levels of a camera. */
   get scene() {
     const { low, high } = this.model.scenes;
-    const { data } = this.ink.getImageData(0, 0, this.wide, this.tall);
-    const sums = new Float64Array(this.width * this.height);
-    for (let i = 0; i < this.wide * this.tall; i++) {
-      const [y, x] = [Math.floor(i / this.wide), i % this.wide];
-      sums[Math.floor(y / this.fine) * this.width + Math.floor(x / this.fine)] += data[4 * i];
-    }
-    return sums.map((sum) => low + (Math.round(sum / this.fine ** 2) / 255) * (high - low));
+    const { data } = this.ink.getImageData(0, 0, this.width, this.height);
+    return Float64Array.from({ length: data.length / 4 }, (_, i) => low + (data[4 * i] / 255) * (high - low));
   }
 
   set scene(values) {
     show(this.canvas, this.model, values);
-    this.ink.drawImage(this.canvas, 0, 0, this.wide, this.tall);
+    this.ink.drawImage(this.canvas, 0, 0);
   }
 
   clear() {
     this.ink.fillStyle = this.ground;
-    this.ink.fillRect(0, 0, this.wide, this.tall);
+    this.ink.fillRect(0, 0, this.width, this.height);
     this.changed();
   }
 
-  /** Draw a line of the pen's width between two points. */
   line(from, to) {
-    this.ink.lineWidth = 2 * this.radius;
     this.ink.beginPath();
     this.ink.moveTo(from.x, from.y);
     this.ink.lineTo(to.x, to.y);
@@ -100,8 +80,8 @@ export class Pad {
 
   point(event) {
     const frame = this.canvas.getBoundingClientRect();
-    const x = ((event.clientX - frame.left) / frame.width) * this.wide;
-    return { x, y: ((event.clientY - frame.top) / frame.height) * this.tall };
+    const x = ((event.clientX - frame.left) / frame.width) * this.width;
+    return { x, y: ((event.clientY - frame.top) / frame.height) * this.height };
   }
 
   listen() {
