@@ -47,23 +47,24 @@ class Group(click.Group):
             subcommand_metavar="COMMAND [ARGS]...",
             context_settings={"help_option_names": ["-h", "--help"]},
         )
-        self.headings: dict[str, dict[str, tuple[str, str]]] = {}  # target, or "", and summary
+        self.entries: dict[str, tuple[str, str]] = {}  # target, or "", and summary
+        self.headings: dict[str, dict[str, tuple[str, str]]] = {}
         for heading, entries in _entries().items():
             for words, entry in entries.items():
                 first, _, last = words.rpartition(" ")
                 if first == above:
                     self.headings.setdefault(heading, {})[last] = entry
+                    self.entries[last] = entry
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names in the order of the help."""
-        return [name for entries in self.headings.values() for name in entries]
+        return list(self.entries)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of a name, or the group."""
-        named = {name: entry for each in self.headings.values() for name, entry in each.items()}
-        if cmd_name not in named:
+        if cmd_name not in self.entries:
             return None
-        target, summary = named[cmd_name]
+        target, summary = self.entries[cmd_name]
         if not target:
             return Group(cmd_name, summary, cmd_name)
         gc.disable()  # what imports make stays: to look through it takes a seventh of their time
@@ -76,7 +77,7 @@ class Group(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands under their headings."""
-        width = max(map(len, self.list_commands(ctx)))
+        width = max(map(len, self.entries))
         for heading, entries in self.headings.items():
             with formatter.section(heading):
                 formatter.write_dl(
@@ -123,7 +124,7 @@ def run_command_line() -> NoReturn:
         _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
     if code == STOPPED_EXIT_CODE:
         say_stopped()
-    sys.exit(code if isinstance(code, int) else 0)
+    sys.exit(code or 0)
 
 
 def _fail(message: str) -> NoReturn:
