@@ -69,7 +69,6 @@ MISTAKES = [
     (deepfsi.Camera, {"device": {"columns": 3}}, "device.name: it is missing: give one"),
     (deepfsi.Training, {"classifier": None}, "classifier = None: give mlp, or"),
     (learn, {"photons": True}, "budget True is not allowed.* such as 1e4"),
-    (learn, {"photons": None, "counts": True}, "number of counts True is not allowed"),
     (learn, {"photons": (1e3, 1e4)}, "is no number.*exposure=Range"),
     # nesting
     (learn, {"exposure": {"exposure": {"span": 4}}}, "an exposure has no setting 'exposure'"),

@@ -112,7 +112,6 @@ TRAININGS: dict[str, dict[str, Any]] = {
         "camera": {**LIGHTS["column single"], "noise": "click"},
         "training": {**STEPS, "counts": 3.0},
     },
-    "target counts": {"photons": None, "counts": 200.0, "training": {**STEPS, "epochs": 1}},
     "control": {"design": "control", "camera": {"light": "column"}},
 }
 """Other ways to train, by settings."""

@@ -19,7 +19,6 @@ TRAININGS: dict[str, dict[str, Any]] = {
     "a module of one's own": {"classifier": "shared.networks:Cnn", "hidden": None},
     "a noise of one's own": {"noise": "shared.noises:photons", "design": "pca"},
     "the control group": {"design": "control", "sigma": 3.0, "dropout": 0.1},
-    "a budget of counts": {"counts": 200.0, "photons": None, "camera": "dmd"},
     "values in bfloat16": {"precision": "bfloat16"},
 }
 """Settings by which trainings differ from a usual one; None leaves one out."""

@@ -1,45 +1,13 @@
-"""A design for a budget of counts, or for counts within a budget of photons, counts that many."""
+"""A design for counts within a budget of photons counts that many."""
 
 import pytest
 
-from conftest import RECIPE, own_matrix
 from deepfsi import evaluate
 from deepfsi.base.errors import InputError
 from deepfsi.physics.laws import light_law
-from deepfsi.training import learning
 from shared.jobs import learn
 
 FEW = {"masks": 16, "photons": 200.0, "epochs": 10, "hidden": (32,), "device": "cpu"}
-
-
-@pytest.mark.usefixtures("uncharacterised")
-@pytest.mark.parametrize(
-    ("design", "light", "rails"),
-    [
-        ("deepfsi", "column", "dual"),
-        ("control", "column", "single"),
-        ("raster", "free-dwell", "dual"),
-        ("hadamard", "two-arm", "dual"),
-        ("s-matrix", "equal-dwell", "dual"),
-        ("custom", "dose", "dual"),
-    ],
-)
-def test_counts_in_the_mean_are_those_asked_for(digits, design, light, rails):
-    masks = {"impulse": 64, "raster": 64, "hadamard": 64, "s-matrix": 67}.get(design, 6)
-    own = {"matrix": own_matrix(masks, 64, light, rails)} if design == "custom" else {}
-    settings = {**RECIPE, "masks": masks, "light": light, "rails": rails, "device": "cpu", **own}
-    made = learn(digits, counts=40.0, design=design, **settings)
-    near = learning.NEAR if design in ("deepfsi", "control") else 1e-4
-    assert made.info["job"]["photons"] * float(made.exposure.shares.sum()) == pytest.approx(
-        40, rel=near
-    )
-
-
-@pytest.mark.usefixtures("uncharacterised")
-def test_a_design_that_misses_its_counts_says_so(digits, monkeypatch):
-    monkeypatch.setattr(learning, "NEAR", -1.0)  # no design is near enough
-    with pytest.warns(UserWarning, match="counts 40 photons after six trainings, not the 40"):
-        learn(digits, counts=40.0, design="pca", **{**RECIPE, "masks": 4, "device": "cpu"})
 
 
 @pytest.mark.usefixtures("uncharacterised")

@@ -48,8 +48,8 @@ class LearnDesign(Command):
             from deepfsi.lab.design_data import view_dataset
 
             scenes = view_dataset(scenes, Calibration.load(self.view), self.view)
-        own = {"counts": self.counts, "matrix": self.matrix}
-        job = job_of(_job_settings(self.settings), scenes, **own)
+        settings = _job_settings(self.settings)
+        job = job_of(settings, scenes, counts=self.counts, matrix=self.matrix)
         from deepfsi.evaluation.accuracy import evaluate
         from deepfsi.physics.noise import noise_of
         from deepfsi.training.learning import learn_job
@@ -60,7 +60,12 @@ class LearnDesign(Command):
             checkpoint.unlink(missing_ok=True)
         with terminal.progress(f"{job.design}, {job.masks} masks") as report:
             design = learn_job(
-                job, scenes, device=self.device, report=report, checkpoint=checkpoint, **own
+                job,
+                scenes,
+                matrix=self.matrix,
+                device=self.device,
+                report=report,
+                checkpoint=checkpoint,
             )
         lowest = design.info["job"]["photons"]
         design.save(self.out)

@@ -82,7 +82,7 @@ class Job(UserModel):
         if given["photons"] is None:
             raise InputError(
                 "the light of a design is told once: give `photons`, the budget on the device, or "
-                "`counts`, the photons that its detectors are to count, or a camera with its flux"
+                "a camera with its flux"
             )
         exposure = find_exposure(given.get("exposure", {}))
         if exposure.fixed_mask_count:
@@ -216,8 +216,8 @@ class Job(UserModel):
             counting = ", ".join(name for name, facts in NOISES.items() if facts.counting)
             yield (
                 "counts within a budget are of learned masks that are shown once each, trained "
-                f"under {counting} noise, or of adaptive masks for clicks: leave `counts` or "
-                '`photons` out, or give `design="deepfsi"` without span, or `noise="click"`'
+                f"under {counting} noise, or of adaptive masks for clicks: leave `counts` "
+                'out, or give `design="deepfsi"` without span, or `noise="click"`'
             )
             return
         most = self.photons
@@ -281,10 +281,8 @@ def job_of(
     if matrix is not None:
         given = {"design": "custom", "masks": len(matrix), **given}
     training = _given_training(given)
-    if counts is not None and "photons" in given:
+    if counts is not None:
         given["training"] = {**training, "counts": counts}
-    elif counts is not None:
-        given["photons"] = check_budget(counts, "number of counts")
     code = DESIGNS[check_design(given.get("design", "deepfsi"))]
     whole = code.complete and "masks" not in given
     job = Job(**given, **({"masks": 1} if whole else {}))
@@ -292,10 +290,6 @@ def job_of(
         scene = job.exposure.scene(data)
         _, most = count_allowed(job.design, scene, job.optics.detector_map(scene.image_shape))
         job = job.model_copy(update={"masks": most})
-    if counts is not None and job.training.counts is None and job.camera.clicks is not None:
-        raise InputError("clicks are not in proportion to the light: give `photons`, too")
-    if counts is not None and job.exposure.highest(1.0) != 1.0:
-        raise InputError("counts are of one budget: leave the range of budgets, `span`, out")
     unused = {"clusters", "dictionary"}
     if code.adaptive:
         unused = Training.model_fields.keys() - unused - {"counts"}

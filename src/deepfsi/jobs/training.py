@@ -138,8 +138,7 @@ class Training(UserModel):
     )
     counts: Positive | None = Field(
         default=None,
-        description="mean counts of an exposure: with photons, masks learn to count no more of "
-        "them; without, the budget at which a design counts so many is found",
+        description="mean counts of an exposure: masks learn which photons of the budget to count",
     )
     start: Annotated[str, AfterValidator(_start)] = Field(
         default="pca",

@@ -114,7 +114,6 @@ class Checkpoint:
         training_set: TrainingSet,
         jobs: Sequence[Job],
         matrix: np.ndarray | None = None,
-        counts: float | None = None,
     ) -> "Checkpoint":
         """Checkpoint of jobs that train together; an existing file is read."""
         if path is None:
@@ -122,7 +121,7 @@ class Checkpoint:
         job = jobs[0]
         name = training_set.data.name
         title = f"{job.design}, {job.masks} masks, {job.photons:g} photons on {name}"
-        checkpoint = cls(Path(path), _key(training_set, jobs, matrix, counts), title)
+        checkpoint = cls(Path(path), _key(training_set, jobs, matrix), title)
         if os.path.lexists(path):
             checkpoint._read()
         return checkpoint
@@ -193,7 +192,6 @@ def _key(
     training_set: TrainingSet,
     jobs: Sequence[Job],
     matrix: np.ndarray | None,
-    counts: float | None,
 ) -> str:
     """Hash of everything that the bits of a training depend on."""
     names = custom_parts(jobs[0])
@@ -208,7 +206,6 @@ def _key(
         "sources": [source_hash(name) for name in names],
         "data": (training_set.data.hash, training_set.data.held_out),
         "matrix": None if matrix is None else np.asarray(matrix, np.float32).tolist(),
-        "counts": counts,
         "torch": torch.__version__,
         "device": training_set.device.type,
     }

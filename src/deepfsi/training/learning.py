@@ -1,14 +1,7 @@
-"""Learn masks and classifier together, for one design, or for several of equal shape.
-
-A user may ask for counts instead of a budget Φ. Masks that count the share p of it, averaged over
-training scenes, need Φ = counts / p. Learned masks change p, though hardly with Φ: the design is
-trained at the budget that its start needs, then at the budget that the result needs, until the two
-agree.
-"""
+"""Learn masks and classifier together, for one design, or for several of equal shape."""
 
 import os
 import time
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
@@ -21,7 +14,6 @@ from deepfsi.base.arrays import check_memory, free_memory
 from deepfsi.base.errors import InputError
 from deepfsi.base.progress import SILENT, Progress, progress_bar
 from deepfsi.camera.camera import CameraSource
-from deepfsi.camera.light import check_budget
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
@@ -44,9 +36,6 @@ from deepfsi.training.characterisation import (
 from deepfsi.training.checkpoint import NO_CHECKPOINT, Checkpoint
 from deepfsi.training.hooks import Epoch, EpochWatch
 from deepfsi.training.loop import batch_of, optimise
-
-NEAR = 0.02
-"""Relative difference between mean counts and wanted counts that ends the search."""
 
 
 class Diverged(InputError):
@@ -93,9 +82,8 @@ def learn(
     seed : int
         Seed of the random numbers: it repeats a result bit for bit on one device.
     counts : float, optional
-        Photons that an exposure counts, averaged over training scenes. Without `photons`,
-        learned masks are trained again until they count this many. With `photons`, they learn to
-        count no more than this of the budget (`training.losses`).
+        Photons that an exposure counts, averaged over training scenes: learned masks count no more
+        than this of the budget (`training.losses`).
     matrix : array, shape (m, N), optional
         Your sensing matrix, for ``design="custom"``.
     device : str or torch.device
@@ -136,7 +124,6 @@ def learn(
     return learn_job(
         job_of(settings, scenes, counts=counts, matrix=matrix),
         scenes,
-        counts=counts,
         matrix=matrix,
         device=device,
         report=report,
@@ -150,7 +137,6 @@ def learn_job(
     job: Job,
     data: Dataset,
     *,
-    counts: float | None = None,
     matrix: np.ndarray | None = None,
     device: str | torch.device = "auto",
     report: Progress | None = None,
@@ -161,30 +147,9 @@ def learn_job(
     if callback is not None and job.code.adaptive:
         raise InputError("adaptive masks learn by no steps: leave callback out")
     training_set = TrainingSet(data, device)
-    state = Checkpoint.of(checkpoint, training_set, [job], matrix=matrix, counts=counts)
-
-    def train_at(photons: float, bar: Progress) -> Design:
-        at_budget = job.model_copy(update={"photons": check_budget(photons)})
-        [made] = train(training_set, [at_budget], matrix, bar, state, callback)
-        return made
-
+    state = Checkpoint.of(checkpoint, training_set, [job], matrix)
     with progress_bar(report, f"{job.design}, {job.masks} masks") as bar:
-        if counts is None or job.training.counts is not None:
-            made = train_at(job.photons, bar)
-        else:
-            share = _first_share(training_set, job, matrix)
-            for number in range(6):
-                photons = counts / share
-                made = train_at(photons, bar.between(1 - 2.0**-number, 1 - 2.0 ** -(number + 1)))
-                share = float(made.exposure.shares.sum())
-                if abs(photons * share / counts - 1) <= NEAR:
-                    break
-            else:
-                warnings.warn(
-                    f"the design counts {photons * share:.3g} photons after six trainings, not the "
-                    f"{counts:.3g} asked for: train longer, or give `photons` in place of `counts`",
-                    stacklevel=2,
-                )
+        [made] = train(training_set, [job], matrix, bar, state, callback)
     state.remove()
     return made
 
@@ -280,17 +245,6 @@ def _optimised(
             "seed or more photons"
         )
     return exposure, classifiers
-
-
-def _first_share(training_set: TrainingSet, job: Job, matrix: np.ndarray | None) -> float:
-    """Share of the budget that the masks count before training."""
-    _check(training_set, [job], matrix)
-    if job.code.adaptive:
-        return 0.5  # nearly half of the mirrors are ON
-    exposure = JobGroup(training_set, [job], matrix).training()
-    exposure.fix()
-    light = exposure.masks().total[0] @ exposure.scenes.full.mean(dim=0)
-    return float(light.sum()) * exposure.parts / training_set.summed_reflectance
 
 
 def _adaptive_designs(
