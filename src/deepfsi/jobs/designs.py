@@ -170,6 +170,7 @@ def sequency_hadamard(order: int) -> np.ndarray:
     import scipy.linalg
 
     rows = scipy.linalg.hadamard(order).astype(np.float64)
+    # Sign changes of Walsh functions are all different: 0 to order − 1
     return rows[np.argsort((np.diff(rows, axis=1) != 0).sum(axis=1), kind="stable")]
 
 
@@ -238,6 +239,7 @@ def _leading(x: np.ndarray, mean: np.ndarray, count: int) -> tuple[np.ndarray, n
         matvec=lambda vector: centred.T @ (centred @ vector.ravel()),
         dtype=x.dtype,
     )
+    # ARPACK's own start differs from call to call
     start = np.random.default_rng(0).standard_normal(x.shape[1], dtype=np.float32)
     power, directions = eigsh(scatter, k=count, v0=start)
     return power.astype(np.float64), directions.astype(np.float64)
@@ -287,7 +289,7 @@ def s_matrix(pixels: int) -> np.ndarray:
     # and every full row holds (p + 1) / 2 ones
     order = s_matrix_order(pixels)
     row = np.zeros(order)
-    row[np.arange(order) ** 2 % order] = 1
+    row[np.arange(order) ** 2 % order] = 1  # Paley's construction, for p ≡ 3 (mod 4)
     index = np.arange(order)
     return row[(index[:, None] + index[None, :]) % order][:, :pixels]
 

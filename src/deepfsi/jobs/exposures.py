@@ -276,7 +276,7 @@ def find_exposure(given: Any) -> Exposure:
     kinds = exposure_kinds()
     for name, kind in kinds.items():
         if name in asked:
-            return kind(**asked)
+            return kind(**asked)  # which refuses settings of other kinds
     for name in asked:
         raise InputError(f"an exposure has no setting {name!r}: {closest_choice(name, kinds)}")
     return Fixed()

@@ -163,7 +163,7 @@ def accuracy_axes(
     names = series.figure_names()
     values = [across(point) for members in groups.values() for point in members]
     decades = max(1.0, math.log10(max(values) / min(values)))
-    apart = 10 ** (0.004 * decades)
+    apart = 10 ** (0.004 * decades)  # between series, whose bars at one budget overlap otherwise
     lines: list[tuple[float, Any]] = []
     for index, (key, members) in enumerate(groups.items()):
         variant = sum(other[0] == key[0] for other in list(groups)[:index])

@@ -245,7 +245,7 @@ def verdict_of(results: Results) -> _Verdict:
         best = rankings[-1][0]
         title = f"{capital(measure)} {best.accuracy:.3f} with {series.name(best)}{under}"
         return _Verdict(title, f"{title}, at {_photons(best)}.", best)
-    pairs.sort(key=lambda pair: pair[1].accuracy - pair[0].accuracy)
+    pairs.sort(key=lambda pair: pair[1].accuracy - pair[0].accuracy)  # the largest lead first
     clear = [pair for pair in pairs if _better(*pair)]
     ratios = [_times(*pair, series, images=results.data.test) for pair in clear]
     index = next((index for index, ratio in enumerate(ratios) if ratio), 0)

@@ -195,9 +195,12 @@ def _goes_with(design: str, camera: Camera, data: Dataset) -> bool:
     law = LIGHT_LAWS[camera.light]
     detectors = camera.detector_map(data.image_shape).count
     return not (
+        # The control group learns under read noise what photon noise then tests
         (code.learned_under is not None and not camera.noise_facts.exact)
+        # The second arm sees the complement of a mask, which a design of one rail does not read
         or (law.arms == 2 and code.rails == "single" and not code.every_pixel)
         or (code.rails == "dual" and camera.rails == "single")
+        # Under `column` each readout has a detector for the whole scene
         or (not law.one_device and detectors > 1)
         or (code.adaptive and not law.looks)
     )

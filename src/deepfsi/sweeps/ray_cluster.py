@@ -105,18 +105,14 @@ def _join(address: str) -> None:
     """Connect this process to a cluster, or start one."""
     import ray
 
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
-    if address == "local":
-        ray.init("local", include_dashboard=False, **quiet)
-        return
     advice = (
         "give host:port of a running one (ray start --head --port=6379), or 'local' to start one "
         "here"
     )
-    if address != "auto" and not answers(address):
+    if address not in ("auto", "local") and not answers(address):
         raise InputError(f"no Ray cluster answers at '{address}': {advice}")
     try:
-        ray.init(address, **quiet)
+        ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
     except (OSError, RuntimeError, ValueError, ImportError, ray.exceptions.RayError) as error:
         raise InputError(
             f"cannot join the Ray cluster at '{address}' ({str(error).strip().splitlines()[0]}): "

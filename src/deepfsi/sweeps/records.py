@@ -124,6 +124,7 @@ class Records:
 
     def _move(self, finished: Path) -> None:
         """Move finished files to their places, each record after its design."""
+        # A record says that its design is there, so that it comes last whenever this is killed
         for name, suffix in (("designs", ".safetensors"), ("trials", ".json")):
             (self.folder / name).mkdir(exist_ok=True)
             for path in (file for file in _files(finished) if file.suffix == suffix):

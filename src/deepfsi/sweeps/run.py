@@ -119,6 +119,7 @@ def run_trials(
             each_once = list({trial.design_key: trial for trial in untrained}.values())
             batches = trainer.batches(each_once, workers)
             if len(batches) > 1 and (ray is not None or workers > 1):
+                # Each process would compute them anew
                 report(0.0, "matrices that all share")
                 trainer.prepare(each_once)
             results = _train(trainer, records, batches, workers, ray, resources, report)
@@ -180,7 +181,7 @@ def _train(
             )
             done = end
         return
-    work = type(trainer).train
+    work = type(trainer).train  # unbound: the trainer is what tasks share, and is sent once
     if ray is None:
         work_here = partial(work, checkpoints=records.checkpoints)
         results = processes(work_here, trainer, claimed, workers)

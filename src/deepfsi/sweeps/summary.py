@@ -188,6 +188,7 @@ def _test_of_all_folds(tests: Sequence[Record]) -> Record:
     alike = {"noise", "photons", "levels", "values"}
     for name in tests[0].keys() - {*alike, "images", "covers", "terms", "rates"}:
         values: list[Any] = [test.get(name) for test in tests]  # older records may have more
+        # Squared errors have a mean over scenes, their roots have not
         if name in ("rmse", "bound") and None not in values:
             pooled[name] = np.sqrt(np.average(np.square(values), axis=0, weights=images)).tolist()
         elif None not in values:
