@@ -45,7 +45,7 @@ def table(data: deepfsi.Dataset, seeds: int, epochs: int) -> None:
                     seed=seed,
                 )
                 [result] = deepfsi.evaluate(made, data, photons, seed=seed)
-                found.append([result.r2, *result.rmse, *result.bound])
+                found.append([result.r2, *result.rmse])
             mean, spread = np.mean(found, axis=0), np.std(found, axis=0, ddof=1)
             cells = " | ".join(f"{m:.3f} ± {s:.3f}" for m, s in zip(mean, spread, strict=True))
             print(f"| {data.name} | {photons:.0e} | {name} | {cells} |", flush=True)

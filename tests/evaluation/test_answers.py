@@ -31,7 +31,7 @@ def test_errors_of_values_are_means_over_draws_and_r2_is_of_their_variance():
     truth = np.array([[0.0], [2.0]], dtype=np.float32)
     estimates = np.array([[1.0], [2.0], [-1.0], [2.0]], dtype=np.float32)  # draw by draw
     rest = {"truth": truth, "scenes": np.array([0, 1, 0, 1]), "draws": 2, "shares": [1.0]}
-    found = Estimates.of(ValueAnswers(estimates, **TEST, **rest), ("x",), None)
+    found = Estimates.of(ValueAnswers(estimates, **TEST, **rest), ("x",))
     assert found.rmse == [pytest.approx(math.sqrt(0.5))]
     assert (found.r2, found.r2_each) == (0.5, [0.5])
     assert found.image_terms == {"R²": [0, 1]}

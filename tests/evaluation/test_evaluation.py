@@ -92,7 +92,7 @@ def test_what_is_not_the_designs_is_refused(good, digits):
     for match, data in {
         "and the design answers 0, 1": synthetic((8, 8)),
         "of shape .*4, 16": flat,
-        "y holds the label 10": (x, y + 1),
+        "holds the label 10": (x, y + 1),
         "359,. for 360 scenes": (x, y[:-1]),
         "give each an integer or a string": (x, y.astype(float)),
         "of shape": (x[:, :-1], y),

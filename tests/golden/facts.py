@@ -166,7 +166,7 @@ MOST_LISTED = 6
 """Numbers of a list that are stored one by one."""
 
 
-LEFT = ("auc", "auc_low", "auc_high", "AUC", "differences", "rmse_low", "rmse_high")
+LEFT = ("auc", "auc_low", "auc_high", "AUC", "differences", "rmse_low", "rmse_high", "bound")
 """Keys that the reference gives, of what left."""
 
 

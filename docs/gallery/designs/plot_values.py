@@ -37,7 +37,6 @@ print(data)
 budgets = (1e3, 1e4, 1e5, 1e6)
 designs = {"raster": 64, "pca": 4, "deepfsi": 4}
 errors: dict[str, list[float]] = {name: [] for name in designs}
-bounds = []
 for photons in budgets:
     for name, masks in designs.items():
         design = deepfsi.learn(
@@ -50,12 +49,8 @@ for photons in budgets:
         )
         [result] = deepfsi.evaluate(design, data, photons)
         errors[name].append(float(np.mean(result.rmse)))
-    bounds.append(float(np.mean(result.bound)))  # of the learned masks, the last
 
 # %%
-# ``result.bound``, dotted, is the error of the best *linear* estimator of the counts of the learned
-# masks. Their network, which is not linear, can be below it.
-#
 # At 10⁶ photons the error of the learned masks is above that of PCA: so short a training does not
 # reach what so much light allows.
 
@@ -63,7 +58,6 @@ figure, ax = plt.subplots(figsize=(4.8, 4.4), layout="constrained")
 titles = {"raster": "raster scan, 64 bands", "pca": "PCA, 4 masks", "deepfsi": "learned, 4 masks"}
 for name, values in errors.items():
     ax.plot(budgets, values, "o-", color=DESIGN_COLOURS[name], label=titles[name])
-ax.plot(budgets, bounds, ":", color="0.4", label="best linear estimator")
 spread = float(data.y_test.std(axis=0).mean())
 ax.axhline(spread, color="0.6", linewidth=0.9, linestyle="--", label="always the mean")
 ax.set(xscale="log", yscale="log", xlabel="photon budget", ylabel="RMS error of an abundance")

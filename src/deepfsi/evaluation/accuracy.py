@@ -21,7 +21,6 @@ from deepfsi.designfile.provenance import new_scenes
 from deepfsi.evaluation.measures import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
 from deepfsi.evaluation.results import Estimates, Result
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, CountedLight
-from deepfsi.physics.noise import noise_of
 from deepfsi.physics.surroundings import library_defaults
 
 COVERS = "test images and noise draws, of one training"
@@ -102,12 +101,7 @@ def evaluate(
             kind=kind,
             report=bar,
         )
-    if not names:
-        return list(map(Result.of, every))
-    return [
-        Estimates.of(each, names, _linear_bound(design, camera, scenes, each.photons))
-        for each in every
-    ]
+    return [Estimates.of(each, names) if names else Result.of(each) for each in every]
 
 
 Guessed = tuple[tuple[Tensor, ...], CountedLight]
@@ -216,30 +210,3 @@ def check_draws(draws: object, seed: object) -> None:
         raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")
     if not isinstance(draws, whole) or not 1 <= draws <= MOST_DRAWS:
         raise InputError(f"{draws} noise draws are not allowed: give 1 to {MOST_DRAWS}")
-
-
-def _linear_bound(
-    design: Design, camera: Camera, data: Dataset, photons: float
-) -> list[float] | None:
-    """Root mean squared error (q,) of the best linear estimator of the values of test scenes.
-
-    With f the expected features of a scene, θ its values, V the mean variance of the features'
-    noise, and covariances over scenes, E² = diag(C_θθ − C_θf (C_ff + V)⁻¹ C_fθ). It is the Bayesian
-    Cramér–Rao bound (H. L. van Trees) where θ and f are jointly normal and the noise is normal with
-    this V. Elsewhere a network may do better, a linear estimator never. None without moments.
-    """
-    exposure = design.mask_exposure
-    scanner = exposure.scanner(noise_of(camera))
-    if not (exposure.comparable and scanner.noise.has_moments):
-        return None
-    with torch.no_grad():
-        rates = photons * exposure.rates(scanner, torch.from_numpy(np.asarray(data.x_test)))
-        means, noise = (each.double().cpu().numpy() for each in scanner.moments(rates))
-    joint = np.cov(np.concatenate([means, data.y_test], axis=1).T, ddof=0)
-    features = slice(means.shape[1])
-    values = slice(means.shape[1], None)
-    across = joint[features, values]
-    spread = joint[features, features] + np.diag(noise.mean(axis=0))
-    weights = np.linalg.pinv(spread, hermitian=True) @ across
-    left = np.diag(joint[values, values] - across.T @ weights)
-    return np.sqrt(np.clip(left, 0, None)).tolist()

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
-from itertools import zip_longest
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -18,6 +17,7 @@ class _AnswerTest:
     """Test of answers, with each measure of `MEASURES` for their kind."""
 
     kind: ClassVar[type[Answers]]
+    legend: ClassVar[str] = ""  # of the table's cells that are of this kind
     photons: float  # budget Φ
     noise: str
     low: float  # interval of the measure that data are judged by
@@ -48,9 +48,7 @@ class _AnswerTest:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only, without the numbers of each image."""
-        declared = {
-            field_.name: getattr(self, field_.name) for field_ in fields(self) if field_.repr
-        }
+        declared = {each.name: getattr(self, each.name) for each in fields(self) if each.repr}
         return declared | self.further
 
     def packed_terms(self) -> dict[str, str]:
@@ -139,6 +137,12 @@ class Result(_AnswerTest):
         confusion = answers.confusion.tolist()
         return cls(**cls._values(answers), rates=answers.rates, confusion=confusion)
 
+    def cells(self, classes: Sequence[str]) -> list[tuple[str, str]]:
+        """Accuracy of the worst class, for a table."""
+        worst = worst_class(self.rates)
+        accuracy = self.rates[worst] or 0.0
+        return [("worst class", f"{accuracy:.3f} ({short_name(classes[worst])})")]
+
     @property
     def right(self) -> list[float]:
         """Share of each test image's draws that is answered right.
@@ -153,22 +157,26 @@ class Estimates(_AnswerTest):
     """A design that estimates q values, at one budget."""
 
     kind = ValueAnswers
+    legend = "of each value: root mean squared error"
     r2: float
     values: list[str]  # names of the values
     r2_each: list[float]  # R² of each value
     rmse: list[float]
-    bound: list[float] | None
 
     @classmethod
-    def of(cls, answers: ValueAnswers, names: Sequence[str], bound: list[float] | None) -> Self:
-        """The result of answers, beside the best linear estimator's errors (q,)."""
+    def of(cls, answers: ValueAnswers, names: Sequence[str]) -> Self:
+        """The result of estimates of values with these names."""
         return cls(
             **cls._values(answers),
             values=list(names),
             r2_each=(1 - answers.losses.mean(axis=0)).tolist(),
             rmse=np.sqrt(answers.squares.mean(axis=0)).tolist(),
-            bound=bound,
         )
+
+    def cells(self, classes: Sequence[str]) -> list[tuple[str, str]]:
+        """Error of each value, for a table."""
+        names = map(short_name, self.values)
+        return [(name, f"{error:.3g}") for name, error in zip(names, self.rmse, strict=True)]
 
 
 def lit_masks(rails_or_matrix: np.ndarray) -> int:
@@ -185,66 +193,40 @@ def lit_text(masks: int, lit: float) -> str:
 
 
 def results_lines(
-    tests: Sequence[Result | Estimates],
-    *,
-    title: str,
-    classes: Sequence[str] = (),
+    tests: Sequence[Result | Estimates], *, title: str, classes: Sequence[str] = ()
 ) -> Iterator[str | Table]:
     """Tests of a design in a table, and what the numbers mean."""
     results = sorted(tests, key=lambda r: r.photons)
     first = results[0]
     clicks = any(result.clicks for result in results)
     light = ("counts", "arriving") if clicks else ("counts",)
-    measures = [
+    main, *others = first.measures()
+    others = [
         measure
-        for measure in first.measures()
+        for measure in others
         if measure.column and any(r.score(measure.key) is not None for r in results)
     ]
-    main = measures[0]
-    rows = [
-        (
-            budget_text(r.photons),
-            _interval(r, main),
-            *(_number(r.score(measure.key)) for measure in measures[1:]),
-            *_answers(r, classes),
-            *(count_text(getattr(r, name)) for name in light),
-            f"{r.throughput:.3f}",
+    rows = []
+    for result in results:
+        scores = [result.score(measure.key) for measure in others]
+        rows.append(
+            (
+                budget_text(result.photons),
+                rate_text(*(result.score(key) or 0.0 for key in main.keys)),
+                *("–" if score is None else f"{score:.3f}" for score in scores),
+                *(cell for _, cell in result.cells(classes)),
+                *(count_text(getattr(result, name)) for name in light),
+                f"{result.throughput:.3f}",
+            )
         )
-        for r in results
-    ]
-    values = first.values if isinstance(first, Estimates) else []
-    names = map(short_name, values) if values else ("worst class",)
-    heads = (*(measure.column for measure in measures), *names, *light, "counted")
-    yield Table(title, ("photons", *heads), rows)
-    if values:
-        yield "of each value: root mean squared error (that of the best linear estimator)"
+    columns = [measure.column for measure in (main, *others)]
+    columns += [name for name, _ in first.cells(classes)]
+    yield Table(title, ("photons", *columns, *light, "counted"), rows)
+    if first.legend:
+        yield first.legend
     yield f"± half of the 95 % interval: {first.covers}"
     yield (
         f"counts: {'clicks' if clicks else 'photons'} of a test scene in the mean; counted: share "
         f"of the budget that {'reaches detectors' if clicks else 'they are'}, over training scenes"
     )
-    yield from (measure.legend for measure in measures if measure.legend)
-
-
-def _interval(result: Result | Estimates, measure: Measure) -> str:
-    """A measure that has an interval, with half the width of it."""
-    return rate_text(*(result.score(key) or 0.0 for key in measure.keys))
-
-
-def _number(value: float | None) -> str:
-    """A measure without an interval, of answers that may not have it."""
-    return "–" if value is None else f"{value:.3f}"
-
-
-def _answers(result: Result | Estimates, classes: Sequence[str]) -> tuple[str, ...]:
-    """The worst class; or the error of each value, and that of the best linear estimator."""
-    if isinstance(result, Estimates):
-        errors = zip_longest(result.rmse, result.bound or ())
-        return tuple(error_text(*pair) for pair in errors)
-    worst = worst_class(result.rates)
-    return (f"{result.rates[worst] or 0.0:.3f} ({short_name(classes[worst])})",)
-
-
-def error_text(rmse: float, bound: float | None) -> str:
-    """A root mean squared error, and its bound in brackets if known: 0.052 (0.071)."""
-    return f"{rmse:.3g}" if bound is None else f"{rmse:.3g} ({bound:.3g})"
+    yield from (measure.legend for measure in others if measure.legend)

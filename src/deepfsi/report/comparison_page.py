@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +12,6 @@ from deepfsi.base.quantities import Table, budget_text, rate_text, short_name
 from deepfsi.camera.names import noise_text
 from deepfsi.designfile.design_file import DesignFile
 from deepfsi.evaluation.measures import main_measure
-from deepfsi.evaluation.results import error_text
 from deepfsi.jobs.designs import ADAPTIVE, DESIGNS
 from deepfsi.report.accuracy import (
     DESIGN_AND_OPTICS,
@@ -172,15 +170,15 @@ def _best_table(results: Results, noise: str) -> PagePart:
 
 
 def _errors_table(results: Results, best: Iterable[Point]) -> Table:
-    """Errors of each value, beside the best linear estimator's."""
+    """Errors of each value."""
     series = Series.of(results, best)
     return Table(
-        "root mean squared error (best linear estimator)",
+        "root mean squared error",
         ("design", "photons", *map(short_name, results.data.values)),
         [
             (
                 *(series.name(point), budget_text(point.photons)),
-                *(error_text(*each) for each in zip_longest(point.rmse, point.bound)),
+                *(f"{error:.3g}" for error in point.rmse),
             )
             for point in sorted(best, key=lambda point: (point.photons, -point.accuracy))
         ],

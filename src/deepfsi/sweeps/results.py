@@ -98,9 +98,6 @@ class Point(_Stored):
     worst: _Score = Field(description="lowest accuracy of a class, or R² of a value")
     worst_class: _StoredCount = Field(description="place of that class or value in the data")
     rmse: tuple[FiniteFloat, ...] = Field((), description="root mean squared error of each value")
-    bound: tuple[FiniteFloat, ...] = Field(
-        (), description="that of the best linear estimator of the same counts"
-    )
     log_loss: FiniteFloat | None = Field(
         None, description="mean of −ln p of the true class, in nats"
     )

@@ -189,7 +189,7 @@ def _test_of_all_folds(tests: Sequence[Record]) -> Record:
     for name in tests[0].keys() - {*alike, "images", "covers", "terms", "rates"}:
         values: list[Any] = [test.get(name) for test in tests]  # older records may have more
         # Squared errors have a mean over scenes, their roots have not
-        if name in ("rmse", "bound") and None not in values:
+        if name == "rmse":
             pooled[name] = np.sqrt(np.average(np.square(values), axis=0, weights=images)).tolist()
         elif None not in values:
             pooled[name] = np.average(values, axis=0, weights=images).tolist()
@@ -286,10 +286,8 @@ def _of_classes(tests: Sequence[Record]) -> dict[str, Any]:
 def _of_values(tests: Sequence[Record]) -> dict[str, Any]:
     """Fields of a point whose answers are values."""
     scores = np.mean([test["r2_each"] for test in tests], axis=0).tolist()
-    bounds = [test["bound"] for test in tests if test["bound"] is not None]
     return {
         "worst": min(scores),
         "worst_class": scores.index(min(scores)),
         "rmse": np.mean([test["rmse"] for test in tests], axis=0).tolist(),
-        "bound": np.mean(bounds, axis=0).tolist() if bounds else (),
     }
