@@ -2,7 +2,6 @@
 
 from contextlib import closing
 from pathlib import Path
-from statistics import fmean
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
@@ -215,9 +214,6 @@ class RunLive(_DeviceRun):
             remarks=(view.remark,) if view is not None and view.remark else (),
             view=view,
         )
-        light_s, clock_s = (
-            fmean(getattr(each, name) for each in answered) for name in ("light_s", "clock_s")
-        )
         return Outcome(
             {
                 "folder": str(self.out),
@@ -225,12 +221,7 @@ class RunLive(_DeviceRun):
                 "exposure_s": exposure_s,
                 **answers.as_dict(),
             },
-            [
-                f"scenes: {images.preprocessing}",
-                *answers.summary(),
-                f"a scene took {time_text(light_s)} of light and {time_text(clock_s)} in the mean",
-                f"run: {self.out}",
-            ],
+            [f"scenes: {images.preprocessing}", *answers.summary(), f"run: {self.out}"],
         )
 
 
