@@ -48,7 +48,6 @@ BAD_HEADERS = {
 for name, changes, message in [
     ("no type", {"TTResultFormat_TTTRRecType": "absent"}, "unknown type None"),
     ("unknown type", {"TTResultFormat_TTTRRecType": 0x00010208}, "unknown type 66056"),
-    ("text for records", {"TTResult_NumberOfRecords": "many"}, "NumberOfRecords"),
     *(
         (f"tick of {tick}", {"MeasDesc_GlobalResolution": tick}, "time resolution")
         for tick in ("absent", float("nan"))

@@ -200,10 +200,8 @@ class Calibration(StrictModel):
 
     @model_validator(mode="after")
     def _usable(self) -> Self:
-        if len({len(row) for row in self.flat}) != 1 or not self.flat[0]:
-            raise ValueError("the rows of the flat field differ in length")
-        if not any(map(any, self.flat)):
-            raise ValueError("the flat field is dark everywhere")
+        if len({len(row) for row in self.flat}) != 1 or not any(map(any, self.flat)):
+            raise ValueError("the flat field is dark, or its rows differ in length")
         return self
 
     @property

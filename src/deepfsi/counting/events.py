@@ -69,12 +69,11 @@ class PtuWriter:
 
     def _append(self, times: np.ndarray, codes: np.ndarray) -> None:
         """Append events, one or more."""
-        if int(times[0]) < self._latest or (times[1:] < times[:-1]).any():
-            raise InputError("times run back: give events in order, none before 0")
-        if int(times[-1]) > 2**55 or int(codes.min()) < -15 or int(codes.max()) > 63:
+        in_order = self._latest <= int(times[0]) and (times[1:] >= times[:-1]).all()
+        if not in_order or times[-1] > 2**55 or codes.min() < -15 or codes.max() > 63:
             raise InputError(
-                "events are not allowed: give times up to 2^55 ticks, and codes 0 to 63 for "
-                "photons or -1 to -15 for markers"
+                "events cannot be written: give times that do not run back, up to 2^55 ticks, and "
+                "codes 0 to 63 for photons or -1 to -15 for markers"
             )
         times = times.astype(np.int64)
         codes = codes.astype(np.int64)

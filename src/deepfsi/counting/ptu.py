@@ -136,7 +136,7 @@ class Header:
                 "give times and channels of other formats to `deepfsi camera import`, as two "
                 "columns"
             )
-        tags, offset = _parse_numbers(data, path)
+        whole_numbers, floats, offset = _parse_tags(data, path)
         if not offset:
             if whole or len(data) >= LONGEST_HEADER:
                 raise InputError(
@@ -144,43 +144,46 @@ class Header:
                     "bytes"
                 )
             return None
-        code = tags.get("TTResultFormat_TTTRRecType")
-        if not isinstance(code, int) or code not in KINDS:
+        code = whole_numbers.get("TTResultFormat_TTTRRecType")
+        if code not in KINDS:
             raise InputError(
                 f"{path} has records of unknown type {code}: the file is damaged, newer, or of a "
                 "HydraHarp with software 1"
             )
-        claimed = tags.get("TTResult_NumberOfRecords", 0)
-        if not isinstance(claimed, int):
-            raise InputError(f"{path} is damaged: its NumberOfRecords is {claimed}")
-        tick = tags.get("MeasDesc_GlobalResolution")
-        if not (isinstance(tick, float) and TICKS_S[0] <= tick <= TICKS_S[1]):
-            raise InputError(f"{path} is damaged: its time resolution is {tick}, not 1e-15 to 1 s")
-        return cls(path=Path(path), kind=KINDS[code], offset=offset, tick_s=tick, claimed=claimed)
+        tick_s = floats.get("MeasDesc_GlobalResolution")
+        if tick_s is None or not TICKS_S[0] <= tick_s <= TICKS_S[1]:
+            raise InputError(
+                f"{path} is damaged: its time resolution is {tick_s}, not 1e-15 to 1 s"
+            )
+        claimed = whole_numbers.get("TTResult_NumberOfRecords", 0)
+        return cls(Path(path), KINDS[code], offset, tick_s=tick_s, claimed=claimed)
 
 
-def _parse_numbers(
+def _parse_tags(
     data: bytes | bytearray, path: str | os.PathLike[str]
-) -> tuple[dict[str, int | float | None], int]:
-    """Numbers in the tags by name, None of another type, and the header's bytes or 0."""
-    numbers: dict[str, int | float | None] = {}
+) -> tuple[dict[str, int], dict[str, float], int]:
+    """Whole numbers and floats in the tags, by name, and the header's bytes or 0."""
+    whole_numbers: dict[str, int] = {}
+    floats: dict[str, float] = {}
     offset = 16
     while offset + 48 <= min(len(data), LONGEST_HEADER):
         ident, index, code, value = struct.unpack_from("<32siI8s", data, offset)
         offset += 48
         name = ident.split(b"\0")[0].decode("ascii", "replace")
         if name == "Header_End":
-            return numbers, offset
+            return whole_numbers, floats, offset
         if code in _LONGER:
             (size,) = struct.unpack("<q", value)
             if not 0 <= size <= LONGEST_HEADER:
                 raise InputError(f"{path} is damaged: its tag {name!r} is of {size} bytes")
             offset += size
-        # Tags with an index are those of one curve or input, and not of the file
-        if index < 0:
-            form = {0x10000008: "<q", 0x20000008: "<d"}.get(code)
-            numbers[name] = struct.unpack(form, value)[0] if form else None
-    return numbers, 0
+        if index >= 0:
+            continue  # of one curve or input, not of the file
+        if code == 0x10000008:
+            (whole_numbers[name],) = struct.unpack("<q", value)
+        elif code == 0x20000008:
+            (floats[name],) = struct.unpack("<d", value)
+    return whole_numbers, floats, 0
 
 
 @dataclass

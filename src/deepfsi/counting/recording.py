@@ -39,7 +39,7 @@ from deepfsi.counting.counts import (
 )
 from deepfsi.counting.flux import Arrivals, name_inputs
 from deepfsi.counting.reader import PtuFile
-from deepfsi.counting.windows import MOST_DRIFT, FrameStarts, Windows
+from deepfsi.counting.windows import MOST_DRIFT, FrameStarts, WindowCounts, Windows
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.manifest import GatePlan, Manifest
 
@@ -141,19 +141,42 @@ class Recording:
             raise InputError(
                 f"{self.folder} holds the first photons alone of its gates: leave the exposure out"
             )
-        gates = self.acquisition.gates(self.manifest, exposure_s, parts=clicks or 1)
-        if clicks is None:
-            calibrated = self.folder / "calibration"
-            if dead_time is None and (calibrated / "calibration.json").is_file():
-                dead_time = Calibration.load(calibrated).dead_time
-            corrections = Corrections.of(dead_time or NO_DEAD_TIME, self.manifest, gains)
-            counts = _count_photons(self, gates, corrections, progress)
-            counts = replace(counts, gains=gains)
-        else:
+        if clicks is not None:
             check_clicks(dead_time, *gains)
-            counts = _count_clicks(self, gates, clicks, progress)
+        corrections = Corrections.of(self._dead_time(dead_time), self.manifest, gains)
+        gates = self.acquisition.gates(self.manifest, exposure_s, parts=clicks or 1)
+        shortest_s = float(gates.length_s.min()) / (clicks or 1)
+        source, starts = _find_frames(self, gates, shortest_s, progress.between(0.0, 0.4))
+        if clicks is None:
+            windows = Windows.of_gates(self.manifest, gates, starts)
+        else:
+            windows = Windows.of_clicks(self.manifest, gates, clicks)
+        inputs = self.acquisition.inputs
+        photons = starts.count_in(source, windows, inputs, progress.between(0.4, 1.0))
+        if clicks is None:
+            fields = _count_photons(self, gates, photons, corrections)
+        else:
+            fields = _count_clicks(self, gates, photons, clicks)
+        counts = Counts(
+            **fields,
+            valid=np.ones((len(self.acquisition.scenes), gates.repeats), bool),
+            exposure_s=gates.exposure_s,
+            settle_s=gates.settle_s,
+            lengths_s=self.manifest.lengths_by_readout(gates.length_s),
+            drift=starts.drift,
+            inputs=inputs,
+            gains=gains,
+            gates=clicks,
+        )
         counts.save(self._counts_file, self.photons, self.acquisition.digest)
         return counts
+
+    def _dead_time(self, stated: DeadTime | None) -> DeadTime:
+        """Dead time that is corrected: the one stated, that of the calibration, or none."""
+        calibration = self.folder / "calibration"
+        if stated is None and (calibration / "calibration.json").is_file():
+            stated = Calibration.load(calibration).dead_time
+        return stated or NO_DEAD_TIME
 
     def read_counts(self) -> Counts:
         """Counts that `count` wrote; `InputError` if settings or photons changed since."""
@@ -261,32 +284,12 @@ def _check_lit(recording: Recording, lit: np.ndarray) -> None:
         )
 
 
-def _counts_of_run(
-    recording: Recording, plan: GatePlan, starts: FrameStarts, **fields: Any
-) -> Counts:
-    """Counts of a run with what its settings say."""
-    acquisition = recording.acquisition
-    return Counts(
-        **fields,
-        valid=np.ones((len(acquisition.scenes), plan.repeats), bool),
-        exposure_s=plan.exposure_s,
-        settle_s=plan.settle_s,
-        lengths_s=recording.manifest.lengths_by_readout(plan.length_s),
-        drift=starts.drift,
-        inputs=acquisition.inputs,
-    )
-
-
 def _count_photons(
-    recording: Recording, gates: GatePlan, corrections: Corrections, progress: Progress
-) -> Counts:
-    """Photons of each readout, and what arrived."""
+    recording: Recording, gates: GatePlan, gated: WindowCounts, corrections: Corrections
+) -> dict[str, Any]:
+    """Photons of each readout, and what arrived: fields of the counts."""
     manifest = recording.manifest
     inputs = recording.acquisition.inputs
-    shortest_s = float(gates.length_s.min())
-    source, starts = _find_frames(recording, gates, shortest_s, progress.between(0.0, 0.4))
-    windows = Windows.of_gates(manifest, gates, starts)
-    gated = starts.count_in(source, windows, inputs, progress.between(0.4, 1.0))
     photons, spent = gated.per_frame()
     rates = photons / spent[..., None]
     corrections.check(rates, manifest.frames, inputs, str(recording.photons))
@@ -298,52 +301,41 @@ def _count_photons(
     _check_lit(recording, light.lit)
     counts = gated.gates(gates.repeats)  # (S, R, f, inputs)
     of_masks = (slice(None), None, manifest.shown)
-    return _counts_of_run(
-        recording,
-        gates,
-        starts,
-        counts=manifest.by_readout(counts),
-        arrivals=manifest.by_readout(counts * factors.arrivals[of_masks]),
-        variance=manifest.by_readout(counts * factors.variance[of_masks]),
-        flux=light.flux,
-        dark_rate=manifest.by_rail(light.dark_rate),
-        faults=light.faults,
-        dead_time=corrections.dead_time,
-    )
+    return {
+        "counts": manifest.by_readout(counts),
+        "arrivals": manifest.by_readout(counts * factors.arrivals[of_masks]),
+        "variance": manifest.by_readout(counts * factors.variance[of_masks]),
+        "flux": light.flux,
+        "dark_rate": manifest.by_rail(light.dark_rate),
+        "faults": light.faults,
+        "dead_time": corrections.dead_time,
+    }
 
 
-def _count_clicks(recording: Recording, gates: GatePlan, clicks: int, progress: Progress) -> Counts:
+def _count_clicks(
+    recording: Recording, gates: GatePlan, gated: WindowCounts, clicks: int
+) -> dict[str, Any]:
     """Clicks of each readout: the first photon of each of the equal parts of a gate."""
     manifest = recording.manifest
-    acquisition = recording.acquisition
-    windows = Windows.of_clicks(manifest, gates, clicks)
-    scenes = len(acquisition.scenes)
-    shortest_s = float(windows.length_s.min())
-    source, starts = _find_frames(recording, gates, shortest_s, progress.between(0.0, 0.4))
-    gated = starts.count_in(source, windows, acquisition.inputs, progress.between(0.4, 1.0))
     _check_lit(recording, gated.photons)
     fired = replace(gated, photons=np.minimum(gated.photons, 1))
     parts = fired.gates(gates.repeats * clicks)
-    parts = parts.reshape(scenes, gates.repeats, clicks, *parts.shape[2:])
+    parts = parts.reshape(len(parts), gates.repeats, clicks, *parts.shape[2:])
     counts = manifest.by_readout(parts.sum(axis=2))
     flux, dark_rate = light_of_clicks(
         gated.per_frame()[0][:, ENDS],
         fired.per_frame()[0][:, ENDS],
         gates=clicks,
-        width_s=float(windows.length_s[0]),
+        width_s=float(gated.windows.length_s[0]),
         manifest=manifest,
     )
     # Where clicks do not tell the flux, it is the one that was stated
-    flux = flux if np.isfinite(flux) else acquisition.flux or np.nan
-    return _counts_of_run(
-        recording,
-        gates,
-        starts,
-        counts=counts,
-        arrivals=counts.astype(float),
-        variance=counts * (1 - counts / clicks),
-        flux=np.full(scenes, flux),
-        dark_rate=manifest.by_rail(np.tile(dark_rate, (scenes, 1))),
-        faults=(),
-        gates=clicks,
-    )
+    flux = flux if np.isfinite(flux) else recording.acquisition.flux or np.nan
+    return {
+        "counts": counts,
+        "arrivals": counts.astype(float),
+        "variance": counts * (1 - counts / clicks),
+        "flux": np.full(len(counts), flux),
+        "dark_rate": manifest.by_rail(np.tile(dark_rate, (len(counts), 1))),
+        "faults": (),
+    }

@@ -40,7 +40,7 @@ from deepfsi.patterns.frames import (
     Format,
     make_frames,
 )
-from deepfsi.patterns.manifest import MOST_FRAMES, SENTINELS, Manifest
+from deepfsi.patterns.manifest import SENTINELS, Manifest
 from deepfsi.patterns.rails import LEAST_DIMMED, DesignRails
 
 
@@ -84,8 +84,6 @@ class Patterns:
         frames = rails.in_mirrors(find_grid(device, rails.image_shape, layout).mirrors)
         if not frames.mask_rails:
             raise InputError("every mask is dark, so there is nothing to show: give a lit design")
-        if len(frames.mask_rails) + SENTINELS > MOST_FRAMES:
-            raise InputError(f"more than {MOST_FRAMES} frames: give fewer masks")
         dwells = frames.shares
         if rails.looks is not None:
             dwells = np.array(rails.looks.first)[[mask for mask, _ in frames.mask_rails]]

@@ -66,10 +66,9 @@ class Frame(StrictModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if (self.role == "mask") != (self.mask is not None and self.rail is not None):
-            raise ValueError("a mask's frame names its mask and rail, and a sentinel neither")
-        if (self.role == "mask") != (self.share > 0):
-            raise ValueError("a mask's frame has a share of the exposure, and a sentinel none")
+        of_mask = self.mask is not None, self.rail is not None, self.share > 0
+        if of_mask != (self.role == "mask",) * 3:
+            raise ValueError("a mask's frame has mask, rail and share, and a sentinel none of them")
         return self
 
     def __str__(self) -> str:
@@ -150,22 +149,29 @@ class Manifest(StrictModel):
         rails = [(frame.mask, frame.rail) for frame in self.frames if frame.role == "mask"]
         names = ("plus",) if self.rails == 1 else get_args(Rail)
         known = {(mask, rail) for mask, rail in rails if rail in names and (mask or 0) < self.masks}
-        if len(known) < len(rails):
-            raise ValueError("frames show a rail twice, or one that the masks do not have")
-        # Sum of the frames' shares of the exposure beyond 1 that rounding may leave
-        if sum(frame.share for frame in self.frames) > 1 + 1e-4:
-            raise ValueError("the frames' shares of the exposure sum to more than 1")
         check_choice("light law", self.light, LIGHT_LAWS)
-        if self.two_arm != (LIGHT_LAWS[self.light].arms == 2) or not rails:
-            raise ValueError(f"the rails are not those of {self.light}")
-        frames = len(rails) if self.looks and self.looks.dictionary else self.masks
-        if self.looks and not frames == self.masks == len(self.looks.first):
-            raise ValueError("the looks are at other frames than the masks'")
-        if len(self.frames) * self.detector_count > MOST_FRAMES:
-            raise ValueError(f"more than {MOST_FRAMES} frames and detectors together are given")
+        two_arm = LIGHT_LAWS[self.light].arms == 2
+        looks = self.looks
+        frames = len(rails) if looks and looks.dictionary else self.masks
         cells = self.detectors and self.detectors.cells
-        if cells and len(cells) != math.prod(self.image_shape):
-            raise ValueError(f"{len(cells)} cells have a detector, and the masks have others")
+        faults = {
+            "frames show a rail twice, or one that the masks lack": len(known) < len(rails),
+            # 1e-4 more is what rounding may leave
+            "shares of the exposure sum to more than 1": sum(self.shares) > 1 + 1e-4,
+            f"the rails are not those of {self.light}": self.two_arm != two_arm or not rails,
+            "the looks are at other frames than the masks'": (
+                looks and not frames == self.masks == len(looks.first)
+            ),
+            f"more than {MOST_FRAMES} frames and detectors together are given": (
+                len(self.frames) * self.detector_count > MOST_FRAMES
+            ),
+            "other cells have a detector than the masks have": (
+                cells and len(cells) != math.prod(self.image_shape)
+            ),
+        }
+        for fault, present in faults.items():
+            if present:
+                raise ValueError(fault)
         find_grid(self.device, self.image_shape, self.layout)  # the device must hold the cells
         return self
 
