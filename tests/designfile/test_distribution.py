@@ -10,7 +10,7 @@ from conftest import quick
 from deepfsi.base.errors import InputError
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.designfile.design_file import Temperatures
-from deepfsi.designfile.distribution import REFUSED, UNSURE, FrameLight
+from deepfsi.designfile.distribution import REFUSED, UNSURE
 from deepfsi.evaluation import confidence
 from deepfsi.evaluation.confidence import find_distribution
 from deepfsi.exposure.kind import temperatures_at
@@ -32,21 +32,10 @@ def scenes_of(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return 0.02 * rates, labels
 
 
-def fitted(light: FrameLight | None = None):
-    rates, labels = scenes_of(confidence.MOST_SCENES, seed=2)
-    return find_distribution(torch.from_numpy(rates), labels, CLASSES, light=light), rates
-
-
 @pytest.fixture(scope="module")
 def known():
-    return fitted()[0]
-
-
-def fluctuating(rates, light: FrameLight, seed: int):
-    """Factors of the light of the frames of exposures (n, 2, m)."""
-    rng, sigma = np.random.default_rng(seed), np.sqrt(np.log1p(light.fluctuation**2))
-    frames = light.frame.max() + 1
-    return rng, rng.lognormal(-(sigma**2) / 2, sigma, (len(rates), frames))[:, light.frame]
+    rates, labels = scenes_of(confidence.MOST_SCENES, seed=2)
+    return find_distribution(torch.from_numpy(rates), labels, CLASSES)
 
 
 def assert_as_often(unsure, least_photons):
@@ -66,28 +55,6 @@ def test_sound_exposures_are_unsure_as_often_as_stated(known, photons, dark):
     counts = rng.poisson(rates * photons + background) - background
     counts[:, 1, 3] = 0
     assert_as_often(known.test(counts, np.full(len(counts), photons), background).unsure, photons)
-
-
-FRAMES = {
-    "one after another": np.arange(18).reshape(READOUTS),
-    "two arms": np.tile(np.arange(9), (2, 1)),
-    "three detectors": np.tile(np.arange(6), 3).reshape(READOUTS) // 2,
-}
-
-
-@pytest.mark.parametrize("frames", FRAMES)
-def test_sound_exposures_of_fluctuating_light_are_unsure_as_often_as_stated(known, frames):
-    """All together they are refused by a distribution that takes the light for steady."""
-    light = FrameLight(0.1, FRAMES[frames])
-    aware, _ = fitted(light)
-    rates, _ = scenes_of(8000, seed=4)
-    for photons in (30.0, 1e3, 2e4, 1e9):
-        rng, level = fluctuating(rates, light, seed=3)
-        counts, budgets = rng.poisson(rates * photons * level), np.full(len(rates), photons)
-        assert_as_often(aware.test(counts, budgets, 0.0).unsure, photons)
-    assert not aware.test(counts, budgets, 0.0).refused
-    assert known.test(counts, budgets, 0.0).refused
-    assert aware.test(counts[:20, :, ::-1], budgets[:20], 0.0).refused
 
 
 @pytest.mark.parametrize("classes", [CLASSES, 1, 2])

@@ -105,24 +105,12 @@ def test_brightness_tells_scenes_from_classes():
     assert characterisation.brightness(np.array([[1.0], [0.0]]), np.array([0, 1])) is None
 
 
-@pytest.mark.parametrize(
-    "camera",
-    [
-        Camera(light="two-arm", fluctuation=0.1),
-        Camera(light="equal-dwell", detectors="2x2", readout="both", fluctuation=0.1),
-    ],
-)
-def test_a_design_keeps_its_light_and_tests_counts_of_it(digits, tmp_path, camera):
-    """Sound counts of its light pass; those of steady light are told by a design for that."""
+def test_a_design_for_unsteady_light_compares_no_counts(digits, tmp_path):
     few = {"epochs": 1}
+    camera = Camera(light="two-arm", fluctuation=0.1)
     design = deepfsi.learn(digits, photons=1e4, masks=4, camera=camera, training=few)
     kept = deepfsi.load_design(design.save(tmp_path / "d.safetensors"))
     assert kept.camera.fluctuation == 0.1
-    assert kept.distribution is not None
-    assert float(kept.distribution.fluctuation) == pytest.approx(0.1)
-    counts = design.expose(digits.x_test[:60], 1e6, seed=1)
-    assert not kept.consistency(counts, 1e6).refused
-    steady = replace(kept.distribution, fluctuation=np.array(0.0))
-    assert replace(kept, distribution=steady).consistency(counts, 1e6).refused
+    assert kept.distribution is None
     with pytest.raises(InputError, match="a page draws photon and dark counts of steady light"):
         check_playable(kept)

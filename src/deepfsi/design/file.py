@@ -130,7 +130,8 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
     }
     if header.values:
         fields["values"] = Values.restored(header.values, _tensors(file, "values"))
-    if arrays := file.arrays_of("distribution"):
+    arrays = file.arrays_of("distribution")
+    if arrays and "fluctuation" not in arrays:  # earlier versions tested counts of unsteady light
         readouts = rails.count, rails.masks * detection.count
         fields["distribution"] = ReadoutDistribution.restored(arrays, readouts)
     if arrays := file.arrays_of("scenes"):

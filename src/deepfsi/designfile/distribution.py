@@ -10,13 +10,10 @@ of false alarms holds whatever classes are shown.
 
 Scenes whose patterns do not differ by more than photon noise, where those of two of one class
 would, are *alike*: then they count as one.
-
-Where the light fluctuates from frame to frame its noise stands beside that of the photons, in the
-metric and in the simulated counts; the metric takes a frame's readouts for independent.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -94,21 +91,6 @@ class ConsistencyResult:
 
 
 @dataclass(frozen=True)
-class FrameLight:
-    """Light of the frames of simulated exposures, where it fluctuates."""
-
-    fluctuation: float  # relative standard deviation from frame to frame
-    frame: np.ndarray  # (rails, m), number of the frame in which each readout is counted
-
-    def counts(self, expected: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Counts drawn of expected counts (n, rails, m); readouts of a frame share its light."""
-        sigma = np.sqrt(np.log1p(self.fluctuation**2))
-        frames = len(expected), int(self.frame.max()) + 1
-        light = rng.lognormal(-(sigma**2) / 2, sigma, frames)  # over the mean
-        return rng.poisson(expected * light[:, self.frame])
-
-
-@dataclass(frozen=True)
 class ReadoutCounts:
     """Counts of n exposures in R readouts that are lit."""
 
@@ -130,10 +112,9 @@ class ReadoutModel:
     spread: float  # standard deviation of the brightness
     directions: np.ndarray  # (k, R)
     rest: np.ndarray  # (R,), variance of the patterns beyond these
-    fluctuation: float = 0.0  # relative standard deviation of the light from frame to frame
 
     @classmethod
-    def fit(cls, rates: np.ndarray, fluctuation: float = 0.0) -> "ReadoutModel":
+    def fit(cls, rates: np.ndarray) -> "ReadoutModel":
         """Model of the expected readouts (n, R) of scenes for a budget of one photon."""
         mean = rates.mean(axis=0)
         total = float(mean.sum())
@@ -148,7 +129,6 @@ class ReadoutModel:
             spread=float(sums.std()),
             directions=axes * np.sqrt(share),
             rest=rest * share,
-            fluctuation=fluctuation,
         )
 
     def statistics(self, exposures: ReadoutCounts) -> tuple[np.ndarray, np.ndarray]:
@@ -158,13 +138,11 @@ class ReadoutModel:
         expected = exposures.expected * (np.ones_like(counts) @ self.share)  # 1 but for rounding
         power = (1 + dark.sum(axis=1) / expected) / expected
         power += self.spread**2 + 0.1**2  # dead time in the all-ON frame
-        power += self.fluctuation**2 * np.square(self.share).sum()
         bright = counts.sum(axis=1) / expected
         brightness = np.square(bright - 1) / power
         scale = exposures.expected[:, None]
         off = counts / scale - bright[:, None] * self.share
         floor = self.rest + np.square(0.02 * self.share)  # rounded masks, dead time
-        floor = floor + np.square(self.fluctuation * self.share)
         noise = (self.share + dark / scale) / scale + floor
         if (noise == noise[0]).all():  # most often of fixed dwells: one matrix serves them all
             return brightness, _distance(off, noise[0], self.directions)
@@ -182,9 +160,7 @@ class ReadoutModel:
             scale = exposures.expected[:, None]
             mean = exposures.counts.sum(axis=1, keepdims=True) * self.share
             off = off + sign * (exposures.counts - mean) / scale
-            noise = np.maximum(mean, self.share) + exposures.dark
-            noise = noise + np.square(self.fluctuation * mean)
-            power = power + noise / np.square(scale)
+            power = power + (np.maximum(mean, self.share) + exposures.dark) / np.square(scale)
         return 1 / np.maximum((np.square(off) / power).mean(axis=1), SMALLEST_STATISTIC)
 
 
@@ -198,13 +174,11 @@ class ReadoutDistribution:
     rest: np.ndarray  # (rails, m), variance of the patterns beyond these
     tails: np.ndarray  # (2, 2, counts, chances)
     pairs: np.ndarray  # (counts, chances)
-    fluctuation: np.ndarray = field(default_factory=lambda: np.array(0.0, np.float32))  # ()
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Fields by name, as a design file takes them: a fluctuation where there is one."""
-        every = {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)}
-        return {name: each for name, each in every.items() if name != "fluctuation" or each > 0}
+        """Fields by name, as a design file takes them."""
+        return dict(vars(self))
 
     @classmethod
     def restored(
@@ -220,11 +194,8 @@ class ReadoutDistribution:
             "tails": (2, 2, *levels),
             "pairs": levels,
         }
-        if "fluctuation" in arrays:
-            shapes["fluctuation"] = ()
         fit = {name: array.shape for name, array in arrays.items()} == shapes
-        positive = ("mean", "spread", "rest", "fluctuation")
-        least = min(float(arrays[name].min()) for name in positive if name in arrays)
+        least = min(float(arrays[name].min()) for name in ("mean", "spread", "rest"))
         shares = [arrays[name] for name in ("mean", "directions", "rest") if arrays[name].size]
         most = max(float(np.abs(share).max()) for share in shares)
         falling = any((np.diff(arrays[name]) < 0).any() for name in ("tails", "pairs"))
@@ -244,7 +215,6 @@ class ReadoutDistribution:
             spread=float(fitted["spread"]),
             directions=fitted["directions"][:, lit],
             rest=fitted["rest"][lit],
-            fluctuation=float(self.fluctuation),
         )
 
     def dimmed(self, factor: float) -> "ReadoutDistribution":
@@ -296,7 +266,7 @@ class ReadoutDistribution:
     def _alike(self, model: ReadoutModel, exposures: ReadoutCounts) -> float:
         """p-value of the likeness of exposures, taken two by two."""
         # one in 1000 that do not differ
-        if not len(self.pairs) or _dispersion(exposures, model.fluctuation) > 3.1:
+        if not len(self.pairs) or _dispersion(exposures) > 3.1:
             return 1.0
         pairs = len(exposures.counts) // 2
         first = slice(0, pairs)
@@ -333,7 +303,7 @@ def _mean_counts(expected: np.ndarray, dark: np.ndarray) -> np.ndarray:
     return expected**2 / (expected + dark.sum(axis=1)) / dark.shape[1]
 
 
-def _dispersion(exposures: ReadoutCounts, fluctuation: float) -> float:
+def _dispersion(exposures: ReadoutCounts) -> float:
     """Squared differences of exposures' patterns beyond noise, in standard deviations."""
     counts = exposures.counts  # whose patterns are compared with their mean
     dark = exposures.dark
@@ -341,7 +311,7 @@ def _dispersion(exposures: ReadoutCounts, fluctuation: float) -> float:
     by_readout = counts.sum(axis=0) / total
     by_exposure = counts.sum(axis=1, keepdims=True) / total
     mean = total * by_exposure * by_readout
-    power = mean.clip(min=0) + dark + np.square(fluctuation * mean)
+    power = mean.clip(min=0) + dark
     beyond = np.square(counts - mean) - power * (1 - by_readout) * (1 - by_exposure)
     weight = np.maximum(power, 1)
     error = np.sqrt(((2 * np.square(power) + power) / np.square(weight)).sum())

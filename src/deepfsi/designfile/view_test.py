@@ -218,9 +218,14 @@ class ViewResult:
         )
 
     @property
-    def open(self) -> list[str]:
-        """Faults that this run does not exclude."""
-        return [self.faults[place] for place in np.flatnonzero(self.odds > log(FALSE_ALARM))]
+    def open(self) -> dict[str, float]:
+        """Faults that this run does not exclude, and from how many scenes on it would; or inf."""
+        needed = -log(FALSE_ALARM)
+        return {
+            words: self.scenes * needed / -odds if odds < 0 else np.inf
+            for words, odds in zip(self.faults, self.odds.tolist(), strict=True)
+            if odds > -needed
+        }
 
     @property
     def remark(self) -> str | None:
@@ -230,11 +235,14 @@ class ViewResult:
         possible = self.open
         if not possible:
             return None
+        counts = [scenes for scenes in possible.values() if np.isfinite(scenes)]
+        enough = f"about {max(counts):.0f} scenes would" if counts else "more light or scenes would"
+        first = list(possible)[:3]
         more = f" or {len(possible) - 3} others" if len(possible) > 3 else ""
         return (
             f"{self.scenes} scenes do not exclude that the picture on the device is "
-            f"{' or '.join(possible[:3])}{more}: more light or scenes would, or a recording of the "
-            "reference target (`deepfsi camera check`)"
+            f"{' or '.join(first)}{more}: {enough}, or a recording of the reference target "
+            "(`deepfsi camera check`)"
         )
 
     def as_dict(self) -> dict[str, object]:
@@ -247,7 +255,7 @@ class ViewResult:
             "evidence": self.evidence,
             "likeliest": self.likeliest,
             "log_odds": dict(zip(self.faults, self.odds.tolist(), strict=True)),
-            "open": self.open,
+            "open": list(self.open),
         }
 
 

@@ -27,7 +27,6 @@ from deepfsi.designfile.distribution import (
     SMALLEST_STATISTIC,
     TAIL_CHANCES,
     TAIL_COUNTS,
-    FrameLight,
     ReadoutCounts,
     ReadoutDistribution,
     ReadoutModel,
@@ -182,16 +181,12 @@ def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
 
 
 def find_distribution(
-    rates: Tensor,
-    labels: Sequence[int] | np.ndarray,
-    classes: int,
-    light: FrameLight | None = None,
+    rates: Tensor, labels: Sequence[int] | np.ndarray, classes: int
 ) -> ReadoutDistribution | None:
     """Distribution of readouts of training scenes; None if a class has too few scenes.
 
     Rates (n, rails, m) are for a budget of one photon.
     """
-    fluctuation = 0.0 if light is None else light.fluctuation
     every = rates.double().cpu().numpy()
     rng = np.random.default_rng([0, 12])
     # each calibrated with the covariance of the others
@@ -206,11 +201,9 @@ def find_distribution(
     total = held.mean(axis=0).sum()
 
     def exposed(expected: float) -> np.ndarray:
-        if light is not None:
-            return light.counts(every * (expected / total), rng)[:, lit].astype(float)
         return rng.poisson(held * (expected / total)).astype(float)
 
-    model = ReadoutModel.fit(held, fluctuation)
+    model = ReadoutModel.fit(held)
     tails, pairs = _calibrate(model, held, np.asarray(labels), folds, exposed=exposed)
 
     def spread_out(part: np.ndarray) -> np.ndarray:
@@ -225,7 +218,6 @@ def find_distribution(
         rest=spread_out(model.rest),
         tails=tails.astype(np.float32),
         pairs=pairs.astype(np.float32),
-        fluctuation=np.array(fluctuation, np.float32),
     )
 
 
@@ -240,7 +232,7 @@ def _calibrate(
     # Each scene is compared with the model of the other folds
     members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
     couples = [each[: len(each) // 2 * 2].reshape(2, -1) for each in members]
-    models = [ReadoutModel.fit(np.delete(rates, fold, axis=0), whole.fluctuation) for fold in folds]
+    models = [ReadoutModel.fit(np.delete(rates, fold, axis=0)) for fold in folds]
     likeness = [np.empty((len(TAIL_COUNTS), couple.shape[1])) for couple in couples]
     levels = []
     for place, counts in enumerate(TAIL_COUNTS):

@@ -254,8 +254,8 @@ def _classify_counts(
 
 
 NOT_COMPARED = (
-    "these counts were not compared with those of the training, which takes 50 training scenes of "
-    "each class: a scene of something else gets a class, too"
+    "these counts were not compared with those of the training, which takes steady light and 50 "
+    "training scenes of each class: a scene of something else gets a class, too"
 )
 NOT_VIEWED = (
     "not tested for how the camera sees the scenes (mirrored, blurred, with stray light), which "

@@ -179,11 +179,6 @@ class Detection:
         """Rails (..., 2, m · D) as features (..., m · 2 · D)."""
         return rails.unflatten(-1, (-1, self.count)).transpose(-3, -2).flatten(-3)
 
-    def frames(self, rails: Rails) -> Tensor:
-        """Index (rails, ..., m · D) of the frame that counts each rail."""
-        apart = replace(self, readout="difference")
-        return apart.readouts(rails).frame[: rails.count]
-
     def readouts(self, rails: Rails) -> "Readouts":
         """Readouts of arranged rails (..., m, D · P)."""
         total = rails.total
