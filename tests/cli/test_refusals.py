@@ -82,7 +82,6 @@ REFUSED = {
     "camera count run": """
         --exposure 10s | give at most
         --dead-time 1us --dead-time-model nosuch | dead_time_model = 'nosuch'
-        --dead-time-model paralysable | give --dead-time, such as 20ns
     """,
     "show a.safetensors --out x.txt": "| end the name in .png",
     "camera inspect a.safetensors": "| is not a PTU file",
@@ -111,7 +110,7 @@ REFUSED = {
         --patterns run/patterns | --scenes
     """,
     f"camera simulate clicks --scene few {FAST}": """
-        --dead-time 20ns | clicks have no dead time
+        --dead-time 20ns | click noise has no dead time
     """,
     f"camera simulate run/patterns {FAST}": """
         --scene nosuch | no picture at nosuch

@@ -12,10 +12,10 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from deepfsi.base.arrays import read_npy
 from deepfsi.base.errors import InputError, as_input_error, check_choice
@@ -28,7 +28,6 @@ from deepfsi.camera.device import Device, find_device
 from deepfsi.camera.layout import DmdLayout, Region, find_grid
 from deepfsi.camera.names import (
     LIGHT_LAWS,
-    LightLawFacts,
     LightLawName,
     NoiseFacts,
     NoiseSetting,
@@ -88,52 +87,13 @@ def _device(given: Any) -> Any:
         return Device.model_validate({"name": path.stem, **read_toml(path)})
 
 
-Fields = Mapping[str, Any]
-"""Fields of a camera, those that are valid so far."""
-
-
-def _law(fields: Fields) -> LightLawFacts:
-    """Facts of the light law; where the law is not valid, of the usual one."""
-    return LIGHT_LAWS[fields.get("light", "free-dwell")]
-
-
-def _conflict(field: str, value: Any, fields: Fields) -> str:
-    """What a field does not go with among those before it, and what to do; "" if nothing."""
-    law = _law(fields)
-    light = fields.get("light")
-    noise = find_noise(fields.get("noise", "poisson"))
-    match field:
-        case "rails" if law.arms == 2 and value == "single":
-            return "two-arm with a single rail is not allowed: each arm is a rail; use dual rails"
-        case "detectors" if not law.one_device and value not in NAMES_OF_ONE:
-            return (
-                f"several detectors are parts of one device, and {light} is other optics: give "
-                "light equal-dwell, free-dwell or two-arm"
-            )
-        case "device" if not law.one_device and value is not None:
-            return (
-                f"{light} is not of one device: give light free-dwell, equal-dwell or two-arm, or "
-                "leave device out"
-            )
-        case "exposure" if value is not None and fields.get("shortest_dwell", 0.0) >= value:
-            return (
-                f"a frame is counted for {fields['shortest_dwell']:g} s at least: give a longer "
-                "exposure, or another device or shortest_dwell"
-            )
-        case "noise" if fields.get("dark") and not noise.dark:
-            return f"{noise.title} has no dark counts: give noise camera, or leave dark out"
-        case "noise" if fields.get("dead_time") and not noise.dead_time:
-            return "clicks have no dead time here: leave dead_time out"
-        case "noise" if fields.get("gates", 1) > 1 and not noise.gates:
-            return f"{noise.title} has no gates: give noise click, or leave gates out"
-        case "fluctuation" if value > 0 and not law.in_turn:
-            return (
-                "light fluctuates from frame to frame, and column shows all masks at once: give "
-                "light equal-dwell, free-dwell or two-arm, or leave fluctuation out"
-            )
-        case "fluctuation" if value > 0 and not noise.fluctuation:
-            return "clicks have no light that fluctuates here: leave fluctuation or noise out"
-    return ""
+OF_NOISES = {
+    "dark": "dark counts",
+    "dead_time": "dead time",
+    "gates": "gates",
+    "fluctuation": "light that fluctuates",
+}
+"""Fields that not every noise has, in words; `NoiseFacts` says which has them."""
 
 
 class Camera(UserModel):
@@ -163,7 +123,7 @@ class Camera(UserModel):
         + "; ".join(f"{name}, {law.optics}" for name, law in LIGHT_LAWS.items()),
     )
     rails: RailsKind = Field(
-        default_factory=lambda fields: _law(fields).usual_rails,
+        default_factory=lambda fields: LIGHT_LAWS[fields["light"]].usual_rails,
         description="dual: signed masks of two frames each; single: non-negative masks; default: "
         "dual for "
         + " and ".join(name for name, law in LIGHT_LAWS.items() if law.usual_rails == "dual")
@@ -175,7 +135,7 @@ class Camera(UserModel):
         "bands, or each pixel's detector, from 0 (a .npy file)",
     )
     readout: Readout = Field(
-        default_factory=lambda fields: _law(fields).usual_readout,
+        default_factory=lambda fields: LIGHT_LAWS[fields["light"]].usual_readout,
         description="what the network reads of two rails: both, or their difference; default: both "
         "for two-arm, else difference",
     )
@@ -193,14 +153,13 @@ class Camera(UserModel):
         default=False, description="cells fill the device or region, and need not be square"
     )
     shortest_dwell: Seconds = Field(
-        default_factory=lambda fields: _shortest_frame(fields.get("device")),
+        default_factory=lambda fields: _shortest_frame(fields["device"]),
         description="shortest time for which a frame is counted, such as 32us; default: the "
         "device's shortest picture less settling and 2 us",
     )
     exposure: Seconds | None = Field(
         default=None,
         gt=0,
-        validate_default=True,
         description="time of a whole exposure, such as 10ms",
     )
     levels: Levels | None = Field(
@@ -237,15 +196,14 @@ class Camera(UserModel):
     )
     noise: NoiseSetting = Field(
         default_factory=lambda fields: (
-            "click" if fields.get("gates", 1) > 1 else "camera" if fields.get("dark") else "poisson"
+            "click" if fields["gates"] > 1 else "camera" if fields["dark"] else "poisson"
         ),
-        validate_default=True,
         description="noise of the counts: poisson, gaussian, camera (photons, dark counts and "
         "read noise), click (a gated detector that fires at most once in a gate), none, or "
         "module:function of your own; poisson, click with gates, or camera with dark counts",
     )
     sigma: float = Field(
-        default_factory=lambda fields: find_noise(fields.get("noise", "poisson")).usual_sigma,
+        default_factory=lambda fields: find_noise(fields["noise"]).usual_sigma,
         ge=0,
         allow_inf_nan=False,
         description="read noise of gaussian and camera noise, counts rms per readout; default: 1 "
@@ -263,35 +221,42 @@ class Camera(UserModel):
 
         def __init__(self, **fields: Any) -> None: ...
 
-    @field_validator("rails", "detectors", "device", "exposure", "noise", "fluctuation")
-    @classmethod
-    def _fits(cls, value: Any, info: ValidationInfo) -> Any:
-        """The value of a field, or `ValueError` where it does not go with those before it."""
-        field = str(info.field_name)
-        if conflict := _conflict(field, value, {**info.data, field: value}):
-            raise ValueError(conflict)
-        return value
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        law = LIGHT_LAWS[self.light]
+        noise = find_noise(self.noise)
+        one_device = f"{self.light} is not of one device: give light free-dwell, equal-dwell or "
+        conflicts = {
+            "two-arm with a single rail is not allowed: each arm is a rail; use dual rails": (
+                law.arms == 2 and self.rails == "single"
+            ),
+            f"{one_device}two-arm, or leave device out": self.device and not law.one_device,
+            f"{one_device}two-arm, or one detector": not (law.one_device or self.one_detector),
+            f"a frame is counted for {self.shortest_dwell:g} s at least: give a longer exposure, "
+            "or another device or shortest_dwell": self.exposure
+            and self.shortest_dwell >= self.exposure,
+            "light fluctuates from frame to frame, and column shows all masks at once: leave "
+            "fluctuation out, or give another light": self.fluctuation and not law.in_turn,
+        }
+        for name, words in OF_NOISES.items():
+            told = getattr(self, name) != type(self).model_fields[name].default
+            words = f"{noise.title} has no {words}: leave {name} out, or give another noise"
+            conflicts[words] = told and not getattr(noise, name)
+        for words, conflict in conflicts.items():
+            if conflict:
+                raise ValueError(words)
+        return self
 
     @classmethod
     def load(cls, source: "CameraSource" = None, **settings: Any) -> "Camera":
-        """Camera of a preset's name, a TOML file or a mapping, with single settings in their place.
+        """Camera of a source, by default the preset `dmd`, with single settings in their place.
 
-        Parameters
-        ----------
-        source : str, path, mapping or Camera, optional
-            One of `PRESETS`, a file ending in ``.toml``, fields, or a camera. Default: `dmd`.
-        settings
-            Fields of the camera that override the source's.
-
-        Raises
-        ------
-        InputError
-            In one line that names the field which cannot be used.
+        A source is a name of `PRESETS`, a file ending in ``.toml``, fields, or a camera.
         """
         fields = {**_fields(source), **settings}
         if "noise" in settings:
             noise = find_noise(settings["noise"])
-            for name in {"dark", "dead_time", "gates", "fluctuation"} - settings.keys():
+            for name in OF_NOISES.keys() - settings.keys():
                 if not getattr(noise, name):  # the source has it for another noise
                     fields.pop(name, None)
         is_file = isinstance(source, str | os.PathLike) and str(source).lower().endswith(".toml")
@@ -313,10 +278,7 @@ class Camera(UserModel):
         known = cls.load(source if camera is None else camera)
         if "device" in settings and not LIGHT_LAWS[known.light].one_device:
             known = cls.load(known, light="free-dwell")
-        run = cls.load(known, **settings)
-        if "dead_time_model" in settings and not run.dead_time:
-            raise InputError("`dead_time_model` is of a dead time: give `dead_time`, such as 20ns")
-        return run
+        return cls.load(known, **settings)
 
     @classmethod
     def restored(cls, fields: Mapping[str, Any]) -> "Camera":
@@ -409,25 +371,15 @@ class Camera(UserModel):
 
     def describe(self) -> str:
         """The camera in a few lines: its optics, its other fields, and the light of an exposure."""
-        noise = find_noise(self.noise)
-        shown: dict[str, Any] = dict(self) | {
-            "light": None,  # on the first line
-            "detectors": self.detectors if isinstance(self.detectors, str) else "of a map",
-            "device": self.device and self.device.name,
-            "shortest_dwell": self.shortest_dwell and time_text(self.shortest_dwell),
-            "exposure": self.exposure and time_text(self.exposure),
-            "flux": self.flux and f"{count_text(self.flux)}/s",
-            "dark": self.dark and f"{count_text(self.dark)}/s",
-            "dead_time": self.dead_time and time_text(self.dead_time),
-            "dead_time_model": self.dead_time and self.dead_time_model,
-            "gates": self.gates * noise.gates,
-            "noise": self.noise_name,
-            "sigma": self.sigma * noise.read_noise,
-        }
-        fields = [f"{name} {value}" for name, value in shown.items() if value]
-        lines = [f"light law {self.light}: {LIGHT_LAWS[self.light].optics}", ", ".join(fields)]
+        shown: dict[str, Any] = dict(self) | {"light": None, "noise": self.noise_name}
+        shown["detectors"] = str(self.detectors)[:20]
+        for name in ("shortest_dwell", "exposure", "dead_time"):
+            shown[name] = shown[name] and time_text(shown[name])
+        lines = [f"light law {self.light}: {LIGHT_LAWS[self.light].optics}"]
         if self.device is not None:
+            shown["device"] = self.device.name
             lines.append(f"{self.device.columns} x {self.device.rows} mirrors")
+        lines.insert(1, ", ".join(f"{name} {value}" for name, value in shown.items() if value))
         if self.shortest_dwell and self.exposure:
             lines.append(f"up to {int(1 / self.shortest_share)} frames in an exposure")
         if self.budget is not None:

@@ -181,19 +181,10 @@ class Dataset:
         )
 
     def folds(self, count: int, seed: int = 0) -> list["Dataset"]:
-        """Divide the scenes anew: each is a test scene once.
+        """Divide the scenes anew into folds, in which each is a test scene once.
 
-        Parameters
-        ----------
-        count : int
-            Number k of folds, 2 or more. Each has its share of every class.
-        seed : int
-            Draws the folds.
-
-        Raises
-        ------
-        InputError
-            If the test part is not one that was drawn from the scenes, or they are too few.
+        Each fold has its share of every class. Raises `InputError` if the test part was not drawn
+        from the scenes, or they are too few.
         """
         if not self.drawn:
             raise InputError(

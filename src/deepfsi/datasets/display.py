@@ -41,8 +41,6 @@ class Display(NamedTuple):
 def array_display(pictures: npt.ArrayLike, white: float | None = None) -> Display:
     """Pictures (n, H, W), or spectra (n, B), of an array; floats are scenes in [0, 1]."""
     values = np.asarray(pictures)
-    if not values.size:
-        raise InputError(f"an array of shape {values.shape} holds no pictures: give one or more")
     levels = measure_levels({"pictures": values}, white)
     names = tuple(map(str, range(len(values))))
     x = reflectance(values, levels)
