@@ -94,7 +94,7 @@ def test_what_is_not_the_designs_is_refused(good, digits):
         "of shape .*4, 16": flat,
         "holds the label 10": (x, y + 1),
         "359,. for 360 scenes": (x, y[:-1]),
-        "give each an integer or a string": (x, y.astype(float)),
+        "holds the label 0.5": (x, y + 0.5),
         "of shape": (x[:, :-1], y),
     }.items():
         with pytest.raises(InputError, match=match):

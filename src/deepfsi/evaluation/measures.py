@@ -56,7 +56,7 @@ class Answers:
     @property
     def terms(self) -> dict[str, np.ndarray]:
         """Numbers (n,) of the scenes whose means are measures, by their names in records."""
-        raise NotImplementedError
+        return {}
 
     def by_scene(self, values: np.ndarray) -> np.ndarray:
         """Values (n, draws, …) of exposures (E, …)."""
@@ -141,6 +141,10 @@ class Measure:
     column: str = ""
     legend: str = ""
     averaged: bool = False  # whether points of a comparison hold its mean over trials
+    # Of a measure that data sets are judged by, as `Dataset.measure` says by its title
+    axis: str = ""
+    meaning: str = ""  # what it is, with its unit
+    guessing: str = ""  # what guessing gives
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -156,15 +160,6 @@ class Measure:
         return [mean if value is None else value, low, high]
 
 
-@dataclass(frozen=True, kw_only=True)
-class MainMeasure(Measure):
-    """A measure that data sets are judged by: `Dataset.measure` is its title."""
-
-    axis: str
-    meaning: str  # what it is, with its unit
-    guessing: str  # what guessing gives
-
-
 def _explained_interval(terms: np.ndarray, truth: np.ndarray) -> Interval:
     mean, low, high = image_interval(terms)
     return Interval(mean, low, min(high, 1.0))
@@ -173,7 +168,7 @@ def _explained_interval(terms: np.ndarray, truth: np.ndarray) -> Interval:
 MEASURES: dict[str, Measure] = {
     measure.key: measure
     for measure in (
-        MainMeasure(
+        Measure(
             key="accuracy",
             title="accuracy",
             of=ClassAnswers,
@@ -224,7 +219,7 @@ MEASURES: dict[str, Measure] = {
             "as each may end early",
             averaged=True,
         ),
-        MainMeasure(
+        Measure(
             key="r2",
             title="R²",
             of=ValueAnswers,
@@ -242,9 +237,6 @@ MEASURES: dict[str, Measure] = {
 """Measures by their key. Tables and pages have them in this order."""
 
 
-def main_measure(title: str) -> MainMeasure:
-    """The measure that data sets are judged by which say so, such as "accuracy" or "R²"."""
-    named = {
-        measure.title: measure for measure in MEASURES.values() if isinstance(measure, MainMeasure)
-    }
-    return named[title]
+def main_measure(title: str) -> Measure:
+    """The measure with a title, such as "accuracy" or "R²"."""
+    return next(measure for measure in MEASURES.values() if measure.title == title)
