@@ -61,11 +61,6 @@ class Rails:
         return self.difference.shape[-2]
 
     @property
-    def device(self) -> torch.device:
-        """Torch device of the tensors."""
-        return self.difference.device
-
-    @property
     def stacked(self) -> Tensor:
         """M⁺ and M⁻ as one tensor (..., 2, m, N), or the one rail (..., 1, m, N)."""
         if self._stacked is not None:

@@ -67,13 +67,14 @@ def design_of(
     with torch.no_grad():
         rails = Rails.of(scanner.masks().stacked.clone())
     shape = tuple(rails.difference.shape)
+    device = rails.difference.device
     if len(shape) != 2 or shape[-1] != scenes.pixels:
         raise InputError(
             f"masks of shape {shape} do not fit {scenes.name}: give (masks, {scenes.pixels})"
         )
     light = scanner.masks.law.name if isinstance(scanner.masks, LearnedMasks) else light
     light_law(light).check(rails.stacked)
-    training_set = TrainingSet(scenes, rails.device)
+    training_set = TrainingSet(scenes, device)
     s = training_set.summed_reflectance
     mean = torch.from_numpy(scenes.x_train.mean(axis=0))
     read = rails.masks * detection.width(rails.count)
@@ -86,7 +87,7 @@ def design_of(
     job = Job(design="custom", masks=rails.masks, photons=budget, camera=camera)
     front = Scanner.from_rails(rails.stacked, detection=detection)
     counts = detection.totals(front.rates(mean.to(rails.difference)))
-    info = provenance(job, scenes, rails.device)
+    info = provenance(job, scenes, device)
     exposure = MaskExposure(
         entry=FixedEntry(),
         rails=rails,
@@ -94,8 +95,8 @@ def design_of(
         image_shape=scenes.image_shape,
         detection=detection,
         summed_reflectance=s,
-        mean=torch.zeros(read, device=rails.device),
-        std=torch.full((read,), 1 / budget, device=rails.device),
+        mean=torch.zeros(read, device=device),
+        std=torch.full((read,), 1 / budget, device=device),
         shares=counts / s,
         clicks=Clicks.of(camera, budget),
     )
@@ -103,7 +104,7 @@ def design_of(
         name="custom",
         classes=scenes.classes,
         exposure=exposure,
-        classifier=_copy(classifier, read, scenes.answers).to(rails.device),
+        classifier=_copy(classifier, read, scenes.answers).to(device),
         info=info,
         values=training_set.values,
         training_scenes=training_set.hashes,

@@ -168,7 +168,9 @@ def train(
     A callback follows a single design. Shapes: matrix (m, N).
     """
     began = time.perf_counter()
-    _check(training_set, jobs, matrix)
+    for job in jobs:
+        job.check(training_set.data, matrix)
+    check_fits(training_set, jobs)
     if jobs[0].code.adaptive:
         return _adaptive_designs(training_set, jobs, report)
     folds = [] if training_set.data.held_out else folds_of(training_set.data)
@@ -205,13 +207,6 @@ def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
     apart: Any = set() if alone else {"photons": True, "seed": True, "camera": {"sigma"}}
     types = product_dtype(job.mask_job(), device), network_dtype(job, device)
     return (job.model_dump_json(exclude=apart), types)
-
-
-def _check(training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None) -> None:
-    """Raise `InputError` unless jobs can train together on the data in the free memory."""
-    for job in jobs:
-        job.check(training_set.data, matrix)
-    check_fits(training_set, jobs)
 
 
 def _designs(
