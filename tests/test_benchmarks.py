@@ -1,7 +1,5 @@
 """The benchmarks run, and what they compare is what they say."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -113,19 +111,6 @@ def test_networks_of_both_types_are_timed_and_compared(printed, monkeypatch):
         bench.main(["--data", "digits"])
 
 
-@pytest.mark.usefixtures("trained_once")
-def test_shares_of_a_step_are_of_its_operations(capfd, monkeypatch, digits):
-    """All are shown, as a busy machine decides which are the largest of a small training."""
-    step = benchmark("step")
-    few = replace(digits, x_train=digits.x_train[:200], y_train=digits.y_train[:200])
-    monkeypatch.setattr(step, "load_dataset", lambda _: few)
-    monkeypatch.setattr(step, "SHOWN", 1000)
-    step.main(["--data", "digits", "--masks", "8", "--precision", "float32"])
-    title, *rows = capfd.readouterr().out.splitlines()
-    assert title.startswith("digits, 8 masks, float32")
-    assert any(row.endswith("aten::mm") for row in rows)
-
-
 def test_the_correction_for_dead_time_brings_back_what_was_lost(made, digits):
     """At 50 ns and some 10⁷ counts/s, as many scenes are unsure as without dead time."""
     bench = benchmark("dead_time")
@@ -150,21 +135,3 @@ def test_tests_of_light_and_counts_alarm_as_seldom_as_they_state_and_find_their_
         alarms, powers, tries = script.measured(law, RUNS)
         assert alarms <= binom.ppf(1 - 1e-6, RUNS, law.stated), law.name
         assert powers >= binom.ppf(0.01, tries, law.power), law.name
-
-
-def test_fixed_masks_for_few_clicks_are_tabled_with_no_more_clicks(printed, tmp_path):
-    """15 %: test images of digits are brighter by up to 3 %, and the training has few steps."""
-    words = "--data digits --clicks 3 --seeds 0 --masks 12 --photons 300 --epochs 10"
-    *_, dwell, column = [cells(line) for line in printed("few_clicks", f"{words} -o {tmp_path}")]
-    for row, law in ((dwell, "free-dwell"), (column, "column")):
-        assert row[1:6] == ["3", law, "300", "12", "0"]
-        accuracy, interval = map(float, row[7].split(" ± "))
-        assert 0.2 < accuracy < 0.6
-        assert 0.01 < interval < 0.06
-        assert float(row[9]) == pytest.approx(0.98 * 3, rel=0.15)
-        assert float(row[10]) > float(row[9])
-        made = load_design(tmp_path / f"{law}-3-0.safetensors")
-        assert made.matrix.shape == (12, 64)
-    short = f"{words} --laws column --validation".replace("--epochs 10", "--epochs 1")
-    *_, read = printed("few_clicks", short)
-    assert len(cells(read)) == len(dwell) - 2

@@ -99,18 +99,6 @@ def test_other_code_stays(code):
     assert f"    {code}\n" in turned(f"    import os\n    {code}\n")
 
 
-def test_tables_of_the_output_stand_apart_and_nothing_is_lost():
-    lines = ["data: a", "my title", "", " design  accuracy", " ───────", " DFSI  0.9", "", "end"]
-    block = "".join(f"    {line}".rstrip() + "\n" for line in lines)
-    page = f".. rst-class:: sphx-glr-script-out\n\n .. code-block:: none\n\n{block}\n\nText.\n"
-    lessons.turn(None, "generated/tutorial/plot_1_a", source := [page])
-    parts = source[0].split(".. rst-class:: sphx-glr-script-out")
-    assert [part.startswith(" table-out\n") for part in parts] == [False, False, True, False]
-    assert source[0].endswith("Text.\n")
-    for line in filter(None, lines):
-        assert source[0].count(f"     {line}\n") == 1
-
-
 def test_no_scaffolding():
     for path in TUTORIAL:
         text = path.read_text()

@@ -1,4 +1,4 @@
-"""Published networks and rules for few photons, beside which designs are compared."""
+"""Published networks, beside which designs are compared."""
 
 import os
 from pathlib import Path
@@ -38,29 +38,6 @@ def test_published_masks_fit_their_constraint_at_their_smallest_budget(tmp_path)
         photons = network.least_photons(light, s)
         matrix = torch.from_numpy(network.masks * s / photons)[None]
         assert light_law(light).excess(matrix) == pytest.approx(0, abs=1e-9)
-
-
-def test_designs_are_compared_with_a_published_network(tmp_path, capsys):
-    """Means over seeds and their spread, of rounded numbers."""
-    published_network(tmp_path, 64)
-    words = ["--data", "digits", "--neurons", "5", "--epochs", "1", "-o", str(tmp_path / "out")]
-    benchmark("published").main([str(tmp_path), *words, "--seeds", "0", "1"])
-    printed = capsys.readouterr().out
-    laws = [
-        f"| {light}, {what} of |" for what in ("Φ", "clicks") for light in ("column", "free-dwell")
-    ]
-    assert all(head in printed for head in ("| neurons |", *laws))
-    assert printed.count("\n| 5 | ") == 9
-    for rows in printed.split("clicks of |")[1:3]:
-        first, second, mean = (row.split(" | ") for row in rows.split("\n")[2:5])
-        for column, rounding in ((3, 2e-4), (6, 0.11), (7, 0.11)):
-            both = [float(row[column].split()[0].strip("|")) for row in (first, second)]
-            middle, spread = map(float, mean[column].strip(" |").split(" ± "))
-            wanted = pytest.approx((np.mean(both), np.std(both, ddof=1)), abs=rounding)
-            assert (middle, spread) == wanted
-    with pytest.raises(SystemExit):
-        benchmark("published").main([str(tmp_path), "--data", "digits", "--neurons", "7"])
-    assert "CC BY 4.0" in capsys.readouterr().err
 
 
 def test_shots_are_averaged(digits):

@@ -13,12 +13,10 @@ import shutil
 import subprocess
 import sys
 import textwrap
-from itertools import groupby
 from pathlib import Path
 
 PICTURES = "my_pictures.py"
 BLOCK = re.compile(r"^\.\. code-block:: Python\n\n+((?:    .*\n|\n)+)", re.M)
-OUTPUT = re.compile(r"^\.\. rst-class:: sphx-glr-script-out\n\n.*\n\n((?:    .*\n|\n)+)", re.M)
 
 
 def prepared(scripts, folder):
@@ -71,17 +69,6 @@ def shown(block):
     return block[0].replace("    import os\n", "")
 
 
-def parted(block):
-    """What a script prints: its tables apart from its sentences, which break their lines."""
-    parts = re.split(r"\n[ \n]*\n", textwrap.dedent(block[1]).strip("\n"))
-    parts = ["\n\n".join(group) for _, group in groupby(parts, lambda part: "───" in part)]
-    classes = [f"sphx-glr-script-out{' table-out' * ('───' in part)}" for part in parts]
-    return "".join(
-        f".. rst-class:: {name}\n\n{textwrap.indent(directive('none', part), ' ')}\n"
-        for name, part in zip(classes, parts, strict=True)
-    )
-
-
 def directive(language, text, options=""):
     """A block of code in reStructuredText."""
     body = textwrap.indent(f"{options}\n{text}", "    ")
@@ -89,9 +76,9 @@ def directive(language, text, options=""):
 
 
 def turn(app, page, source):
-    """Turn the command lines of a page of the tutorial, and what they print, as Sphinx reads it."""
+    """Turn the command lines of a page of the tutorial, as Sphinx reads it."""
     if page.startswith("generated/tutorial/"):
-        source[0] = OUTPUT.sub(parted, BLOCK.sub(shown, source[0]))
+        source[0] = BLOCK.sub(shown, source[0])
 
 
 def setup(app):
