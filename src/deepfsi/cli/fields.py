@@ -199,10 +199,6 @@ MarkerBit = Annotated[
     Marker | None,
     option("marker input of the trigger, 0 for the first, as in `inspect`", alias="marker"),
 ]
-ExposureBudget = Annotated[
-    float | None,
-    option("counts of an exposure, detector efficiency included; default: by the all-ON frames"),
-]
 
 # studies
 

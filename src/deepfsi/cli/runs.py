@@ -80,7 +80,9 @@ class ClassifyRun(Command):
         "counted run; or counts, a row for each exposure, .csv .parquet .npy .mat (FILE:VARIABLE)",
         "RUN|TABLE",
     )
-    photons: fields.ExposureBudget = None
+    photons: float | None = fields.option(
+        "counts of an exposure, detector efficiency included; default: by the all-ON frames"
+    )
     background: float | None = fields.option(
         "table: dark counts of an input in an exposure; default: by the all-OFF frames"
     )

@@ -75,21 +75,15 @@ class Trial(StrictModel):
 def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None) -> list[Trial]:
     """All trials of a recipe, each once; `InputError` names all that cannot be had.
 
-    Left out is what cannot be: the control group, masks of gaussian noise under photon noise, where
-    there is none; designs of one rail on two arms; the signed Hadamard basis on a single rail;
-    several detectors under the law of other optics, `column`.
-
-    Shapes: matrix (m, N).
+    Designs that a camera cannot have are left out. `matrix` (m, N) holds the user's masks.
     """
     if (most := max(recipe.masks, default=1)) > data.pixels:
         raise InputError(f"{most} masks are not allowed on {data.name}: give 1 to {data.pixels}")
     planned = list(_jobs(recipe, data, matrix))
     if not planned:
-        lights = ", ".join(dict.fromkeys(named.camera.light for named in recipe.cameras()))
         raise InputError(
-            f"nothing to compare: {', '.join(recipe.designs)} cannot be had under "
-            f"{', '.join(recipe.noises)} noise with {lights} light (control is for photon noise, "
-            "two-arm for dual rails)"
+            f"nothing to compare: {', '.join(recipe.designs)} cannot be had with this light and "
+            "noise: control is for photon noise, two-arm for dual rails"
         )
     held_out = recipe.held_out(data)
     training = data.hold_out(held_out) if held_out else data

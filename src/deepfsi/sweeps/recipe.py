@@ -110,12 +110,6 @@ def _read_camera(given: Any) -> _Axes:
     return axes
 
 
-_read_exposure = partial(_read_axes, make=find_exposure)
-
-_read_training = partial(_read_axes, make=Training.model_validate)
-
-
-DesignKind = Annotated[str, AfterValidator(check_design)]
 TestNoise = Annotated[str, AfterValidator(check_noise)]
 Value = TypeVar("Value")
 Axis = Annotated[tuple[Value, ...], BeforeValidator(_axis)]
@@ -134,7 +128,7 @@ class Recipe(UserModel):
         default=None,
         description="how a hyperspectral image is divided for testing; default: random",
     )
-    designs: FilledAxis[DesignKind] = Field(
+    designs: FilledAxis[Annotated[str, AfterValidator(check_design)]] = Field(
         default=(
             "impulse",
             "raster",
@@ -160,7 +154,9 @@ class Recipe(UserModel):
         default={},
         description="fields of the camera, each an axis; or a preset's name, or a TOML file",
     )
-    exposure: Annotated[dict[str, Any], BeforeValidator(_read_exposure)] = Field(
+    exposure: Annotated[
+        dict[str, Any], BeforeValidator(partial(_read_axes, make=find_exposure))
+    ] = Field(
         default={}, description="settings of the exposure, each an axis, such as cap = [1, 2]"
     )
     trials: int = Field(default=1, ge=1, le=1000, description="seeds 0, 1, …")
@@ -187,9 +183,9 @@ class Recipe(UserModel):
         default=(0,),
         description="grey levels, dark included, of the masks shown in the tests; 0: as trained",
     )
-    training: Annotated[dict[str, Any], BeforeValidator(_read_training)] = Field(
-        default={}, description="settings of the training of every design, each an axis"
-    )
+    training: Annotated[
+        dict[str, Any], BeforeValidator(partial(_read_axes, make=Training.model_validate))
+    ] = Field(default={}, description="settings of the training of every design, each an axis")
     resources: Resources = Field(
         default=Resources(), description="share of a Ray cluster that each batch of trials takes"
     )
