@@ -31,15 +31,6 @@ def test_nothing_is_left_of_what_cannot_be_written(tmp_path):
     assert os.listdir(tmp_path) == ["folder"]
 
 
-def test_drafts_of_killed_processes_go_after_a_day(tmp_path):
-    drafts = [tmp_path / f".file.{age}.draft" for age in ("old", "new")]
-    for path in (*drafts, tmp_path / "file.json"):
-        path.touch()
-    os.utime(drafts[0], (1, 1))
-    write_atomically(tmp_path / "other", b"content")
-    assert sorted(os.listdir(tmp_path)) == [".file.new.draft", "file.json", "other"]
-
-
 def test_a_growing_file_takes_all_bytes_however_few_the_disk_takes_at_a_time(tmp_path, monkeypatch):
     usual = os.write
     monkeypatch.setattr(os, "write", lambda file, part: usual(file, part[:7]))

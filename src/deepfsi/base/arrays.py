@@ -66,9 +66,6 @@ def read_npz(
                 check_unpacked(size, path.stat().st_size, str(path), advice)
                 check_memory(size, f"the arrays of {path}", "give fewer or smaller ones")
                 read = {name: _native(arrays[name]) for name in arrays.files}
-            for array in read.values():
-                if array.dtype.kind == "U" and array.nbytes:
-                    array.tolist()  # fails at what are no characters
         except InputError:
             raise
         except Exception as error:  # zipfile and numpy raise almost anything on damaged files

@@ -4,20 +4,16 @@ Every reader opens files by `open_regular`: regular ones alone, up to its own li
 to far more than the file is refused by `check_unpacked`.
 
 What is being written is a draft beside its target, `.NAME.TOKEN.draft`, which takes the target's
-place when it is whole. A killed process leaves its draft behind; a later one that writes to the
-folder removes it after a day.
+place when it is whole. A killed process leaves its draft behind.
 """
 
 import codecs
 import errno
 import os
-import re
 import stat
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
 from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -83,9 +79,6 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     import tomllib
 
     content = read_text(path, 2**18, "give a TOML file")
-    # to read a key takes time in the square of its parts
-    if max(part.count(".") for part in re.split(r"[\n,={}\[\]]", content)) > 500:
-        raise InputError(f"{path} has a key of more than 500 dots: break it up")
     try:
         return tomllib.loads(content)
     except (ValueError, RecursionError) as error:
@@ -182,14 +175,16 @@ def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 @contextmanager
 def _draft(target: Path) -> Iterator[Path]:
     """Path of what takes the target's place when the block ends; nothing is left if it fails."""
+    import shutil
+
     draft = target.parent / f".{target.name[:50]}.{os.urandom(4).hex()}.draft"
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        _remove_old_drafts(target.parent.resolve())
         yield draft
         os.replace(draft, target)
     except BaseException as error:
-        _remove(draft)
+        with suppress(OSError):
+            shutil.rmtree(draft) if draft.is_dir() else draft.unlink()
         if not isinstance(error, OSError):
             raise
         name = Path(error.filename or draft)
@@ -197,22 +192,3 @@ def _draft(target: Path) -> Iterator[Path]:
             raise  # of something that was read
         reason = error.strerror or error
         raise InputError(f"cannot write {target}: {reason}; nothing of it was kept") from error
-
-
-@cache
-def _remove_old_drafts(folder: Path) -> None:
-    """Remove what processes that were killed left in a folder, a day after."""
-    for draft in folder.glob(".*.draft"):
-        with suppress(OSError):
-            if time.time() - draft.lstat().st_mtime > 86400:
-                _remove(draft)
-
-
-def _remove(draft: Path) -> None:
-    import shutil
-
-    with suppress(OSError):
-        if draft.is_dir():
-            shutil.rmtree(draft)
-        else:
-            draft.unlink()

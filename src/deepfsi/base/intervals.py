@@ -18,7 +18,6 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 Z_95 = NormalDist().inv_cdf(0.975)
 
@@ -324,13 +323,3 @@ def unpack_values(text: str) -> np.ndarray:
     if not (reader.eof and values.size and np.isfinite(values).all()):
         raise ValueError("values of images are damaged")
     return values
-
-
-MOST_CLASSES = 20
-"""Classes whose matrix of answers can be read."""
-
-
-def confusion_shares(confusion: Sequence[Sequence[int]]) -> npt.NDArray[np.float64]:
-    """Share of each answer among the scenes of each true class; 0 of a class without scenes."""
-    counts = np.asarray(confusion, dtype=float)
-    return counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)

@@ -7,14 +7,10 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 
-def _nothing(share: float, what: str) -> None:
-    """Show nothing."""
-
-
 class Progress(NamedTuple):
     """A task reports the share that is done."""
 
-    show: Callable[[float, str], None] = _nothing
+    show: Callable[[float, str], None] = lambda share, what: None
     begin: float = 0.0
     end: float = 1.0
 

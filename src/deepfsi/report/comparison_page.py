@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import write_atomically
-from deepfsi.base.intervals import MOST_CLASSES, confusion_shares, find_crossing
+from deepfsi.base.intervals import find_crossing
 from deepfsi.base.quantities import Table, budget_text, rate_text, short_name
 from deepfsi.camera.names import noise_text
 from deepfsi.designfile.design_file import DesignFile
@@ -66,8 +66,6 @@ def _page_text(results: Results, designs: Path, figures: Figures) -> str:
         errors=_errors_table(results, best) if results.data.values else None,
         confused=verdict.best,
         learned=list(_mask_panels(best, verdict.best.photons, designs, figures)),
-        most_classes=MOST_CLASSES,
-        shares=confusion_shares,
         adaptive=ADAPTIVE,
     )
 
