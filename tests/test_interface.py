@@ -54,7 +54,7 @@ MISTAKES = [
     (device_file, {"text": "colums = 3"}, "at colums: there is no such setting: did you mean 'col"),
     # types
     (learn, {"masks": "ten"}, "masks = 'ten': give a whole number"),
-    (learn, {"design": 3}, "design = 3: give a text"),
+    (learn, {"design": 3}, "unknown design '3': give one of"),
     (evaluate, {"draws": 1.5}, "1.5 noise draws are not allowed: give 1 to"),
     (evaluate, {"photons": [1e3, None]}, "photon budget None is not allowed"),
     (deepfsi.Camera, {"device": {"columns": 3}}, "device.name: it is missing: give one"),

@@ -283,7 +283,7 @@ def job_of(
     training = _given_training(given)
     if counts is not None:
         given["training"] = {**training, "counts": counts}
-    code = DESIGNS[check_design(given.get("design", "deepfsi"))]
+    code = DESIGNS[check_design(str(given.get("design", "deepfsi")))]
     whole = code.complete and "masks" not in given
     job = Job(**given, **({"masks": 1} if whole else {}))
     if whole:  # the camera says how many pixels each detector sees
