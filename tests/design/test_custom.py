@@ -156,7 +156,7 @@ APART = Detection.by(DetectorMap.of("2x2", (8, 8)))
     [
         (RAILS, {}, (3, 9), r"logits of shape \(3, 9\)"),
         (RAILS * 2, {}, (3, 10), "breaks the column constraint"),
-        (RAILS, {"detection": APART}, (12, 10), "give light equal-dwell"),
+        (RAILS, {"detection": APART}, (12, 10), "is not of one device"),
         (RAILS[..., :60], {}, (3, 10), "do not fit digits"),
     ],
 )

@@ -32,15 +32,17 @@ from deepfsi.physics.laws import light_law
 if TYPE_CHECKING:
     from deepfsi.design.design import Design
 
-WORDS = ("name", "classes", "info")
-"""Fields of a design that its header holds unchanged."""
-
 
 def file_of(design: "Design") -> DesignFile:
     """File of a design, or `InputError` if its classifier cannot be described."""
     exposure = design.exposure
-    words = {name: getattr(design, name) for name in (*WORDS, "image_shape")}
-    words |= {"deepfsi": version("deepfsi")}
+    words: dict[str, Any] = {
+        "name": design.name,
+        "classes": design.classes,
+        "info": design.info,
+        "image_shape": design.image_shape,
+        "deepfsi": version("deepfsi"),
+    }
     arrays = exposure.arrays
     header: DesignHeader
     if isinstance(exposure, AdaptiveExposure):
@@ -93,7 +95,9 @@ def fields_of(file: DesignFile) -> dict[str, Any]:
         else:
             fields = _mask_fields(file, header)
         return fields | {
-            **{name: getattr(header, name) for name in WORDS},
+            "name": header.name,
+            "classes": header.classes,
+            "info": header.info,
             "training_scenes": file.arrays.get(SCENE_HASHES),
         }
     except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:

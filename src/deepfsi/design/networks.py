@@ -254,10 +254,6 @@ class OwnClassifier(Classifier):
 
     def with_code(self, given: Given, inputs: int, classes: int) -> "OwnClassifier":
         """The classifier made by the user's code, with the weights that it has."""
-        if not given:
-            raise InputError(
-                "this design does not say where its classifier is imported from: give `classifier`"
-            )
         arguments = {} if isinstance(given, nn.Module) else self.arguments
         made = make_custom(given, arguments, inputs, classes)
         try:
