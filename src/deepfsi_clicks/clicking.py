@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.adaptive.choice import difference_masks, draw_places
+from deepfsi.adaptive.choice import difference_masks, draw_scenes
 from deepfsi.adaptive.exposure import (
     AdaptiveExposure,
     AdaptiveTraining,
@@ -99,14 +99,14 @@ class ClickPosterior(AdaptivePosterior):
     def next_look(self, dwells: Tensor, costs: Tensor, generator: torch.Generator) -> ClickLook:
         """The look worth most, from all masks, dwells (L,) and their costs (L,) in clicks."""
         masks = self.candidates()  # (b, P, N)
-        places, drawn = draw_places(self.weights, generator, 256)
+        indices, drawn = draw_scenes(self.weights, generator, 256)
         mean, parts = self.prior.light(masks)  # (b, P), (b, P, d)
-        scenes = self.prior.coefficients[places].transpose(1, 2)  # (b, d, S)
+        scenes = self.prior.coefficients[indices].transpose(1, 2)  # (b, d, S)
         light = mean[..., None] + parts @ scenes + FLOOR * _on(masks)  # (b, P, S)
         variance = _light_variance(mean, parts)[..., None, None]
         none = log_no_click(light[:, :, None], variance, (self.gain * dwells)[:, None])
         chances = -torch.expm1(none.flatten(1, 2))  # (b, P · L, S) of a click
-        members = torch.nn.functional.one_hot(self.prior.labels[places], self.prior.classes)
+        members = torch.nn.functional.one_hot(self.prior.labels[indices], self.prior.classes)
         outcomes = click_information(chances, members * drawn[..., None])
         told, clicks = (each.unflatten(1, (-1, len(dwells))) for each in outcomes)  # (b, P, L)
         worth = told / (clicks + costs)

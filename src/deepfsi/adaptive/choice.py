@@ -56,8 +56,8 @@ def information(counts: Tensor, members: Tensor, unknown: Tensor | None = None) 
     return (torch.logdet(total + noise) - torch.logdet(total - between + noise)) / 2
 
 
-def draw_places(weights: Tensor, generator: torch.Generator, count: int) -> tuple[Tensor, Tensor]:
-    """Places (b, S) of scenes drawn by their weights (b, n), and weights (b, S) of the drawn.
+def draw_scenes(weights: Tensor, generator: torch.Generator, count: int) -> tuple[Tensor, Tensor]:
+    """Indices (b, S) of scenes drawn by their weights (b, n), and weights (b, S) of the drawn.
 
     All scenes are taken if there are no more than `count`.
     """
@@ -67,5 +67,5 @@ def draw_places(weights: Tensor, generator: torch.Generator, count: int) -> tupl
     start = torch.rand(exposures, 1, generator=generator)
     points = (torch.arange(count) + start) / count
     sums = weights.cumsum(dim=1)
-    places = torch.searchsorted(sums, points * sums[:, -1:])
-    return places.clamp(max=scenes - 1), torch.full_like(points, 1 / count)
+    indices = torch.searchsorted(sums, points * sums[:, -1:])
+    return indices.clamp(max=scenes - 1), torch.full_like(points, 1 / count)

@@ -178,7 +178,7 @@ def sharing_threshold(used: np.ndarray, confidence: np.ndarray, light: float) ->
 
     # no job has so few looks that the first alone takes more
     tried: list[float] = np.unique(np.append(confidence[:, :-1], [0.0, 1.0])).tolist()
-    first = bisect_right(range(len(tried)), light, key=lambda place: taken(tried[place]))
+    first = bisect_right(range(len(tried)), light, key=lambda index: taken(tried[index]))
     return tried[first - 1]
 
 
@@ -340,7 +340,7 @@ class LeftOutScenes(NamedTuple):
 
     scenes: Tensor  # (S, N)
     labels: Tensor  # (S,)
-    places: Tensor | None  # (S,)
+    indices: Tensor | None  # (S,), in the prior; None where it lacks them
 
     def states(
         self, make: Callable[[int], State], size: int, report: Progress = SILENT
@@ -349,8 +349,8 @@ class LeftOutScenes(NamedTuple):
         every = torch.arange(len(self.scenes)).split(size)
         for done, rows in enumerate(every, start=1):
             state = make(len(rows))
-            if self.places is not None:  # each scene is impossible in its own exposure
-                state.logs[torch.arange(len(rows)), self.places[rows]] = -torch.inf
+            if self.indices is not None:  # each scene is impossible in its own exposure
+                state.logs[torch.arange(len(rows)), self.indices[rows]] = -torch.inf
             yield rows, self.scenes[rows], state
             report(done / len(every))
 
@@ -401,12 +401,12 @@ class AdaptiveTraining:
     def left_out(self, count: int, generator: torch.Generator) -> LeftOutScenes:
         """Some of the training scenes, drawn by lot."""
         order = self.prior.order
-        places = torch.randperm(len(order), generator=generator)[:count]
-        rows = order[places.numpy()]
+        indices = torch.randperm(len(order), generator=generator)[:count]
+        rows = order[indices.numpy()]
         return LeftOutScenes(
             torch.from_numpy(self.data.x_train[rows]),
             torch.from_numpy(self.data.y_train[rows]),
-            places if self.settings.clusters is None else None,
+            indices if self.settings.clusters is None else None,
         )
 
     def longest(self, made: AdaptiveExposure, job: Job, report: Progress) -> LeftOutAnswers:

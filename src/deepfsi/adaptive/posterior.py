@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 from torch.nn import functional
 
-from deepfsi.adaptive.choice import difference_masks, draw_places, information
+from deepfsi.adaptive.choice import difference_masks, draw_scenes, information
 from deepfsi.base.errors import InputError
 from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import summed_reflectance
@@ -206,7 +206,7 @@ class ScenePrior:
         return ScenePrior.restored(arrays | some | {"sizes": kept})
 
     def _cluster(self, clusters: int) -> Tensor:
-        """Put centres of clusters in the scenes' place; differences (n, d) of scenes from them."""
+        """Replace the scenes by centres of clusters; differences (n, d) of scenes from them."""
         from sklearn.cluster import KMeans
 
         centres = []
@@ -360,21 +360,22 @@ class AdaptivePosterior:
     def next_masks(self, share: float, generator: torch.Generator) -> Tensor:
         """The next masks (b, N) of 0 and 1, for a share of the exposure."""
         masks = self.candidates()
-        places, drawn = draw_places(self.weights, generator, 128)
+        indices, drawn = draw_scenes(self.weights, generator, 128)
         middle, parts = self._light(masks)  # (b, P, Q), (b, P, Q, d)
         left = self.unknown(parts)
-        scenes = self.prior.coefficients[places].transpose(1, 2)  # (b, d, S), same for all masks
+        scenes = self.prior.coefficients[indices].transpose(1, 2)  # (b, d, S), same for all masks
         light = middle[..., None] + (left.flatten(1, 2) @ scenes).unflatten(1, middle.shape[1:])
         gain = self.gain * share
         dark = torch.as_tensor(self.optics.dark * share)[..., None]
         counts = light.clamp(min=0) * gain + dark
         unknown = left @ parts.transpose(2, 3) if self.prior.spread else None
         if unknown is not None:
+            # a small change of a count n is 1 / √n times as large on the scale 2 √n
             usual = (counts * drawn[:, None, None]).sum(dim=-1, keepdim=True)
             steps = usual.clamp(min=1e-6).rsqrt()
             scale = steps * gain
             unknown = unknown * scale * scale.transpose(2, 3)
-        members = functional.one_hot(self.prior.labels[places], self.prior.classes)
+        members = functional.one_hot(self.prior.labels[indices], self.prior.classes)
         best = information(counts, members * drawn[..., None], unknown).argmax(dim=1)
         return masks[torch.arange(len(masks)), best]
 

@@ -119,13 +119,13 @@ class Detection:
         return order.flatten()
 
     @cached_property
-    def _places(self) -> Tensor:
-        """Arranged place (N,) of each pixel."""
+    def _arranged(self) -> Tensor:
+        """Index (N,) of each pixel in the arrangement."""
         assert self.labels is not None
-        places = torch.empty_like(self.labels)
-        real = (self._order < len(places)).nonzero().flatten()
-        places[self._order[real]] = real
-        return places
+        indices = torch.empty_like(self.labels)
+        real = (self._order < len(indices)).nonzero().flatten()
+        indices[self._order[real]] = real
+        return indices
 
     def arrange(self, pixels: Tensor) -> Tensor:
         """Arrange the pixels (..., N) of scenes or masks by detector: (..., D · P)."""
@@ -140,7 +140,7 @@ class Detection:
         """Undo `arrange`: (..., D · P) becomes (..., N)."""
         if self.count == 1:
             return arranged
-        return arranged.index_select(-1, self._places.to(arranged.device))
+        return arranged.index_select(-1, self._arranged.to(arranged.device))
 
     def of_pixels(self, kept: Tensor) -> "Detection":
         """Detection of the pixels where `kept` (N,) is true."""
