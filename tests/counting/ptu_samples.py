@@ -37,13 +37,13 @@ def decode(code: int, words: list[int]) -> list[tuple[str, int, int]]:
             elif 1 <= top <= 4:
                 what = "photon"
         else:
-            t3, old = code >> 8 & 3 == 3, code >> 24 == 0 and code & 0xFF == 4
+            t3 = code >> 8 & 3 == 3
             time, value = word & (0x3FF if t3 else 0x1FFFFFF), word >> 25 & 63
-            wrap = 1024 if t3 else 33552000 if old else 33554432
+            wrap = 1024 if t3 else 33554432
             if not word >> 31:
                 what = "photon"
             elif value == 63:
-                what, step = "overflow", 1 if old else max(time, 1)
+                what, step = "overflow", max(time, 1)
             elif value == 0 and not t3:
                 what = "sync"
             elif 1 <= value <= 15:

@@ -59,17 +59,6 @@ def test_a_number_of_frames_that_fills_no_pictures_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_table_that_was_changed_is_found(tmp_path):
-    export(tmp_path / "p", device=family("dlp6500"), format="bmp")
-    path = tmp_path / "p" / "patterns.csv"
-    path.write_text(path.read_text().replace("1", "2"))
-    with pytest.raises(InputError, match=r"patterns\.csv is not what was exported"):
-        Patterns.read(tmp_path / "p").check()
-    path.unlink()
-    with pytest.raises(InputError, match=r"patterns\.csv is missing"):
-        Patterns.read(tmp_path / "p").check()
-
-
 @pytest.mark.parametrize(("name", "holds"), [("dlp6500", 400), ("dlp4500", 48)])
 def test_more_frames_than_a_controller_holds_are_refused(tmp_path, name, holds):
     """With four sentinels; nothing is written, and what to do is said."""

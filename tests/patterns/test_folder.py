@@ -116,15 +116,16 @@ FILES = {
 def test_a_changed_mirror_a_cut_file_and_a_missing_one_are_found(tmp_path, form):
     folder = tmp_path / "p"
     export(folder, device=BOARD, format=form)
-    path = folder / FILES[form]
-    whole = path.read_bytes()
-    for content in (whole[:-9] + bytes([whole[-9] ^ 0x10]) + whole[-8:], whole[:-1], b""):
-        path.write_bytes(content)
-        with pytest.raises(InputError, match=rf"{path.name} is not what was exported"):
+    for path in (folder / FILES[form], folder / "patterns.csv"):
+        whole = path.read_bytes()
+        for content in (whole[:-9] + bytes([whole[-9] ^ 0x10]) + whole[-8:], whole[:-1], b""):
+            path.write_bytes(content)
+            with pytest.raises(InputError, match=rf"{path.name} is not what was exported"):
+                Patterns.read(folder).check()
+        path.unlink()
+        with pytest.raises(InputError, match=rf"{path.name} is missing"):
             Patterns.read(folder).check()
-    path.unlink()
-    with pytest.raises(InputError, match=rf"{path.name} is missing"):
-        Patterns.read(folder).check()
+        path.write_bytes(whole)
 
 
 def change(folder: Path, **changes: object) -> None:

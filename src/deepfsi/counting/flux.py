@@ -332,7 +332,7 @@ class Flux:
         segments = [slice(0, len(counts))]
         lit = np.flatnonzero(used)
         if brightness is not None:
-            segments = _find_segments(passes, allowed_ratio(brightness), chance)
+            segments = _find_segments(passes, _allowed_ratio(brightness), chance)
             line = _fit_decay(passes, segments, brightness)
             if line is not None:
                 every = np.interp(np.arange(len(used)), lit, line)
@@ -380,7 +380,7 @@ def _fit_decay(
     return np.asarray(np.exp(line)) if by_line < by_steps else None
 
 
-def allowed_ratio(brightness: Brightness) -> AllowedRatio:
+def _allowed_ratio(brightness: Brightness) -> AllowedRatio:
     """Ratio by which the mean brightness of two groups of scenes may differ."""
     low = brightness.low
     high = brightness.high

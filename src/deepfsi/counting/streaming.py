@@ -71,7 +71,7 @@ class FrameCounter:
         self._inputs = tuple(inputs)
         self._bit = marker_bit
         self._stream = PtuStream(stream)
-        self._windows: WindowCounter | None = None  # is made when the header has arrived
+        self._windows = WindowCounter(self._stream, self._inputs)
         self._told: list[FrameGates] = []  # lists of frames that are not due yet
         self._due: deque[_DueFrame] = deque()
         self._frame: _DueFrame | None = None  # the frame whose marker came last
@@ -118,17 +118,14 @@ class FrameCounter:
 
     def _add(self, part: Part) -> np.ndarray:
         """Count the next records; give the frames whose gates, and pictures, have ended."""
-        if self._windows is None:
-            self._windows = WindowCounter(self._stream, self._inputs)
-        windows = self._windows
         while self._told:
             self._plan(self._told.pop(0))
         part.check(self._stream.header.path)
         begun = map(self._begin, part.marks[part.bits & self._bit != 0].tolist())
         gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
-        windows.expect(*gates.T)
-        windows.add(part)
-        counts = np.concatenate([self._counts, windows.take()])
+        self._windows.expect(*gates.T)
+        self._windows.add(part)
+        counts = np.concatenate([self._counts, self._windows.take()])
         waits = 0 < len(counts) == self._begun and self._followed
         ready = len(counts) - waits
         self._counts = counts[ready:]

@@ -37,9 +37,7 @@ from deepfsi.patterns.manifest import Manifest
 class TableSettings(UserModel):
     """Settings with which a table is read."""
 
-    SCENE: ClassVar[str] = "scene"
-    LABEL: ClassVar[str] = "label"
-    WORDS: ClassVar[tuple[str, ...]] = (SCENE, LABEL)  # names of the columns of words
+    WORDS: ClassVar[tuple[str, ...]] = ("scene", "label")  # names of the columns of words
 
     photons: Positive | None = None  # budget of an exposure, counts
     background: Amount | None = None  # dark counts of an input in one exposure
@@ -191,8 +189,8 @@ def _find_scenes(
     table: NumberTable, exposures: int, name: str
 ) -> tuple[tuple[Scene, ...], np.ndarray]:
     """Scenes, and the scene of each exposure (E,): all are scenes of their own without names."""
-    names = table.words.get(TableSettings.SCENE)
-    labels = table.words.get(TableSettings.LABEL)
+    names = table.words.get("scene")
+    labels = table.words.get("label")
     scene_of = np.arange(exposures)
     if names is None:
         names = tuple(str(number + 1) for number in range(exposures))

@@ -249,15 +249,12 @@ class Patterns:
                 f"{frames}, {time_text(manifest.pass_s)} a pass, exposures up to "
                 f"{time_text(self._longest_s)}"
             )
-        elif looks.dictionary:
-            yield (
-                f"{frames}: {plural(looks.count, 'look')}, each at one of these masks by its "
-                "index; show them with `deepfsi camera live`"
-            )
         else:
+            loaded = f"a mask that is loaded before it, {device.load_us} µs each"
+            shown = "one of these masks by its index" if looks.dictionary else loaded
             yield (
-                f"{frames}: the mask of the first look, of {looks.count}; `deepfsi camera live` "
-                f"loads a new one before each look, {device.load_us} µs a frame on {device.name}"
+                f"{frames}: {plural(looks.count, 'look')}, each at {shown}; show them with "
+                "`deepfsi camera live`"
             )
         yield (
             f"cells of {grid.width} x {grid.height} mirrors on {grid.across * grid.width} x "
