@@ -53,8 +53,6 @@ class Noise(ABC):
     # Whether the mean count is the rate. Then `gradient` gives counts the gradient of their mean
     # and variance; draws of a biased noise bring their own
     unbiased: ClassVar[bool] = True
-    # Whether `mean` and `variance` are known and readouts are independent
-    has_moments: ClassVar[bool] = True
     numbers: ClassVar[tuple[str, ...]] = ()  # in which trainings side by side may differ
 
     @property
@@ -294,13 +292,12 @@ class Click(Noise):
 class _CustomNoise(Noise):
     """A user's own noise: a function from expected counts and a generator to counts.
 
-    Masks train through it if its draws have a gradient in the rates. Its mean and variance are
-    unknown.
+    Masks train through it if its draws have a gradient in the rates.
     """
 
     function: NoiseFunction  # counts of expected counts (..., m), drawn with a generator
     path: str = ""  # import path by which it was given, if it was
-    unbiased = has_moments = False
+    unbiased = False
     settings: ClassVar[dict[str, Any]] = {}
 
     @property
@@ -347,7 +344,6 @@ class Fluctuation(Noise):
 
     inner: Noise  # of the counts that this light gives
     fluctuation: float = 0.0  # σ, relative to the mean light
-    has_moments = False  # readouts of one frame are correlated
 
     @property
     def name(self) -> str:  # type: ignore[override]

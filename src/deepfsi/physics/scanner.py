@@ -116,14 +116,6 @@ class Scanner(nn.Module):
         read = self._readouts(rails, self.masks())
         return torch.where(read.active, self.noise.dark_counts(read.time), 0.0)
 
-    def moments(self, rates: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and variance (..., k) of features whose expected counts are `rates`."""
-        read = self._readouts(rates.shape[-2], self.masks())
-        alone = Readouts(*(tensor.unsqueeze(0) for tensor in read))  # each rail is a feature
-        power = self.noise.variance(Expectation(rates, rates, alone))
-        power = torch.where(read.active, power, 0.0).expand_as(rates)
-        return self.detection.features(self.noise.mean(rates)), self.detection.totals(power)
-
     def _readouts(self, count: int, rails: Rails) -> Readouts:
         """Readouts (..., rails, m · D): which rails are read out, and for how long."""
         arranged = rails.map(self.detection.arrange)
