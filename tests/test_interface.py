@@ -60,7 +60,7 @@ MISTAKES = [
     (deepfsi.Camera, {"device": {"columns": 3}}, "device.name: it is missing: give one"),
     (deepfsi.Training, {"classifier": None}, "classifier = None: give mlp, or"),
     (learn, {"photons": True}, "budget True is not allowed.* such as 1e4"),
-    (learn, {"photons": (1e3, 1e4)}, "is no number.*exposure=Range"),
+    (learn, {"photons": (1e3, 1e4)}, "is not allowed: give a number"),
     # nesting
     (learn, {"exposure": {"exposure": {"span": 4}}}, "an exposure has no setting 'exposure'"),
     (learn, {"training": {"training": {}}}, "training: there is no such setting: give one of"),

@@ -43,7 +43,6 @@ def test_a_camera_comes_back_from_json(given):
     ("given", "match"),
     [
         ("dmd-3x3", "did you mean 'dmd-2x2'|'dmd-4x4'"),
-        (5, "a camera cannot be 5: give a preset's name, a TOML file or its fields"),
         ({"ligth": "column"}, "no such setting: did you mean 'light'"),
         ({"device": "no.toml"}, "device = 'no.toml': no.toml is missing"),
         (

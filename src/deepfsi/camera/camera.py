@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from deepfsi.base.arrays import read_npy
-from deepfsi.base.errors import InputError, as_input_error, check_choice
+from deepfsi.base.errors import as_input_error, check_choice
 from deepfsi.base.files import read_toml
 from deepfsi.base.models import Seconds, UserModel
 from deepfsi.base.quantities import count_text, time_text
@@ -62,11 +62,10 @@ Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
 
 def _detectors(given: Any) -> str | tuple[int, ...]:
     """Field of a camera: a name, bands as text, or the detector of each pixel, or its .npy file."""
-    if isinstance(given, int):
-        given = str(given)
-    if isinstance(given, str) and re.fullmatch(r"[1-9]\d*(x[1-9]\d*)?", given.lower()):
-        return given.lower()
-    if isinstance(given, str) and given.lower().endswith(".npy"):
+    name = str(given).lower() if isinstance(given, str | int) else ""
+    if re.fullmatch(r"[1-9]\d*(x[1-9]\d*)?", name):
+        return name
+    if name.endswith(".npy"):
         given = read_npy(Path(given))
     labels = np.asarray(given).ravel()
     if labels.dtype.kind not in "iu":
@@ -125,9 +124,7 @@ class Camera(UserModel):
     rails: RailsKind = Field(
         default_factory=lambda fields: LIGHT_LAWS[fields["light"]].usual_rails,
         description="dual: signed masks of two frames each; single: non-negative masks; default: "
-        "dual for "
-        + " and ".join(name for name, law in LIGHT_LAWS.items() if law.usual_rails == "dual")
-        + ", else single",
+        "dual for column and two-arm, else single",
     )
     detectors: Annotated[str | tuple[int, ...], BeforeValidator(_detectors)] = Field(
         default="1x1",
@@ -259,8 +256,8 @@ class Camera(UserModel):
             for name in OF_NOISES.keys() - settings.keys():
                 if not getattr(noise, name):  # the source has it for another noise
                     fields.pop(name, None)
-        is_file = isinstance(source, str | os.PathLike) and str(source).lower().endswith(".toml")
-        with as_input_error(str(source) if is_file else ""):
+        name = str(source)
+        with as_input_error(name if name.lower().endswith(".toml") else ""):
             return cls.model_validate(fields)
 
     @classmethod
@@ -398,10 +395,6 @@ def _fields(source: CameraSource) -> dict[str, Any]:
         return source.given_fields
     if isinstance(source, Mapping):
         return dict(source)
-    if not isinstance(source, str | os.PathLike | None):
-        raise InputError(
-            f"a camera cannot be {source!r}: give a preset's name, a TOML file or its fields"
-        )
     name = "dmd" if source is None else os.fspath(source)
     if not name.lower().endswith(".toml"):
         check_choice("camera", name, PRESETS)
@@ -409,9 +402,9 @@ def _fields(source: CameraSource) -> dict[str, Any]:
     path = Path(name)
     fields = read_toml(path)
     for field in ("detectors", "device"):  # files are named from where the camera's file is
-        value = fields.get(field)
-        if isinstance(value, str) and value.lower().endswith((".npy", ".toml")):
-            fields[field] = str(path.parent / value)
+        name = str(fields.get(field))
+        if name.lower().endswith((".npy", ".toml")):
+            fields[field] = str(path.parent / name)
     return fields
 
 

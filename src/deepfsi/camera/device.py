@@ -54,7 +54,7 @@ class Device(UserModel):
     # It decides which frame files the device takes; "any" takes packed frames
     controller: Controller = "any"
     # Colours of a 24-bit picture in the order of bit positions, eight of each, lowest bit first
-    planes: str = "BGR"
+    planes: Literal["BGR", "BRG", "GBR", "GRB", "RBG", "RGB"] = "BGR"
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -62,8 +62,6 @@ class Device(UserModel):
             raise ValueError("shortest_us is above longest_us")
         if self.columns * self.rows > 2**25:
             raise ValueError("columns and rows make more than 33 million mirrors")
-        if sorted(self.planes) != sorted("BGR"):
-            raise ValueError("planes has to name B, G and R, in the order of bit positions")
         return self
 
     @property

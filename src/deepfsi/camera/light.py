@@ -32,11 +32,6 @@ TOO_DIM = 10.0
 
 def check_budget(photons: Any, name: str = "photon budget") -> float:
     """Return a photon budget as a float; `InputError` unless it is within `BUDGETS`."""
-    if isinstance(photons, tuple | list):
-        raise InputError(
-            f"photon budget {photons!r} is no number: give the lowest of a range, with "
-            "`exposure=Range(span=...)`, its highest divided by its lowest"
-        )
     try:
         number = math.nan if isinstance(photons, bool) else float(photons)
     except (TypeError, ValueError, OverflowError):
