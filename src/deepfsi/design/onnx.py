@@ -15,7 +15,6 @@ from torch import Tensor, nn
 
 from deepfsi.base.errors import InputError
 from deepfsi.design.design import Design
-from deepfsi.design.networks import Mlp
 from deepfsi.exposure.training_set import check_classes
 from deepfsi.physics.surroundings import library_defaults
 
@@ -64,26 +63,18 @@ def to_onnx(design: Design) -> bytes:
                 dynamo=False,
                 input_names=list(inputs),
                 output_names=[OUTPUT],
-                # every runtime since 2020 has 13; a network of one's own may need more
-                opset_version=13 if isinstance(design.classifier, Mlp) else 17,
+                opset_version=17,
                 dynamic_axes={name: {0: "batch"} for name in [*inputs, OUTPUT]},
             )
     except Exception as error:
         told = " ".join(str(error).split())[:200]
         raise InputError(f"the classifier cannot be exported, torch says: {told}") from error
     model = onnx.load_from_string(written.getvalue())
-    masks = design.mask_exposure
     about = {
         "schema": 1,  # of inputs, output and metadata
         "name": design.name,
-        "masks": design.masks,
-        "rails": design.rails.count,
-        "detectors": masks.detection.count,
-        "readout": masks.detection.readout,
-        "light": masks.light,
-        "summed_reflectance": masks.summed_reflectance,
-        "image_shape": list(design.image_shape),
-        "classes": list(design.classes),
+        "image_shape": design.image_shape,
+        "classes": design.classes,
     }
     onnx.helper.set_model_props(model, {key: json.dumps(one) for key, one in about.items()})
     model.producer_name = "deepfsi"
@@ -96,7 +87,7 @@ def to_onnx(design: Design) -> bytes:
     for batch in (*[1] * 8, 7):
         photons = 10 ** (6 * torch.rand(batch, generator=generator))
         scaled = 1 + torch.randn(batch, *shape, generator=generator)
-        light = photons.view(-1, *[1] * len(shape)) * masks.shares.mean().cpu()
+        light = photons.view(-1, *[1] * len(shape)) * design.exposure.shares.mean().cpu()
         counts = scaled.relu() * light
         wanted = graph(counts, photons).numpy()
         [given] = session.run(None, {"counts": counts.numpy(), "photons": photons.numpy()})

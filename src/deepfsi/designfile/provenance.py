@@ -105,14 +105,11 @@ def new_scenes(training: np.ndarray | None, data: Dataset) -> tuple[Dataset, str
     if count == 0:
         return data, None
     if count == len(old):
-        return data, f"all {count} test scenes were trained on: {NO_MEASURE}"
+        measure = "no number here says how good the design is"
+        return data, f"all {count} test scenes were trained on: {measure}"
     fresh = replace(data, x_test=data.x_test[~old], y_test=data.y_test[~old])
     was, are = ("was", "is") if count == 1 else ("were", "are")
     return fresh, f"{count} of the {len(old)} test scenes {was} trained on, and {are} left out"
-
-
-NO_MEASURE = "no number here says how good the design is"
-"""Said of answers to scenes that were all trained on."""
 
 
 def trained_camera(info: Mapping[str, Any]) -> Camera | None:

@@ -62,10 +62,6 @@ class Values:
             raise ValueError("scales are not those of the values")
         return cls(names, mean, std)
 
-    def standardised(self, values: Tensor) -> Tensor:
-        """Truth for a network of values (..., q)."""
-        return (values - self.mean) / self.std
-
     def estimated(self, outputs: Tensor) -> Tensor:
         """Values (..., q) of answers of a network, in their own units."""
         return self.mean + self.std * outputs
@@ -101,7 +97,9 @@ class TrainingSet:
     def truth_of(self, labels: np.ndarray) -> Tensor:
         """Classes (n,) of scenes on the device, or their standardised values (n, q)."""
         truth = torch.from_numpy(np.require(labels, requirements="W"))
-        return (self.values.standardised(truth) if self.values else truth).to(self.device)
+        if self.values:
+            truth = (truth - self.values.mean) / self.values.std
+        return truth.to(self.device)
 
     def of(self, data: Dataset) -> "TrainingSet":
         """Other scenes on the same device."""
