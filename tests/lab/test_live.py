@@ -115,7 +115,10 @@ def test_settings_that_cannot_be_are_refused(digits, patterns, tmp_path):
 
 @pytest.mark.parametrize(
     ("limits", "words"),
-    [({"video_us": 8333}, "takes no frame then"), ({"longest_us": 3000}, "for 3000 at most")],
+    [
+        ({"video_us": 8333}, "takes no frame then"),
+        ({"longest_us": 3000}, "shows a mask for .* to 0.003 s"),
+    ],
 )
 def test_devices_that_cannot_show_a_look_are_refused(digits, tmp_path, limits, words):
     device = DEVICE.model_copy(update=limits)

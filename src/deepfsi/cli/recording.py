@@ -121,7 +121,7 @@ class _DeviceRun(_Run):
         acquisition: Acquisition,
         terminal: Terminal,
         decision_s: float | None = None,
-    ) -> Setup[Any]:
+    ) -> Setup:
         """Devices of a run; to real ones someone shows the scenes, whose names are asked for."""
         if images is not None and projector is None:
             with terminal.progress("light of the scenes") as report:

@@ -176,11 +176,8 @@ def _find_flat(
     blur: tuple[float, float],
 ) -> np.ndarray:
     """Flat field (down, across) of a picture of uniform white, over its largest value."""
-    # A polynomial of the place, so that the noise of the picture's cells does not become part of
-    # the view; it follows what a lens does, but no dust. Cells that the display fills less than
-    # half have the value of the nearest cell that it fills
-    from scipy import ndimage
-
+    # A quadratic of the place, so that the noise of the picture's cells does not become part of the
+    # view: it follows what a lens does, but no dust
     view = geometry_matrix(image_shape, white.shape, homography, blur)
     filled = view.sum(axis=1).reshape(white.shape)
     lit = filled > 0.5
@@ -189,16 +186,12 @@ def _find_flat(
             "the picture of the white scene is dark, or the camera does not look at the display: "
             "take it again with a longer exposure"
         )
-    # Of degree 4, or less where a term would have fewer than four cells
-    terms = [(i, n - i) for n in range(5) for i in range(n + 1)][: max(1, int(lit.sum()) // 4)]
     down, across = (2 * (np.arange(n) + 0.5) / n - 1 for n in white.shape)
+    terms = [(i, degree - i) for degree in range(3) for i in range(degree + 1)]
     basis = np.stack([np.outer(down**i, across**j) for i, j in terms])
-    scaled = (basis * filled)[:, lit].T
-    weights, *_ = np.linalg.lstsq(scaled, white[lit], rcond=None)
-    flat = np.tensordot(weights, basis, 1).clip(0)
-    nearest = ndimage.distance_transform_edt(~lit, return_distances=False, return_indices=True)
-    flat = flat[tuple(nearest)]
-    return np.asarray(flat / flat.max())
+    weights, *_ = np.linalg.lstsq((basis * filled)[:, lit].T, white[lit], rcond=None)
+    flat = np.tensordot(weights, basis, 1)
+    return np.asarray((flat / flat[lit].max()).clip(0, 1))
 
 
 class DisplayedScenes:

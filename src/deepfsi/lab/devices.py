@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from io import FileIO
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -33,14 +33,15 @@ from deepfsi.lab.virtual_optics import (
 from deepfsi.patterns.folder import Patterns
 
 
-class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol):
-    """Micromirror device that holds frames and shows lists of them; each picture gives a marker.
-
-    Entering takes hold of the device; leaving stops it and lets go of it.
-    """
+class Projector(AbstractContextManager["Projector"], Protocol):
+    """Micromirror device; entering takes hold of it, leaving stops it and lets go of it."""
 
     def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
         """Bring the frames of patterns into the device, in place of earlier ones."""
+
+
+class StreamingProjector(Projector, Protocol):
+    """Device that holds frames and shows lists of them; each picture gives a marker."""
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
         """Replace a loaded frame by packed bits (rows, bytes), while no list is shown."""
@@ -55,15 +56,8 @@ class StreamingProjector(AbstractContextManager["StreamingProjector"], Protocol)
         """
 
 
-class PassProjector(AbstractContextManager["PassProjector"], Protocol):
-    """Micromirror device that shows passes; each frame begins with a marker.
-
-    Entering takes hold of the device; leaving stops it and lets go of it. Frames are held for the
-    picture times of the manifest.
-    """
-
-    def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
-        """Bring the frames of patterns into the device, in place of earlier ones."""
+class PassProjector(Projector, Protocol):
+    """Device that shows passes; each frame begins with a marker, and has the manifest's time."""
 
     def run(self) -> None:
         """Start one pass; may return before its end."""
@@ -96,14 +90,11 @@ class StreamingCounter(AbstractContextManager["StreamingCounter"], Protocol):
         """End the recording; its file is then whole."""
 
 
-Projector_co = TypeVar("Projector_co", bound=StreamingProjector | PassProjector, covariant=True)
-
-
 @dataclass(frozen=True)
-class Setup(Generic[Projector_co]):
+class Setup:
     """Devices of a run, and who shows its scenes."""
 
-    projector: Projector_co
+    projector: Any  # `StreamingProjector` of a live run, `PassProjector` of a recorded one
     counter: StreamingCounter
     display: Callable[[int], None]  # shows a scene by its number; returns when it has settled
     clock: Callable[[], float] = time.monotonic  # seconds
@@ -231,7 +222,7 @@ def virtual_setup(
     acquisition: Acquisition,
     report: Progress = SILENT,
     decision_s: float | None = None,
-) -> Setup[VirtualBench]:
+) -> Setup:
     """Virtual devices of a run, with the camera, flux, seed and wiring of its acquisition."""
     camera = VirtualCamera.model_validate(acquisition.camera)
     manifest = patterns.manifest

@@ -13,6 +13,7 @@ from collections.abc import Generator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from deepfsi.counting.recording import Recording
 from deepfsi.counting.streaming import FrameGates
 from deepfsi.designfile.provenance import was_trained_on
 from deepfsi.lab.design_data import open_design, shown_design
-from deepfsi.lab.devices import PassProjector, Setup, StreamingCounter, StreamingProjector
+from deepfsi.lab.devices import Setup, StreamingCounter
 from deepfsi.lab.results import LOG, MARGIN_NS, OFF, Decision, FrameList, LoggedList, LoggedScene
 from deepfsi.patterns.folder import Patterns
 from deepfsi.patterns.frames import make_frame
@@ -54,11 +55,6 @@ class LiveRun:
         Dead time of the counter, which is corrected.
     **others
         Fields of the `Acquisition`.
-
-    Raises
-    ------
-    InputError
-        If the patterns are of no such design, or the device cannot show its looks so.
     """
 
     def __init__(
@@ -106,7 +102,7 @@ class LiveRun:
                 **{"inputs": tuple(range(manifest.inputs)), **others},
             )
 
-    def steps(self, folder: Path, setup: Setup[StreamingProjector]) -> Generator[Decision]:
+    def steps(self, folder: Path, setup: Setup) -> Generator[Decision]:
         """Show, count and decide with devices, which are let go of at the end.
 
         Gives each decision as it falls; the last one of a scene has its answer. Scenes that are
@@ -155,7 +151,7 @@ class LiveRun:
             setup.counter.stop()
 
 
-def _margin_ns(gate_ns: np.ndarray) -> np.ndarray:
+def _margin_ns(gate_ns: np.ndarray | float) -> Any:
     """Time by which pictures outlast their gates, ns."""
     # Share of its gate by which a picture outlasts it at least, so that clocks may differ
     return np.maximum(MARGIN_NS, 2e-4 * gate_ns)
@@ -164,20 +160,15 @@ def _margin_ns(gate_ns: np.ndarray) -> np.ndarray:
 def _shortest_gate(manifest: Manifest, looks_s: np.ndarray) -> int:
     """Shortest gate of a run, ns; `InputError` where the device cannot show the looks (K,)."""
     device = manifest.device
-    look_s = float(looks_s.min())
-    look_ns = np.array(looks_s.max() * 1e9)
-    longest_us = float(look_ns + _margin_ns(look_ns)) * 1e-3 + device.settle_us
-    if longest_us > device.longest_us:
+    shortest_ns = device.shortest_us * 1000 - round(device.settle_us * 1000) - MARGIN_NS
+    shortest_ns = max(shortest_ns, 1)
+    longest_ns = looks_s.max() * 1e9
+    longest_us = (longest_ns + _margin_ns(longest_ns)) * 1e-3 + device.settle_us
+    if looks_s.min() * 1e9 < shortest_ns or longest_us > device.longest_us:
         raise InputError(
-            f"a look may show one mask for {longest_us:.4g} µs, and {device.name} holds a picture "
-            f"for {device.longest_us} at most: give a shorter `exposure`"
-        )
-    least_ns = device.shortest_us * 1000 - round(device.settle_us * 1000) - MARGIN_NS
-    shortest_ns = max(least_ns, 1)
-    if look_s * 1e9 < shortest_ns:
-        raise InputError(
-            f"a look of {look_s:.3g} s is shorter than the shortest that {device.name} shows, "
-            f"{shortest_ns / 1e3:g} µs: give a longer `exposure`"
+            f"looks of {looks_s.min():.3g} to {looks_s.max():.3g} s do not fit {device.name}, "
+            f"which shows a mask for {shortest_ns * 1e-9:.3g} to {device.longest_us * 1e-6:.3g} s: "
+            "give another `exposure`"
         )
     return shortest_ns
 
@@ -185,9 +176,7 @@ def _shortest_gate(manifest: Manifest, looks_s: np.ndarray) -> int:
 class _DeviceFrames:
     """Frames of a live run, shown and counted by devices list after list."""
 
-    def __init__(
-        self, setup: Setup[StreamingProjector], manifest: Manifest, settle_s: float
-    ) -> None:
+    def __init__(self, setup: Setup, manifest: Manifest, settle_s: float) -> None:
         self.lists: list[LoggedList] = []  # of the scene
         self.markers = 0  # of all lists so far
         self._setup = setup
@@ -278,7 +267,7 @@ def record_run(
     folder: Path,
     patterns: Patterns,
     acquisition: Acquisition,
-    setup: Setup[PassProjector],
+    setup: Setup,
     report: Progress | None = None,
 ) -> Generator[str]:
     """Show and record scene after scene; says the light of each when its pass has ended."""

@@ -31,24 +31,14 @@ class Predictions(ClassifiedRun):
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        return {
-            "photons": self.photons,
-            "noise": self.noise,
-            "preprocessing": self.preprocessing,
-            "remarks": self.remarks,
-            "classes": self.classes,
-            "score": self.score,
-            "pictures": [
-                {
-                    "picture": each.name,
-                    "class": each.predicted,
-                    "confidence": each.probability,
-                    "label": each.label,
-                    "trained_on": each.trained_on,
-                }
-                for each in self.scenes
-            ],
-        }
+        names = {"picture": "name", "class": "predicted", "confidence": "probability"}
+        names |= {"label": "label", "trained_on": "trained_on"}
+        alike = ("photons", "noise", "preprocessing", "remarks", "classes", "score")
+        content = {name: getattr(self, name) for name in alike}
+        content["pictures"] = [
+            {key: getattr(scene, name) for key, name in names.items()} for scene in self.scenes
+        ]
+        return content
 
 
 def predict(
