@@ -286,15 +286,6 @@ class _ClickingExposure(AdaptiveExposure):
 
         return expose
 
-    def look_by_look(
-        self, scene: Tensor, photons: float, generator: torch.Generator
-    ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Mask, mean scene and chances after each look at a scene (N,), up to the last."""
-        looks = ClickLooks(self.prior, self.settings, photons)
-        state = looks.posterior(1)
-        for step in looks.steps(state, scene[None], generator):
-            yield step.look.masks, state.scene, step.chances
-
 
 def blurred(data: Dataset) -> Dataset:
     """The data with training images that are blurred; other scenes along their only axis."""

@@ -12,7 +12,6 @@ from deepfsi.base.errors import InputError
 from deepfsi.design.design import Design
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi_clicks import clicking
-from shared.design_files import looks_at
 
 CAMERA = {"light": "free-dwell", "rails": "single", "noise": "click"}
 
@@ -190,13 +189,6 @@ def test_a_file_gives_the_same_exposures(made, data, tmp_path):
     [before] = deepfsi.evaluate(made, few, PHOTONS, draws=1)
     # components of the prior are stored in 8 bits
     assert results[0].counts == pytest.approx(before.counts, rel=0.2)
-
-
-def test_one_exposure_is_seen_look_by_look(made, data):
-    masks, scenes, chances = looks_at(made, data.x_test[0], PHOTONS)
-    assert len(masks) == len(scenes) == len(chances) <= LOOKS
-    assert set(np.unique(masks)) <= {0.0, 1.0}
-    assert chances.sum(axis=1) == pytest.approx(1, abs=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import pytest
 from conftest import exposing
 from deepfsi import learn, load_design
 from deepfsi.base.errors import InputError
-from deepfsi.camera.device import find_device
 from deepfsi.lab.design_data import design_rails
 from deepfsi.lab.live import LiveRun
 from deepfsi.lab.results import read_log
@@ -77,17 +76,6 @@ def test_decisions_are_those_of_the_design(digits, patterns, tmp_path):
     decided = run(tmp_path / "run", patterns, digits, count=100)
     design = load_design(patterns.parent / "adaptive.safetensors")
     check_accuracy(decided, design, digits, FLUX * EXPOSURE_S)
-
-
-def test_a_device_that_loads_no_frame_while_it_runs_is_refused(patterns, tmp_path):
-    rails = design_rails(patterns.parent / "adaptive.safetensors")
-    with pytest.raises(
-        InputError, match="dlp6500 takes no frame then: use a device that does, such as dlp7000"
-    ):
-        Patterns.from_rails(rails, find_device("dlp6500"), 1e-3, format="planes").write(
-            tmp_path / "other"
-        )
-    assert not list(tmp_path.iterdir())
 
 
 def test_another_design_beside_the_first_mask_is_refused(patterns, tmp_path):

@@ -18,7 +18,7 @@ from deepfsi.datasets.dataset import Dataset
 from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile.provenance import new_scenes
-from deepfsi.evaluation.measures import MOST_DRAWS, Answers, ClassAnswers, ValueAnswers
+from deepfsi.evaluation.measures import Answers, ClassAnswers, ValueAnswers
 from deepfsi.evaluation.results import Estimates, Result
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, CountedLight
 from deepfsi.physics.surroundings import library_defaults
@@ -80,7 +80,6 @@ def evaluate(
         data = as_test_part(*data, design.image_shape, design.classes, names)
     scenes, left = new_scenes(design.training_scenes, as_dataset(data))
     check_data(design, scenes)
-    check_draws(draws, seed)
     camera = camera_for(design, camera, **settings)
     known = ["the variance of the values is taken as known"] if names else []
     covers = "; ".join([COVERS, *known, *([left] if left else [])])
@@ -201,12 +200,3 @@ def check_data(design: Design, data: Dataset) -> None:
             for names, classes in ((data.values, data.classes), (values, design.classes))
         )
         raise InputError(f"{data.name} has {here}, and the design answers {there}: use such data")
-
-
-def check_draws(draws: object, seed: object) -> None:
-    """Raise `InputError` unless the number of draws and the seed are allowed."""
-    whole = int, np.integer
-    if not isinstance(seed, whole) or not 0 <= seed < 2**63:
-        raise InputError(f"seed {seed} is not allowed: give a whole number from 0 to 2⁶³ − 1")
-    if not isinstance(draws, whole) or not 1 <= draws <= MOST_DRAWS:
-        raise InputError(f"{draws} noise draws are not allowed: give 1 to {MOST_DRAWS}")

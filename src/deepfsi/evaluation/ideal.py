@@ -24,7 +24,6 @@ from deepfsi.evaluation.accuracy import (
     Guess,
     Guessed,
     check_data,
-    check_draws,
     expose_scenes,
 )
 from deepfsi.evaluation.measures import ClassAnswers
@@ -124,7 +123,6 @@ def ideal_observer(
     budgets = [check_budget(b) for b in np.atleast_1d(np.asarray(photons, dtype=object))]
     scenes, _ = new_scenes(design.training_scenes, as_dataset(data))
     check_classes(scenes.values, "the ideal observer")
-    check_draws(draws, seed)
     check_data(design, scenes)
     design.exposure.check("ideal observer")
     scanner = design.scanner()

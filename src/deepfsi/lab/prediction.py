@@ -96,7 +96,7 @@ def predict(
     """
     import torch
 
-    from deepfsi.evaluation.accuracy import camera_for, check_draws
+    from deepfsi.evaluation.accuracy import camera_for
     from deepfsi.exposure.kind import EXPOSED_AT_ONCE
     from deepfsi.exposure.training_set import check_classes
     from deepfsi.physics.surroundings import library_defaults
@@ -110,7 +110,6 @@ def predict(
             "pictures, or an array of numbers"
         )
     check_classes(design.values, "predict")
-    check_draws(1, seed)
     with library_defaults(grad=False):
         tested = camera_for(design, camera=camera, **settings)
         if photons is None:
