@@ -91,7 +91,7 @@ REFUSED = {
         --projector dlp | unknown projector
         --projector vialux | do not go together
         --until 2 | --until between 0 and 1
-        --exposure 1e9s | hold
+        --exposure 1e9s | do not fit
         --flux 1e14 | flux
         --input 40 --input 41 | inputs
     """,

@@ -274,10 +274,7 @@ def _test(
     noise = counts.background.clip(min=0) * number + counts.excess.sum(axis=1, where=exposures)
     light = budgets * usable.sum(axis=1)
     seen = np.flatnonzero(light)
-    consistency = None
-    if design.distribution is not None:
-        read, beyond = (design.readouts(values[seen]) for values in (sums, noise))
-        consistency = design.consistency(read, light[seen], beyond)
+    consistency = test.compare(sums[seen], light[seen], noise[seen])
     rails = design.rails.stacked.cpu().numpy().astype(float)
     two_arms = LIGHT_LAWS[design.mask_exposure.light].arms == 2
     arms = np.arange(len(rails))[:, None] * two_arms

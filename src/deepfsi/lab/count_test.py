@@ -12,7 +12,7 @@ import numpy as np
 
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.counting.checks import Fault
-from deepfsi.designfile.distribution import REFUSED, UNSURE
+from deepfsi.designfile.distribution import REFUSED, UNSURE, ConsistencyResult
 from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
 
 if TYPE_CHECKING:  # it imports torch, which the command line loads late
@@ -51,6 +51,15 @@ class CountTest:
             )
             for scene in np.flatnonzero(budgets * TOO_DIM < self._trained).tolist()
         ]
+
+    def compare(
+        self, counts: np.ndarray, photons: np.ndarray, noise: np.ndarray
+    ) -> ConsistencyResult | None:
+        """Compare the counts (S, rails, m[, D]) of scenes with the training's, if that is known."""
+        design = self._design
+        if design.distribution is None:
+            return None
+        return design.consistency(design.readouts(counts), photons, design.readouts(noise))
 
     def find_unlike(self, scene: int, scenes: int, chance: float, misfit: str) -> list[Fault]:
         """Faults of a scene of a live run, whose misfit has this chance in a sound run."""

@@ -187,10 +187,7 @@ def shown_scenes(source: Path, patterns: Patterns) -> tuple["Display", tuple[Sce
 
 def listed_scenes(source: Path, patterns: Patterns) -> tuple[Scene, ...]:
     """Scenes that someone shows to a camera."""
-    suffix = source.suffix.lower()
-    if suffix in (".txt", ".csv") and not source.exists():
-        raise InputError(f"there is nothing at {source}: give a list of scenes, or their pictures")
-    if source.is_file() and suffix in ("", ".txt", ".csv"):
+    if source.suffix.lower() in ("", ".txt", ".csv") and not source.is_dir():
         with as_input_error(str(source)):
             return tuple(Scene(name=name, label=label) for name, label in read_scene_list(source))
     return shown_scenes(source, patterns)[1]
