@@ -2,18 +2,16 @@
 
 import csv
 import itertools
-import json
 from dataclasses import replace
 from functools import cache
 
-import numpy as np
 import pytest
 
 from deepfsi.base.errors import InputError
 from deepfsi_paper import experiment, mlgauss, studies
 from deepfsi_paper.indian_pines import claims as indian_pines
 from deepfsi_paper.mnist import accuracy as mnist
-from shared.experiments import DRAWS, EVERY, run_all
+from shared.experiments import EVERY, run_all
 from shared.pages import assert_headed
 from shared.results import a_point, of_three, some_results
 
@@ -48,14 +46,6 @@ def test_every_experiment_ends_in_a_section(folder):
         for rows in (table(folder / name) for name in section.files):
             assert rows
             assert all(0 <= float(row["accuracy"]) <= 1 for row in rows)
-
-
-@pytest.mark.slow
-def test_rates_of_the_laboratory_are_of_all_its_draws_and_digits(folder):
-    extra = json.loads((folder / "hardware.json").read_text())["extra"]
-    rates = [one["rates"] for one in extra["tests"]]
-    assert rates
-    assert {np.shape(each) for each in rates} == {(1, DRAWS, 10)}  # of one training each
 
 
 @pytest.mark.slow

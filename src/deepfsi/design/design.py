@@ -4,7 +4,7 @@ import os
 from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
-from typing import Any, Self, get_args
+from typing import Any, Self, cast, get_args
 
 import numpy as np
 import torch
@@ -99,8 +99,7 @@ class Design:
     def mask_exposure(self) -> MaskExposure:
         """The exposure, or `InputError` for adaptive masks."""
         self.exposure.check("masks")
-        assert isinstance(self.exposure, MaskExposure)
-        return self.exposure
+        return cast(MaskExposure, self.exposure)
 
     @property
     def prior_exposure(self) -> AdaptiveExposure:

@@ -148,6 +148,7 @@ class Replicas(nn.Module):
             return
         for layers in zip(*(network.layers for network in networks), strict=True):
             weights, biases = zip(*(layer.parameters() for layer in layers), strict=True)
+            # (R, inputs, outputs), as a batched product takes them without a transpose in each step
             self.weights.append(torch.stack([weight.detach().T for weight in weights]))
             self.biases.append(torch.stack([bias.detach()[None] for bias in biases]))
 

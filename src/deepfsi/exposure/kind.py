@@ -326,6 +326,7 @@ def temperatures_at(fitted: Temperatures, place: Tensor | int, photons: Tensor |
     logs = torch.from_numpy(fitted.logs).to(level)
     rows = _hats(torch.as_tensor(place).to(level), len(logs)) @ logs
     log = (rows * _hats(level, logs.shape[1])).sum(dim=-1, keepdim=True)
+    # Features are divided by the budget: in less light their noise grows as 1 / Φ, and logits do
     return (log - level.clamp(max=0) * step).exp()
 
 
