@@ -125,18 +125,6 @@ def test_alike_designs_are_told_apart_in_at_most_five_of_a_hundred_studies(image
     assert told <= stats.binom.ppf(1 - 3e-5, 400, 0.05)
 
 
-def test_pairs_tell_apart_what_intervals_beside_each_other_do_not():
-    """What makes an image hard for both designs cancels."""
-    rng = np.random.default_rng(1)
-    apart = overlapping = 0
-    for _ in range(100):
-        one, other = answers(rng, 400, 1, 0.3)
-        apart += paired_difference(one, other).low > 0
-        overlapping += accuracy_interval(one).low <= accuracy_interval(other).high
-    assert apart >= 80
-    assert overlapping >= 80
-
-
 def test_points_are_paired_by_the_terms_of_their_images():
     one, other = answers(np.random.default_rng(0), 60, 2, 0.5)
     points = [

@@ -100,7 +100,7 @@ ONE_BLOCK = zeros(np.s_[:4, :2], np.s_[:4, 2:4])
         (lambda: image(cube=LABELS), ("cube is of shape (60, 60),", "(height, width, bands)")),
         (lambda: image(cube=np.where(CUBE == 300, np.nan, CUBE)), ("NaN",)),
         (lambda: image(labels=LABELS[:-1]), ("map uint8 of shape (59, 60)", "(height, width)")),
-        (lambda: image(labels=LABELS // 4), ("of one class", "two or more")),
+        (lambda: image(labels=LABELS // 4), ("two classes or more",)),
         (lambda: IMAGE.parts("block"), ("unknown split 'block'", "'blocks'")),
         (lambda: image(labels=SMALL).parts(), ("class '1' has 4 pixels", "5 or more")),
         (lambda: image(labels=ONE_BLOCK).parts("blocks"), ("no choice of blocks", "at random")),

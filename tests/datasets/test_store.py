@@ -104,13 +104,6 @@ def test_no_mirror_gives_a_file(server, tmp_path):
     assert kept == sorted(FILES[:2]), "nothing half-written"
 
 
-def test_a_damaged_file_in_the_cache_is_downloaded_again(server, tmp_path):
-    fill(tmp_path / "first")
-    fill(tmp_path / "cache" / "mnist", **{FILES[3]: b"damaged"})
-    assert_tiny(load_dataset("mnist"))
-    assert server.requests == [f"/first/{FILES[3]}"]
-
-
 def test_deepfsi_data_comes_first_and_needs_the_folder(server, tmp_path, monkeypatch):
     monkeypatch.setenv("DEEPFSI_DATA", str(tmp_path / "mine"))
     fill(tmp_path / "mine")

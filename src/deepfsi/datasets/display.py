@@ -44,19 +44,13 @@ def array_display(pictures: npt.ArrayLike, white: float | None = None) -> Displa
     levels = measure_levels({"pictures": values}, white)
     names = tuple(map(str, range(len(values))))
     x = reflectance(values, levels)
-    return Display(names, None, x=x, levels=levels, preprocessing=levels.words, written=0)
+    return Display(names, None, x, levels, levels.words, written=0)
 
 
 def read_display(
-    path: str | os.PathLike[str],
-    white: float | None = None,
-    shape: PictureSize | None = None,
+    path: str | os.PathLike[str], white: float | None = None, shape: PictureSize | None = None
 ) -> Display:
-    """Read a picture, a folder of some, or a folder with one for each class.
-
-    They are of equal size and depth, and turned to grey. `shape` is the height and width that they
-    are brought to, by averaging over areas.
-    """
+    """Read a picture, a folder of some, or a folder of folders of classes; average to a shape."""
     source = Path(path)
     labels: tuple[str, ...] | None = None
     if source.is_file():
@@ -69,16 +63,10 @@ def read_display(
         pictures = [picture for part in list_pictures(source) for picture in part]
         labels = tuple(map(class_name, pictures))
     folder = source.parent if source.is_file() else source
-    pixels, levels, words, written = read_pictures(pictures, shape, white)
-    names = [picture.relative_to(folder).as_posix() for picture in pictures]
-    return Display(
-        names=tuple(map(readable_name, names)),
-        labels=labels,
-        x=reflectance(pixels, levels),
-        levels=levels,
-        preprocessing=words,
-        written=written,
-    )
+    read = read_pictures(pictures, shape, white)
+    names = [readable_name(picture.relative_to(folder).as_posix()) for picture in pictures]
+    x = reflectance(read.values, read.levels)
+    return Display(tuple(names), labels, x, read.levels, read.words, read.written)
 
 
 def read_scene_list(path: Path) -> list[tuple[str, str | None]]:
@@ -93,10 +81,10 @@ def read_scene_list(path: Path) -> list[tuple[str, str | None]]:
         heads = [(head or "").lower() for head in cells.row(0)]
         if heads[0] in ("name", "scene") or heads[1:] in (["label"], ["class"]):
             cells = cells[1:]
-    if not cells.height:
-        raise InputError(f"{path} has no scenes: {advice}")
-    if cells.width > 2 or cells.to_series(0).null_count():
-        raise InputError(f"{path} has a line that is not NAME or NAME,LABEL: {advice}")
+    if not cells.height or cells.width > 2 or cells[:, 0].null_count():
+        raise InputError(
+            f"{path} has no scenes, or a line that is not NAME or NAME,LABEL: {advice}"
+        )
     return [
         (name, normal_name(label[0]) if any(label) else None) for name, *label in cells.iter_rows()
     ]

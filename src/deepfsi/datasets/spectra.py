@@ -44,14 +44,13 @@ class SpectralImage:
         cube = self.cube
         labels = self.labels
         fits = cube.ndim == 3 and cube.size and labels.shape == cube.shape[:2]
-        if not fits or labels.dtype.kind not in "ui" or not np.isfinite(cube).all():
+        whole = labels.dtype.kind in "ui" and len(self.present) > 1
+        if not (fits and whole and np.isfinite(cube).all()):
             raise InputError(
                 f"{self.name}: the cube is of shape {cube.shape}, the label map {labels.dtype} of "
                 f"shape {labels.shape}; give (height, width, bands) without NaN, and integers "
-                "(height, width), 0 where there is no label"
+                "(height, width) of two classes or more, 0 where there is no label"
             )
-        if len(self.present) < 2:
-            raise InputError(f"{self.name}: its labels are of one class or none; give two or more")
 
     @cached_property
     def present(self) -> npt.NDArray[np.integer]:
