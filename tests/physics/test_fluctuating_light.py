@@ -1,5 +1,7 @@
 """Light that fluctuates from frame to frame: moments, what is alike in a frame, and training."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor
@@ -20,7 +22,7 @@ APART = torch.stack([SIGNED.clamp(min=0), (-SIGNED).clamp(min=0)])
 AT_ONCE = torch.stack([0.5 + SIGNED, 0.5 - SIGNED]) / 2
 """Rails (2, m, N) that one arm shows one after the other, and that two arms see at once."""
 
-FLUCTUATION = noise_module.Fluctuation(Poisson(), SIGMA)
+FLUCTUATION = Poisson(fluctuation=SIGMA)
 OPTICS = {
     "one rail": (APART[:1] + 0.1, [[0], [1]]),
     "one after the other": (APART, [[0, 2], [1, 3]]),
@@ -70,9 +72,7 @@ def test_features_of_a_training_have_the_same_law(optics, readout, inner):
     rates = scanner.rates(LIGHT)
     mean, total = detection.features(rates), detection.totals(rates)
     read = type(read)(*(each.unsqueeze(1) for each in read))
-    noise = TrainingNoise.of(
-        [noise_module.Fluctuation(inner, SIGMA)], [gain], [1], torch.device("cpu")
-    )
+    noise = TrainingNoise.of([replace(inner, fluctuation=SIGMA)], [gain], [1], torch.device("cpu"))
     pair = (each.expand(DRAWS, 1, len(mean)) / gain for each in (mean, total))
     drawn = noise.features(*pair, read, lambda count: torch.zeros(0))[:, 0] * gain
     every = covariance(rates.flatten(), frames_of(optics, 2))

@@ -62,7 +62,7 @@ def learned(light: str, rails: str, single_signed: bool = False) -> LearnedMasks
     return masks
 
 
-FLUCTUATING = noise.Fluctuation(noise.Poisson(), 0.2)
+FLUCTUATING = noise.Poisson(fluctuation=0.2)
 
 
 @pytest.mark.parametrize("light", ["column", "free-dwell", "two-arm"])

@@ -4,7 +4,7 @@
     poisson   y ~ Poisson(r)                 ml_gauss  y = r + √r ε
     camera    y ~ Poisson(r + d) − d + σ ε   click     y ~ Binomial(G, 1 − exp(−r / G))
 
-ε is standard normal. `Fluctuation` makes the light r of some frames brighter and of some dimmer. A
+ε is standard normal. Light that fluctuates is brighter in one frame and dimmer in the next. A
 feature is y⁺ − y⁻ of two rails, or y of a single rail. Masks train under counts drawn rail by rail,
 too, with the gradient of `attach_gradient`. A rail that is dark by construction is not read out and
 adds no noise.
@@ -13,7 +13,7 @@ adds no noise.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, NamedTuple, Self
 
 import torch
@@ -41,15 +41,23 @@ class Expectation(NamedTuple):
     gain: Tensor | float = 1.0  # counts of a unit
 
 
+@dataclass(frozen=True)
 class Noise(ABC):
-    """Noise of the readouts of a camera.
+    """Noise of the readouts of a camera, and of its light.
 
     Its numbers are floats, or tensors (R, 1) for R trainings side by side.
+
+    The light of a frame is r (1 + ε), where ε has the mean 0 and the standard deviation σ of
+    `fluctuation`. All detectors share it, and so do two arms that see one frame: this adds
+    σ² (r⁺ − r⁻)² to the variance of steady light. Two frames, one after the other, add
+    σ² (r⁺² + r⁻²). 1 + ε is log-normal, so that no light is negative. Source:
+    docs/notebook/flicker.md.
     """
 
+    fluctuation: float = field(default=0.0, kw_only=True)  # σ, relative to the mean light
     name: ClassVar[str]  # as a camera names it; a user's noise has its import path
-    draws_rails: ClassVar[bool] = True  # draws each rail, not one normal number for each feature
-    of_light: ClassVar[bool] = True  # whether draws depend on the light
+    one_draw: ClassVar[bool] = False  # one normal number for each feature of steady light
+    light_free: ClassVar[bool] = False  # its draws of steady light do not depend on the light
     # Whether the mean count is the rate. Then `gradient` gives counts the gradient of their mean
     # and variance; draws of a biased noise bring their own
     unbiased: ClassVar[bool] = True
@@ -62,11 +70,27 @@ class Noise(ABC):
 
     def __call__(self, rates: Tensor, random: Random = None) -> Tensor:
         """Counts of rates (..., m) in a whole exposure."""
-        return self.draw(rates, random, self.dark_counts(1.0))
+        light = rates * self.brightness(rates, random) if self.fluctuation else rates
+        return self.draw(light, random, self.dark_counts(1.0))
+
+    @property
+    def draws_rails(self) -> bool:
+        """Whether each rail is drawn, and not one normal number for each feature."""
+        return bool(self.fluctuation) or not self.one_draw
+
+    @property
+    def of_light(self) -> bool:
+        """Whether draws depend on the light."""
+        return bool(self.fluctuation) or not self.light_free
+
+    def brightness(self, like: Tensor, random: Random = None) -> Tensor:
+        """1 + ε of frames, log-normal, in the shape of a tensor."""
+        sigma = math.sqrt(math.log1p(self.fluctuation**2))
+        return torch.exp(sigma * normal(like, random) - sigma**2 / 2)
 
     @abstractmethod
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
-        """Counts of rails (...) that are read out, with dark counts from `dark_counts`."""
+        """Counts of rails (...) of steady light, with dark counts from `dark_counts`."""
 
     def sample(
         self,
@@ -76,7 +100,13 @@ class Noise(ABC):
         random: Random = None,
         rails: int = -2,
     ) -> Tensor:
-        """Counts of rails from `draw`; rails that are not read out count 0."""
+        """Counts of rails; one frame has one brightness, rails that are not read out count 0."""
+        if self.fluctuation:
+            shape = rates.movedim(rails, -2).shape
+            every = rates.new_empty(*shape[:-2], 2 * shape[-1])  # room for each frame
+            frame = read.frame.movedim(rails, -2).expand(shape).flatten(-2)
+            light = self.brightness(every, random).gather(-1, frame)
+            rates = rates * light.unflatten(-1, shape[-2:]).movedim(-2, rails)
         if not self.unbiased:
             rates = torch.where(read.active, rates, 1.0)  # the slope of a root at 0 is infinite
         return torch.where(read.active, self.draw(rates, random, dark), 0.0)
@@ -90,7 +120,17 @@ class Noise(ABC):
         return rates
 
     def variance(self, light: Expectation) -> Tensor:
-        """Variance (..., k) of y⁺ − y⁻, in units of `gain` counts; for photons it is the total."""
+        """Variance (..., k) of y⁺ − y⁻, in units of `gain` counts."""
+        steady = self.steady_variance(light)
+        if not self.fluctuation:
+            return steady
+        apart = (light.total.square() + light.mean.square()) / 2
+        at_once = light.read.frame[0] == light.read.frame[-1]
+        bright = torch.where(at_once, light.mean.square(), apart)
+        return steady + self.fluctuation**2 * light.gain * bright
+
+    def steady_variance(self, light: Expectation) -> Tensor:
+        """Variance (..., k) under steady light; for photons it is the total."""
         return light.total
 
     def gradient(self, counts: Tensor, light: Expectation) -> Tensor:
@@ -113,16 +153,16 @@ class Noise(ABC):
     def of_jobs(self, jobs: int | slice) -> Self:
         """Noise of some of the trainings side by side."""
         own = {name: getattr(self, name)[jobs] for name in self.numbers}
-        return replace(self, **own)  # type: ignore[type-var]
+        return replace(self, **own)
 
     @classmethod
     def side_by_side(cls, noises: Sequence[Self], device: torch.device) -> Self:
         """One noise with the numbers (R, 1) of R trainings that differ in these alone."""
-        every = {
+        every: dict[str, Any] = {
             name: torch.tensor([getattr(noise, name) for noise in noises], device=device)[:, None]
             for name in cls.numbers
         }
-        return replace(noises[0], **every)  # type: ignore[type-var]
+        return replace(noises[0], **every)
 
 
 @dataclass(frozen=True)
@@ -130,13 +170,13 @@ class _NoNoise(Noise):
     """No noise: counts are the rates, y = r."""
 
     name = "none"
-    draws_rails = of_light = False
+    one_draw = light_free = True
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """The rates."""
         return rates
 
-    def variance(self, light: Expectation) -> Tensor:
+    def steady_variance(self, light: Expectation) -> Tensor:
         """Zero."""
         return torch.zeros_like(light.read.lit, dtype=light.total.dtype)
 
@@ -151,13 +191,13 @@ class Gaussian(Noise):
     sigma: float | Tensor = 1.0
     name = "gaussian"
     numbers = ("sigma",)
-    draws_rails = of_light = False
+    one_draw = light_free = True
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """Rates with read noise."""
         return rates + self.sigma * normal(rates, random)
 
-    def variance(self, light: Expectation) -> Tensor:
+    def steady_variance(self, light: Expectation) -> Tensor:
         """σ² for each rail that is read out."""
         return self.sigma**2 * light.read.lit.to(light.total.dtype) / light.gain
 
@@ -177,7 +217,7 @@ class _MlGauss(Noise):
     """
 
     name = "ml_gauss"
-    draws_rails = False
+    one_draw = True
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """Rates with normal noise whose variance is the rate."""
@@ -240,7 +280,7 @@ class _CameraNoise(Noise):
         """D t."""
         return self.dark * time
 
-    def variance(self, light: Expectation) -> Tensor:
+    def steady_variance(self, light: Expectation) -> Tensor:
         """R + d + σ² of each rail that is read out."""
         dark = self.dark_counts(light.read.time.sum(dim=0))
         read_noise = self.sigma**2 * light.read.lit.to(light.total.dtype)
@@ -280,7 +320,7 @@ class Click(Noise):
         """G p."""
         return -self.gates * torch.expm1(-rates / self.gates)
 
-    def variance(self, light: Expectation) -> Tensor:
+    def steady_variance(self, light: Expectation) -> Tensor:
         """Sum of G p (1 − p) over the rails."""
         rails = [light.total + light.mean, light.total - light.mean]
         rates = (light.gain / 2 * rail for rail in rails)
@@ -298,12 +338,16 @@ class _CustomNoise(Noise):
     function: NoiseFunction  # counts of expected counts (..., m), drawn with a generator
     path: str = ""  # import path by which it was given, if it was
     unbiased = False
-    settings: ClassVar[dict[str, Any]] = {}
 
     @property
     def name(self) -> str:  # type: ignore[override]
         """Import path of the function."""
         return self.path or noise_name(self.function)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The fluctuation: a camera has no field for others."""
+        return {"fluctuation": self.fluctuation}
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
         """Counts that the function gives."""
@@ -332,89 +376,6 @@ class _CustomNoise(Noise):
             )
 
 
-@dataclass(frozen=True)
-class Fluctuation(Noise):
-    """Light that is brighter in one frame and dimmer in the next, before another noise.
-
-    The rates of a frame are r (1 + ε), where ε has the mean 0 and the standard deviation σ. All
-    detectors share it, and so do two arms that see one frame: this adds σ² (r⁺ − r⁻)² to the
-    variance of the inner noise. Two frames, one after the other, add σ² (r⁺² + r⁻²). 1 + ε is
-    log-normal, so that no light is negative. Source: docs/notebook/flicker.md.
-    """
-
-    inner: Noise  # of the counts that this light gives
-    fluctuation: float = 0.0  # σ, relative to the mean light
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """Name of the inner noise."""
-        return self.inner.name
-
-    @property
-    def unbiased(self) -> bool:  # type: ignore[override]
-        """Whether the inner noise is."""
-        return self.inner.unbiased
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Numbers of both."""
-        return {**self.inner.settings, "fluctuation": self.fluctuation}
-
-    def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
-        """Counts of rails, each in its own frame."""
-        return self.inner.draw(rates * self.brightness(rates, random), random, dark)
-
-    def sample(
-        self,
-        rates: Tensor,
-        read: Readouts,
-        dark: Tensor | float = 0.0,
-        random: Random = None,
-        rails: int = -2,
-    ) -> Tensor:
-        """Counts of rails; one frame has one brightness."""
-        shape = rates.movedim(rails, -2).shape
-        every = rates.new_empty(*shape[:-2], 2 * shape[-1])  # room for each frame
-        frame = read.frame.movedim(rails, -2).expand(shape).flatten(-2)
-        light = self.brightness(every, random).gather(-1, frame)
-        factor = light.unflatten(-1, shape[-2:]).movedim(-2, rails)
-        return self.inner.sample(rates * factor, read, dark=dark, random=random, rails=rails)
-
-    def dark_counts(self, time: Tensor | float) -> Tensor | float:
-        """Dark counts of the inner noise: they do not fluctuate."""
-        return self.inner.dark_counts(time)
-
-    def mean(self, rates: Tensor) -> Tensor:
-        """Mean of the inner noise."""
-        return self.inner.mean(rates)
-
-    def variance(self, light: Expectation) -> Tensor:
-        """Variance of the inner noise plus σ² (r⁺² + r⁻²), or σ² (r⁺ − r⁻)² in one frame."""
-        apart = (light.total.square() + light.mean.square()) / 2
-        at_once = light.read.frame[0] == light.read.frame[-1]
-        bright = torch.where(at_once, light.mean.square(), apart)
-        return self.inner.variance(light) + self.fluctuation**2 * light.gain * bright
-
-    def check(self, learning: bool) -> None:
-        """Raise `InputError` unless masks can learn under the inner noise."""
-        self.inner.check(learning)
-
-    def of_jobs(self, jobs: int | slice) -> Self:
-        """Noise of some of the trainings side by side; all have the same σ."""
-        return replace(self, inner=self.inner.of_jobs(jobs))
-
-    @classmethod
-    def side_by_side(cls, noises: Sequence[Self], device: torch.device) -> Self:
-        """One noise with the numbers of R trainings; all have the same σ."""
-        inner = [noise.inner for noise in noises]
-        return replace(noises[0], inner=type(inner[0]).side_by_side(inner, device))
-
-    def brightness(self, like: Tensor, random: Random = None) -> Tensor:
-        """1 + ε of frames, log-normal, in the shape of a tensor."""
-        sigma = math.sqrt(math.log1p(self.fluctuation**2))
-        return torch.exp(sigma * normal(like, random) - sigma**2 / 2)
-
-
 def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
     """Noise of a name, an import path or a function."""
     if isinstance(setting, Noise):
@@ -440,7 +401,7 @@ def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
             '`noise="camera"` with them'
         )
     fluctuation = numbers.get("fluctuation", 0.0)
-    return Fluctuation(noise, fluctuation) if fluctuation else noise
+    return replace(noise, fluctuation=fluctuation) if fluctuation else noise
 
 
 def noise_of(camera: Camera, noise: str | NoiseFunction | None = None) -> Noise:
