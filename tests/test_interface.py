@@ -55,7 +55,6 @@ MISTAKES = [
     # types
     (learn, {"masks": "ten"}, "masks = 'ten': give a whole number"),
     (learn, {"design": 3}, "unknown design '3': give one of"),
-    (evaluate, {"draws": 1.5}, "1.5 noise draws are not allowed: give 1 to"),
     (evaluate, {"photons": [1e3, None]}, "photon budget None is not allowed"),
     (deepfsi.Camera, {"device": {"columns": 3}}, "device.name: it is missing: give one"),
     (deepfsi.Training, {"classifier": None}, "classifier = None: give mlp, or"),
