@@ -104,7 +104,8 @@ def looks(names):
 def drawn(places, lines, x, y, log=False):
     """Figure of lines with their intervals, or of bars."""
     bars = isinstance(places[0], str)
-    columns = style.columns(lines, 4.4, style.STYLE["font.size"])
+    widest = max(map(len, lines))
+    columns = max(1, int(4.4 / (0.5 + 0.072 * widest)))  # of a key that fits, in inches
     under = 0.18 * max(0, -(-len(lines) // columns) - FEW_ROWS)
     tall = 0.8 + 0.24 * len(places) * max(len(lines), 1.3) if bars else 3.1 + under
     figure = Figure((4.5, tall), layout="constrained")
