@@ -17,7 +17,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import check_budget
 from deepfsi.camera.names import NoiseName
 from deepfsi.design.file import fields_of, file_of
-from deepfsi.design.networks import Given, OwnClassifier
+from deepfsi.design.networks import Given, OwnClassifier, with_code
 from deepfsi.designfile.design_file import DesignFile, Temperatures, find_design
 from deepfsi.designfile.distribution import ConsistencyResult, ReadoutDistribution
 from deepfsi.designfile.provenance import trained_camera
@@ -386,7 +386,8 @@ class Design:
         if isinstance(network, OwnClassifier) and (trust or classifier is not None):
             inputs = design.mask_exposure.input_count
             answers = len(design.values.names if design.values else design.classes)
-            design.classifier = network.with_code(classifier or network.factory, inputs, answers)
+            given = classifier or network.factory
+            design.classifier = with_code(network, given, inputs, answers)
         return design.to(device)
 
 

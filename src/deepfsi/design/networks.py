@@ -253,17 +253,6 @@ class OwnClassifier(Classifier):
             )
         return self.module
 
-    def with_code(self, given: Given, inputs: int, classes: int) -> "OwnClassifier":
-        """The classifier made by the user's code, with the weights that it has."""
-        arguments = {} if isinstance(given, nn.Module) else self.arguments
-        made = make_custom(given, arguments, inputs, classes)
-        try:
-            made.loaded.load_state_dict(self.weights)
-        except (RuntimeError, TypeError) as error:
-            told = " ".join(str(error).split())
-            raise InputError(f"the classifier is not the one of this design: {told}") from None
-        return made.eval()
-
     def forward(self, features: Tensor) -> Tensor:
         """Logits (..., C) of features (..., inputs)."""
         # A module of a user's own may take rows alone
@@ -298,6 +287,18 @@ def make_custom(
             ) from error
     name = part_name(given)
     return OwnClassifier(module, "" if name == UNNAMED_PLUGIN else name, arguments)
+
+
+def with_code(known: OwnClassifier, given: Given, inputs: int, classes: int) -> OwnClassifier:
+    """A classifier of a file made by the user's code, with the weights that it has."""
+    arguments = {} if isinstance(given, nn.Module) else known.arguments
+    made = make_custom(given, arguments, inputs, classes)
+    try:
+        made.loaded.load_state_dict(known.weights)
+    except (RuntimeError, TypeError) as error:
+        told = " ".join(str(error).split())
+        raise InputError(f"the classifier is not the one of this design: {told}") from None
+    return made.eval()
 
 
 @contextmanager
