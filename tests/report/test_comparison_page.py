@@ -103,8 +103,8 @@ def test_same_results_make_the_same_page_and_figures(tmp_path):
         (None, "no results in"),
         ("{", "run the comparison again"),
         ("[]", "run the comparison again"),
-        ({"schema": 6, "points": []}, "has schema 6.* or upgrade"),
-        ({"schema": 1, "points": []}, "has schema 1"),
+        ({"schema": 6, "points": []}, "at schema: give 5; run"),
+        ({"schema": 1, "points": []}, "at schema: give 5"),
         ({"points": []}, "at points: give 1 or more of them"),
     ],
 )

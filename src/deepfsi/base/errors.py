@@ -1,6 +1,5 @@
 """The one error that a user can cause and a user can mend."""
 
-import json
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -58,37 +57,28 @@ def check_choice(what: str, name: str, known: Iterable[str]) -> None:
         raise InputError(f"unknown {what} {name!r}: {advice}")
 
 
-def other_version(content: str | bytes, schema: int, again: str = "make it again") -> str:
-    """Say that another version of deepfsi wrote a file, as its JSON has it, and what to do."""
-    try:
-        facts = json.loads(content)
-        number = facts.get("schema", facts.get("schema_version", schema))
-    except (ValueError, AttributeError, RecursionError):
-        return ""
-    if number == schema:
-        return ""
-    return f"has schema {number}, and this deepfsi reads schema {schema}: {again}, or upgrade"
-
-
 @contextmanager
-def as_input_error(
-    file: str = "", advice: str = "", content: str | bytes = b"", schema: int = 1
-) -> Iterator[None]:
+def as_input_error(file: str = "", advice: str = "") -> Iterator[None]:
     """Turn pydantic's errors into one `InputError`."""
     from pydantic import ValidationError
 
     try:
         yield
     except ValidationError as error:
-        if words := other_version(content, schema, advice or "make it again"):
-            raise InputError(f"{file} {words}") from None
         if not file:
             raise InputError("; ".join(field_errors(error))) from None
-        # of a wrong name and the field that is missing for it, the name says what to do
-        fault = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
+        fault = min(error.errors(), key=_order)
         place = f" at {_field(fault)}" if fault["loc"] else ""
         words = _words(fault, error.title) + (advice and f"; {advice}")
         raise InputError(f"{file} cannot be used{place}: {words}") from None
+
+
+def _order(fault: "ErrorDetails") -> int:
+    """Place of a fault: the number of a file's schema explains all others."""
+    if _field(fault) in ("schema", "schema_version"):
+        return 0
+    # of a wrong name and the field that is missing for it, the name says what to do
+    return 1 if fault["type"] == "extra_forbidden" else 2
 
 
 def field_errors(

@@ -243,5 +243,5 @@ class Calibration(StrictModel):
         """Read `calibration.json` of a folder."""
         path = Path(folder) / "calibration.json"
         content = read_text(path, 2**26, "calibrate the camera")
-        with as_input_error(f"'{path}'", "calibrate the camera again", content):
+        with as_input_error(f"'{path}'", "calibrate the camera again"):
             return cls.model_validate_json(content)

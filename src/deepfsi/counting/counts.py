@@ -137,7 +137,7 @@ class Counts:
         arrays: dict[str, Any] = read_npz(path, again)
         try:
             about = arrays.pop("about").tobytes()
-            with as_input_error(str(path), again, about):
+            with as_input_error(str(path), again):
                 provenance = _Provenance.model_validate_json(about)
             # Files of earlier versions hold more
             stored = {**arrays, **dict(provenance)}

@@ -90,7 +90,7 @@ class Recording:
         path = Path(folder) / "acquisition.json"
         prepare = "make the folder with `deepfsi camera import` or `simulate`"
         content = read_text(path, 2**24, prepare)
-        with as_input_error(str(path), content=content):
+        with as_input_error(str(path)):
             acquisition = Acquisition.model_validate_json(content)
         patterns = Patterns.read(path.parent / "patterns")
         manifest = path.parent / "patterns" / "manifest.json"

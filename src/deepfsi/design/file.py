@@ -101,7 +101,7 @@ def fields_of(file: DesignFile) -> dict[str, Any]:
             "training_scenes": file.arrays.get(SCENE_HASHES),
         }
     except (KeyError, TypeError, ValueError, RuntimeError, IndexError) as error:
-        raise damaged_design(file.path or "this", file.text or "") from error
+        raise damaged_design(file.path or "this") from error
 
 
 def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:

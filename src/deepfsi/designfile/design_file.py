@@ -21,7 +21,7 @@ from pydantic import AfterValidator, Field, SerializeAsAny, model_validator
 from safetensors.numpy import save
 
 from deepfsi.base.arrays import read_tensors
-from deepfsi.base.errors import InputError, other_version
+from deepfsi.base.errors import InputError
 from deepfsi.base.models import Count, StrictModel, of_kinds
 from deepfsi.base.registry import IMPORT_PATH
 from deepfsi.camera.detectors import DetectorMap
@@ -248,7 +248,6 @@ class DesignFile:
     @classmethod
     def read(cls, path: str | os.PathLike[str], arrays: Container[str] | None = None) -> Self:
         """Read a design file, or a part of one."""
-        text = ""
         try:
             text, tensors = read_tensors(path, "deepfsi", "give a design file", arrays)
             facts = json.loads(text)
@@ -262,7 +261,7 @@ class DesignFile:
         except (RecursionError, *DAMAGED) as error:
             if isinstance(error, InputError) and not text:
                 raise  # it is no file, or larger than any
-            raise damaged_design(path, text) from error
+            raise damaged_design(path) from error
         return cls(header, tensors, Path(path), text)
 
     def to_bytes(self) -> bytes:
@@ -303,13 +302,11 @@ class DesignFile:
         return None if labels is None else DetectorMap.of(labels, self.header.image_shape)
 
 
-def damaged_design(path: str | os.PathLike[str], header: str = "") -> InputError:
+def damaged_design(path: str | os.PathLike[str]) -> InputError:
     """Error for a file that is no whole design, or one of another version."""
-    if words := other_version(header, DESIGN_SCHEMA, "make it again with `deepfsi design`"):
-        return InputError(f"{path} {words}")
     return InputError(
-        f"{path} is not a whole deepfsi design file, or is of looks or nested masks, which ended "
-        "with 0.3: give a .safetensors file that `deepfsi design` or Design.save wrote"
+        f"{path} is not a whole deepfsi design file, or is of another version: give a .safetensors "
+        "file that `deepfsi design` or Design.save wrote, or make it again"
     )
 
 

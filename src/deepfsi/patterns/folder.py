@@ -138,7 +138,7 @@ class Patterns:
         """Read the patterns of a folder, without its frames."""
         path = Path(folder) / "manifest.json"
         content = read_text(path, 2**29, "make patterns with `deepfsi dmd export`")
-        with as_input_error(str(path), AGAIN, content):
+        with as_input_error(str(path), AGAIN):
             manifest = Manifest.model_validate_json(content)
         if manifest.sha256 not in (None, _digest(content)):
             raise InputError(

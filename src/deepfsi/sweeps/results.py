@@ -232,5 +232,5 @@ def read_results(path: Path) -> Results:
     """Results that `write_results` wrote, or `InputError`."""
     again = "run the comparison again"
     content = read_text(path, 2**28, again)
-    with as_input_error(str(path), again, content, RESULTS_SCHEMA):
+    with as_input_error(str(path), again):
         return Results.model_validate_json(content)
