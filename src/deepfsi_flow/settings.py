@@ -60,16 +60,9 @@ class Passing(Exposure):
         le=4096,
         description="time bins of a scene that passes a static pattern",
     )
-    speed: float = Field(
-        default=1.0,
-        gt=0,
-        allow_inf_nan=False,
-        description="speed of a passing scene, pixels a bin",
-    )
-    jitter: float = Field(
+    speed: Positive = Field(default=1.0, description="speed of a passing scene, pixels a bin")
+    jitter: Amount = Field(
         default=0.0,
-        ge=0,
-        allow_inf_nan=False,
         description="standard deviation of a passing scene's place in an exposure, pixels",
     )
     speed_jitter: float = Field(

@@ -151,6 +151,7 @@ class PassLight:
         on, on_s = curve.together(curve.bright)
         bright_rate = np.maximum(on / np.where(on_s > 0, on_s, 1.0) - background.rate, 0.0)
         spent = np.where(background.seconds > 0, background.seconds, 1.0)
+        # Without a single dark count the background is known to one count
         floor = (background.photons + 1) / spent
         bright = _differ(curve, curve.bright, 1 + HARMLESS, chance)
         ratio = 1 + HARMLESS_DARK * bright_rate / floor

@@ -64,6 +64,7 @@ class Counts:
         """Dark counts of each readout, float64 (S, rails, m[, D])."""
         if self.gates is not None:
             return np.zeros_like(self.counts[:, 0], float)  # clicks are read as they are
+        # Detectors of an arm share the gates of its frames
         lengths = np.expand_dims(self.lengths_s, tuple(range(2, self.dark_rate.ndim)))
         return self.dark_rate[:, :, None] * lengths
 

@@ -58,7 +58,7 @@ class PtuWriter:
         A code, 0 to 63, is a photon on that input, 0 for input 1; -1 to -15 are a marker with the
         bits of the negative.
         """
-        for start in range(0, len(times), 2**18):  # so many are in memory at once
+        for start in range(0, len(times), 2**18):  # bounds the memory that words take
             stop = start + 2**18
             self._append(times[start:stop], codes[start:stop])
 

@@ -123,6 +123,8 @@ def light_curves(
 
 def _as_poisson(arrivals: Arrivals, columns: slice) -> tuple[np.ndarray, np.ndarray]:
     """Photons and seconds (P, F) of inputs together, scaled so that noise is Poisson's."""
+    # Corrections of dead time and gains leave the rate right and its noise other than Poisson's:
+    # fewer photons in less time have that rate with that relative error
     photons = arrivals.photons[..., columns].sum(axis=-1)
     noise = arrivals.variance[..., columns].sum(axis=-1)
     share = np.where(noise > 0, photons / np.where(noise > 0, noise, 1), 1)

@@ -245,6 +245,7 @@ class WindowCounter:
         """Count the photons of the next part."""
         edges = self._edges[self._done :]
         self._reached = part.reached
+        # Later records hold no photon before `reached`: edges up to there are settled
         ended = int(np.searchsorted(edges, self._reached, side="right"))
         before = self._before[self._done :]
         for column, number in enumerate(self._inputs):
@@ -271,6 +272,7 @@ class WindowCounter:
                 f"to {self._reached}, but gates end at {self._edges[-1]}: count gates that end "
                 "before"
             )
+        # The file is whole: it holds no photon between its last record and these edges
         self._before[self._done :] = self._total
         self._done = len(self._edges)
         return self.take()
