@@ -81,7 +81,6 @@ def test_arrays_are_predicted_as_the_scenes_and_pictures_that_they_are(design, d
 @pytest.mark.parametrize(
     ("pictures", "photons", "match"),
     [
-        (None, 1e4, "pictures were given as NoneType: give a picture, a folder"),
         (np.zeros((3, 5)), 1e4, "the pictures are of 5 pixels and the design's scenes of 8x8"),
         (np.full((2, 8, 8), 7.0), 1e4, "pictures"),
         ("a.png", 1e4, r"pictures are of 9x8 pixels and the design's scenes of 8x8"),

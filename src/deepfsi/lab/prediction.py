@@ -104,11 +104,8 @@ def predict(
     source: Path | np.ndarray
     if isinstance(pictures, str | os.PathLike):
         source = Path(pictures).expanduser()
-    elif (source := np.asarray(pictures)).dtype.kind not in "biuf":
-        raise InputError(
-            f"pictures were given as {type(pictures).__name__}: give a picture, a folder of "
-            "pictures, or an array of numbers"
-        )
+    else:
+        source = np.asarray(pictures)
     check_classes(design.values, "predict")
     with library_defaults(grad=False):
         tested = camera_for(design, camera=camera, **settings)
