@@ -62,7 +62,7 @@ def fit_calibration(
     pictures = pictures - floor
     first, agreed = find_homography(_find_spots(scenes), _find_spots(pictures), cells)
     spots = DisplayedScenes(scenes[agreed], grid)
-    start = np.append(first.ravel()[:8], 0.3)
+    start = np.append(first.ravel()[:8], 0.3)  # at a blur of 0 the misfit has no slope
     view, covariance = _fit_view(spots, pictures[agreed], start)
     # Centroids of small spots are biased alike in the pictures and in their fit
     shifts = _find_spots(pictures[agreed]) - _find_spots(spots.images(view))

@@ -268,6 +268,7 @@ def _test(
     design: "Design", test: CountTest, counts: Counts, budgets: np.ndarray, usable: np.ndarray
 ) -> tuple[ConsistencyResult | None, ViewResult | None]:
     """Verdicts on the counts of usable exposures (S, R), summed over those of a scene."""
+    # The tests take scenes for independent, which exposures of one scene are not
     exposures = counts.by_readout(usable)
     number = exposures.sum(axis=1)
     sums = counts.signal().sum(axis=1, where=exposures)

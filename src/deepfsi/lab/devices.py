@@ -33,14 +33,14 @@ from deepfsi.lab.virtual_optics import (
 from deepfsi.patterns.folder import Patterns
 
 
-class Projector(AbstractContextManager["Projector"], Protocol):
+class _Projector(AbstractContextManager["_Projector"], Protocol):
     """Micromirror device; entering takes hold of it, leaving stops it and lets go of it."""
 
     def load(self, patterns: Patterns, report: Progress = SILENT) -> None:
         """Bring the frames of patterns into the device, in place of earlier ones."""
 
 
-class StreamingProjector(Projector, Protocol):
+class StreamingProjector(_Projector, Protocol):
     """Device that holds frames and shows lists of them; each picture gives a marker."""
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
@@ -56,7 +56,7 @@ class StreamingProjector(Projector, Protocol):
         """
 
 
-class PassProjector(Projector, Protocol):
+class PassProjector(_Projector, Protocol):
     """Device that shows passes; each frame begins with a marker, and has the manifest's time."""
 
     def run(self) -> None:

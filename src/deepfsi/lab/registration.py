@@ -69,7 +69,7 @@ def write_reference(manifest: Manifest, folder: Path) -> None:
 
 
 @dataclass(frozen=True)
-class ReferenceFit:
+class _ReferenceFit:
     """Place of the reference target on the device, as a camera shows it."""
 
     exported: DmdLayout
@@ -150,7 +150,7 @@ def _image(
 
 
 @np.errstate(under="ignore")
-def check_view(folder: Path, report: Progress = SILENT) -> ReferenceFit:
+def check_view(folder: Path, report: Progress = SILENT) -> _ReferenceFit:
     """Place of scenes on the device, from a counted run of the reference target alone."""
     run = Recording.read(folder)
     counts = run.read_counts().check_photons(folder)
@@ -180,7 +180,7 @@ def _fit_place(
     variance: np.ndarray,
     manifest: Manifest,
     report: Progress,
-) -> ReferenceFit:
+) -> _ReferenceFit:
     """Place of the target that explains its counts (k,) behind masks (k, N) best."""
     from scipy import optimize
     from scipy.stats import chi2
@@ -227,7 +227,7 @@ def _fit_place(
     spread = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac))) * degrees
     errors = dict(zip(WELL, spread.tolist(), strict=True))
     chance = float(chi2.sf(cost, max(len(counts) - 7, 1)))
-    return ReferenceFit(
+    return _ReferenceFit(
         exported=exported,
         layout=layout,
         place=dict(zip(WELL, (best.x * degrees).tolist(), strict=True)),
