@@ -236,6 +236,7 @@ class DictionaryPosterior(AdaptivePosterior):
 
     def _draw(self) -> np.ndarray:
         """Scenes (S,) at equal steps of the sum of their probabilities, `_powers`."""
+        # sums of blocks first: a running sum of all takes longer, and loses digits in float32
         blocks = self._sums @ self._block
         ends = blocks.cumsum()
         shift = self._looks * ((math.sqrt(5) - 1) / 2) % 1 / len(self._points)

@@ -255,6 +255,7 @@ class ScenePrior:
                 "from how scenes differ: give more scenes, without copies"
             )
         covariance = differ.T @ differ / len(differ)
+        # in directions in which scenes hardly differ, noise of a few would pass for certainty
         least = 1e-3 * covariance.diagonal().mean()
         covariance += least * torch.eye(len(covariance), dtype=torch.double)
         variances, vectors = torch.linalg.eigh(covariance)

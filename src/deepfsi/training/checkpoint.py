@@ -161,6 +161,7 @@ class Checkpoint:
 
     def _write(self, loop: LoopState) -> None:
         assert self.path is not None
+        # torch.save keeps the layout of tensors in memory, on which the last bits of a step depend
         stored = {
             "key": self.key,  # hash of everything that the bits depend on
             "title": self.title,

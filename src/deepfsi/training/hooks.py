@@ -49,11 +49,6 @@ class EpochWatch:
     lengths: list[int] = field(default_factory=list)  # epochs of each finished loop
     history: list[Epoch] = field(default_factory=list)  # of the last loop
 
-    @property
-    def most_of_loop(self) -> int | None:
-        """Largest number of epochs of the loop that runs now."""
-        return self.most[len(self.lengths)] if self.most else None
-
     def for_fold(self) -> "EpochWatch":
         """Watch of a fold: it takes as many epochs and tells nobody."""
         return EpochWatch(most=tuple(self.lengths) if self.callback else ())
@@ -92,7 +87,8 @@ class LoopWatch:
         if self.state.step % self.steps:
             return False
         if self.watch.callback is None:
-            return self.number == self.watch.most_of_loop
+            most = self.watch.most
+            return bool(most) and self.number == most[len(self.watch.lengths)]
         job = self.exposure.job
         epoch = Epoch(
             epoch=self.number,
