@@ -248,6 +248,7 @@ class DesignFile:
     @classmethod
     def read(cls, path: str | os.PathLike[str], arrays: Container[str] | None = None) -> Self:
         """Read a design file, or a part of one."""
+        text = ""
         try:
             text, tensors = read_tensors(path, "deepfsi", "give a design file", arrays)
             facts = json.loads(text)
