@@ -65,20 +65,21 @@ def file_of(design: "Design") -> DesignFile:
             **words,
         )
         tensors = {"classifier": classifier.weights, "exposure": masks.weights}
+        if design.values:
+            tensors["values"] = {"mean": design.values.mean, "std": design.values.std}
         arrays |= {
             f"{owner}.{name}": tensor.detach().cpu().contiguous().numpy()
             for owner, state in tensors.items()
             for name, tensor in state.items()
         }
         parts = {
-            "values": design.values,
             "distribution": design.distribution,
             "scenes": design.scene_model,
             "temperatures": design.temperatures,
         }
         for owner, part in parts.items():
-            if part is not None:
-                arrays |= {f"{owner}.{name}": array for name, array in part.arrays.items()}
+            if part is not None:  # its fields are arrays
+                arrays |= {f"{owner}.{name}": array for name, array in vars(part).items()}
     if design.training_scenes is not None:
         arrays |= {SCENE_HASHES: design.training_scenes}
     return DesignFile(header, arrays)

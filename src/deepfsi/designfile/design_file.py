@@ -206,11 +206,6 @@ class Temperatures:
         return cls(logs, budgets)
 
     @property
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Fields by name, as a design file takes them."""
-        return dict(vars(self))
-
-    @property
     def dimmest(self) -> float:
         """Lowest budget at which a design answers: a tenth of the training's lowest."""
         return float(self.budgets[0]) * CALIBRATION_REACH / TOO_DIM

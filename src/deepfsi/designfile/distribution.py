@@ -175,11 +175,6 @@ class ReadoutDistribution:
     tails: np.ndarray  # (2, 2, counts, chances)
     pairs: np.ndarray  # (counts, chances)
 
-    @property
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Fields by name, as a design file takes them."""
-        return dict(vars(self))
-
     @classmethod
     def restored(
         cls, arrays: dict[str, np.ndarray], readouts: tuple[int, int]
@@ -206,7 +201,7 @@ class ReadoutDistribution:
     @property
     def _model(self) -> ReadoutModel:
         """Model of the readouts that are lit."""
-        fitted = {name: array.astype(float) for name, array in self.arrays.items()}
+        fitted = {name: array.astype(float) for name, array in vars(self).items()}
         lit = fitted["mean"] > 0
         total = float(fitted["mean"].sum())
         return ReadoutModel(

@@ -146,11 +146,6 @@ class SceneModel:
             shares=shares.astype(np.float16),
         )
 
-    @property
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Fields by name, as a design file takes them."""
-        return dict(vars(self))
-
     @classmethod
     def restored(cls, arrays: Mapping[str, np.ndarray], pixels: int, classes: int) -> "SceneModel":
         """Model from a file, or `ValueError` if its arrays do not fit these scenes."""

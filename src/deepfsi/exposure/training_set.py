@@ -70,11 +70,6 @@ class Values:
         """Move to a device."""
         return replace(self, mean=self.mean.to(device), std=self.std.to(device))
 
-    @property
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays of a design file."""
-        return {"mean": self.mean.cpu().numpy(), "std": self.std.cpu().numpy()}
-
 
 class TrainingSet:
     """A data set on a device, with what several trainings on it share."""
