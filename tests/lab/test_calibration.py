@@ -5,6 +5,8 @@ import pytest
 from calibration_samples import GRID, VIEW, apply, calibration_of, pictures_of, vignette
 
 from deepfsi.base.errors import InputError
+from deepfsi.camera.device import find_device
+from deepfsi.camera.layout import DmdLayout, find_grid
 from deepfsi.lab import calibration as fit
 from deepfsi.lab.design_data import camera_view
 
@@ -48,6 +50,17 @@ def test_a_spot_that_is_not_where_the_others_say_is_left_out():
     found = fit.fit_calibration(scenes, pictures, GRID)
     assert found.spots == 23
     assert 32 * off_corners(found) < 0.05
+
+
+def test_few_wide_spots_on_large_cells_are_fitted_and_doubted():
+    """Blurred by 1.8 cells of 8 x 8, most spots are lost in their own light."""
+    grid = find_grid(find_device("dlp7000"), (8, 8), DmdLayout(stretch=True))
+    blur = 1.8 * np.sqrt(grid.mirrors) / 8 / np.array([grid.height, grid.width])
+    scenes = fit.spot_scenes(side=4)
+    pictures = pictures_of(scenes, VIEW, tuple(blur), ((1.0,),), 0.003, grid=grid)
+    found = fit.fit_calibration(scenes, pictures, grid)
+    assert found.spots < 16
+    assert any("spots are seen" in doubt for doubt in found.doubts)
 
 
 def test_too_little_for_a_homography_is_an_error():

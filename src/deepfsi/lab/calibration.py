@@ -65,7 +65,7 @@ def fit_calibration(
     start = np.append(first.ravel()[:8], 0.3)  # at a blur of 0 the misfit has no slope
     view, covariance = _fit_view(spots, pictures[agreed], start)
     # Centroids of small spots are biased alike in the pictures and in their fit
-    shifts = _find_spots(pictures[agreed]) - _find_spots(spots.images(view))
+    shifts = _find_spots(pictures[agreed]) - _find_spots(spots.images(view), clear=0.0)
     distances = np.linalg.norm(shifts * spots.cells[::-1], axis=1)
     matrix = np.append(view[:8], 1).reshape(3, 3)
     down, across = (view[8] * spots.side / spots.cells).tolist()
@@ -114,7 +114,7 @@ def calibrate(shown: Display, run: Recording, counts: Counts) -> Calibration:
     return fitted.model_copy(update={"dark": dark, "dead_time": dead_time})
 
 
-def _find_spots(pictures: np.ndarray) -> np.ndarray:
+def _find_spots(pictures: np.ndarray, clear: float = 6.0) -> np.ndarray:
     """Places (n, 2) of the spots in pictures (n, down, across), NaN where none is seen."""
     # (across, down) in the unit square
     from scipy import ndimage
@@ -125,8 +125,8 @@ def _find_spots(pictures: np.ndarray) -> np.ndarray:
         smooth = ndimage.gaussian_filter(picture - np.median(picture), 1.0, mode="constant")
         noise = 1.4826 * np.median(np.abs(smooth - np.median(smooth)))
         top = np.unravel_index(smooth.argmax(), smooth.shape)
-        # A spot is seen where its peak is this many standard deviations of the noise
-        if smooth[top] > 6.0 * noise:
+        # A spot is seen where its peak is that many standard deviations of the noise
+        if smooth[top] > clear * noise:
             near = np.hypot(down - top[0], across - top[1]) < 2.5
             spot = np.array(ndimage.center_of_mass((picture - np.median(picture)).clip(0) * near))
             out[place] = (spot[::-1] + 0.5) / smooth.shape[::-1]
