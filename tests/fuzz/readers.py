@@ -24,7 +24,7 @@ from deepfsi.counting.acquisition import Calibration
 from deepfsi.counting.recording import Recording
 from deepfsi.datasets.display import read_scene_list
 from deepfsi.designfile.provenance import trained_on
-from deepfsi.jobs.mask_files import read_matrix
+from deepfsi.jobs.designs import read_matrix
 from deepfsi.lab import results as record
 from deepfsi.lab.design_data import camera_of, design_rails
 from deepfsi.lab.virtual_optics import VirtualCamera

@@ -16,7 +16,7 @@ from scipy.linalg import hadamard
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.files import read_toml
-from deepfsi.jobs.mask_files import read_matrix
+from deepfsi.jobs.designs import read_matrix
 from fuzz.readers import READERS, copied
 from fuzz.worker import MOST_BYTES, fault_of
 from shared.design_files import rewrite

@@ -5,7 +5,7 @@ import pytest
 from scipy.io import savemat
 
 from deepfsi.base.errors import InputError
-from deepfsi.jobs.mask_files import read_matrix
+from deepfsi.jobs.designs import read_matrix
 
 SIGNED = np.linspace(-0.1, 0.2, 24).reshape(3, 8)
 GREY = np.random.default_rng(0).integers(0, 256, (3, 2, 4), dtype=np.uint8)

@@ -22,9 +22,9 @@ from deepfsi.camera.detectors import MOST_INPUTS
 from deepfsi.datasets.catalog import DATASETS
 from deepfsi.datasets.load import find_source
 from deepfsi.designfile.design_file import find_design
+from deepfsi.jobs.designs import read_matrix
 from deepfsi.jobs.exposures import SharedLight
 from deepfsi.jobs.job import Job
-from deepfsi.jobs.mask_files import read_matrix
 from deepfsi.jobs.training import Training
 
 

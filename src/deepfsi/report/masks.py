@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from deepfsi.base.quantities import budget_text
-from deepfsi.evaluation.results import lit_masks, lit_text
+from deepfsi.evaluation.results import lit_masks
 from deepfsi.report import style
 from deepfsi.report.style import DIVERGING
 
@@ -114,10 +114,7 @@ def design_figure(design: "Design", count: int) -> Figure:
     title = f"{design.name}, {exposure.title}" + (
         f", {budget_text(budget)} photons" if budget else ""
     )
-    lit = lit_masks(design.rails.stacked.cpu().numpy())
-    if lit < design.masks:
-        title += f"\n{lit_text(design.masks, lit)}"
-    if count < lit:
+    if count < design.masks:
         title += f"; the {count} that count most photons"
     if dwells is not None:
         title += "\ndwell: share of the exposure"
