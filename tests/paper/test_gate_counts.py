@@ -5,6 +5,7 @@ from math import comb, factorial
 
 import numpy as np
 import pytest
+from scipy.special import gammainc
 from scipy.stats import chi2
 
 from deepfsi.lab.virtual_detector import DETECTOR_TICK_S, Detector, Stream, divide
@@ -13,9 +14,12 @@ from deepfsi_paper.camera import gate_counts
 TAU = 5e-8
 DEAD = round(TAU / DETECTOR_TICK_S)
 DETECTORS = {
-    "dead time": {},
-    "afterpulses": {"afterpulse_probability": 0.1},
-    "jitter": {"afterpulse_probability": 0.1, "jitter_s": 1e-10},
+    "ideal": {},
+    "paralysable": {"dead_time_s": TAU, "paralysable": True},
+    "non-paralysable": {"dead_time_s": TAU},
+    "afterpulses": {"afterpulse_probability": 0.2},
+    "both": {"dead_time_s": TAU, "paralysable": True, "afterpulse_probability": 0.1},
+    "all": {"dead_time_s": TAU, "afterpulse_probability": 0.1, "jitter_s": 1e-10},
 }
 
 
@@ -72,18 +76,35 @@ def paralysable_chances(load: float, length: float) -> np.ndarray:
         return np.array(sums, float)
 
 
+def non_paralysable_chances(load: float, length: float) -> np.ndarray:
+    """The same without paralysis, averaged over how long the counter is still blind."""
+    most = int(length) + 2
+    blind = load / (1 + load)
+    waits = np.append((np.arange(2000) + 0.5) / 2000, 0.0)
+    weights = np.append(np.full(2000, blind / 2000), 1 - blind)
+    reach = np.ones(most + 2)
+    for k in range(1, most + 2):
+        live = np.maximum(length - waits - (k - 1), 0)
+        reach[k] = weights @ gammainc(k, load * live)
+    return -np.diff(reach)
+
+
 @pytest.mark.parametrize("length", [0.5, 4.0])
-@pytest.mark.parametrize("load", [0.05, 0.5, 2])
-def test_counts_have_their_exact_distribution(load, length):
-    detector, lengths = Detector(dead_time_s=TAU, paralysable=True), np.full(200_000, length)
+@pytest.mark.parametrize(
+    ("load", "paralysable"),
+    [*((x, True) for x in (0.05, 0.5, 2)), *((x, False) for x in (0.05, 0.5, 5))],
+)
+def test_counts_have_their_exact_distribution(load, length, paralysable):
+    detector, lengths = Detector(dead_time_s=TAU, paralysable=paralysable), np.full(200_000, length)
     counts = gate_counts.draw(detector, load / TAU, lengths * TAU, np.random.default_rng(0))
-    assert_drawn_from(counts, paralysable_chances(load, length))
+    law = paralysable_chances if paralysable else non_paralysable_chances
+    assert_drawn_from(counts, law(load, length))
 
 
 @pytest.mark.parametrize("kind", DETECTORS)
 @pytest.mark.parametrize(("rate", "length_s"), [(1e7, 4e-8), (1e7, 2e-6)])
 def test_counts_in_sum_are_as_event_by_event(kind, rate, length_s):
-    detector = Detector(dead_time_s=TAU, paralysable=True, **DETECTORS[kind])
+    detector = Detector(**DETECTORS[kind])
     one_by_one = steady(detector, rate, 20_000, length_s)
     assert_alike(
         gate_counts.draw(detector, rate, np.full(100_000, length_s), np.random.default_rng(1)),
