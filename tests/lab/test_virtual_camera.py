@@ -138,4 +138,4 @@ def test_events_stay_in_order_where_jitter_reaches_over_chunks(tmp_path, monkeyp
     contents = summarise(tmp_path / "a.ptu")
     expected = (flow.sum(axis=2) * shown.manifest.picture_s).sum() * 1.3
     assert abs(sum(contents.photons.values()) - expected) <= 6 * np.sqrt(expected * 1.3)
-    assert contents.markers == {1: 3 * len(shown.manifest.frames)}
+    assert contents.markers == {0: 3 * len(shown.manifest.frames)}

@@ -28,7 +28,7 @@ class InspectPhotons(Command):
             contents = summarise(self.file, report)
         problems = "; ".join(contents.problems)
         return Outcome(
-            contents.as_dict(),
+            contents.model_dump(),
             [contents.table(str(self.file))],
             refusal=f"{self.file} is not whole: {problems}" if problems else "",
         )

@@ -11,7 +11,6 @@ them more coarsely.
 
 import os
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -108,17 +107,10 @@ class PtuSummary(StrictModel):
     kind: str
     tick_s: float  # seconds of a tick
     records: int  # records read. Fewer than the file's if `problems` says that one is damaged
-    photons: dict[int, int]  # photons on each input that has any; 0 is input 1
-    markers: dict[int, int]  # markers with each bit, 1, 2, 4 and 8, that is ever set
+    photons: dict[int, int]  # photons on each input that has any, by its number on the counter
+    markers: dict[int, int]  # markers on each marker input that has any, 0 to 3
     span_s: float  # seconds from the start of the recording to the latest photon, marker or sync
     problems: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON types only, inputs and markers by their numbers on the counter."""
-        return self.model_dump() | {
-            "photons": {number + 1: count for number, count in self.photons.items()},
-            "markers": {bit.bit_length() - 1: count for bit, count in self.markers.items()},
-        }
 
     def table(self, title: str) -> Table:
         """All of it under a title."""
@@ -126,8 +118,8 @@ class PtuSummary(StrictModel):
             ("record type", self.kind),
             ("time unit", time_text(self.tick_s)),
             ("records", str(self.records)),
-            *((f"photons on input {number + 1}", str(n)) for number, n in self.photons.items()),
-            *((f"markers on {bit.bit_length() - 1}", str(n)) for bit, n in self.markers.items()),
+            *((f"photons on input {number}", str(n)) for number, n in self.photons.items()),
+            *((f"markers on {number}", str(n)) for number, n in self.markers.items()),
             ("span", time_text(self.span_s)),
             *(("problem", problem) for problem in self.problems),
         ]
@@ -149,13 +141,14 @@ def summarise(photons: Photons, progress: Progress = SILENT) -> PtuSummary:
         last = max(last, part.last)
         if part.fault:
             faults = (part.fault,)
-    bits = {bit: int(markers[np.arange(16) & bit != 0].sum()) for bit in (1, 2, 4, 8)}
+    # A marker record has a bit for each marker input, and several may be set at once
+    wired = [int(markers[np.arange(16) >> number & 1 != 0].sum()) for number in range(4)]
     return PtuSummary(
         kind=header.kind.name,
         tick_s=header.tick_s,
         records=records_read,
-        photons={number: int(n) for number, n in enumerate(inputs) if n},
-        markers={bit: n for bit, n in bits.items() if n},
+        photons={number: int(n) for number, n in enumerate(inputs, 1) if n},
+        markers={number: n for number, n in enumerate(wired) if n},
         span_s=last * header.tick_s,
         problems=header.problems + faults,
     )
