@@ -297,6 +297,7 @@ def _half_widths(
     from scipy import stats
 
     low, high = np.transpose([_wilson(rate, images) for rate in fitted])
+    # One variance of the seeds for all budgets: three trials tell little of their own
     freedom = sum(len(trials) - 1 for trials in accuracies)
     seeds = np.zeros(len(fitted))
     if freedom:

@@ -65,15 +65,13 @@ def load_plugin(path: str) -> Any:
         sys.path.append(here)  # as for `python -m`; the command's own folder is there instead
     try:
         found = importlib.import_module(module)
+        for part in name.split("."):
+            found = getattr(found, part)
     except (Exception, SystemExit) as error:
         raise InputError(
             f"{path} cannot be imported, {type(error).__name__}: {error}; give module:name of an "
             "installed package or of a file in the current folder"
         ) from error
-    for part in name.split("."):
-        if not hasattr(found, part):
-            raise InputError(f"{path} cannot be imported: {module} has no {name}")
-        found = getattr(found, part)
     return found
 
 

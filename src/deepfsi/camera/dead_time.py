@@ -59,6 +59,7 @@ class DeadTime(StrictModel):
             return CorrectionFactors(gain, gain**2)
         from scipy.special import lambertw
 
+        # The branch of weak light: y exp(-y) = r τ has a second solution, beyond the peak
         blind = -lambertw(-rate).real
         gain = np.exp(blind)
         return CorrectionFactors(gain, (1 - 2 * rate) * gain**2 / (1 - blind) ** 2)

@@ -135,8 +135,6 @@ def find_grid(
     """Grid of a mask's cells; a spectrum's mask lies across the device."""
     # Cells are square unless the layout stretches them, or the mask has one axis: a spectrum's are
     # as tall as the region
-    if len(image_shape) not in (1, 2) or min(image_shape) < 1:
-        raise InputError(f"masks of shape {image_shape} cannot be shown: give 1 or 2 axes of cells")
     columns, rows, left, top = _find_region(device, layout.region)
     down, across = image_shape if len(image_shape) == 2 else (1, *image_shape)
     if layout.rotate in (90, 270):
@@ -161,7 +159,7 @@ def find_grid(
         across=across,
         height=height,
         width=width,
-        top=top - top % together,
+        top=top - top % together,  # an even row: only odd ones lie half a column to the right
         left=left,
         diamond=diamond,
         layout=layout,

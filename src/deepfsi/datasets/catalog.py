@@ -132,6 +132,7 @@ class IdxImages(NamedDataset):
             (np.divide(np.pad(x, self.FRAME), 255, dtype=np.float32), y.astype(np.int64))
             for x, y in ((images, labels), (images_test, labels_test))
         )
+        # Not shuffled: the files are in random order, and records name the data by a hash of it
         return assemble(
             self.name,
             train,

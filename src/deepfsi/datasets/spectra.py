@@ -101,6 +101,7 @@ class SpectralImage:
             for _, chosen in folds.split(rows, kinds, blocks):
                 test = np.zeros(labels.shape, bool)
                 test[rows[chosen], columns[chosen]] = True
+                # A pixel beside a tested one resembles it, and is left out
                 train = (labels != 0) & ~binary_dilation(test, np.ones((3, 3)))
                 tested = np.bincount(kinds[test[rows, columns]], minlength=kinds.max() + 1)
                 trained = np.bincount(kinds[train[rows, columns]], minlength=kinds.max() + 1)
