@@ -14,13 +14,7 @@ from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi_clicks import clicking
 
 CAMERA = {"light": "free-dwell", "rails": "single", "noise": "click"}
-
-LOOKS = 16
-
-PHOTONS = 600.0
-
-CLICKS = 3.0
-
+LOOKS, PHOTONS, CLICKS = 16, 600.0, 3.0
 SCENES = 128
 """Training scenes by which prices are found, and test scenes that are read."""
 
