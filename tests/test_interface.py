@@ -60,6 +60,7 @@ MISTAKES = [
     (deepfsi.Training, {"classifier": None}, "classifier = None: give mlp, or"),
     (learn, {"photons": True}, "budget True is not allowed.* such as 1e4"),
     (learn, {"photons": (1e3, 1e4)}, "is not allowed: give a number"),
+    (deepfsi.load_dataset, {"source": object()}, "given as object: give a Dataset"),
     # nesting
     (learn, {"exposure": {"exposure": {"span": 4}}}, "an exposure has no setting 'exposure'"),
     (learn, {"training": {"training": {}}}, "training: there is no such setting: give one of"),

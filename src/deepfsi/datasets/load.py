@@ -102,6 +102,11 @@ def load_dataset(
     >>> deepfsi.load_dataset("digits").image_shape
     (8, 8)
     """
+    if not isinstance(source, str | os.PathLike | tuple):
+        raise InputError(
+            f"data were given as {type(source).__name__}: give a Dataset of deepfsi, a name such "
+            "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays"
+        )
     found: Any = None if isinstance(source, tuple) else find_source(source)
     with as_input_error():
         options = Origin(
