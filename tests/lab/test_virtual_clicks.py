@@ -102,6 +102,15 @@ def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, 
     assert error < 0.1
 
 
+def test_clicks_without_light_have_no_budget(tmp_path):
+    """Black scenes and dark counts: no stated flux takes the place of what was measured."""
+    patterns(tmp_path / "p")
+    dark = LIGHT | {"camera": CAMERAS["ideal"].model_copy(update={"dark": 2e3})}
+    run = record(tmp_path, 0 * scenes(20), **dark, seed=3)
+    with pytest.raises(InputError, match="no light on input"):
+        Recording.read(run).count(clicks=GATES)
+
+
 def test_what_is_of_photons_refuses_clicks(tmp_path):
     patterns(tmp_path / "p")
     run = record(tmp_path, scenes(), repeats=1, **LIGHT)

@@ -191,19 +191,18 @@ class ScenePrior:
         return prior
 
     def subset(self, count: int, seed: int = 0) -> "ScenePrior":
-        """Prior of at most `count` of the scenes, and at least one of each class."""
+        """Prior of about `count` of the scenes, at least one of each class."""
         rng = np.random.default_rng(seed)
-        own = np.array(self.sizes)
-        kept = np.minimum(own, np.maximum(own * count // len(self), 1))
-        starts = np.cumsum([0, *own[:-1]])
+        sizes = np.array(self.sizes)
+        kept = np.minimum(sizes, np.maximum(sizes * count // len(self), 1))
+        starts = np.cumsum([0, *sizes[:-1]])
         rows = [
-            start + np.sort(rng.choice(size, some, replace=False))
-            for start, size, some in zip(starts, own, kept, strict=True)
+            start + np.sort(rng.choice(size, number, replace=False))
+            for start, size, number in zip(starts, sizes, kept, strict=True)
         ]
         arrays = self.arrays
-        chosen = np.concatenate(rows)
-        some = {name: arrays[name][chosen] for name in ("levels", "members")}
-        return ScenePrior.restored(arrays | some | {"sizes": kept})
+        chosen = {name: arrays[name][np.concatenate(rows)] for name in ("levels", "members")}
+        return ScenePrior.restored(arrays | chosen | {"sizes": kept})
 
     def _cluster(self, clusters: int) -> Tensor:
         """Replace the scenes by centres of clusters; differences (n, d) of scenes from them."""
@@ -449,10 +448,11 @@ class AdaptivePosterior:
         mean, parts = self.prior.light(self.optics.readouts(masks))
         dark = torch.as_tensor(self.optics.dark * share, dtype=torch.double)
         darks = dark.expand(counts.shape[1]).tolist()
-        for each, at_mean, through, own in zip(
+        gain = self.gain * share
+        for counted, mean_light, response, dark_counts in zip(
             counts.unbind(1), mean.unbind(1), parts.unbind(1), darks, strict=True
         ):
-            self._take(here, each, at_mean, through, gain=self.gain * share, dark=own)
+            self._take(here, counted, mean_light, response, gain=gain, dark=dark_counts)
         self._end_look()
 
     def _take(

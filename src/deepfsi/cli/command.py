@@ -104,7 +104,8 @@ class ClickCommand(click.Command):
             setting, value = named.groups("")
             if setting not in settings:
                 return named[0]
-            return f"{_option_name(setting)} {value.strip(chr(34))}".rstrip()
+            value = value.strip('"')
+            return f"{_option_name(setting)} {value}".rstrip()
 
         return re.sub(r'`([a-z_]+)(?:=("[^"`]*"|\d+))?`', option, text)
 

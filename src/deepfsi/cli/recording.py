@@ -101,8 +101,11 @@ class _DeviceRun(_Run):
 
     def open_projector(self, role: str) -> Any:
         """Real projector, or None of virtual devices; `InputError` where options do not fit."""
-        for kind, text in (("projector", self.projector), ("counter", self.counter)):
-            check_choice(kind, text.partition(",")[0], ("virtual", *installed().parts[kind]))
+        for kind, part, text in (
+            ("projector", role, self.projector),
+            ("counter", "counter", self.counter),
+        ):
+            check_choice(kind, text.partition(",")[0], ("virtual", *installed().parts[part]))
         is_virtual = self.projector == "virtual"
         if is_virtual != (self.counter == "virtual"):
             raise InputError("virtual and real devices do not go together: give both, or neither")

@@ -202,10 +202,10 @@ def _find_level_changes(flux: Flux) -> Iterator[Fault]:
         yield Fault(kind="level", detail=detail)
     for before, after in pairwise(flux.levels):
         several = after.last > after.first
-        some = f"scenes {after.first} to {after.last}" if several else "this scene"
+        some = f"scenes {after.first} to {after.last} have" if several else "this scene has"
         detail = (
             f"all ON is {after.rate / max(before.rate, 1e-300):.3g} times as bright as before, "
-            f"and scenes do not differ so much: {some} have a budget of their own"
+            f"and scenes do not differ so much: {some} another budget"
         )
         yield Fault(kind="level", scene=int(after.first), detail=detail)
 

@@ -106,7 +106,7 @@ class Counts:
         return self
 
     def check_budget(self, source: str) -> None:
-        """Raise `InputError` where clicks do not tell the flux of any scene."""
+        """Raise `InputError` where the counts do not tell the flux of any scene."""
         if not np.isfinite(self.flux).any():
             raise InputError(
                 f"{source} does not tell its budget: all-ON frames leave less than 25 gates "
@@ -219,7 +219,10 @@ ENDS = [0, 1, -2, -1]
 def light_of_clicks(
     photons: np.ndarray, fired: np.ndarray, *, gates: int, width_s: float, manifest: Manifest
 ) -> tuple[float, np.ndarray]:
-    """Flux of all exposures (E) together, NaN where it is not told, and dark rates (inputs,)."""
+    """Flux of all exposures (E) together, and dark rates (inputs,).
+
+    The flux is NaN where too few gates stay without a click.
+    """
     # Photons, and gates that fired, (E, 4, inputs), of the frames of `ENDS`
     arm = manifest.arm
     opened = 2 * gates * len(photons)
@@ -234,7 +237,7 @@ def light_of_clicks(
     # 25 gates without a click tell the light to 1 / 5 of a photon in each
     certain = ((mean > 1) | (opened - fired >= 25))[0, arm].all()
     flux = float((rate[0] - dark)[arm].sum()) if certain else np.nan
-    return flux if flux > 0 else np.nan, dark
+    return flux, dark
 
 
 def check_clicks(*of_photons: object) -> None:

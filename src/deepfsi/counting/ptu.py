@@ -133,8 +133,8 @@ class Header:
         if len(data) >= len(MAGIC) and not data.startswith(MAGIC):
             raise InputError(
                 f"{path} is not a PTU file: it begins with {bytes(data[: len(MAGIC)])!r}, not "
-                "give times and channels of other formats to `deepfsi camera import`, as two "
-                "columns"
+                f"{MAGIC!r}; give times and channels of other formats to `deepfsi camera import`, "
+                "as two columns"
             )
         whole_numbers, floats, offset = _parse_tags(data, path)
         if not offset:

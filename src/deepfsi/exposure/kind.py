@@ -285,8 +285,8 @@ class MaskExposure(ExposureKind):
 class ConditionedExposure(MaskExposure):
     """Exposure of fixed dwells for a range of budgets, which its classifier must know.
 
-    Two inputs more are the logarithm of the budget, mapped from the range to -1 .. 1, and 1, which
-    was the share of masks shown in designs of earlier versions.
+    Two inputs more are the logarithm of the budget, -1 to 1 over a range of e² or more, and 1,
+    which designs of earlier versions read as the share of masks shown.
     """
 
     entry: ConditionedEntry
@@ -311,7 +311,7 @@ class ConditionedExposure(MaskExposure):
 def with_budget(scaled: Tensor, ratio: Tensor, span: float) -> Tensor:
     """Inputs (..., k + 2): standardised features, the budget over the lowest of a range, and 1."""
     middle = math.log(span) / 2
-    level = (torch.log(ratio) - middle) / max(middle, 1.0)  # -1 to 1 over the range
+    level = (torch.log(ratio) - middle) / max(middle, 1.0)  # a narrow range is not stretched to ±1
     column = scaled[..., :1]
     return torch.cat([scaled, level.expand_as(column), torch.ones_like(column)], dim=-1)
 

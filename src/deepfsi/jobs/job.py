@@ -295,7 +295,7 @@ def job_of(
         unused = Training.model_fields.keys() - unused - {"counts"}
     elif not code.learns_masks:
         unused |= {"start", "start_counts"}
-    for name in training.keys() & unused:
+    for name in sorted(training.keys() & unused):
         raise InputError(
             f"{code.title} has no use for `{name}`: leave it out, or give another design"
         )

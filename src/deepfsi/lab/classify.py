@@ -212,16 +212,15 @@ def _classify_counts(
             f"{source} was counted in {counted}, and this design reads {wanted}: count again with "
             "`deepfsi camera count`"
         )
-    if counts.gates is not None and photons is None:
+    if photons is None:
         counts.check_budget(source)
     stated = counts.photons if photons is None else np.full(len(scenes), photons)
-    known = np.isfinite(stated) if photons is None else counts.valid.any(axis=1)
-    lit = known & (stated > 0)  # dark counts that are stated may be more than all
+    lit = stated > 0  # dark counts that are stated may be more than all
     budgets = np.where(lit, stated, 1.0)
     test = CountTest(design)
-    dim = [] if force else test.find_dim(np.where(known, stated, np.nan))
+    dim = [] if force else test.find_dim(stated)
     counts = replace(counts, faults=(*dim, *counts.faults))
-    usable = counts.valid & ((lit | ~known) & ~counts.spoilt)[:, None]  # (S, R)
+    usable = counts.valid & (lit & ~counts.spoilt)[:, None]  # (S, R)
     if not usable.any():
         forced = "; `force` classifies them all the same" if dim else ""
         raise InputError(

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics
+from deepfsi.adaptive.posterior import AdaptivePosterior, LookOptics, confidence_of
 from deepfsi.base.arrays import LARGEST_TENSORS
 from deepfsi.base.errors import InputError, as_input_error
 from deepfsi.base.files import read_regular
@@ -79,7 +79,8 @@ class SceneObserver:
             chances = self._take(arrivals[-1])
             light_s = sum(self._gates_ns) * 1e-9
             decision = Decision(scene, look, chances, photons, light_s, final=False)
-            sure = rule is not None and float(chances.max()) > rule.threshold
+            confidence = float(confidence_of(torch.from_numpy(chances)))
+            sure = rule is not None and confidence > rule.threshold
             if sure or look == last:
                 break
             yield decision
