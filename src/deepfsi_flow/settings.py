@@ -123,7 +123,7 @@ class Passing(Exposure):
                 f"{job.design} is a set of masks, and scenes pass one pattern: give `deepfsi`, "
                 "which learns it, or `random`"
             )
-        elif job.code.learned and job.training.start != "random":
+        elif job.facts.learned and job.training.start != "random":
             yield "a pattern that scenes pass starts at random: leave `start` out"
         one = camera.rails == "single" and camera.one_detector
         if not one or camera.device is not None or camera.shortest_dwell:

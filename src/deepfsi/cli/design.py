@@ -70,7 +70,7 @@ class LearnDesign(Command):
         lowest = design.info["job"]["photons"]
         design.save(self.out)
         budgets = list(dict.fromkeys((lowest, job.exposure.highest(lowest))))
-        draws = 1 if job.code.adaptive else 3  # a look at one scene takes a millisecond
+        draws = 1 if job.facts.adaptive else 3  # a look at one scene takes a millisecond
         with terminal.progress("test") as report:
             results = evaluate(design, scenes, budgets, draws=draws, report=report)
         lit = min(sum(light > 0 for light in each.photons_per_mask) for each in results)

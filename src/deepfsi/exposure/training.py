@@ -70,7 +70,7 @@ def _noise_of(group: JobGroup) -> TrainingNoise:
     own = job.camera.noise if job.training.noise is None else job.training.noise
     setting = job.noise if isinstance(own, str) else own
     noises = [noise_of(each.camera, setting) for each in group.jobs]
-    noises[0].check(learning=job.code.learned)
+    noises[0].check(learning=job.facts.learned)
     gains = [each.photons / group.training_set.summed_reflectance for each in group.jobs]
     seeds = [each.seed for each in group.jobs]
     return TrainingNoise.of(noises, gains, seeds, group.training_set.device)
@@ -99,7 +99,7 @@ class ExposureTraining(ABC):
         self.camera = self.job.optics
         self.scale = self.job.training.scale
         self.law = light_law(self.camera.light)
-        self.learns = self.job.code.learned
+        self.learns = self.job.facts.learned
         self.scenes = self.training_set.view(self.job.exposure)
         self.levels = self.camera.mask_levels(self.scenes.data.image_shape)
         image_shape = self.training_set.data.image_shape
@@ -148,7 +148,7 @@ class ExposureTraining(ABC):
         rails_kind = self.camera.rails
         if matrix is not None:
             rails = self.law.rails_of(matrix, rails_kind).unsqueeze(0)
-        elif self.job.code.scaled:
+        elif self.job.facts.scaled:
             rails = self._matrices().unsqueeze(1)
         else:
             rails = torch.stack([self.law.fit(each, rails_kind) for each in self._matrices()])
@@ -241,9 +241,9 @@ class ExposureTraining(ABC):
         scenes = self.scenes
         name = job.start_matrix
         detectors = camera.detector_map(scenes.data.image_shape)
-        two_arms = job.code.learned and LIGHT_LAWS[camera.light].arms == 2
+        two_arms = job.facts.learned and LIGHT_LAWS[camera.light].arms == 2
         both_arms = two_arms and camera.readout == "both"
-        if job.code.rails == "single" or (camera.rails == "dual" and not both_arms):
+        if job.facts.rails == "single" or (camera.rails == "dual" and not both_arms):
             return torch.from_numpy(scenes.matrix(name, job.masks, seed, detectors)).float()
         least, most = count_allowed(name, scenes.data, detectors)
         for masks in range(min(max(-(-job.masks // 2), least), most), most + 1):
@@ -411,7 +411,7 @@ class _LearnedTraining(ExposureTraining):
 
 def fixed_training(group: JobGroup) -> ExposureTraining:
     """Training of masks that are shown once, whether they learn or not."""
-    return (_LearnedTraining if group.jobs[0].code.learned else _FixedTraining)(group)
+    return (_LearnedTraining if group.jobs[0].facts.learned else _FixedTraining)(group)
 
 
 def standardised(features: Tensor, scale: Scale) -> Tensor:

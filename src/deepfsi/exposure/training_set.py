@@ -157,9 +157,9 @@ class TrainingSet:
         # Parameters as for `sensing_matrix`
         check_count(name, masks, self.data, detectors)
         _, most = count_allowed(name, self.data, detectors)
-        code = DESIGNS[name]
-        whole = most if code.is_made_whole(most) else masks
-        key = (name, whole, seed if code.seeded else 0, detectors.cells)
+        facts = DESIGNS[name]
+        whole = most if facts.is_made_whole(most) else masks
+        key = (name, whole, seed if facts.seeded else 0, detectors.cells)
         if key not in self.matrices:
             self.matrices[key] = sensing_matrix(name, whole, self.data, seed, detectors=detectors)
         return self.matrices[key][:masks]

@@ -27,7 +27,7 @@ Shape = tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Code:
+class DesignFacts:
     """All that the name of a design implies; nobody else compares names."""
 
     label: str
@@ -76,8 +76,8 @@ def _padded_pixels(shape: Shape, classes: int) -> int:
     return math.prod(padded_shape(shape))
 
 
-DESIGNS: dict[str, Code] = {
-    "impulse": Code(
+DESIGNS: dict[str, DesignFacts] = {
+    "impulse": DesignFacts(
         "II",
         "impulse imaging",
         lambda data, masks, seed: np.eye(data.pixels),
@@ -85,7 +85,7 @@ DESIGNS: dict[str, Code] = {
         rails="single",
         every_pixel=True,
     ),
-    "raster": Code(
+    "raster": DesignFacts(
         "RS",
         "raster scan",
         lambda data, masks, seed: np.eye(data.pixels) / data.pixels,
@@ -93,20 +93,20 @@ DESIGNS: dict[str, Code] = {
         rails="single",
         scaled=True,
     ),
-    "hadamard": Code(
+    "hadamard": DesignFacts(
         "HB", "Hadamard basis", _hadamard, most=_padded_pixels, complete=True, rails="dual"
     ),
-    "truncated-hadamard": Code("TH", "truncated Hadamard", _hadamard, most=_padded_pixels),
-    "pca": Code(
+    "truncated-hadamard": DesignFacts("TH", "truncated Hadamard", _hadamard, most=_padded_pixels),
+    "pca": DesignFacts(
         "FSI",
         "PCA",
         lambda data, masks, seed: principal_components(data.x_train, masks),
         specific=True,
         first_of_many=True,
     ),
-    "deepfsi": Code("DFSI", "DeepFSI", specific=True, learned=True),
-    "control": Code("CG", "control group", specific=True, learned_under="gaussian"),
-    "random": Code(
+    "deepfsi": DesignFacts("DFSI", "DeepFSI", specific=True, learned=True),
+    "control": DesignFacts("CG", "control group", specific=True, learned_under="gaussian"),
+    "random": DesignFacts(
         "RND",
         "random ±1",
         lambda data, masks, seed: np.random.default_rng(seed).choice(
@@ -114,7 +114,7 @@ DESIGNS: dict[str, Code] = {
         ),
         seeded=True,
     ),
-    "lda": Code(
+    "lda": DesignFacts(
         "LDA",
         "linear discriminants",
         lambda data, masks, seed: _discriminants(np.asarray(data.x_train), data.y_train, masks),
@@ -122,14 +122,14 @@ DESIGNS: dict[str, Code] = {
         specific=True,
         of_classes=True,
     ),
-    "class-pairs": Code(
+    "class-pairs": DesignFacts(
         "CP",
         "differences of class means",
         lambda data, masks, seed: _class_pairs(data.x_train, data.y_train, masks),
         specific=True,
         of_classes=True,
     ),
-    "s-matrix": Code(
+    "s-matrix": DesignFacts(
         "S",
         "S-matrix",
         lambda data, masks, seed: s_matrix(data.pixels),
@@ -137,16 +137,16 @@ DESIGNS: dict[str, Code] = {
         complete=True,
         rails="single",
     ),
-    "adaptive": Code("AM", "adaptive masks", specific=True, of_classes=True, adaptive=True),
-    "custom": Code("USER", "own matrix", is_custom=True),
+    "adaptive": DesignFacts("AM", "adaptive masks", specific=True, of_classes=True, adaptive=True),
+    "custom": DesignFacts("USER", "own matrix", is_custom=True),
 }
 """The named designs."""
 
-EVERY_PIXEL = {name for name, code in DESIGNS.items() if code.every_pixel}
+EVERY_PIXEL = {name for name, facts in DESIGNS.items() if facts.every_pixel}
 """Designs with a detector for each pixel, which no camera of one device has."""
 
 
-ADAPTIVE = {name for name, code in DESIGNS.items() if code.adaptive}
+ADAPTIVE = {name for name, facts in DESIGNS.items() if facts.adaptive}
 """Designs whose masks are made during the exposure."""
 
 
@@ -337,18 +337,18 @@ def sensing_matrix(
     Where a tile can have fewer masks, the others are dark there.
     """
     check_count(name, masks, data, detectors)
-    code = DESIGNS[name]
-    assert code.make is not None
+    facts = DESIGNS[name]
+    assert facts.make is not None
     if detectors.count == 1:
-        return code.make(data, masks, seed)
+        return facts.make(data, masks, seed)
     whole = np.zeros((masks, data.pixels))
     for pixels, shape in _tiles(data.image_shape, detectors):
         x_train = data.x_train[:, pixels]
         scenes = replace(data, x_train=x_train, x_test=data.x_test[:, pixels], image_shape=shape)
-        low, high = code.counts(shape, len(data.classes))
+        low, high = facts.counts(shape, len(data.classes))
         count = min(max(masks, low), high)
-        whole[:count, pixels] = code.make(scenes, count, seed)
-    return np.where(whole > 0, 1 / masks, 0.0) if code.scaled else whole
+        whole[:count, pixels] = facts.make(scenes, count, seed)
+    return np.where(whole > 0, 1 / masks, 0.0) if facts.scaled else whole
 
 
 def read_matrix(source: str) -> np.ndarray:

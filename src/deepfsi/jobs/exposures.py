@@ -132,8 +132,8 @@ class Range(Exposure):
     def faults(self, job: "Job") -> Iterator[str]:
         """Refuse a training noise other than MLGauss, and the control group's."""
         alone = "a range of budgets is trained under ml_gauss: leave out"
-        if job.code.learned_under:
-            yield f"{alone} {job.design}, whose masks learn under {job.code.learned_under} noise"
+        if job.facts.learned_under:
+            yield f"{alone} {job.design}, whose masks learn under {job.facts.learned_under} noise"
         elif not find_noise(job.noise).stands_for:
             yield f"{alone} {job.noise} noise, or train under ml_gauss"
         elif job.camera.fluctuation:
@@ -196,7 +196,7 @@ class SharedLight(Exposure):
 
     def faults(self, job: "Job") -> Iterator[str]:
         """Refuse masks that are not adaptive."""
-        if not job.code.adaptive:
+        if not job.facts.adaptive:
             yield '`cap` is of exposures that may end early: give `design="adaptive"` or no cap'
 
 

@@ -18,7 +18,7 @@ from deepfsi.camera.camera import Camera
 from deepfsi.camera.light import PhotonBudget, check_budget
 from deepfsi.camera.names import LIGHT_LAWS, NOISES, check_light_law, find_noise, noise_name
 from deepfsi.datasets.dataset import Dataset
-from deepfsi.jobs.designs import DESIGNS, Code, check_count, check_design, count_allowed
+from deepfsi.jobs.designs import DESIGNS, DesignFacts, check_count, check_design, count_allowed
 from deepfsi.jobs.exposures import AdaptiveMasks, AnyExposure, Fixed, SharedLight, find_exposure
 from deepfsi.jobs.training import MLP, TUNED, Training, find_classifier, part_name
 
@@ -93,7 +93,7 @@ class Job(UserModel):
         return {**given, "exposure": exposure, "training": Training(**{**usual, **training})}
 
     @property
-    def code(self) -> Code:
+    def facts(self) -> DesignFacts:
         """All that the design's name implies."""
         return DESIGNS[self.design]
 
@@ -112,10 +112,10 @@ class Job(UserModel):
         Impulse imaging is `column` whatever else is compared, and a design of one rail has one.
         """
         changes = self.exposure.optics(self.camera)
-        if self.code.every_pixel:
+        if self.facts.every_pixel:
             changes = {"light": "column", "detectors": "1x1", "device": None, "shortest_dwell": 0.0}
-        one_arm = self.code.adaptive and LIGHT_LAWS[self.camera.light].arms == 1
-        if self.code.rails == "single" or one_arm:
+        one_arm = self.facts.adaptive and LIGHT_LAWS[self.camera.light].arms == 1
+        if self.facts.rails == "single" or one_arm:
             changes |= {"rails": "single", "readout": "difference"}
         elif self.camera.rails == "single":
             changes |= {"readout": "difference"}
@@ -124,7 +124,7 @@ class Job(UserModel):
     @property
     def start_matrix(self) -> str:
         """The named design whose matrix the masks are or start from."""
-        return self.training.start if self.mask_job().code.learned else self.design
+        return self.training.start if self.mask_job().facts.learned else self.design
 
     def features(self, image_shape: tuple[int, ...]) -> int:
         """Numbers that are read of the masks of scenes of a shape, k."""
@@ -134,7 +134,7 @@ class Job(UserModel):
 
     def mask_job(self) -> "Job":
         """The job that makes the masks: of a design that learns them before, DeepFSI's."""
-        under = self.code.learned_under
+        under = self.facts.learned_under
         if under is None:
             return self
         training = self.training.model_copy(update={"noise": under})
@@ -155,9 +155,9 @@ class Job(UserModel):
             faults += self._few_counts_faults(data.image_shape)
         if data.values:
             faults += self._value_faults()
-            if self.code.of_classes:  # it has no masks of such data, whose number could be told
+            if self.facts.of_classes:  # it has no masks of such data, whose number could be told
                 return faults
-        if self.code.adaptive:
+        if self.facts.adaptive:
             faults += self._adaptive_faults(data)
         try:
             self._check_masks(data, matrix)
@@ -171,9 +171,9 @@ class Job(UserModel):
         check_light_law(camera.light, camera.rails)
         scene = self.exposure.scene(data)
         camera.mask_levels(scene.image_shape)
-        if self.code.adaptive:
+        if self.facts.adaptive:
             AdaptiveMasks.check_camera(camera)
-        if (matrix is not None) != self.code.is_custom:
+        if (matrix is not None) != self.facts.is_custom:
             raise InputError('a matrix goes with `design="custom"` alone: give both, or neither')
         if matrix is None:
             check_count(self.design, self.masks, scene, camera.detector_map(scene.image_shape))
@@ -199,7 +199,7 @@ class Job(UserModel):
         if not training.is_custom and not (whole and sizes.keys() <= {*facts.sizes}):
             names = ", ".join(facts.sizes) or "none"
             yield f"{training.classifier} cannot have {sizes}: give whole numbers of {names}"
-        if self.code.rails == "dual" and self.camera.rails == "single":
+        if self.facts.rails == "dual" and self.camera.rails == "single":
             yield f"{self.design} is signed: use dual rails, or the s-matrix"
         noises = [find_noise(noise) for noise in (self.noise, self.mask_job().noise)]
         if any(noise.read_noise_alone for noise in noises) and not self.camera.sigma:
@@ -210,9 +210,9 @@ class Job(UserModel):
         camera = self.optics
         counts = self.training.counts or 0.0
         noise = find_noise(self.noise)
-        if self.code.adaptive and self.camera.clicks is not None:
+        if self.facts.adaptive and self.camera.clicks is not None:
             return  # fewer than any number: exposures end where a click is not worth its price
-        if not (self.code.learned and isinstance(self.exposure, Fixed) and noise.counting):
+        if not (self.facts.learned and isinstance(self.exposure, Fixed) and noise.counting):
             counting = ", ".join(name for name, facts in NOISES.items() if facts.counting)
             yield (
                 "counts within a budget are of learned masks that are shown once each, trained "
@@ -232,9 +232,9 @@ class Job(UserModel):
     def _value_faults(self) -> Iterator[str]:
         """Everything in a job on scenes with values that is of classes alone."""
         start = self.training.start
-        if self.code.of_classes:
+        if self.facts.of_classes:
             yield f"{self.design} is of classes, and these scenes have values: give another design"
-        elif self.code.learns_masks and DESIGNS[start].of_classes:
+        elif self.facts.learns_masks and DESIGNS[start].of_classes:
             yield f'{start} is of classes, and these scenes have values: give `start="pca"`'
         if self.training.balance:
             yield "`balance` is of classes, and these scenes have values: leave it out"
@@ -283,21 +283,21 @@ def job_of(
     training = _given_training(given)
     if counts is not None:
         given["training"] = {**training, "counts": counts}
-    code = DESIGNS[check_design(str(given.get("design", "deepfsi")))]
-    whole = code.complete and "masks" not in given
+    facts = DESIGNS[check_design(str(given.get("design", "deepfsi")))]
+    whole = facts.complete and "masks" not in given
     job = Job(**given, **({"masks": 1} if whole else {}))
     if whole:  # the camera says how many pixels each detector sees
         scene = job.exposure.scene(data)
         _, most = count_allowed(job.design, scene, job.optics.detector_map(scene.image_shape))
         job = job.model_copy(update={"masks": most})
     unused = {"clusters", "dictionary"}
-    if code.adaptive:
+    if facts.adaptive:
         unused = Training.model_fields.keys() - unused - {"counts"}
-    elif not code.learns_masks:
+    elif not facts.learns_masks:
         unused |= {"start", "start_counts"}
     for name in sorted(training.keys() & unused):
         raise InputError(
-            f"{code.title} has no use for `{name}`: leave it out, or give another design"
+            f"{facts.title} has no use for `{name}`: leave it out, or give another design"
         )
     return job
 

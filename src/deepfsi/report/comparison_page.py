@@ -276,8 +276,8 @@ def _ranking(points: Sequence[Point], photons: float) -> list[Point]:
 def _rival(points: Sequence[Point]) -> Point:
     """The first of a ranking that is neither learned nor adaptive, or else the first."""
     for point in points:
-        code = DESIGNS.get(point.design)
-        if code is None or not (code.learns_masks or code.adaptive):
+        facts = DESIGNS.get(point.design)
+        if facts is None or not (facts.learns_masks or facts.adaptive):
             return point
     return points[0]
 

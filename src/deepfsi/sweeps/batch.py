@@ -93,7 +93,7 @@ class BatchTrainer:
         batches: list[Batch] = []
         for group in groups.values():
             batch: Batch = []
-            learned_here = group[0].job.code.learned and self.processor.type == "cpu"
+            learned_here = group[0].job.facts.learned and self.processor.type == "cpu"
             for trial in group:
                 jobs = [*(other.job for other in batch), trial.job]
                 too_many = learned_here and len(jobs) * trial.job.masks > MASKS_AT_ONCE
@@ -113,11 +113,11 @@ class BatchTrainer:
         """Relative cost of training a batch: a constant a step, products and noise."""
         trial = batch[0]
         job = trial.job
-        if job.code.adaptive:  # tests take the time: a look at a scene costs 0.4
+        if job.facts.adaptive:  # tests take the time: a look at a scene costs 0.4
             scenes = trial.draws * len(trial.test_photons) * (len(self.data.x_test) + self.held_out)
             return 0.4 * scenes * job.masks * len(batch)
-        cost = 20.0 + len(batch) * (20 + job.masks) * (3 if job.code.learned else 1)
-        twice = 2 if job.code.learned_under else 1
+        cost = 20.0 + len(batch) * (20 + job.masks) * (3 if job.facts.learned else 1)
+        twice = 2 if job.facts.learned_under else 1
         return job.training.epochs * cost * twice
 
     def title(self, batch: Sequence[Trial]) -> str:
@@ -159,8 +159,8 @@ class BatchTrainer:
         """Train a batch that fits the memory, and test it."""
         first = batch[0].job
         # of the bar; tests take the rest, with adaptive masks most of the time
-        share = 0.1 if first.code.adaptive else 0.9
-        matrix = self.matrix if first.code.is_custom else None
+        share = 0.1 if first.facts.adaptive else 0.9
+        matrix = self.matrix if first.facts.is_custom else None
         jobs = [trial.job for trial in batch]
         checkpoint = self._checkpoint(batch, matrix, checkpoints)
         learning = report.between(0.0, share)
@@ -176,7 +176,7 @@ class BatchTrainer:
         self, batch: Batch, matrix: np.ndarray | None, folder: Path | None
     ) -> Checkpoint:
         """Checkpoint of a batch, named by the first design; one that is of no use is replaced."""
-        if folder is None or batch[0].job.code.adaptive:
+        if folder is None or batch[0].job.facts.adaptive:
             return NO_CHECKPOINT
         path = folder / f"{batch[0].design_key}.checkpoint"
         jobs = [trial.job for trial in batch]

@@ -95,7 +95,7 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
     faults: dict[str, None] = {}
     trials: dict[str, Trial] = {}
     for named, variant, job in planned:
-        own = matrix if job.code.is_custom else None
+        own = matrix if job.facts.is_custom else None
         found = job.faults(training, own)
         if own is not None and not found:
             from deepfsi.physics.laws import light_law
@@ -108,10 +108,10 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
             job=job,
             trained_under=job.noise,
             variant=variant,
-            detectors="1x1" if job.code.every_pixel else named.detectors,
+            detectors="1x1" if job.facts.every_pixel else named.detectors,
             data=data.name,
             data_hash=data.hash,
-            matrix_hash=matrix_hash if job.code.is_custom else "",
+            matrix_hash=matrix_hash if job.facts.is_custom else "",
             source_hash=_content_hash({"sources": [*map(hash_of_file, custom)]}) if custom else "",
             validation=held_out,
             draws=recipe.draws,
@@ -185,18 +185,18 @@ def _jobs(
 
 def _goes_with(design: str, camera: Camera, data: Dataset) -> bool:
     """True where a camera can have a design."""
-    code = DESIGNS[design]
+    facts = DESIGNS[design]
     law = LIGHT_LAWS[camera.light]
     detectors = camera.detector_map(data.image_shape).count
     return not (
         # The control group learns under read noise what photon noise then tests
-        (code.learned_under is not None and not camera.noise_facts.exact)
+        (facts.learned_under is not None and not camera.noise_facts.exact)
         # The second arm sees the complement of a mask, which a design of one rail does not read
-        or (law.arms == 2 and code.rails == "single" and not code.every_pixel)
-        or (code.rails == "dual" and camera.rails == "single")
+        or (law.arms == 2 and facts.rails == "single" and not facts.every_pixel)
+        or (facts.rails == "dual" and camera.rails == "single")
         # Under `column` each readout has a detector for the whole scene
         or (not law.one_device and detectors > 1)
-        or (code.adaptive and not law.looks)
+        or (facts.adaptive and not law.looks)
     )
 
 
@@ -213,19 +213,19 @@ def _mask_counts(
     A ratio counts readouts, m · D / N. Adaptive masks share the light among their looks, and more
     looks tell more: ratios ask for one count.
     """
-    code = DESIGNS[design]
+    facts = DESIGNS[design]
     if exposure.fixed_mask_count:
         return [exposure.fixed_mask_count]
-    if code.is_custom and matrix is not None:
+    if facts.is_custom and matrix is not None:
         return [len(matrix)]
     scene = exposure.scene(data)
-    detectors = ONE_DETECTOR if code.every_pixel else named.camera.detector_map(scene.image_shape)
+    detectors = ONE_DETECTOR if facts.every_pixel else named.camera.detector_map(scene.image_shape)
     low, high = count_allowed(design, scene, detectors)
     asked = recipe.masks or [
         mask_count(ratio, scene.pixels / detectors.count) for ratio in recipe.ratios or PAPER_RATIOS
     ]
     counts = sorted({count for count in asked if low <= count <= high}) or [high]
-    if code.adaptive and not recipe.masks:
+    if facts.adaptive and not recipe.masks:
         # more than 32 looks tell little and take their time
         return [max((c for c in counts if c <= 32), default=counts[0])]
     return counts

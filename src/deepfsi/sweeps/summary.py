@@ -224,7 +224,7 @@ def _point(
     job = members[0][0]["trial"]["job"]
     scene = find_exposure(job["exposure"]).scene(data)
     detectors = DetectorMap.of(job["camera"]["detectors"], scene.image_shape).count
-    code = DESIGNS[axes["design"]]
+    facts = DESIGNS[axes["design"]]
     lit = [test.get("photons_per_mask", ()) for test in tests]
     means: dict[str, float] = {}
     for key, measure in MEASURES.items():
@@ -241,10 +241,10 @@ def _point(
         covers = f"test images, noise draws and training seeds ({trainings})"
     return Point(
         **axes,
-        label=code.label,
-        title=code.title,
-        specific=code.specific,
-        learned=code.learned,
+        label=facts.label,
+        title=facts.title,
+        specific=facts.specific,
+        learned=facts.learned,
         lit=float(np.mean([*map(np.count_nonzero, lit)])) if all(lit) else None,
         ratio=axes["masks"] / (scene.pixels / detectors),
         trials=len(tests),

@@ -144,7 +144,7 @@ def learn_job(
     callback: Callable[[Epoch], bool | None] | None = None,
 ) -> Design:
     """Train the design of a job; `learn` explains the arguments."""
-    if callback is not None and job.code.adaptive:
+    if callback is not None and job.facts.adaptive:
         raise InputError("adaptive masks learn by no steps: leave callback out")
     training_set = TrainingSet(data, device)
     state = Checkpoint.of(checkpoint, training_set, [job], matrix)
@@ -171,7 +171,7 @@ def train(
     for job in jobs:
         job.check(training_set.data, matrix)
     check_fits(training_set, jobs)
-    if jobs[0].code.adaptive:
+    if jobs[0].facts.adaptive:
         return _adaptive_designs(training_set, jobs, report)
     folds = [] if training_set.data.held_out else folds_of(training_set.data)
     own, *others = report.split(1 + len(folds))
@@ -214,7 +214,7 @@ def _designs(
 ) -> list[Design]:
     """Designs of jobs that train side by side."""
     jobs = group.jobs
-    if jobs[0].code.learned_under:
+    if jobs[0].facts.learned_under:
         # the control group first learns masks under gaussian noise, with a network of their own
         before, report = report.split(2)
         teachers = JobGroup(group.training_set, [job.mask_job() for job in jobs])
@@ -319,9 +319,9 @@ def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     levels = job.optics.mask_levels(training_set.data.image_shape)
     # masks: weights, gradients, moments, stages and products; rounded masks add theirs
     copies = 16 + (10 if levels else 0)
-    learned = copies * masks * scene if job.mask_job().code.learned else 0
-    own = replicas if job.code.learned_under else len(matrix_seeds(jobs))
-    products_of_all = 0 if job.code.learned else 5 * own * count * job.masks
+    learned = copies * masks * scene if job.mask_job().facts.learned else 0
+    own = replicas if job.facts.learned_under else len(matrix_seeds(jobs))
+    products_of_all = 0 if job.facts.learned else 5 * own * count * job.masks
     # features and hidden units
     step = 12 * batch * (masks + replicas * sum(job.training.hidden))
     return 3 * training_set.full.nbytes + 4.0 * (learned + products_of_all + step)

@@ -100,7 +100,7 @@ class Patches(Exposure):
         camera = job.optics
         if LIGHT_LAWS[camera.light].in_turn:
             yield "a patch has a detector for each readout: give the light law column"
-        if job.code.seeded or job.code.learned_under or job.code.is_custom:
+        if job.facts.seeded or job.facts.learned_under or job.facts.is_custom:
             yield f"{job.design} is not for patches: give deepfsi or a named design"
         if not find_noise(job.noise).stands_for or camera.mask_levels((self.patch, self.patch)):
             yield "patches are trained under photon noise, with continuous masks"
