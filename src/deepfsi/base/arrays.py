@@ -18,7 +18,7 @@ from deepfsi.base.errors import InputError
 from deepfsi.base.files import UNPACKED_RATIO, check_unpacked, open_regular, read_regular
 
 LARGEST_ARRAY_FILE = 2**36
-"""Bytes of a file of arrays at most."""
+"""Largest file of arrays, in bytes."""
 
 
 def split_variable(source: str) -> tuple[Path, str]:
@@ -37,20 +37,24 @@ def read_array(
     usual: str = "",
     advice: str = "",
 ) -> npt.NDArray[Any]:
-    """Array of a ``.npy`` file, or a variable of a ``.mat`` file."""
+    """Array of a ``.npy`` file, or a variable of a ``.mat`` file.
+
+    Variables with a number of axes other than `dimensions` do not count. Without a name the only
+    one is taken, or `usual`.
+    """
     if path.suffix.lower() != ".mat":
         return read_npy(path)
-    found = {name: each for name, each in _read_mat(path).items() if each.ndim in dimensions}
+    arrays = {name: array for name, array in _read_mat(path).items() if array.ndim in dimensions}
     if not variable:
-        variable = next(iter(found)) if len(found) == 1 else usual
-    if variable not in found:
+        variable = next(iter(arrays)) if len(arrays) == 1 else usual
+    if variable not in arrays:
         lacking = f"no variable {variable!r}" if variable else "not one variable alone"
         axes = " or ".join(map(str, dimensions))
         raise InputError(
             f"{path} has {lacking} of real numbers in {axes} dimensions, but "
-            f"{', '.join(found) or 'none'}: {advice or f'name one as {path}:VARIABLE'}"
+            f"{', '.join(arrays) or 'none'}: {advice or f'name one as {path}:VARIABLE'}"
         )
-    values = found[variable]
+    values = arrays[variable]
     check_memory(values.nbytes, f"the values of {path}: {variable}", "give fewer")
     return np.ascontiguousarray(_native(values))
 
@@ -65,19 +69,18 @@ def read_npz(
                 size = sum(entry.file_size for entry in arrays.zip.infolist())
                 check_unpacked(size, path.stat().st_size, str(path), advice)
                 check_memory(size, f"the arrays of {path}", "give fewer or smaller ones")
-                read = {name: _native(arrays[name]) for name in arrays.files}
+                return {name: _native(arrays[name]) for name in arrays.files}
         except InputError:
             raise
         except Exception as error:  # zipfile and numpy raise almost anything on damaged files
             raise InputError(f"cannot read {path} ({error}); {advice}") from None
-    return read
 
 
 def read_npy(path: Path) -> npt.NDArray[Any]:
-    """Array of a ``.npy`` file, or `InputError` if it holds something else than real numbers."""
+    """Array of a ``.npy`` file; `InputError` if it does not hold real numbers."""
     with open_regular(path, LARGEST_ARRAY_FILE, "give a .npy file"):
         try:
-            # mapped, so that no more is read than the file holds
+            # Mapped first: a header may claim more values than the file holds
             values: npt.NDArray[Any] = np.lib.format.open_memmap(path, mode="r")
             if values.dtype.kind not in "biuf":
                 raise ValueError(f"it holds {values.dtype}")
@@ -91,7 +94,7 @@ def read_npy(path: Path) -> npt.NDArray[Any]:
 
 
 def _native(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Array with the bytes of its values in this machine's order, which torch needs."""
+    """Array in the byte order of this machine, which torch needs."""
     return values.astype(values.dtype.newbyteorder("="), copy=False)
 
 
@@ -104,60 +107,61 @@ def _read_mat(path: Path) -> dict[str, npt.NDArray[Any]]:
         _check_mat(content)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of strings and tables, which have no names
-            found = loadmat(io.BytesIO(content))
+            variables = loadmat(io.BytesIO(content))
     except Exception as error:  # scipy raises almost anything on a damaged file
         raise InputError(
             f"cannot read {path} as a .mat file ({error}); save it again, with '-v7'"
         ) from error
     return {
         name: values
-        for name, values in found.items()
+        for name, values in variables.items()
         if isinstance(values, np.ndarray) and values.dtype.kind in "biuf" and name[:2] != "__"
     }
 
 
 def _check_mat(content: bytes) -> None:
-    """Raise `ValueError` for parts of an unknown type: at them scipy ends the process."""
-    # A header of 128 bytes, then variables; they and their parts begin with type and length
+    """Raise `ValueError` for elements of an unknown type, at which scipy ends the process."""
+    # 128 bytes of header, then variables. They and their elements begin with type and length
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128], "")
     start = 128
     while order and start + 8 <= len(content):
         kind, length = struct.unpack_from(f"{order}II", content, start)
         start += 8
         variable = content[start : start + length]
-        if kind == 15:  # compressed
+        if kind == 15:  # compressed, with another tag of 8 bytes
             variable = zlib.decompressobj().decompress(variable, UNPACKED_RATIO * len(content))[8:]
-        _check_parts(variable, order)
+        _check_elements(variable, order)
         start += length
 
 
-def _check_parts(variable: bytes, order: str) -> None:
-    """Raise `ValueError` where a variable has parts of an unknown type."""
+def _check_elements(variable: bytes, order: str) -> None:
+    """Raise `ValueError` where a variable has elements of an unknown type."""
     start = 0
     while start + 8 <= len(variable):
         kind, length = struct.unpack_from(f"{order}II", variable, start)
+        # 8, 10 and 11 are reserved; the upper half of a short element's tag is its length
         if (kind & 0xFFFF) not in {*range(1, 8), 9, *range(12, 19)}:
             raise ValueError(f"a part of type {kind}")
         start += 8
         if kind < 1 << 16:  # else the values are in the tag
-            start += -(-length // 8) * 8
+            start += -(-length // 8) * 8  # padded to 8 bytes
 
 
 LARGEST_TENSORS = 2**33
-"""Bytes of a file of tensors at most."""
+"""Largest file of tensors, in bytes."""
 
 
 def read_tensors(
     path: str | os.PathLike[str], key: str, advice: str, wanted: Container[str] | None = None
 ) -> tuple[str, dict[str, np.ndarray]]:
-    """Text of a key in a file's header and its tensors, all or those wanted; or `ValueError`."""
+    """Text of a key in a file's header, and its wanted tensors; `ValueError` if damaged."""
     with open_regular(path, LARGEST_TENSORS, advice):
         try:
             with safe_open(Path(path), framework="numpy") as file:
                 text = (file.metadata() or {})[key]
                 names = [name for name in file.keys() if wanted is None or name in wanted]  # noqa: SIM118
                 return text, {name: file.get_tensor(name) for name in names}
-        except Exception as error:  # it raises almost anything on a damaged file
+        except Exception as error:  # safetensors raises almost anything on damaged files
             raise ValueError(f"{path} is damaged") from error
 
 
@@ -167,7 +171,7 @@ def free_memory() -> float:
 
 
 def check_memory(needed: float, what: str, advice: str, free: float | None = None) -> None:
-    """Raise `InputError` where something does not fit the free memory, by default the machine's."""
+    """Raise `InputError` if more bytes are needed than are free, by default on this machine."""
     free = free_memory() if free is None else free
     if needed > free:
         raise InputError(

@@ -68,28 +68,28 @@ def as_input_error(file: str = "", advice: str = "") -> Iterator[None]:
         if not file:
             raise InputError("; ".join(field_errors(error))) from None
         fault = min(error.errors(), key=_order)
-        place = f" at {_field(fault)}" if fault["loc"] else ""
+        where = f" at {_field(fault)}" if fault["loc"] else ""
         words = _words(fault, error.title) + (advice and f"; {advice}")
-        raise InputError(f"{file} cannot be used{place}: {words}") from None
+        raise InputError(f"{file} cannot be used{where}: {words}") from None
 
 
 def _order(fault: "ErrorDetails") -> int:
-    """Place of a fault: the number of a file's schema explains all others."""
+    """Rank of a fault, 0 first: a wrong number of a file's schema explains all others."""
     if _field(fault) in ("schema", "schema_version"):
         return 0
-    # of a wrong name and the field that is missing for it, the name says what to do
+    # A wrong name explains the missing field that it was meant for
     return 1 if fault["type"] == "extra_forbidden" else 2
 
 
 def field_errors(
     error: "ValidationError", name: "Callable[[ErrorDetails], str] | None" = None
 ) -> list[str]:
-    """Every bad field of pydantic's error, with what was given."""
-    name = name or _given
+    """One text for each bad field of pydantic's error, with its value."""
+    name = name or _assignment
     return [
         name(fault) + _words(fault, error.title)
         for fault in error.errors()
-        if fault["type"] != "default_factory_not_called"  # what follows from a bad field
+        if fault["type"] != "default_factory_not_called"  # follows from another bad field
     ]
 
 
@@ -97,8 +97,8 @@ def _field(fault: "ErrorDetails") -> str:
     return ".".join(map(str, fault["loc"]))
 
 
-def _given(fault: "ErrorDetails") -> str:
-    """A field with its value; a table is left out, as its faults name their own fields."""
+def _assignment(fault: "ErrorDetails") -> str:
+    """A field with its value, but for a table, whose faults name their own fields."""
     if not fault["loc"]:
         return ""
     if isinstance(fault["input"], dict):
@@ -130,7 +130,7 @@ _ADVICE = {
     "model_type": "give a table of settings, or {class_name}",
     "none_required": "leave it out",
 }
-"""What to do about an error of pydantic, by its type."""
+"""Advice on an error of pydantic, by its type."""
 
 
 def _words(fault: "ErrorDetails", model: str) -> str:
@@ -158,10 +158,10 @@ def _words(fault: "ErrorDetails", model: str) -> str:
 
 
 def _field_names(title: str, kind: type["BaseModel"]) -> list[str]:
-    """Fields of a model of that name among those of a kind."""
-    for each in kind.__subclasses__():
-        if each.__name__ == title:
-            return [field.alias or name for name, field in each.model_fields.items()]
-        if names := _field_names(title, each):
+    """Fields of the model of that name, among the subclasses of a kind."""
+    for model in kind.__subclasses__():
+        if model.__name__ == title:
+            return [field.alias or name for name, field in model.model_fields.items()]
+        if names := _field_names(title, model):
             return names
     return []

@@ -1,10 +1,10 @@
 """Reading what users give, and writing so that a stopped program leaves nothing half written.
 
-Every reader opens files by `open_regular`: regular ones alone, up to its own limit. What unpacks
-to far more than the file is refused by `check_unpacked`.
+Every reader opens files by `open_regular`: only regular files, up to its own limit.
+`check_unpacked` refuses files that unpack to far more than their size.
 
-What is being written is a draft beside its target, `.NAME.TOKEN.draft`, which takes the target's
-place when it is whole. A killed process leaves its draft behind.
+A file is written as a draft beside its target, `.NAME.TOKEN.draft`, which replaces the target when
+it is complete. A killed process leaves its draft behind.
 """
 
 import codecs
@@ -43,16 +43,16 @@ def open_regular(
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path} cannot be read ({reason}): {advice}") from None
     with file:
-        found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode):
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
             raise InputError(f"{path} cannot be read (it is no regular file): {advice}")
-        if found.st_size > largest:
+        if status.st_size > largest:
             raise InputError(f"{path} has more than {largest} bytes: {advice}")
-        yield file  # type: ignore[misc]  # a FileIO without a buffer, which reads alike
+        yield file  # type: ignore[misc]  # without a buffer a FileIO, which reads alike
 
 
 def _open_at_once(path: str, flags: int) -> int:
-    """Open a file without waiting, were it a pipe that nobody writes to."""
+    """Open a file without waiting for a writer, which a pipe may lack."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
@@ -66,10 +66,10 @@ def read_text(path: str | os.PathLike[str], largest: int, advice: str) -> str:
     """Text of a file of any editor, in UTF-8 or UTF-16, its lines ended by line feeds alone."""
     content = read_regular(path, largest, advice)
     marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    text = "\0"
+    text = "\0"  # stays if the bytes cannot be decoded
     with suppress(UnicodeDecodeError):
         text = content.decode("utf-16" if marked else "utf-8-sig")
-    if "\0" in text:
+    if "\0" in text:  # UTF-16 without its mark passes as UTF-8 with null characters
         raise InputError(f"{path} holds no text in UTF-8: {advice}")
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -96,7 +96,7 @@ def check_unpacked(unpacked: float, packed: int, what: str, advice: str) -> None
 
 
 def write_atomically(path: str | os.PathLike[str], content: bytes) -> Path:
-    """Write a file so that it is either whole or not there, and give its path."""
+    """Write a file completely or not at all, and give its path."""
     with open_atomically(path) as file:
         file.write(content)
     return Path(path)
@@ -123,45 +123,45 @@ def hash_file(path: Path) -> str:
 
 @contextmanager
 def open_atomically(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Open a file to write that appears, whole, when the block ends; none if the block fails."""
+    """Open a file to write, which appears when the block ends, and not at all if it fails."""
     with _draft(Path(path)) as draft, open(draft, "xb") as file:
         yield file
         file.flush()
-        os.fsync(file.fileno())
+        os.fsync(file.fileno())  # content before name: a crash leaves no empty file
 
 
 class GrowingFile(FileIO):
-    """A new file that others read while it grows, and that takes each part whole or not at all.
+    """A new file that others read while it grows; each write is kept completely or not at all.
 
-    A disk may take some bytes of a part, and no more: what an unbuffered file's `write` returns
-    says so, and nothing else does.
+    A full disk may take the first bytes only. An unbuffered `write` then raises nothing: it
+    returns how many it took.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         super().__init__(os.fspath(path), "x")
 
-    def write(self, part: bytes, /) -> int:  # type: ignore[override]
-        """Write all of a part; `InputError` if the disk does not take it, and then none of it."""
+    def write(self, content: bytes, /) -> int:  # type: ignore[override]
+        """Write content; `InputError` if the disk does not take all, and then none is kept."""
         size = os.fstat(self.fileno()).st_size
-        left = memoryview(part)
+        rest = memoryview(content)
         try:
-            while left:
-                taken = os.write(self.fileno(), left)
+            while rest:
+                taken = os.write(self.fileno(), rest)
                 if not taken:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-                left = left[taken:]
+                rest = rest[taken:]
         except OSError as error:
             self.truncate(size)
             raise InputError(
                 f"cannot write {self.name}: {error.strerror or error}; its first {size} bytes are "
                 "kept: free the disk, or give a folder on another one"
             ) from error
-        return len(part)
+        return len(content)
 
 
 @contextmanager
 def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Make a folder that takes an empty one's place, or none's, when the block ends well."""
+    """Fill a new folder, which gets its name when the block ends; an empty one is replaced."""
     target = Path(path)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InputError(f"{target} exists already: give a new folder")
@@ -174,9 +174,10 @@ def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def _draft(target: Path) -> Iterator[Path]:
-    """Path of what takes the target's place when the block ends; nothing is left if it fails."""
+    """Path of a draft that replaces the target when the block ends, and goes if it fails."""
     import shutil
 
+    # 50 letters: file systems allow names of 255 bytes
     draft = target.parent / f".{target.name[:50]}.{os.urandom(4).hex()}.draft"
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -189,6 +190,6 @@ def _draft(target: Path) -> Iterator[Path]:
             raise
         name = Path(error.filename or draft)
         if target.parent not in name.parents and name not in target.parents:
-            raise  # of something that was read
+            raise  # an error of another file, which the block read
         reason = error.strerror or error
         raise InputError(f"cannot write {target}: {reason}; nothing of it was kept") from error

@@ -21,10 +21,10 @@ STOPPED_EXIT_CODE = 130
 """Exit code of a command that was stopped by Ctrl-C."""
 
 STOP_SIGNALS = signal.SIGINT, signal.SIGTERM
-"""What stops a command."""
+"""Signals that stop a command."""
 
-_said = threading.Event()
-_came: signal.Signals | None = None
+_reported = threading.Event()
+_received: signal.Signals | None = None
 _saved_work = ""
 
 
@@ -44,14 +44,14 @@ def note_saved_work(words: str) -> None:
 
 
 def saved_work_text() -> str:
-    """End of a line that says what is kept of a command's work: nothing where nothing is."""
+    """End of a line that says what work is kept; empty if none is."""
     return f"; {_saved_work}" if _saved_work else ""
 
 
 def say_stopped() -> None:
     """Say once on standard error that the command was stopped, and what is kept."""
-    if not _said.is_set():
-        _said.set()
+    if not _reported.is_set():
+        _reported.set()
         print(f"deepfsi: stopped{saved_work_text()}", file=sys.stderr)
 
 
@@ -64,21 +64,23 @@ def end_process() -> NoReturn:
         say_stopped()
         sys.stderr.flush()
         sys.stdout.flush()
-    os._exit(128 + (_came or signal.SIGINT))
+    os._exit(128 + (_received or signal.SIGINT))
 
 
 @contextlib.contextmanager
 def block_ctrl_c() -> Iterator[None]:
-    """Hold back what stops until the block ends; processes started in it never see Ctrl-C."""
+    """Hold back `STOP_SIGNALS` until the block ends; processes started in it never see Ctrl-C."""
     usual = {number: signal.getsignal(number) for number in STOP_SIGNALS}
-    handlers: dict[int, Any] = {number: one for number, one in usual.items() if callable(one)}
-    elsewhere = threading.current_thread() is not threading.main_thread()
-    if sys.platform == "win32" or elsewhere or not handlers:
+    handlers: dict[int, Any] = {number: call for number, call in usual.items() if callable(call)}
+    # Python sets handlers in the main thread alone
+    off_main = threading.current_thread() is not threading.main_thread()
+    if sys.platform == "win32" or off_main or not handlers:
         yield
         return
-    came: list[int] = []
+    received: list[int] = []
     for number in handlers:
-        signal.signal(number, lambda number, frame: came.append(number))
+        signal.signal(number, lambda number, frame: received.append(number))
+    # Processes that are started inherit the mask
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
@@ -86,12 +88,12 @@ def block_ctrl_c() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for number, handler in handlers.items():
             signal.signal(number, handler)
-        if came:
-            handlers[came[0]](came[0], sys._getframe())
+        if received:
+            handlers[received[0]](received[0], sys._getframe())
 
 
 def _end_workers() -> None:
-    """Kill worker processes, also one that is being started; imports nothing, as one may run."""
+    """Kill worker processes, also one that starts; imports nothing, as an import may be running."""
     psutil: Any = sys.modules.get("psutil")
     if "multiprocessing.spawn" not in sys.modules or not hasattr(psutil, "Process"):
         return
@@ -103,10 +105,10 @@ def _end_workers() -> None:
 
 def _stop(number: int, frame: FrameType | None) -> None:
     """Raise `KeyboardInterrupt`, but end the process where an import runs or no command does."""
-    global _came
-    _came = signal.Signals(number)
-    for each in STOP_SIGNALS:
-        signal.signal(each, signal.SIG_DFL)  # a second one ends the process, whatever it does
+    global _received
+    _received = signal.Signals(number)
+    for stop in STOP_SIGNALS:
+        signal.signal(stop, signal.SIG_DFL)  # a second one ends the process, whatever it does
     if "deepfsi.cli" not in sys.modules:  # nobody would catch it
         end_process()
     while frame is not None:

@@ -1,11 +1,11 @@
 """95 % intervals of what a test measures, over test images and training seeds.
 
-A test of S trainings with different seeds on the same n images gives a value of each image by each
-training, such as the share of its noise draws that are right: values (S, n). Images and seeds are
-crossed random effects. The mean over seeds of each image tells the variance over images, in which
-the noise draws and what is of one training on one image are held already; the means of the
-trainings vary by the seeds and by a share of the same, which is taken off. Half widths of both
-parts, each by its own quantile, add as squares. Of one training the interval is over images alone.
+A test of S trainings with different seeds on the same n images gives values (S, n), such as the
+share of noise draws that are right. Images and seeds are crossed random effects. Means over seeds
+tell the variance over images, which already holds that of noise draws, and of one training on one
+image. Means over images vary by the seeds and by a share of that variance, which is taken off.
+Half widths of both, each by its own quantile, add as squares. With one training the interval
+covers images alone.
 `benchmarks/coverage.py` measures how often the intervals hold the truth.
 """
 
@@ -51,18 +51,20 @@ def balanced_interval(right: np.ndarray, labels: np.ndarray) -> Interval:
     three.
     """
     values = np.atleast_2d(right)
-    each = values.mean(axis=0)
-    ends = [_score(each[labels == label]) for label in np.unique(labels)]
-    mean = sum(rate for rate, _, _ in ends) / len(ends)
-    below = math.hypot(*(rate - low for rate, low, _ in ends)) / len(ends)
-    above = math.hypot(*(high - rate for rate, _, high in ends)) / len(ends)
+    images = values.mean(axis=0)
+    scores = [_score(images[labels == label]) for label in np.unique(labels)]
+    mean = sum(rate for rate, _, _ in scores) / len(scores)
+    below = math.hypot(*(rate - low for rate, low, _ in scores)) / len(scores)
+    above = math.hypot(*(high - rate for rate, _, high in scores)) / len(scores)
     terms = np.stack([_balanced_terms(row, labels) for row in values])
     return _widen_by_seeds(Interval(mean, mean - below, mean + above), terms, (0.0, 1.0))
 
 
 def _balanced_terms(right: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Terms (n,) of images whose mean is the balanced accuracy, and varies as it does."""
-    # right (n,) and labels (n,) of one training
+    """Terms (n,) of one training, from right (n,) and labels (n,).
+
+    Their mean is the balanced accuracy, and varies as it does.
+    """
     _, groups, sizes = np.unique(labels, return_inverse=True, return_counts=True)
     rates = np.bincount(groups, right) / sizes
     weights = len(labels) / (len(sizes) * sizes)
@@ -74,34 +76,35 @@ def image_interval(values: np.ndarray) -> Interval:
     from scipy import stats
 
     rows = np.atleast_2d(values)
-    each = rows.mean(axis=0)
-    mean = float(each.mean())
-    count = len(each)
+    images = rows.mean(axis=0)
+    mean = float(images.mean())
+    count = len(images)
     if count < 2:
         return Interval(mean, mean, mean)
-    half = float(stats.t.ppf(0.975, count - 1)) * float(stats.sem(each))
+    half = float(stats.t.ppf(0.975, count - 1)) * float(stats.sem(images))
     return _widen_by_seeds(Interval(mean, mean - half, mean + half), rows)
 
 
 def _widen_by_seeds(
-    found: Interval, terms: np.ndarray, bounds: tuple[float, float] = (-math.inf, math.inf)
+    interval: Interval, terms: np.ndarray, bounds: tuple[float, float] = (-math.inf, math.inf)
 ) -> Interval:
-    """An interval over images, which covers training seeds, too, where there are several."""
-    # terms (S, n), whose mean is what is measured
+    """Widen an interval over images, the mean of terms (S, n), by the variance of S > 1 seeds."""
     from scipy import stats
 
-    mean = found.mean
+    mean = interval.mean
     reach = 0.0
     if len(terms) > 1:
         reach = float(stats.t.ppf(0.975, len(terms) - 1)) * seeds_error(terms)
-    low = mean - math.hypot(mean - found.low, reach)
-    high = mean + math.hypot(found.high - mean, reach)
+    low = mean - math.hypot(mean - interval.low, reach)
+    high = mean + math.hypot(interval.high - mean, reach)
     return Interval(mean, max(low, bounds[0]), min(high, bounds[1]))
 
 
 def seeds_error(terms: np.ndarray, off: float = 1.0) -> float:
-    """Standard error that training seeds alone give the mean of terms (S, n); 0 of one seed."""
-    # off: part of the share of images and draws in the trainings' variance that is taken off it
+    """Standard error that training seeds alone give the mean of terms (S, n); 0 for one seed.
+
+    The variance of the trainings holds a share of images and draws: `off` times it is taken off.
+    """
     seeds, images = terms.shape
     if seeds < 2:
         return 0.0
@@ -121,9 +124,10 @@ def wilson(accuracy: float, images: int) -> tuple[float, float]:
 
 
 def _wilson(rate: float, images: float) -> tuple[float, float]:
-    part = Z_95**2 / images
-    half = math.sqrt(part * (rate * (1 - rate) + part / 4))
-    low, high = ((rate + part / 2 + off) / (1 + part) for off in (-half, half))
+    ratio = Z_95**2 / images
+    half = math.sqrt(ratio * (rate * (1 - rate) + ratio / 4))
+    low, high = ((rate + ratio / 2 + off) / (1 + ratio) for off in (-half, half))
+    # Rounding must not leave 0 or 1 outside
     return low if rate > 0 else 0.0, high if rate < 1 else 1.0
 
 
@@ -139,12 +143,12 @@ def _score(values: np.ndarray) -> Interval:
 
 
 def worst_class(rates: Sequence[float | None]) -> int:
-    """Place of the class with the lowest accuracy, of those that have one."""
-    return min((rate, place) for place, rate in enumerate(rates) if rate is not None)[1]
+    """Index of the class with the lowest accuracy; classes without one are passed over."""
+    return min((rate, index) for index, rate in enumerate(rates) if rate is not None)[1]
 
 
 CONFIDENCE = 0.95
-"""Of the intervals."""
+"""Probability that an interval holds the truth."""
 
 
 @dataclass(frozen=True)
@@ -207,11 +211,11 @@ def paired_difference(first: np.ndarray, second: np.ndarray) -> Difference:
     # Two more squares as large as the largest are added to those of the images: where few images
     # differ, those that do may be of one sign by chance. Five images that one design alone reads do
     # not tell it apart, and six do, as in the sign test
-    each = first.mean(axis=0) - second.mean(axis=0)
-    mean = float(each.mean())
-    freedom = max(len(each) - 1, 1)
-    squares = float(np.square(each - mean).sum() + 2 * np.square(each).max())
-    images = Difference(mean, math.sqrt(squares / freedom / len(each)), freedom)
+    gaps = first.mean(axis=0) - second.mean(axis=0)
+    mean = float(gaps.mean())
+    freedom = max(len(gaps) - 1, 1)
+    squares = float(np.square(gaps - mean).sum() + 2 * np.square(gaps).max())
+    images = Difference(mean, math.sqrt(squares / freedom / len(gaps)), freedom)
     # Half of the share of images and draws is taken off the trainings' variance: the whole is right
     # in the mean, but the variance of three trainings is often far below that, and alike designs
     # would be told apart in up to 9 of 100 studies instead of 7 (`benchmarks/coverage.py`)
@@ -225,25 +229,27 @@ def paired_difference(first: np.ndarray, second: np.ndarray) -> Difference:
 
 
 def all_above(differences: Iterable[Difference], limit: float = 0.0) -> bool | None:
-    """Test that all differences are above a limit."""
-    every = list(differences)
-    wide = 1 - (1 - CONFIDENCE) / max(len(every), 1)
-    if any(each.interval(wide)[1] < limit for each in every):
+    """True if all differences are above a limit, False if one is below it, None if unsure."""
+    tests = list(differences)
+    # Any of them may be below by chance (Bonferroni); that all are above by chance is less likely
+    wide = 1 - (1 - CONFIDENCE) / max(len(tests), 1)
+    if any(test.interval(wide)[1] < limit for test in tests):
         return False
-    return True if all(each.low > limit for each in every) else None
+    return True if all(test.low > limit for test in tests) else None
 
 
 def find_crossing(
     photons: Sequence[float], accuracies: Sequence[Sequence[float]], images: int, target: float
 ) -> tuple[float | None, float | None, float | None]:
-    """Photons at which the accuracy reaches a target, of budgets (B,) that rise; their interval.
+    """Photons at which the accuracy reaches a target: low end, best value, high end.
 
-    Low end, best value and high end; None for one that the tried budgets do not enclose.
+    `photons` are the tried budgets (B,), rising; `accuracies` are those of the trials at each. A
+    value that the budgets do not enclose is None.
 
     The tried accuracies are made to rise with the budget (isotonic regression) and joined by a
-    monotone cubic over its logarithm. The interval holds all budgets at which the curve's own one
-    holds the target, over test images (Wilson) and training seeds (Student, with one variance for
-    all budgets), added in squares.
+    monotone cubic over its logarithm. The interval holds all budgets at which the interval of the
+    curve holds the target: over test images (Wilson) and training seeds (Student, with one variance
+    for all budgets), added in squares.
     """
     from scipy.interpolate import PchipInterpolator
     from sklearn.isotonic import IsotonicRegression
@@ -254,27 +260,27 @@ def find_crossing(
     below, above = _half_widths(fitted, accuracies, images)
     budgets = np.union1d(np.linspace(tried[0], tried[-1], 1000), tried)
     curve = PchipInterpolator(tried, fitted)(budgets)
-    least, most = _shapes(tried, fitted, budgets)
+    least, most = _curve_bounds(tried, fitted, budgets)
     lower = least - np.interp(budgets, tried, below)
     upper = np.maximum.accumulate(most + np.interp(budgets, tried, above))
 
     def reached(accuracy: np.ndarray) -> int:
-        """From which budget on the target is reached; the number of budgets if at none."""
+        """Index of the budget from which on the target is reached; their number if none."""
         short = np.flatnonzero(accuracy < target)
         return int(short[-1]) + 1 if len(short) else 0
 
-    places = reached(upper), reached(curve), reached(lower)
+    indices = reached(upper), reached(curve), reached(lower)
     low, best, high = (
-        float(10 ** budgets[place]) if 0 < place < len(budgets) else None for place in places
+        float(10 ** budgets[index]) if 0 < index < len(budgets) else None for index in indices
     )
     return low, best, high
 
 
-def _shapes(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and most that a rising curve through points may plausibly be between them."""
-    # The hull of three straight lines: the one that joins two points, and those of the gaps beside
-    # it, continued into this one (flat where there is none); never below the lower point nor above
-    # the upper one, and at a point its own value
+def _curve_bounds(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest values at `at` that a rising curve through points x, y may have."""
+    # The hull of three straight lines: the chord of a gap, and those of both gaps beside it,
+    # continued into this one (flat where there is none); clipped to the two points of the gap, and
+    # at a point its own value
     slopes = np.diff(y) / np.diff(x)
     gap = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(slopes) - 1)
     before = np.append(0.0, slopes)[gap]
@@ -297,7 +303,7 @@ def _half_widths(
     from scipy import stats
 
     low, high = np.transpose([_wilson(rate, images) for rate in fitted])
-    # One variance of the seeds for all budgets: three trials tell little of their own
+    # One variance of the seeds for all budgets: three trials tell little of that at one
     freedom = sum(len(trials) - 1 for trials in accuracies)
     seeds = np.zeros(len(fitted))
     if freedom:
@@ -317,6 +323,7 @@ def unpack_values(text: str) -> np.ndarray:
     """Values (n,) that `pack_values` wrote; `ValueError` of other text."""
     reader = zlib.decompressobj()
     try:
+        # A limit: a short text may unpack to any size
         content = reader.decompress(base64.b64decode(text, validate=True), 2**27)
     except zlib.error as error:
         raise ValueError("values of images are damaged") from error

@@ -23,7 +23,7 @@ else:
 
 
 class StrictModel(BaseModel):
-    """Model that is never changed once it is made, and knows no other fields than its own."""
+    """Model that is frozen and refuses unknown fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
@@ -31,18 +31,18 @@ class StrictModel(BaseModel):
 def of_kinds(
     core: Iterable[type[StrictModel]], find: Callable[[Any], type[StrictModel] | None]
 ) -> WrapValidator:
-    """Validator of a field that is of a `kind` of the core, or of a package beside it."""
-    kinds = {get_args(each.model_fields["kind"].annotation)[0]: each for each in core}
+    """Validator of a field whose `kind` names a model of the core, or of another package."""
+    kinds = {get_args(model.model_fields["kind"].annotation)[0]: model for model in core}
 
-    def validate(given: Any, handler: Any, info: ValidationInfo) -> Any:
-        if not isinstance(given, Mapping):
-            return given
-        model = kinds.get(given.get("kind")) or find(given.get("kind"))
+    def validate(value: Any, handler: Any, info: ValidationInfo) -> Any:
+        if not isinstance(value, Mapping):
+            return value
+        model = kinds.get(value.get("kind")) or find(value.get("kind"))
         if model is None:
-            return handler(given)
+            return handler(value)
         # A wrapped validator gets lists of JSON, which strict models take from JSON alone
         as_json = info.mode == "json"
-        return model.model_validate_json(json.dumps(given)) if as_json else model(**given)
+        return model.model_validate_json(json.dumps(value)) if as_json else model(**value)
 
     return WrapValidator(validate)
 
@@ -72,7 +72,7 @@ Count = Annotated[int, Field(ge=1)]
 """Number of things, 1 or more."""
 
 WholeNumber = Annotated[int, Field(ge=0)]
-"""Number of things or place in a list, 0 or more."""
+"""Number of things or index in a list, 0 or more."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 """Number above 0."""

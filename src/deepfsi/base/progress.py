@@ -33,14 +33,14 @@ SILENT = Progress()
 
 
 FIRST_LINE_SECONDS = 2.0
-"""Time after which a task says what share is done, and then each minute, where no bar is shown."""
+"""Time after which a task without a bar prints the share that is done; then every minute."""
 
 
 @contextmanager
 def progress_bar(report: Progress | None, what: str) -> Iterator[Progress]:
-    """The report of a task that was given one, else progress with the time left on standard error.
+    """Yield the given report, or else one that writes to standard error.
 
-    That is a bar on a terminal, else a line at times.
+    On a terminal it is a bar with the time left, elsewhere a line at most once a minute.
     """
     if report is not None:
         yield report

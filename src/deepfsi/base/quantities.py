@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 TIME_UNITS = {"ps": 1e-12, "ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "": 1.0}
-"""Seconds of a unit of time; longer names first."""
+"""Seconds of a unit of time. Longer names come first, as all end in s."""
 
 
 def seconds(time: Any) -> float:
     """Seconds of a number, or of a text such as 0.01, 10ms or 44us; `ValueError` for others."""
     text = str(time).strip().lower()
-    unit = next(each for each in TIME_UNITS if text.endswith(each))
+    unit = next(name for name in TIME_UNITS if text.endswith(name))
     try:
         value = float(text.removesuffix(unit)) * TIME_UNITS[unit]
     except ValueError:
@@ -25,7 +25,8 @@ def seconds(time: Any) -> float:
 def time_text(time_s: float) -> str:
     """A time in the unit that suits it: 12000 s, 1.5 s, 12.07 ms, 44 µs."""
     units = ("s", "ms", "µs", "ns", "ps")
-    unit = next((each for each in units if time_s >= 0.99995 * TIME_UNITS[each]), "s")
+    # From 0.99995 on four digits round to 1
+    unit = next((name for name in units if time_s >= 0.99995 * TIME_UNITS[name]), "s")
     number = f"{time_s / TIME_UNITS[unit]:.4g}"
     return f"{float(number):.0f} {unit}" if "e+" in number else f"{number} {unit}"
 

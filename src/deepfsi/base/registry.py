@@ -2,9 +2,8 @@
 
 Packages beside the core are found by their entry points of group ``deepfsi``. A user's own part,
 such as a classifier or a noise, is named by where it is imported from: ``"module:name"``, as in
-``"mylab.networks:Cnn"``. Importing runs the module's code, so that only a name is imported that the
-user has given in a program, an option or a recipe, or one in a design file that the user says to
-trust.
+``"mylab.networks:Cnn"``. Importing runs the module's code. A name is therefore imported only if the
+user gave it in a program, an option or a recipe, or trusts the design file that holds it.
 """
 
 import contextlib
@@ -41,7 +40,7 @@ _MISSING = {"torch": TORCH_MISSING, **dict.fromkeys(_REPORT_PACKAGES, REPORT_MIS
 
 @contextlib.contextmanager
 def require_extras() -> Iterator[None]:
-    """Say in one line what to install where torch, or what draws, is missing."""
+    """Turn the error of a missing optional package into advice on what to install."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -51,7 +50,7 @@ def require_extras() -> Iterator[None]:
 
 
 def check_report() -> None:
-    """Raise `InputError` where what draws pages and figures is missing, before any work."""
+    """Raise `InputError` before any work if a package that draws pages is missing."""
     with require_extras():
         for name in _REPORT_PACKAGES:
             if importlib.util.find_spec(name) is None:
@@ -64,36 +63,36 @@ def load_plugin(path: str) -> Any:
     if (here := os.getcwd()) not in sys.path:
         sys.path.append(here)  # as for `python -m`; the command's own folder is there instead
     try:
-        found = importlib.import_module(module)
-        for part in name.split("."):
-            found = getattr(found, part)
-    except (Exception, SystemExit) as error:
+        target = importlib.import_module(module)
+        for step in name.split("."):
+            target = getattr(target, step)
+    except (Exception, SystemExit) as error:  # a script may end itself where it is imported
         raise InputError(
             f"{path} cannot be imported, {type(error).__name__}: {error}; give module:name of an "
             "installed package or of a file in the current folder"
         ) from error
-    return found
+    return target
 
 
 def import_path(part: Any) -> str | None:
-    """Where a part can be imported from again; None if a script defines it."""
+    """Import path of a part; None if a script or a function defines it."""
     module = getattr(part, "__module__", None)
     name = getattr(part, "__qualname__", None)
     if not module or not name or module == "__main__" or "<" in name:
         return None
-    found = sys.modules.get(module)
+    target = sys.modules.get(module)
     for step in name.split("."):
-        found = getattr(found, step, None)
-    return f"{module}:{name}" if found is part else None
+        target = getattr(target, step, None)
+    return f"{module}:{name}" if target is part else None  # another may have taken the name
 
 
 def source_hash(path: str) -> str:
-    """SHA-256 in hex of the file that defines a part, so that records of an older one expire."""
+    """SHA-256 in hex of the file that defines a part: records of an older one expire by it."""
     import inspect
 
     try:
         file = inspect.getsourcefile(load_plugin(path))
-    except TypeError:
+    except TypeError:  # an instance, or a part of a compiled module
         file = None
     return hash_file(Path(file)) if file else ""
 

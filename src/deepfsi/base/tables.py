@@ -43,7 +43,7 @@ class NumberTable:
 
 
 def read_table(source: str | Path, words: Sequence[str] = ()) -> NumberTable:
-    """Read a table."""
+    """Read a table; columns named in `words` are kept as text."""
     import polars as pl
 
     path, names, frame = _read(source)
@@ -61,17 +61,18 @@ def read_table(source: str | Path, words: Sequence[str] = ()) -> NumberTable:
 def read_whole_numbers(
     source: str | Path, choose: Callable[[tuple[str, ...], int], Sequence[int]]
 ) -> np.ndarray:
-    """Whole numbers of some columns, exact to 64 bits, (rows, columns) int64."""
+    """Whole numbers (rows, columns) int64 of the chosen columns, exact to 64 bits."""
     import polars as pl
 
     path, names, frame = _read(source)
     chosen = frame.select(frame.columns[index] for index in choose(names, frame.width))
     out = np.empty(chosen.shape, np.int64)
-    for place, column in enumerate(chosen):
+    for index, column in enumerate(chosen):
         floats = column.cast(pl.Float64, strict=False).to_numpy()
         _check_numbers(path, column.to_frame(), floats[:, None])
-        whole = None if column.dtype.is_float() else column.cast(pl.Int64, strict=False)
-        if whole is None or whole.null_count():
+        integers = None if column.dtype.is_float() else column.cast(pl.Int64, strict=False)
+        if integers is None or integers.null_count():
+            # Beyond 2^53 floating point may have rounded them
             wrong = floats[(floats != np.rint(floats)) | (np.abs(floats) > 2.0**53)]
             if wrong.size:
                 raise InputError(
@@ -79,13 +80,13 @@ def read_whole_numbers(
                     "such as times counted in ps, in floating point up to 2^53, else as integers "
                     "of 64 bits"
                 )
-            whole = pl.Series(floats.astype(np.int64))
-        out[:, place] = whole.to_numpy()
+            integers = pl.Series(floats.astype(np.int64))
+        out[:, index] = integers.to_numpy()
     return out
 
 
 def _read(source: str | Path) -> "tuple[Path, tuple[str, ...], pl.DataFrame]":
-    """Path of a table, names of its columns if it has some, and its cells."""
+    """Path of a table, names of its columns (empty if it has none), and its cells."""
     import polars as pl
 
     path, variable = split_variable(str(source))
@@ -128,7 +129,7 @@ def _check_numbers(path: Path, frame: "pl.DataFrame", values: np.ndarray) -> Non
 
 @contextmanager
 def _as_table(path: Path) -> Iterator[None]:
-    """Turn what polars raises on what it cannot parse into one line."""
+    """Turn the errors of polars on a damaged file into one line."""
     import polars as pl
 
     try:
@@ -141,7 +142,7 @@ def _as_table(path: Path) -> Iterator[None]:
 
 
 def _read_text(path: Path) -> "tuple[tuple[str, ...], pl.DataFrame]":
-    """Names of the columns of a text file if its first line has some, and its cells."""
+    """Names of the columns of a text file (empty without a heading), and its cells."""
     import polars as pl
 
     frame = read_cells(path, "give a table of text", spaces=True)
@@ -150,6 +151,7 @@ def _read_text(path: Path) -> "tuple[tuple[str, ...], pl.DataFrame]":
     heads = [head or "" for head in frame.row(0)]
     numbers = pl.Series(heads).cast(pl.Float64, strict=False)
     if numbers.null_count() < len(heads):
+        # pandas numbers columns without names so
         if frame.height > 1 and len(heads) > 3 and numbers.to_list() == list(range(len(heads))):
             raise InputError(
                 f"{path}: its first line numbers the columns from 0 and would be read as values: "
@@ -173,7 +175,7 @@ def read_cells(path: Path, advice: str, spaces: bool = False) -> "pl.DataFrame":
 
     text = read_text(path, LARGEST_TABLE_FILE, advice)
     first = next((line for line in text.split("\n") if line.strip() and line[0] != "#"), "")
-    separator = next((one for one in SEPARATORS if one in first), ",")
+    separator = next((mark for mark in SEPARATORS if mark in first), ",")
     if spaces and separator not in first:  # as NumPy writes tables
         text = re.sub(" +", ",", re.sub("^ +| +$", "", text, flags=re.M))
     if not first:
@@ -191,5 +193,5 @@ def read_cells(path: Path, advice: str, spaces: bool = False) -> "pl.DataFrame":
 
 
 def normal_name(name: str) -> str:
-    """A name in the one spelling of Unicode that is kept (NFC), without blanks around it."""
+    """A name in one spelling of Unicode (NFC), without blanks around it."""
     return unicodedata.normalize("NFC", name).strip()
