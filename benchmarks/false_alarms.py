@@ -203,7 +203,7 @@ def misfit(rng: np.random.Generator, faulty: bool) -> bool:
         total += float(state.misfit(masks, counts, share))
         state.update(masks, counts, share)
     assert design.prior_exposure.usual_misfit is not None
-    return design.prior_exposure.usual_misfit.chance(total, LOOKS - 1, PHOTONS) < UNSURE
+    return design.prior_exposure.usual_misfit.p_value(total, LOOKS - 1, PHOTONS) < UNSURE
 
 
 def main(

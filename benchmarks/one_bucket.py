@@ -46,10 +46,10 @@ def information_rate(light: np.ndarray, chances: np.ndarray) -> np.ndarray:
 
 def class_scenes(state: AdaptivePosterior) -> Tensor:
     """Mean scene (b, C, N) of each class in the state of exposures."""
-    chances = state.class_weights
+    chances = state.class_probabilities
     sums = state.class_sums
     means = sums / chances.clamp(min=1e-12)[..., None]
-    differ = state.unknown(means - sums.sum(dim=1, keepdim=True)) @ state.prior.components
+    differ = state.times_covariance(means - sums.sum(dim=1, keepdim=True)) @ state.prior.components
     return (state.scene[:, None] + differ).clamp(min=DARKEST)
 
 
@@ -103,7 +103,7 @@ def main(words: Sequence[str] | None = None) -> None:
     with torch.no_grad():
         for look, share in enumerate(exposure.settings.shares):
             scenes = class_scenes(state).double().numpy()
-            chances = state.class_weights.double().numpy()
+            chances = state.class_probabilities.double().numpy()
             masks, counts, _ = state.look_at(x, share, generator)
             if look & (look - 1) == 0:
                 shown = masks.double().numpy()

@@ -39,7 +39,9 @@ def main(words: Sequence[str] | None = None) -> None:
     temperature = float(np.exp(kind.prior.temperatures.logs[0, 0]))
     shares = kind.prior.class_shares.log()
     raw = ((answer.logits - shares) * temperature + shares).softmax(dim=1)
-    stated, before = (chances.double().amax(dim=1).numpy() for chances in (answer.chances, raw))
+    stated, before = (
+        chances.double().amax(dim=1).numpy() for chances in (answer.probabilities, raw)
+    )
     wrong = answer.classes.numpy() != data.y_test
     threshold = kind.settings.until
     light = taken.used / given.photons / len(wrong)
@@ -60,7 +62,7 @@ def main(words: Sequence[str] | None = None) -> None:
             f"| {name} | {rows.sum()} | {(1 - before[rows]).sum():.1f} | "
             f"{doubt.sum():.1f} ± {spread:.1f} | {wrong[rows].sum()} |"
         )
-    for name, chances in (("posterior", raw), ("stated", answer.chances)):
+    for name, chances in (("posterior", raw), ("stated", answer.probabilities)):
         true = chances[torch.arange(len(wrong)), torch.from_numpy(data.y_test).long()]
         print(f"log loss, {name}: {-true.double().clamp(min=1e-12).log().mean():.4f}")
 

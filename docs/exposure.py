@@ -81,15 +81,15 @@ def expose(scene: int, seed: int) -> Run:
         design.prior_exposure.prior, 1, design.prior_exposure.optics_at(PHOTONS)
     )
     generator = torch.Generator().manual_seed(seed)
-    masks, counts, known, chances = [], [], [state.scene], [state.chances]
+    masks, counts, known, chances = [], [], [state.scene], [state.probabilities]
     for share in design.prior_exposure.settings.shares:
         shown, counted, _ = state.look_at(x, share, generator)
         state.update(shown, counted, share)
         masks.append(shown)
         counts.append(counted)
         known.append(state.scene)
-        chances.append(state.chances)
-        if float(state.chances.max()) > THRESHOLD:
+        chances.append(state.probabilities)
+        if float(state.probabilities.max()) > THRESHOLD:
             break
     return Run(
         x.numpy().reshape(data.image_shape),

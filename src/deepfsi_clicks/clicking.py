@@ -70,18 +70,18 @@ class ClickPosterior(AdaptivePosterior):
 
     def rows_of(self, rows: Tensor) -> Self:
         """Posterior of the exposures where `rows` (b,) is true."""
-        some = super().rows_of(rows)
-        some.left = self.left[rows]
-        return some
+        kept = super().rows_of(rows)
+        kept.left = self.left[rows]
+        return kept
 
     def take(self, look: ClickLook, clicks: Tensor) -> None:
         """Take in whether the detector clicked (b,) in a look."""
-        mean, parts = self.prior.light(look.masks)
-        light = mean[:, None] + parts @ self.prior.coefficients.T + FLOOR * _on(look.masks)
-        variance = _light_variance(mean, parts)[:, None]
-        none = log_no_click(light, variance, self.gain * look.dwells[:, None])
-        some = torch.expm1(none).neg_().clamp_(min=LEAST_WEIGHT).log_()
-        self.logs += torch.where(clicks[:, None] > 0, some, none)
+        mean, responses = self.prior.light(look.masks)
+        light = mean[:, None] + responses @ self.prior.coefficients.T + FLOOR * _on(look.masks)
+        variance = _light_variance(mean, responses)[:, None]
+        dark = log_no_click(light, variance, self.gain * look.dwells[:, None])
+        click = torch.expm1(dark).neg_().clamp_(min=LEAST_WEIGHT).log_()
+        self.log_weights += torch.where(clicks[:, None] > 0, click, dark)
         self.left = self.left - look.dwells
         self._end_look()
 
@@ -92,30 +92,31 @@ class ClickPosterior(AdaptivePosterior):
         bright = difference_masks(differ, scene, self.optics.areas(scene))
         ratio = differ / scene
         largest = ratio.amax(dim=-1, keepdim=True)
-        # of the largest difference over light
+        # mirrors ON where the ratio is near its largest: dimmer masks, which click less often
         strict = [(ratio > share * largest).to(differ.dtype) for share in (0.4, 0.6, 0.8)]
         return torch.cat([bright, *strict], dim=1)
 
     def next_look(self, dwells: Tensor, costs: Tensor, generator: torch.Generator) -> ClickLook:
-        """The look worth most, from all masks, dwells (L,) and their costs (L,) in clicks."""
+        """The look worth most: one of all masks, dwells (L,) and their costs (L,) in clicks."""
         masks = self.candidates()  # (b, P, N)
         indices, drawn = draw_scenes(self.weights, generator, 256)
-        mean, parts = self.prior.light(masks)  # (b, P), (b, P, d)
+        mean, responses = self.prior.light(masks)  # (b, P), (b, P, d)
         scenes = self.prior.coefficients[indices].transpose(1, 2)  # (b, d, S)
-        light = mean[..., None] + parts @ scenes + FLOOR * _on(masks)  # (b, P, S)
-        variance = _light_variance(mean, parts)[..., None, None]
-        none = log_no_click(light[:, :, None], variance, (self.gain * dwells)[:, None])
-        chances = -torch.expm1(none.flatten(1, 2))  # (b, P · L, S) of a click
+        light = mean[..., None] + responses @ scenes + FLOOR * _on(masks)  # (b, P, S)
+        variance = _light_variance(mean, responses)[..., None, None]
+        dark = log_no_click(light[:, :, None], variance, (self.gain * dwells)[:, None])
+        probabilities = -torch.expm1(dark.flatten(1, 2))  # (b, P · L, S) of a click
         members = torch.nn.functional.one_hot(self.prior.labels[indices], self.prior.classes)
-        outcomes = click_information(chances, members * drawn[..., None])
-        told, clicks = (each.unflatten(1, (-1, len(dwells))) for each in outcomes)  # (b, P, L)
-        worth = told / (clicks + costs)
+        outcomes = click_information(probabilities, members * drawn[..., None])
+        # both (b, P, L)
+        nats, clicks = (outcome.unflatten(1, (-1, len(dwells))) for outcome in outcomes)
+        worth = nats / (clicks + costs)
         too_long = dwells > self.left[:, None] + 1e-6
         worth = worth.masked_fill(too_long[:, None], -torch.inf).flatten(1)
         best = worth.argmax(dim=1)
         rows = torch.arange(len(self))
-        place = best.div(len(dwells), rounding_mode="floor")
-        return ClickLook(masks[rows, place], dwells[best % len(dwells)], worth[rows, best])
+        mask = best.div(len(dwells), rounding_mode="floor")
+        return ClickLook(masks[rows, mask], dwells[best % len(dwells)], worth[rows, best])
 
 
 def _on(masks: Tensor) -> Tensor:
@@ -123,10 +124,10 @@ def _on(masks: Tensor) -> Tensor:
     return masks.sum(dim=-1, keepdim=True)
 
 
-def _light_variance(mean: Tensor, parts: Tensor) -> Tensor:
-    """Variance (...) of light between scenes that are alike, from its mean and parts (..., d)."""
+def _light_variance(mean: Tensor, responses: Tensor) -> Tensor:
+    """Variance (...) of light among scenes that are alike, from light (...) and (..., d)."""
     # as among neighbours of the prior: a mask of few mirrors varies more, over its mean
-    return (VARIATION * mean.clamp(min=1e-4)).square() + parts.square().sum(dim=-1)
+    return (VARIATION * mean.clamp(min=1e-4)).square() + responses.square().sum(dim=-1)
 
 
 def log_no_click(light: Tensor, variance: Tensor, gain: Tensor) -> Tensor:
@@ -140,29 +141,29 @@ def log_no_click(light: Tensor, variance: Tensor, gain: Tensor) -> Tensor:
     return -(size * (light * gain / size).log1p())
 
 
-def click_information(chances: Tensor, members: Tensor) -> tuple[Tensor, Tensor]:
+def click_information(probabilities: Tensor, members: Tensor) -> tuple[Tensor, Tensor]:
     """Nats (b, E) that a click or none tells of the class, and the probability (b, E) of a click.
 
-    From its probabilities (b, E, S) in E looks at S scenes, and the scenes' weights (b, S, C) in
-    classes, 1 together.
+    Shapes: probabilities (b, E, S) of a click in E looks at S scenes; weights (b, S, C) of the
+    scenes in classes, with the sum 1.
     """
-    joint = chances @ members.to(chances.dtype)  # (b, E, C)
+    joint = probabilities @ members.to(probabilities.dtype)  # (b, E, C)
     clicks = joint.sum(dim=-1)
     classes = members.sum(dim=1)[:, None]  # (b, 1, C)
     within = classes * _binary_entropy(joint / classes.clamp(min=1e-12))
     return _binary_entropy(clicks) - within.sum(dim=-1), clicks
 
 
-def _binary_entropy(chance: Tensor) -> Tensor:
+def _binary_entropy(probability: Tensor) -> Tensor:
     """Nats of an event with a probability (...)."""
-    chance = chance.clamp(0, 1)
-    return torch.special.entr(chance) + torch.special.entr(1 - chance)
+    p = probability.clamp(0, 1)  # sums of weights may round to more than 1
+    return torch.special.entr(p) + torch.special.entr(1 - p)
 
 
 class _ClickRun(NamedTuple):
     """Exposures at their end."""
 
-    chances: Tensor  # (b, C)
+    probabilities: Tensor  # (b, C)
     clicks: Tensor  # (b,)
     arriving: Tensor  # (b,)
     used: Tensor  # (b,)
@@ -173,7 +174,7 @@ class _ClickStep(NamedTuple):
 
     rows: Tensor  # (r,), which of the exposures
     look: ClickLook
-    chances: Tensor  # (r, C)
+    probabilities: Tensor  # (r, C)
     odds: Tensor  # (r, C)
     clicked: Tensor  # (r,)
     clicks: Tensor  # (r,)
@@ -207,35 +208,35 @@ class ClickLooks(NamedTuple):
             going = look.worth > (self.settings.price or -1.0)  # −∞ where no light is left
             if not bool(going.all()):
                 state = state.rows_of(going)
-                look = ClickLook(*(part[going] for part in look))
+                look = ClickLook(*(tensor[going] for tensor in look))
                 running = running[going]
             if not len(running):
                 return
             light = (look.masks * x[running]).sum(dim=1) * look.dwells * state.gain
-            chance = -torch.expm1(-light)
-            clicked = torch.rand(len(light), generator=generator) < chance
+            expected = -torch.expm1(-light)
+            clicked = torch.rand(len(light), generator=generator) < expected
             state.take(look, clicked)
             yield _ClickStep(
                 running,
                 look,
-                chances=state.chances,
+                probabilities=state.probabilities,
                 odds=state.odds,
                 clicked=clicked,
-                clicks=chance,
+                clicks=expected,
                 arriving=light,
             )
 
     def run(self, x: Tensor, generator: torch.Generator) -> _ClickRun:
         """Exposures of scenes (b, N) at their end."""
         state = self.posterior(len(x))
-        chances = state.chances
+        probabilities = state.probabilities
         clicks, arriving, used = torch.zeros(3, len(x))
         clicked = torch.zeros(len(x), dtype=torch.bool)
         for step in self.steps(state, x, generator):
             clicks[step.rows] += step.clicks
             arriving[step.rows] += step.arriving
             used[step.rows] += step.look.dwells
-            chances[step.rows] = step.chances
+            probabilities[step.rows] = step.probabilities
             clicked[step.rows] |= step.clicked
         dark = ~clicked & (used > 0)
         # 20 photons: the detector clicks all but surely
@@ -243,8 +244,8 @@ class ClickLooks(NamedTuple):
         light = x.sum(dim=1) * dwells * state.gain
         seen = -torch.expm1(-light)
         silent = dark & (torch.rand(len(x), generator=generator) >= seen)
-        chances[silent] = self.prior.class_shares
-        return _ClickRun(chances, clicks + seen, arriving + light, used + dwells)
+        probabilities[silent] = self.prior.class_shares
+        return _ClickRun(probabilities, clicks + seen, arriving + light, used + dwells)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,19 +277,19 @@ class _ClickingExposure(AdaptiveExposure):
 
         def expose(photons: float, generator: torch.Generator) -> tuple[Answer, CountedLight]:
             looks = ClickLooks(self.prior, self.settings, photons)
-            parts = [looks.run(x, generator) for x in scenes.split(self.prior.exposed_at_once)]
-            chances = torch.cat([part.chances for part in parts])
+            runs = [looks.run(x, generator) for x in scenes.split(self.prior.exposed_at_once)]
+            probabilities = torch.cat([run.probabilities for run in runs])
             counts, arriving, used = (
-                sum(float(each.sum()) for each in every)
-                for every in zip(*(part[1:] for part in parts), strict=True)
+                sum(float(batch.sum()) for batch in batches)
+                for batches in zip(*(run[1:] for run in runs), strict=True)
             )
-            return answer_of(chances), CountedLight(counts, arriving, used * photons)
+            return answer_of(probabilities), CountedLight(counts, arriving, used * photons)
 
         return expose
 
 
 def blurred(data: Dataset) -> Dataset:
-    """The data with training images that are blurred; other scenes along their only axis."""
+    """The data with blurred training scenes: images in both axes, spectra in their only one."""
     from scipy.ndimage import gaussian_filter
 
     x = np.asarray(data.x_train)
@@ -322,23 +323,23 @@ class ClickTraining(AdaptiveTraining):
         # black; if it costs three times the clicks, a sixth of it is used, and clicks tell less
         light_price = min(15.0, asked or 15.0) / job.photons
         settings = self.settings.model_copy(update={"light_price": light_price})
-        looks = ClickLooks(self.prior, settings, job.photons)  # which end nowhere: no price
+        looks = ClickLooks(self.prior, settings, job.photons)  # no price: they end without light
         runs = []
         at_once = self.prior.exposed_at_once
         for rows, scenes, state in left_out.states(looks.posterior, at_once, report):
             steps = looks.steps(state, scenes, generator)
             size = len(rows), settings.looks
             runs.append(PricedLooks.of(steps, size, self.prior.classes))
-        whole = PricedLooks(*(torch.cat(some) for some in zip(*runs, strict=True)))
+        priced = PricedLooks(*(torch.cat(tensors) for tensors in zip(*runs, strict=True)))
         price = 1e-3  # nats for a click below which a look tells nothing
         if asked is not None:
-            price = max(price, whole.price(asked))
-        if not bool((whole.least_worth > price).any()):
+            price = max(price, priced.price(asked))
+        if not bool((priced.least_worth > price).any()):
             raise InputError(
                 f"no exposure of these masks costs as few clicks as {asked}: give more `counts`"
             )
-        odds, arriving = whole.ends(price)
-        made = _ClickingExposure(
+        odds, arriving = priced.ends(price)
+        exposure = _ClickingExposure(
             self.prior,
             settings.model_copy(update={"price": price}),
             image_shape=self.data.image_shape,
@@ -346,11 +347,11 @@ class ClickTraining(AdaptiveTraining):
             camera=job.camera,
         )
         answers = LeftOutAnswers(np.array([job.photons]), odds[None, None], left_out.labels)
-        return made, answers
+        return exposure, answers
 
 
 class PricedLooks(NamedTuple):
-    """All looks of exposures, from which any price follows: it says only where they end."""
+    """All looks of exposures; a price only says after which look each exposure ends."""
 
     worth: Tensor  # (n, K)
     clicks: Tensor  # (n, K)
@@ -389,8 +390,8 @@ class PricedLooks(NamedTuple):
         """
         worth, order = self.least_worth.flatten().sort(descending=True)
         bright = self.dark.double()
-        more = self.clicks.double() + bright[:, 1:] - bright[:, :-1]
-        total = more.flatten()[order].cumsum(dim=0) / len(self.clicks)
+        added = self.clicks.double() + bright[:, 1:] - bright[:, :-1]
+        total = added.flatten()[order].cumsum(dim=0) / len(self.clicks)
         affordable = int((total <= clicks).double().cumprod(dim=0).sum())
         if affordable == len(worth):
             return 0.0

@@ -50,11 +50,11 @@ def test_chances_are_those_of_the_measured_distribution():
     """Half at the median, a sixth one deviation above; between budgets, and the same beyond."""
     logs = np.stack([np.log([[1.0, 2], [1, 2], [4, 8]]), np.full((3, 2), 0.5)])
     usual = adaptive.UsualMisfit(1e3 * np.array(adaptive.MISFIT_BUDGETS), logs)
-    assert usual.chance(2.0, 1, 1e3) == pytest.approx(0.5)
-    assert usual.chance(2.0 * np.exp(0.5), 1, 1e3) == pytest.approx(0.1587, abs=1e-4)
-    assert usual.chance(2.0, 0, 1e3 * 10**0.5) == pytest.approx(0.5)
-    assert usual.chance(4.0, 0, 1e9) == usual.chance(4.0, 0, 1e4) == pytest.approx(0.5)
-    assert usual.chance(0.0, 0, 1e3) == 1
+    assert usual.p_value(2.0, 1, 1e3) == pytest.approx(0.5)
+    assert usual.p_value(2.0 * np.exp(0.5), 1, 1e3) == pytest.approx(0.1587, abs=1e-4)
+    assert usual.p_value(2.0, 0, 1e3 * 10**0.5) == pytest.approx(0.5)
+    assert usual.p_value(4.0, 0, 1e9) == usual.p_value(4.0, 0, 1e4) == pytest.approx(0.5)
+    assert usual.p_value(0.0, 0, 1e3) == 1
 
 
 @pytest.mark.parametrize("optics", OPTICS)

@@ -83,7 +83,7 @@ def test_the_posterior_is_that_of_the_poisson_law(photons, dark, arms, detectors
     mean = expected(x, readouts(MASKS, arms, detectors), photons, dark)
     counts = rng.poisson(mean[:20])
     state = state_of(x, labels, photons, dark=dark, arms=arms, detectors=detectors)
-    found = told(state, counts).chances
+    found = told(state, counts).probabilities
     with np.errstate(invalid="ignore"):
         each = np.where(mean > 0, poisson.logpmf(counts[:, None], mean), 0.0)
     np.testing.assert_allclose(found, by_hand(each.sum(axis=(2, 3)), labels), atol=2e-3)
@@ -106,7 +106,7 @@ def test_scenes_near_those_of_the_prior_are_as_likely_as_their_normal_law_says(s
     for k, centre in enumerate(mean):
         law = multivariate_normal(centre, whole + np.diag(mean.mean(axis=0)))
         logs[:, k] = law.logpdf(counts)
-    np.testing.assert_allclose(found.chances, by_hand(logs, labels), atol=0.05)
+    np.testing.assert_allclose(found.probabilities, by_hand(logs, labels), atol=0.05)
     # mean scene: least squares of all looks at once, about each scene of the prior
     weights = np.exp(logs - logsumexp(logs, axis=1)[:, None])
     kept = near @ lit.T @ np.linalg.inv(whole + np.diag(mean.mean(axis=0)))

@@ -73,7 +73,7 @@ def test_one_look_tells_what_it_tells_of_masks_that_are_made():
     counts = Poisson().draw(made.expected(masks, torch.from_numpy(X[:5]), SHARE), generator(5))
     for each in (state, made):
         each.update(masks, counts, SHARE)
-    expected = (made.logs * tables.POWER).softmax(dim=1)
+    expected = (made.log_weights * tables.POWER).softmax(dim=1)
     torch.testing.assert_close(state.weights, expected, atol=1e-4, rtol=1e-3)
     assert state.weights.amax() > 1.8**tables.POWER / SCENES
 
@@ -89,7 +89,7 @@ def test_a_dictionary_that_holds_the_mask_that_would_be_made_gives_it(spread, mo
         every = made.candidates().flatten(0, 1)
         dictionary = MaskDictionary.drawn(torch.cat([every]), len(every), random)
         state = state_of(prior, dictionary)
-        state.logs.copy_(made.logs)
+        state.log_weights.copy_(made.log_weights)
         best = made.next_masks(SHARE, random)
         chosen = state.next_masks(SHARE, random)
         gains = [scored(made, torch.stack([a, b])) for a, b in zip(best, chosen, strict=True)]

@@ -40,7 +40,7 @@ def test_one_centre_a_class_is_a_normal_law_of_each_class():
     noise = lit @ near @ lit.T + np.diag(lit @ x.mean(axis=0))
     laws = [multivariate_normal(lit @ mean, noise).logpdf(counts) for mean in means]
     exact = softmax(np.stack(laws, axis=1) + np.log(SIZES), axis=1)
-    np.testing.assert_allclose(state.chances, exact, atol=0.05)
+    np.testing.assert_allclose(state.probabilities, exact, atol=0.05)
     assert (exact.max(axis=1) < 0.9).any(), "some classes are not told apart"
 
 

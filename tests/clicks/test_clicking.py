@@ -120,10 +120,10 @@ def test_a_detector_that_stays_dark_in_a_bright_look_gives_no_answer(training, d
     price = 0.1
     dead = run(training, 0 * data.x_test, price)
     shares = training.prior.class_shares.expand(len(data.x_test), -1)
-    assert torch.equal(dead.chances, shares)
+    assert torch.equal(dead.probabilities, shares)
     assert dead.clicks.sum() == dead.arriving.sum() == 0
     seen = run(training, data.x_test, price)
-    assert not (seen.chances == shares).all(dim=1).any()  # one of 128 by a chance of 1e-4
+    assert not (seen.probabilities == shares).all(dim=1).any()  # one of 128 by a chance of 1e-4
     assert (seen.used <= 1 + 1e-5).all()
 
 

@@ -103,13 +103,15 @@ def exposures(designs, digits, double):
                 mean = state.expected(masks, torch.from_numpy(x)[None].double(), share)
                 counts = torch.poisson(mean, generator=noise)
                 before = state.candidates()[0].tolist()
-                sure = float(state.class_weights.max())  # by which scenes are drawn: not calibrated
+                sure = float(
+                    state.class_probabilities.max()
+                )  # by which scenes are drawn: not calibrated
                 state.update(masks, counts, share)
                 looks.append(
                     {
                         "start": start, "open": sure < SURE_ENOUGH, "candidates": before,
                         "mask": masks[0].tolist(), "expected": mean[0].tolist(),
-                        "counts": counts[0].tolist(), "chances": state.chances[0].tolist(),
+                        "counts": counts[0].tolist(), "chances": state.probabilities[0].tolist(),
                         "scene": state.scene[0].tolist(),
                     }
                 )  # fmt: skip

@@ -13,18 +13,18 @@ def difference_masks(differ: Tensor, scene: Tensor, areas: Tensor, arms: int = 1
     Pixels have differences d (..., N) and light μ (..., N). A mask F maximises (Σ F d)² / Σ F μ
     over the pixels (D, N) of each detector; with two arms, the sum of this for F and 1 − F.
     """
-    # At the maximum a pixel is ON where d / μ exceeds a threshold: half of Σ F d / Σ F μ, plus half
-    # of the same for 1 − F with two arms. A few steps find it, or a local maximum
+    # At the maximum a pixel is ON where d / μ exceeds a threshold: half of Σ F d / Σ F μ, plus
+    # with two arms half of this ratio for 1 − F. A few steps find the threshold, or a local maximum
     ratio = differ / scene
     threshold = torch.zeros_like(differ)
     if arms == 2:
         threshold = _ratio(torch.ones_like(differ), differ, scene, areas) @ areas
     for _ in range(4):  # steps by which the threshold is found
         on = (ratio > threshold).to(differ.dtype)
-        middle = _ratio(on, differ, scene, areas)
+        ratios = _ratio(on, differ, scene, areas)
         if arms == 2:
-            middle = middle + _ratio(1 - on, differ, scene, areas)
-        threshold = (middle / 2) @ areas
+            ratios = ratios + _ratio(1 - on, differ, scene, areas)
+        threshold = (ratios / 2) @ areas
     return (ratio > threshold).to(differ.dtype)
 
 
@@ -34,13 +34,12 @@ def _ratio(on: Tensor, differ: Tensor, scene: Tensor, areas: Tensor) -> Tensor:
 
 
 def information(counts: Tensor, members: Tensor, unknown: Tensor | None = None) -> Tensor:
-    """Nats (b, P) that counts tell of the class, were they normal within each on 2 √counts.
+    """Nats (b, P) that counts tell of the class, if 2 √counts are normal within each class.
 
-    Expected counts are (b, P, Q, S) of Q readouts of S scenes, whose weights in each class are
-    (b, S, C), all of them together 1. What scenes near these add to the covariance of readouts is
-    `unknown`, (b, P, Q, Q).
+    Shapes: expected counts (b, P, Q, S) of Q readouts of S scenes; weights (b, S, C) of scenes in
+    classes, with the sum 1; `unknown` (b, P, Q, Q), the covariance that scenes near these add.
     """
-    scale = 2 * (counts + 3 / 8).sqrt()
+    scale = 2 * (counts + 3 / 8).sqrt()  # on it photon noise has the variance 1
     weights = members.sum(dim=-1)[:, None, None]  # (b, 1, 1, S)
     scale = scale - (scale * weights).sum(dim=-1, keepdim=True)
     sums = (scale.flatten(1, 2) @ members).unflatten(1, counts.shape[1:3])  # (b, P, Q, C)
@@ -51,7 +50,7 @@ def information(counts: Tensor, members: Tensor, unknown: Tensor | None = None) 
     if unknown is not None:
         noise = noise + unknown
     if counts.shape[2] == 1:
-        within = (total - between).clamp(min=0) + noise
+        within = (total - between).clamp(min=0) + noise  # one readout needs no determinant
         return (between / within).log1p()[..., 0, 0] / 2
     return (torch.logdet(total + noise) - torch.logdet(total - between + noise)) / 2
 
@@ -64,6 +63,7 @@ def draw_scenes(weights: Tensor, generator: torch.Generator, count: int) -> tupl
     exposures, scenes = weights.shape
     if scenes <= count:
         return torch.arange(scenes).expand(exposures, -1), weights
+    # one random start and equal steps: the sample follows the weights closer than free draws
     start = torch.rand(exposures, 1, generator=generator)
     points = (torch.arange(count) + start) / count
     sums = weights.cumsum(dim=1)

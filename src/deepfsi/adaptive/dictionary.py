@@ -35,13 +35,13 @@ from deepfsi.base.arrays import check_memory
 from deepfsi.base.errors import InputError
 
 COMPARED_SCENES = (16, 32)
-"""Scenes drawn of the posterior by which masks are compared: of a small prior, and of a large one.
+"""Least and largest number of scenes drawn from the posterior to compare masks by.
 
-All where there are no more.
+A large prior draws more. A prior with fewer scenes takes all.
 """
 
 SUMMED = 16
-"""Scenes of a block, whose probabilities are added before one of them is drawn."""
+"""Scenes of a block. Blocks are drawn by their summed probabilities, then a scene of the block."""
 
 TABLED = 64
 """Masks whose tables are computed at a time."""
@@ -59,7 +59,7 @@ class _MaskTables:
 
     by_count: np.ndarray  # (P, n), U: what a count adds to the log-probability of a scene
     constant: np.ndarray  # (P, n), V: what is taken off it, whatever is counted
-    parts: Sequence[np.ndarray]  # indices (p,) of the masks that a decision compares
+    parts: Sequence[np.ndarray]  # indices (p,) of the masks that each decision compares
     scales: Sequence[np.ndarray]  # (n, p)
     noises: Sequence[np.ndarray]  # (p,)
     members: np.ndarray  # (n, C + 1), 1 for the class of a scene, and for all together
@@ -67,38 +67,39 @@ class _MaskTables:
     @classmethod
     def of(cls, masks: Tensor, prior: ScenePrior, optics: LookOptics, share: float) -> Self:
         """Tables of masks (P, N) for a share of the exposure."""
-        many = len(masks)
+        count = len(masks)
         scenes = len(prior)
-        needed = 4 * scenes * (3 * many + 6 * TABLED)
+        needed = 4 * scenes * (3 * count + 6 * TABLED)
         advice = "give fewer scenes, or a smaller `dictionary`"
         check_memory(needed, "the tables of these masks and scenes", advice)
         gain = optics.photons / prior.summed_reflectance * share
         dark = optics.dark_sum * share
         least = LEAST_LIGHT * float(prior.mean.sum())
-        often = prior.members / prior.members.sum()
+        weights = prior.members / prior.members.sum()
         mean, components = prior.light(masks)
         nearby = components.square().sum(dim=1) * gain**2 * bool(prior.spread)
         power = POWER if prior.spread else 1.0
-        by_count = np.empty((many, scenes), np.float32)
+        by_count = np.empty((count, scenes), np.float32)
         constant = np.empty_like(by_count)
         # each decision compares one part: about 500 masks, or more where the probabilities of many
         # scenes take longer
-        parts = np.array_split(np.arange(many), max(1, round(many / max(500, scenes / 30))))
+        parts = np.array_split(np.arange(count), max(1, round(count / max(500, scenes / 30))))
         scales = [np.empty((scenes, len(part)), np.float32) for part in parts]
         noises = [np.empty(len(part), np.float32) for part in parts]
         for part, scale, noise in zip(parts, scales, noises, strict=True):
             for rows in torch.from_numpy(part).split(TABLED):
                 light = torch.addmm(mean[rows, None], components[rows], prior.coefficients.T)
                 counts = light.clamp_(min=least).mul_(gain).add_(dark)
-                usual = counts @ often
+                expected = counts @ weights
                 variance = nearby[rows]
-                size = (usual**2 / variance.clamp(min=1e-30)).clamp(max=LARGEST_SIZE)
+                size = (expected**2 / variance.clamp(min=1e-30)).clamp(max=LARGEST_SIZE)
                 roots = 2 * (counts + 3 / 8).sqrt()
-                roots -= (roots @ often)[:, None]
+                roots -= (roots @ weights)[:, None]
                 scale[:, rows - part[0]] = roots.T.numpy()
-                noise[rows - part[0]] = (1 + variance / usual).numpy()
-                ratio = counts.div_(usual[:, None])
-                logs = ((ratio - 1) * (usual / (usual + size))[:, None]).log1p_()
+                noise[rows - part[0]] = (1 + variance / expected).numpy()
+                ratio = counts.div_(expected[:, None])
+                # the law of `AdaptivePosterior._take`, with `logs` for its log1p
+                logs = ((ratio - 1) * (expected / (expected + size))[:, None]).log1p_()
                 by_count[rows] = (ratio.log() - logs).mul_(power).numpy()
                 constant[rows] = logs.mul_(power * size[:, None]).numpy()
         members = np.ones((scenes, prior.classes + 1), np.float32)
@@ -120,10 +121,10 @@ class MaskDictionary:
     @classmethod
     def drawn(cls, masks: Tensor, count: int, generator: torch.Generator) -> "MaskDictionary":
         """At most `count` different masks, drawn from masks (M, N)."""
-        every = torch.unique(masks.bool(), dim=0)
-        every = every[every.any(dim=1)]
-        order = torch.randperm(len(every), generator=generator)[:count]
-        return cls(every[order].float())
+        different = torch.unique(masks.bool(), dim=0)
+        different = different[different.any(dim=1)]
+        order = torch.randperm(len(different), generator=generator)[:count]
+        return cls(different[order].float())
 
     @classmethod
     def restored(cls, arrays: Mapping[str, np.ndarray]) -> "MaskDictionary | None":
@@ -186,9 +187,11 @@ class DictionaryPosterior(AdaptivePosterior):
 
     def next_masks(self, share: float, generator: torch.Generator) -> Tensor:
         """The next masks (b, N); nothing is drawn."""
-        part = self._looks % len(self.tables.parts)  # that is compared now
+        part = self._looks % len(self.tables.parts)  # compared in this look
         first = int(self.tables.parts[part][0])
-        indices = [first + int(self._odds(logs, part).argmax()) for logs in self.logs.numpy()]
+        indices = [
+            first + int(self._odds(logs, part).argmax()) for logs in self.log_weights.numpy()
+        ]
         # a slice of one takes a fifth of the time of an index
         one = len(indices) == 1
         return self.dictionary.masks[slice(indices[0], indices[0] + 1) if one else indices]
@@ -199,7 +202,7 @@ class DictionaryPosterior(AdaptivePosterior):
         change = self._change
         indices = self.dictionary.indices(masks)
         for logs, index, count in zip(
-            self.logs.numpy(), indices, counts[:, 0].tolist(), strict=True
+            self.log_weights.numpy(), indices, counts[:, 0].tolist(), strict=True
         ):
             np.multiply(tables.by_count[index], count, out=change)
             np.subtract(change, tables.constant[index], out=change)
@@ -207,10 +210,13 @@ class DictionaryPosterior(AdaptivePosterior):
         self._end_look()
 
     def _odds(self, logs: np.ndarray, part: int) -> np.ndarray:
-        """Odds (p,) of the masks of a part, which tell the class, of log-probabilities (n,)."""
+        """Variance (p,) between classes over that within, for the masks of a part.
+
+        `logs` (n,) are log-probabilities of the scenes.
+        """
         scale = self.tables.scales[part]
         noise = self.tables.noises[part]
-        powers = self._powers
+        powers = self._powers  # a view of `_sums`, which `_draw` reads
         np.subtract(logs, logs.max(), out=powers)
         np.exp(powers, out=powers)
         if len(powers) <= len(self._ones):
@@ -239,6 +245,7 @@ class DictionaryPosterior(AdaptivePosterior):
         # sums of blocks first: a running sum of all takes longer, and loses digits in float32
         blocks = self._sums @ self._block
         ends = blocks.cumsum()
+        # the golden ratio spreads the starts of the looks evenly, and draws no random number
         shift = self._looks * ((math.sqrt(5) - 1) / 2) % 1 / len(self._points)
         points = (self._points + shift) * ends[-1]
         block = ends.searchsorted(points)

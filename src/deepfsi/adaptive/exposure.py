@@ -82,7 +82,7 @@ The light of an exposure varies by some 0.6 of its mean, so that the mean is kno
 
 @dataclass(frozen=True, eq=False)
 class UsualMisfit:
-    """Misfit of training scenes after each look, at several budgets."""
+    """Misfit of training scenes after each look, at B budgets."""
 
     budgets: np.ndarray  # (B,)
     logarithms: np.ndarray  # (2, B, K): mean and standard deviation of its logarithm
@@ -103,23 +103,23 @@ class UsualMisfit:
         """Misfit from a file, None if it has none, or `ValueError` if it is damaged."""
         if "misfit_budgets" not in arrays:
             return None
-        made = cls(arrays["misfit_budgets"], arrays["misfit_logarithms"])
+        misfit = cls(arrays["misfit_budgets"], arrays["misfit_logarithms"])
         budgets = len(MISFIT_BUDGETS)
-        shapes = made.budgets.shape, made.logarithms.shape
-        numbers = np.append(made.budgets, made.logarithms)
+        shapes = misfit.budgets.shape, misfit.logarithms.shape
+        numbers = np.append(misfit.budgets, misfit.logarithms)
         fits = shapes == ((budgets,), (2, budgets, looks)) and numbers.dtype == np.float64
-        rises = fits and np.diff(made.budgets, prepend=0).min() > 0
-        if not (rises and made.logarithms[1].min() > 0 and np.isfinite(numbers).all()):
+        rises = fits and np.diff(misfit.budgets, prepend=0).min() > 0
+        if not (rises and misfit.logarithms[1].min() > 0 and np.isfinite(numbers).all()):
             raise ValueError("the misfit is of another design")
-        return made
+        return misfit
 
-    def chance(self, total: float, look: int, photons: float) -> float:
+    def p_value(self, total: float, look: int, photons: float) -> float:
         """Share of sound exposures whose misfit after a look, from 0, exceeds this total."""
         from scipy.special import ndtr
 
-        at = np.log(np.clip(photons, self.budgets[0], self.budgets[-1]))
+        level = np.log(np.clip(photons, self.budgets[0], self.budgets[-1]))
         mean, deviation = (
-            np.interp(at, np.log(self.budgets), each[:, look]) for each in self.logarithms
+            np.interp(level, np.log(self.budgets), moment[:, look]) for moment in self.logarithms
         )
         return float(ndtr((mean - np.log(max(total, SMALLEST_MISFIT))) / deviation))
 
@@ -133,17 +133,17 @@ def measure(
     report: Progress = SILENT,
     misfit: bool = True,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Expose S scenes that the prior lacks, to their last look, at several budgets.
+    """Expose S scenes that the prior lacks, to their last look, at B budgets.
 
-    Log odds (B, K, S, C) of the classes after each look, counts (B, K, S) of the look without dark
-    ones, and its misfit (B, K, S), 0 if that is not asked for.
+    Returns log odds (B, K, S, C) of the classes after each look, counts (B, K, S) of the look
+    without dark counts, and its misfit (B, K, S), 0 without `misfit`.
     """
     settings = exposure.settings
     shape = len(optics), settings.looks, len(left_out.scenes)
     odds = torch.zeros(*shape, exposure.prior.classes)
     counted, misfits = torch.zeros(2, *shape, dtype=torch.double)
-    for row, each in enumerate(optics):
-        posterior = partial(exposure.posterior, optics=each)
+    for row, at_budget in enumerate(optics):
+        posterior = partial(exposure.posterior, optics=at_budget)
         size = exposure.prior.exposed_at_once
         for rows, scenes, state in left_out.states(posterior, size, report):
             for look, share in enumerate(settings.shares):
@@ -159,7 +159,7 @@ def measure(
 def _looks(
     state: AdaptivePosterior, x: Tensor, shares: Sequence[float], generator: torch.Generator
 ) -> Iterator[Look]:
-    """Looks at scenes (b, N) one after another; the state knows a look when it is given."""
+    """Looks at scenes (b, N) one after another; the state takes in each before it is yielded."""
     for share in shares:
         look = state.look_at(x, share, generator)
         state.update(look.masks, look.counts, share)
@@ -169,16 +169,16 @@ def _looks(
 def sharing_threshold(used: np.ndarray, confidence: np.ndarray, light: float) -> float:
     """Highest probability at which exposures may end, so that their mean light fits a share.
 
-    `used` (K,) is the share of the budget after each step, `confidence` (E, K) the probability of
+    Shapes: share `used` (K,) of the budget after each look; `confidence` (E, K), the probability of
     the likeliest class then.
     """
 
-    def taken(threshold: float) -> float:
+    def mean_light(threshold: float) -> float:
         return float(used[_last_looks(confidence, threshold)].mean())
 
-    # no job has so few looks that the first alone takes more
+    # the light rises with the threshold; no job has so few looks that the first alone takes more
     tried: list[float] = np.unique(np.append(confidence[:, :-1], [0.0, 1.0])).tolist()
-    first = bisect_right(range(len(tried)), light, key=lambda index: taken(tried[index]))
+    first = bisect_right(range(len(tried)), light, key=lambda index: mean_light(tried[index]))
     return tried[first - 1]
 
 
@@ -191,13 +191,13 @@ def _last_looks(confidence: np.ndarray, threshold: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveExposure(ExposureKind):
-    """Exposure whose masks are each made from the counts so far."""
+    """Exposure that makes each mask from the counts so far."""
 
-    prior: ScenePrior  # of scenes: the training scenes, in components
+    prior: ScenePrior  # the training scenes, in components
     settings: AdaptiveMasks  # looks, and the share of the exposure that each takes
     image_shape: tuple[int, ...]
     shares: Tensor  # (K,), share of the budget that each look counts
-    camera: Camera  # that it was made for
+    camera: Camera  # camera of the training
     usual_misfit: UsualMisfit | None = None
     dictionary: MaskDictionary | None = None  # each look shows one of its masks
 
@@ -282,17 +282,17 @@ class AdaptiveExposure(ExposureKind):
 
         def expose(photons: float, generator: torch.Generator) -> tuple[Answer, CountedLight]:
             optics = self.optics_at(photons, camera)
-            chances = []
+            probabilities = []
             counted = 0.0
             used = 0.0
-            for some in scenes.split(self.prior.exposed_at_once):
-                state = self.posterior(len(some), optics)
-                found, counts, shares = self._run(state, some, generator)
-                chances.append(found)
+            for x in scenes.split(self.prior.exposed_at_once):
+                state = self.posterior(len(x), optics)
+                of_batch, counts, shares = self._run(state, x, generator)
+                probabilities.append(of_batch)
                 counted += float(counts.sum())
                 used += shares
-            taken = used * photons if self.settings.until < 1 else None
-            return answer_of(torch.cat(chances)), CountedLight(counted, counted, taken)
+            light = used * photons if self.settings.until < 1 else None
+            return answer_of(torch.cat(probabilities)), CountedLight(counted, counted, light)
 
         return expose
 
@@ -301,7 +301,7 @@ class AdaptiveExposure(ExposureKind):
     ) -> tuple[Tensor, Tensor, float]:
         """Expose scenes (b, N): probabilities (b, C), counts (K,), and light in budgets."""
         settings = self.settings
-        chances = torch.empty(len(x), state.prior.classes)
+        probabilities = torch.empty(len(x), state.prior.classes)
         counts = torch.zeros(settings.looks, dtype=torch.double)
         used = 0.0
         running = torch.arange(len(x))
@@ -312,27 +312,30 @@ class AdaptiveExposure(ExposureKind):
             used += share * len(running)
             last = index == settings.looks - 1
             if settings.until < 1 or last:
-                chances[running] = state.chances
-                going = confidence_of(state.chances) <= settings.until
+                probabilities[running] = state.probabilities
+                going = confidence_of(state.probabilities) <= settings.until
                 if not last and not bool(going.all()):
                     state = state.rows_of(going)
                     running = running[going]
             if not len(running):
                 break
-        return chances, counts, used
+        return probabilities, counts, used
 
     def look_by_look(
         self, scene: Tensor, photons: float, generator: torch.Generator
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Mask and mean scene (1, N), and chances (1, C), after each look at a scene (N,)."""
+        """Mask and mean scene (1, N), and probabilities (1, C), after each look at a scene (N,)."""
         state = self.posterior(1, self.optics_at(photons))
         for look in _looks(state, scene[None], self.settings.shares, generator):
-            yield look.masks, state.scene, state.chances
+            yield look.masks, state.scene, state.probabilities
 
 
-def answer_of(chances: Tensor) -> Answer:
-    """Answer of a posterior (b, C): nothing else reads the counts."""
-    return Answer(chances.clamp(min=LEAST_WEIGHT).log(), chances, chances.argmax(dim=-1))
+def answer_of(probabilities: Tensor) -> Answer:
+    """Answer of class probabilities (b, C) of a posterior."""
+    # no network gives logits here; these have the same softmax
+    return Answer(
+        probabilities.clamp(min=LEAST_WEIGHT).log(), probabilities, probabilities.argmax(dim=-1)
+    )
 
 
 class LeftOutScenes(NamedTuple):
@@ -346,13 +349,13 @@ class LeftOutScenes(NamedTuple):
         self, make: Callable[[int], State], size: int, report: Progress = SILENT
     ) -> Iterator[tuple[Tensor, Tensor, State]]:
         """Rows, scenes and their posterior, at most `size` at a time; `make` makes it of a size."""
-        every = torch.arange(len(self.scenes)).split(size)
-        for done, rows in enumerate(every, start=1):
+        batches = torch.arange(len(self.scenes)).split(size)
+        for done, rows in enumerate(batches, start=1):
             state = make(len(rows))
             if self.indices is not None:  # each scene is impossible in its own exposure
-                state.logs[torch.arange(len(rows)), self.indices[rows]] = -torch.inf
+                state.log_weights[torch.arange(len(rows)), self.indices[rows]] = -torch.inf
             yield rows, self.scenes[rows], state
-            report(done / len(every))
+            report(done / len(batches))
 
 
 class LeftOutAnswers(NamedTuple):
@@ -367,25 +370,25 @@ class LeftOutAnswers(NamedTuple):
         """Calibrated confidence (S, K) after each look, at the first budget."""
         photons = float(self.budgets[0])
         looks = enumerate(self.odds[0], start=1)
-        chances = [prior.calibrated(odds, taken, photons) for taken, odds in looks]
-        return confidence_of(torch.stack(chances, dim=1)).numpy()
+        probabilities = [prior.calibrated(odds, count, photons) for count, odds in looks]
+        return confidence_of(torch.stack(probabilities, dim=1)).numpy()
 
-    def ended(self, made: AdaptiveExposure) -> "LeftOutAnswers":
-        """Answers where the exposures end that are made."""
-        sure = self.confidence(made.prior)
-        ends = torch.from_numpy(_last_looks(sure, made.settings.until))
+    def ended(self, kind: AdaptiveExposure) -> "LeftOutAnswers":
+        """Answers at the end of each exposure of a kind that ends early."""
+        sure = self.confidence(kind.prior)
+        ends = torch.from_numpy(_last_looks(sure, kind.settings.until))
         odds = self.odds[0, ends, torch.arange(len(ends))]
         return LeftOutAnswers(self.budgets, odds[None, None], self.labels)
 
-    def shared(self, made: AdaptiveExposure) -> AdaptiveExposure:
-        """The kind whose exposures stop so that these scenes take the budget in the mean."""
+    def shared(self, kind: AdaptiveExposure) -> AdaptiveExposure:
+        """The kind whose exposures end so that these scenes take one budget in the mean."""
         assert self.counted is not None
-        sure = self.confidence(made.prior)
-        threshold = sharing_threshold(np.cumsum(made.settings.shares), sure, 1.0)
-        going = torch.arange(made.count) <= torch.from_numpy(_last_looks(sure, threshold))[:, None]
+        sure = self.confidence(kind.prior)
+        threshold = sharing_threshold(np.cumsum(kind.settings.shares), sure, 1.0)
+        going = torch.arange(kind.count) <= torch.from_numpy(_last_looks(sure, threshold))[:, None]
         counted = (self.counted[0].T.float().contiguous() * going).mean(dim=0)
-        settings = made.settings.model_copy(update={"until": threshold})
-        return replace(made, settings=settings, shares=counted / float(self.budgets[0]))
+        settings = kind.settings.model_copy(update={"until": threshold})
+        return replace(kind, settings=settings, shares=counted / float(self.budgets[0]))
 
 
 class AdaptiveTraining:
@@ -399,7 +402,7 @@ class AdaptiveTraining:
         self.prior = prior_of(data, settings)
 
     def left_out(self, count: int, generator: torch.Generator) -> LeftOutScenes:
-        """Some of the training scenes, drawn by lot."""
+        """Training scenes, drawn at random."""
         order = self.prior.order
         indices = torch.randperm(len(order), generator=generator)[:count]
         rows = order[indices.numpy()]
@@ -409,12 +412,13 @@ class AdaptiveTraining:
             indices if self.settings.clusters is None else None,
         )
 
-    def longest(self, made: AdaptiveExposure, job: Job, report: Progress) -> LeftOutAnswers:
-        """Exposures that do not stop, by which a job's light is shared among scenes."""
+    def longest(self, kind: AdaptiveExposure, job: Job, report: Progress) -> LeftOutAnswers:
+        """Answers in exposures of all looks, from which `LeftOutAnswers.shared` sets the light."""
+        # another draw than that of `measured`, whose seed is the job's own
         generator = torch.Generator().manual_seed(job.seed ^ 2**31)
         left_out = self.left_out(SHARING_SCENES, generator)
-        optics = [made.optics_at(job.photons, job.optics)]
-        odds, counted, _ = measure(made, optics, left_out, generator, report, misfit=False)
+        optics = [kind.optics_at(job.photons, job.optics)]
+        odds, counted, _ = measure(kind, optics, left_out, generator, report, misfit=False)
         return LeftOutAnswers(np.array([job.photons]), odds, left_out.labels, counted)
 
     @torch.no_grad()
@@ -423,22 +427,23 @@ class AdaptiveTraining:
         count = self.settings.dictionary
         if count is None:
             return None
+        # a third draw, apart from those of `measured` and `longest`
         generator = torch.Generator().manual_seed(job.seed ^ 2**30)
         left_out = self.left_out(512, generator)  # training scenes for which masks are made
         optics = LookOptics.of(job.optics, self.data.image_shape, job.photons)
-        made = AdaptiveMasks(looks=min(self.settings.looks, 32))
+        settings = AdaptiveMasks(looks=min(self.settings.looks, 32))
         masks: list[Tensor] = []
         posterior = partial(AdaptivePosterior, self.prior, optics=optics)
         for _, scenes, state in left_out.states(posterior, MOST_EXPOSURES):
-            looks = _looks(state, scenes, made.shares, generator)
+            looks = _looks(state, scenes, settings.shares, generator)
             masks += [look.masks.bool() for look in looks]
         return MaskDictionary.drawn(torch.cat(masks), count, generator)
 
     def make(self, job: Job, report: Progress) -> tuple[AdaptiveExposure, LeftOutAnswers]:
         """The exposure of a job, not calibrated, and answers to left-out scenes."""
-        made = self.measured(job, self.dictionary(job))
+        measured = self.measured(job, self.dictionary(job))
         report(0.5)
-        return made
+        return measured
 
     def measured(
         self,
@@ -448,25 +453,25 @@ class AdaptiveTraining:
     ) -> tuple[AdaptiveExposure, LeftOutAnswers]:
         """The exposure with light and misfit of left-out scenes, and answers to these.
 
-        Default: drawn from the training scenes.
+        Default: scenes drawn from the training scenes.
         """
         shape = self.data.image_shape
-        none = torch.zeros(self.settings.looks)
-        made = AdaptiveExposure(
-            self.prior, self.settings, shape, none, job.camera, dictionary=dictionary
+        unmeasured = torch.zeros(self.settings.looks)
+        exposure = AdaptiveExposure(
+            self.prior, self.settings, shape, unmeasured, job.camera, dictionary=dictionary
         )
         generator = torch.Generator().manual_seed(job.seed)
         if left_out is None:
             left_out = self.left_out(256, generator)  # they tell misfit and temperatures
         budgets = np.array(MISFIT_BUDGETS) * job.photons
-        optics = [LookOptics.of(job.optics, shape, each) for each in budgets.tolist()]
-        odds, counted, misfits = measure(made, optics, left_out, generator)
+        optics = [LookOptics.of(job.optics, shape, photons) for photons in budgets.tolist()]
+        odds, counted, misfits = measure(exposure, optics, left_out, generator)
         at_budget = counted[MISFIT_BUDGETS.index(1.0)].mean(dim=1)
         shares = (at_budget / job.photons).float()
-        few = len(left_out.scenes) < 50  # fewer measure nothing
+        few = len(left_out.scenes) < 50  # too few for a standard deviation
         misfit = None if few else UsualMisfit.of(budgets, misfits)
         answers = LeftOutAnswers(budgets, odds, left_out.labels)
-        return replace(made, shares=shares, usual_misfit=misfit), answers
+        return replace(exposure, shares=shares, usual_misfit=misfit), answers
 
 
 def training_of(clicks: bool) -> type[AdaptiveTraining]:

@@ -49,7 +49,7 @@ LARGEST_SIZE = 1e9
 """Size of the negative binomial law beyond which it is Poisson's within float32."""
 
 LIKELIHOODS_AT_ONCE = 2**22
-"""Log-likelihoods that are held at a time."""
+"""Log-likelihoods in memory at a time, 16 MiB in float32."""
 
 MOST_EXPOSURES = 32
 """Exposures that are computed at a time, at most: a thousand of them take twice as long each."""
@@ -87,11 +87,11 @@ class ScenePrior:
         self.summed_reflectance = summed_reflectance(x)
         self.spread = float(spread)
         self.mean = scenes.mean(dim=0)  # (N,)
-        away = scenes - self.mean
-        vectors = torch.linalg.eigh(away.double().T @ away.double())[1]
+        centred = scenes - self.mean
+        vectors = torch.linalg.eigh(centred.double().T @ centred.double())[1]
         kept = vectors[:, -min(components, scenes.shape[1]) :].float()
         self.components = kept.T.contiguous()  # (d, N)
-        self.coefficients = away @ kept  # (n, d)
+        self.coefficients = centred @ kept  # (n, d)
         self.members = torch.ones(len(self))  # training scenes that each scene stands for
         # of the classes' probabilities after each look; None before they are calibrated
         self.temperatures: Temperatures | None = None
@@ -113,8 +113,8 @@ class ScenePrior:
     @property
     def class_shares(self) -> Tensor:
         """Probabilities (C,) of the classes before any look."""
-        shares = [part.sum() for part in (self.members / self.members.sum()).split(self.sizes)]
-        return torch.stack(shares)
+        shares = (self.members / self.members.sum()).split(self.sizes)
+        return torch.stack([share.sum() for share in shares])
 
     @property
     def exposed_at_once(self) -> int:
@@ -141,20 +141,24 @@ class ScenePrior:
         """Normal scenes of each class with the same moments; None of too few scenes."""
         members = self.members.numpy().astype(float)
         labels = self.labels.numpy()
-        often = np.bincount(labels, members, minlength=self.classes)
-        if not SceneModel.are_enough(often):
+        sizes = np.bincount(labels, members, minlength=self.classes)
+        if not SceneModel.are_enough(sizes):
             return None
-        own = self.coefficients.numpy().astype(float)
+        scenes = self.coefficients.numpy().astype(float)
         centres = np.stack([
-            np.average(own[labels == k], axis=0, weights=members[labels == k])
+            np.average(scenes[labels == k], axis=0, weights=members[labels == k])
             for k in range(self.classes)
         ])  # fmt: skip
-        away = (own - centres[labels]) * np.sqrt(members / (often.sum() - self.classes))[:, None]
+        scale = np.sqrt(members / (sizes.sum() - self.classes))[:, None]
+        residuals = (scenes - centres[labels]) * scale
+        identity = np.eye(scenes.shape[1])
         if members.max() > 1:  # scenes lie about the centres that stand for them
-            away = np.concatenate([away, np.eye(own.shape[1])])
-        components, mean = (each.numpy().astype(float) for each in (self.components, self.mean))
-        square = np.linalg.cholesky(away.T @ away + 1e-9 * np.eye(own.shape[1])).T @ components
-        return SceneModel.of(mean + centres @ components, square, often / often.sum())
+            residuals = np.concatenate([residuals, identity])
+        mean = self.mean.numpy().astype(float)
+        components = self.components.numpy().astype(float)
+        # fewer scenes than components leave the square singular
+        square = np.linalg.cholesky(residuals.T @ residuals + 1e-9 * identity).T @ components
+        return SceneModel.of(mean + centres @ components, square, sizes / sizes.sum())
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
@@ -165,16 +169,16 @@ class ScenePrior:
         tensors |= {"steps": steps, "levels": levels}
         temperatures = vars(self.temperatures) if self.temperatures else {}
         return {
-            **{name: each.numpy() for name, each in tensors.items()},
+            **{name: tensor.numpy() for name, tensor in tensors.items()},
             "sizes": np.array(self.sizes),
             "members": self.members.numpy().astype(np.int32),
             "numbers": np.array([self.summed_reflectance, self.spread]),
-            **{f"temperature_{name}": each for name, each in temperatures.items()},
+            **{f"temperature_{name}": array for name, array in temperatures.items()},
         }
 
     @classmethod
     def restored(cls, arrays: Mapping[str, np.ndarray]) -> "ScenePrior":
-        """Prior of its `arrays`, which needs no training data."""
+        """Prior from the `arrays` of a design file, without training data."""
         prior = cls.__new__(cls)
         prior.sizes = arrays["sizes"].tolist()
         prior.labels = torch.arange(len(prior.sizes)).repeat_interleave(torch.tensor(prior.sizes))
@@ -210,51 +214,53 @@ class ScenePrior:
 
         centres = []
         members = []
-        found = []
-        for own in self.coefficients.split(self.sizes):
+        differences = []
+        for scenes in self.coefficients.split(self.sizes):
             with threadpool_limits(1):  # threads would add up in any order
-                means = KMeans(clusters, n_init=1, random_state=0).fit(own.numpy())
+                means = KMeans(clusters, n_init=1, random_state=0).fit(scenes.numpy())
             cluster = torch.from_numpy(means.labels_).long()
             members.append(torch.bincount(cluster, minlength=clusters).float())
             if not members[-1].all():
                 raise InputError(
                     f"a class has fewer than {clusters} different scenes: give fewer `clusters`"
                 )
-            sums = torch.zeros(clusters, own.shape[1]).index_add_(0, cluster, own)
+            sums = torch.zeros(clusters, scenes.shape[1]).index_add_(0, cluster, scenes)
             centres.append(sums / members[-1][:, None])
-            found.append(own - centres[-1][cluster])
+            differences.append(scenes - centres[-1][cluster])
         self.sizes = [clusters] * self.classes
         self.labels = torch.arange(self.classes).repeat_interleave(clusters)
         self.coefficients = torch.cat(centres)
         self.members = torch.cat(members)
-        return torch.cat(found)
+        return torch.cat(differences)
 
     def _neighbours(self) -> Tensor:
-        """Differences (n, d) of some scenes from their nearest neighbours of their class."""
-        # scenes whose neighbours are looked for
+        """Differences (n, d) of up to 3000 scenes from their nearest neighbours of their class."""
+        # cdist compares each with all scenes of its class: 3000 bound its time
         order = torch.randperm(len(self), generator=torch.Generator().manual_seed(0))
         chosen = order[:3000].sort().values
         starts = np.cumsum([0, *self.sizes[:-1]])
-        found = [self.coefficients[:0]]
-        for start, own in zip(starts.tolist(), self.coefficients.split(self.sizes), strict=True):
-            rows = chosen[(chosen >= start) & (chosen < start + len(own))] - start
-            if len(own) < 2 or not len(rows):
+        differences = [self.coefficients[:0]]
+        by_class = self.coefficients.split(self.sizes)
+        for start, scenes in zip(starts.tolist(), by_class, strict=True):
+            rows = chosen[(chosen >= start) & (chosen < start + len(scenes))] - start
+            if len(scenes) < 2 or not len(rows):
                 continue
-            far = torch.cdist(own[rows], own)
-            far[torch.arange(len(rows)), rows] = torch.inf
-            found.append(own[rows] - own[far.argmin(dim=1)])
-        return torch.cat(found)
+            distances = torch.cdist(scenes[rows], scenes)
+            distances[torch.arange(len(rows)), rows] = torch.inf  # a scene is not its own neighbour
+            differences.append(scenes[rows] - scenes[distances.argmin(dim=1)])
+        return torch.cat(differences)
 
-    def _scale(self, differ: Tensor) -> None:
+    def _scale(self, differences: Tensor) -> None:
         """Scale components so that the covariance of differences (n, d) is the identity."""
-        differ = differ.double()
-        if not differ.any():
+        differences = differences.double()
+        if not differences.any():
             raise InputError(
                 "no scene of a class differs from the one most like it, and adaptive masks learn "
                 "from how scenes differ: give more scenes, without copies"
             )
-        covariance = differ.T @ differ / len(differ)
-        # in directions in which scenes hardly differ, noise of a few would pass for certainty
+        covariance = differences.T @ differences / len(differences)
+        # in directions in which scenes hardly differ, noise of a few would pass for certainty;
+        # a direction without differences would have infinite coefficients
         least = 1e-3 * covariance.diagonal().mean()
         covariance += least * torch.eye(len(covariance), dtype=torch.double)
         variances, vectors = torch.linalg.eigh(covariance)
@@ -305,17 +311,18 @@ class LookOptics:
         return (rails[..., None, :] * self.areas(masks)).flatten(-3, -2)
 
 
-def class_chances(weights: Tensor, sizes: Sequence[int]) -> Tensor:
+def sum_by_class(weights: Tensor, sizes: Sequence[int]) -> Tensor:
     """Class probabilities (b, C) of probabilities (b, n) of scenes that are sorted by class."""
-    sums = torch.stack([part.sum(dim=1) for part in weights.split(list(sizes), dim=1)], dim=1)
+    by_class = weights.split(list(sizes), dim=1)
+    sums = torch.stack([scenes.sum(dim=1) for scenes in by_class], dim=1)
     return sums / sums.sum(dim=1, keepdim=True)
 
 
-def confidence_of(chances: Tensor) -> Tensor:
+def confidence_of(probabilities: Tensor) -> Tensor:
     """Probability (...) of the likeliest class, of (..., C), in double precision."""
     # 1 less the rest: small probabilities keep their digits where the likeliest rounds to 1
-    others = chances.scatter(-1, chances.argmax(dim=-1, keepdim=True), 0.0)
-    return 1 - others.double().sum(dim=-1)
+    rest = probabilities.scatter(-1, probabilities.argmax(dim=-1, keepdim=True), 0.0)
+    return 1 - rest.double().sum(dim=-1)
 
 
 class Look(NamedTuple):
@@ -337,8 +344,9 @@ class AdaptivePosterior:
         d = prior.coefficients.shape[1]
         frequent = (prior.members / prior.members.max()).log()
         # log-probabilities of the scenes, up to a constant
-        self.logs = torch.zeros(exposures, len(prior)) + frequent
-        self._known = torch.zeros(exposures, 0, d)  # directions in which e is known by now
+        self.log_weights = torch.zeros(exposures, len(prior)) + frequent
+        # (b, r, d), one direction for each readout so far: Σ = 1 − their sum of squares
+        self._known_directions = torch.zeros(exposures, 0, d)
         self._shift = torch.zeros(exposures, d)  # mean of e of the mean scene
         self._looks = 0
         self._weights: Tensor | None = None
@@ -346,33 +354,33 @@ class AdaptivePosterior:
 
     def __len__(self) -> int:
         """Number of exposures, b."""
-        return len(self.logs)
+        return len(self.log_weights)
 
     def rows_of(self, rows: Tensor) -> Self:
         """Posterior of the exposures where `rows` (b,) is true."""
-        some = copy(self)
-        some.logs = self.logs[rows]
-        some._known = self._known[rows]
-        some._shift = self._shift[rows]
-        some._weights = some._class_sums = None
-        return some
+        kept = copy(self)
+        kept.log_weights = self.log_weights[rows]
+        kept._known_directions = self._known_directions[rows]
+        kept._shift = self._shift[rows]
+        kept._weights = kept._class_sums = None
+        return kept
 
     def next_masks(self, share: float, generator: torch.Generator) -> Tensor:
         """The next masks (b, N) of 0 and 1, for a share of the exposure."""
         masks = self.candidates()
         indices, drawn = draw_scenes(self.weights, generator, 128)
-        middle, parts = self._light(masks)  # (b, P, Q), (b, P, Q, d)
-        left = self.unknown(parts)
+        mean, responses = self._light(masks)  # (b, P, Q), (b, P, Q, d)
+        unseen = self.times_covariance(responses)
         scenes = self.prior.coefficients[indices].transpose(1, 2)  # (b, d, S), same for all masks
-        light = middle[..., None] + (left.flatten(1, 2) @ scenes).unflatten(1, middle.shape[1:])
+        light = mean[..., None] + (unseen.flatten(1, 2) @ scenes).unflatten(1, mean.shape[1:])
         gain = self.gain * share
         dark = torch.as_tensor(self.optics.dark * share)[..., None]
         counts = light.clamp(min=0) * gain + dark
-        unknown = left @ parts.transpose(2, 3) if self.prior.spread else None
+        unknown = unseen @ responses.transpose(2, 3) if self.prior.spread else None
         if unknown is not None:
             # a small change of a count n is 1 / √n times as large on the scale 2 √n
-            usual = (counts * drawn[:, None, None]).sum(dim=-1, keepdim=True)
-            steps = usual.clamp(min=1e-6).rsqrt()
+            mean_counts = (counts * drawn[:, None, None]).sum(dim=-1, keepdim=True)
+            steps = mean_counts.clamp(min=1e-6).rsqrt()
             scale = steps * gain
             unknown = unknown * scale * scale.transpose(2, 3)
         members = functional.one_hot(self.prior.labels[indices], self.prior.classes)
@@ -391,23 +399,24 @@ class AdaptivePosterior:
 
         On one arm either group is the brighter one; on two the masks of both are the same.
         """
-        chances = self.class_weights
+        probabilities = self.class_probabilities
         sums = self.class_sums
-        count = min(4, chances.shape[1])  # classes that a mask is to separate at most
-        likely, top = chances.topk(count, dim=1)
-        own = sums.gather(1, top[..., None].expand(-1, -1, sums.shape[-1]))
-        # all ways to part them in two groups: 1 for one of them, the last in neither
+        count = min(4, probabilities.shape[1])  # classes that a mask is to separate at most
+        likely, top = probabilities.topk(count, dim=1)
+        likeliest = sums.gather(1, top[..., None].expand(-1, -1, sums.shape[-1]))
+        # the bits of each number part the classes in two groups; the last is always in the second,
+        # or each pair of groups would come twice
         numbers = torch.arange(1, 2 ** (count - 1))
         groups = (numbers[:, None] >> torch.arange(count) & 1).to(sums.dtype)
         means = [
-            (group @ own) / (likely @ group.T).clamp(min=1e-9)[..., None]
+            (group @ likeliest) / (likely @ group.T).clamp(min=1e-9)[..., None]
             for group in (groups, 1 - groups)
         ]
-        differ = self.unknown(means[0] - means[1]) @ self.prior.components
+        differ = self.times_covariance(means[0] - means[1]) @ self.prior.components
         return torch.cat([differ, -differ], dim=1) if self.optics.arms == 1 else differ
 
     def look_at(self, x: Tensor, share: float, generator: torch.Generator) -> Look:
-        """Next look at scenes (b, N) for a share of the exposure, which is not taken in yet."""
+        """Draw the next look at scenes (b, N); `update` takes it in."""
         masks = self.next_masks(share, generator)
         expected = self.expected(masks, x, share)
         light = expected - self.optics.dark * share
@@ -419,138 +428,143 @@ class AdaptivePosterior:
         Its metric is the covariance of the counts, so that its mean is Q where scenes are as the
         prior has them.
         """
-        middle, parts = self._light(masks)
+        mean, responses = self._light(masks)
         gain = self.gain * share
         dark = torch.as_tensor(self.optics.dark * share)
-        left = self.unknown(parts)
+        unseen = self.times_covariance(responses)
         weights = self.weights[..., None]
-        scenes = left @ self.prior.coefficients.T  # (b, Q, n)
-        usual = scenes @ weights
-        apart = scenes - usual
-        light = (middle + usual[..., 0]).clamp(min=0)
+        scenes = unseen @ self.prior.coefficients.T  # (b, Q, n)
+        of_mean = scenes @ weights
+        deviations = scenes - of_mean
+        light = (mean + of_mean[..., 0]).clamp(min=0)
         expected = light * gain + dark
-        covariance = (apart * weights[:, None, :, 0]) @ apart.transpose(1, 2)
+        covariance = (deviations * weights[:, None, :, 0]) @ deviations.transpose(1, 2)
         if self.prior.spread:
-            covariance = covariance + left @ parts.transpose(1, 2)
+            covariance = covariance + unseen @ responses.transpose(1, 2)
         noise = torch.diag_embed(expected.clamp(min=1e-6))
-        away = (counts - expected)[..., None]
-        solved = torch.linalg.solve(covariance * gain**2 + noise, away)
-        return (away * solved)[..., 0].sum(dim=1)
+        residuals = (counts - expected)[..., None]
+        solved = torch.linalg.solve(covariance * gain**2 + noise, residuals)
+        return (residuals * solved)[..., 0].sum(dim=1)
 
     def expected(self, masks: Tensor, x: Tensor, share: float) -> Tensor:
-        """Expected counts (b, Q) of scenes (b, N) behind masks (b, N) for a share of the whole."""
+        """Expected counts (b, Q) of scenes (b, N) behind masks (b, N)."""
         light = (self.optics.readouts(masks) @ x[..., None])[..., 0]
         return light * (self.gain * share) + self.optics.dark * share
 
     def update(self, masks: Tensor, counts: Tensor, share: float) -> None:
         """Take in counts (b, Q) behind masks (b, N) that were shown for a share of the exposure."""
-        here = self.class_sums.sum(dim=1)  # (b, d): mean scene of the posterior before this look
-        mean, parts = self.prior.light(self.optics.readouts(masks))
+        posterior_mean = self.class_sums.sum(dim=1)  # (b, d), before this look
+        mean, responses = self.prior.light(self.optics.readouts(masks))
         dark = torch.as_tensor(self.optics.dark * share, dtype=torch.double)
         darks = dark.expand(counts.shape[1]).tolist()
         gain = self.gain * share
         for counted, mean_light, response, dark_counts in zip(
-            counts.unbind(1), mean.unbind(1), parts.unbind(1), darks, strict=True
+            counts.unbind(1), mean.unbind(1), responses.unbind(1), darks, strict=True
         ):
-            self._take(here, counted, mean_light, response, gain=gain, dark=dark_counts)
+            self._take(posterior_mean, counted, mean_light, response, gain=gain, dark=dark_counts)
         self._end_look()
 
     def _take(
         self,
-        here: Tensor,
+        posterior_mean: Tensor,
         counts: Tensor,
-        at_mean: Tensor,
-        through: Tensor,
+        mean_light: Tensor,
+        response: Tensor,
         gain: float,
         dark: float,
     ) -> None:
-        """One readout: counts (b,), light of the mean scene (b,) and of e (b, d)."""
-        # With n counts, a gain g, rates μ_k of the scenes and μ of the mean one, and Σ of e, light
-        # of a variance v = aᵀΣa makes counts negative binomial, of a size s = μ²/(g²v):
+        """Take in a readout: counts (b,), light of the mean scene (b,) and of components (b, d)."""
+        # With n counts, a response a, a gain g, rates μ_k of the scenes, μ of the mean one and Σ of
+        # e, light of a variance v = aᵀΣa makes counts negative binomial, of a size s = μ²/(g²v):
         #     log p_k += n log(μ_k/μ) − (n + s) log1p((μ_k/μ − 1) μ/(μ + s))
         # and the mean and covariance of e follow as those of a normal law:
         #     e += Σa (n − μ_e)/(g (v + μ/g²)),   Σ −= Σa aᵀΣ/(v + μ/g²)
         least = LEAST_LIGHT * float(self.prior.mean.sum())
-        response = self.unknown(through)  # Σa
-        offset = at_mean + (through * self._shift).sum(dim=1)
-        rate = (offset + (response * here).sum(dim=1)).clamp(min=least) * gain + dark
-        light = torch.addmm(offset[:, None], response, self.prior.coefficients.T)
+        unseen = self.times_covariance(response)  # Σa
+        offset = mean_light + (response * self._shift).sum(dim=1)
+        rate = (offset + (unseen * posterior_mean).sum(dim=1)).clamp(min=least) * gain + dark
+        light = torch.addmm(offset[:, None], unseen, self.prior.coefficients.T)
         light = light.clamp_(min=least)
         # relative to the mean scene: differences of likelihoods alone need float32's digits
         ratio = light.mul_(gain).add_(dark).div_(rate[:, None])
-        self.logs.addcmul_(ratio.log(), counts[:, None])
+        self.log_weights.addcmul_(ratio.log(), counts[:, None])
         if not self.prior.spread:
-            self.logs.sub_(ratio.sub_(1).mul_(rate[:, None]))
+            self.log_weights.sub_(ratio.sub_(1).mul_(rate[:, None]))
             return
-        variance = (through * response).sum(dim=1).clamp(min=0)
+        variance = (response * unseen).sum(dim=1).clamp(min=0)
         size = rate**2 / (variance * gain**2).clamp(min=1e-30)
         size = size.clamp(max=LARGEST_SIZE)[:, None]
         share = rate[:, None] / (rate[:, None] + size)
-        self.logs.sub_(ratio.sub_(1).mul_(share).log1p_().mul_(counts[:, None] + size))
+        self.log_weights.sub_(ratio.sub_(1).mul_(share).log1p_().mul_(counts[:, None] + size))
         total = variance + rate / gain**2
         innovation = ((counts - dark) / gain - offset) / total
-        self._shift = self._shift + response * innovation[:, None]
-        known = (response / total.sqrt()[:, None])[:, None]
-        self._known = torch.cat([self._known, known], dim=1)
+        self._shift = self._shift + unseen * innovation[:, None]
+        known = (unseen / total.sqrt()[:, None])[:, None]
+        self._known_directions = torch.cat([self._known_directions, known], dim=1)
 
     def _end_look(self) -> None:
-        """Count a look that was taken in: what follows from the counts is computed anew."""
+        """Count a look, and drop the stored probabilities: the counts changed them."""
         self._weights = self._class_sums = None
         self._looks += 1
 
-    def unknown(self, parts: Tensor) -> Tensor:
+    def times_covariance(self, vectors: Tensor) -> Tensor:
         """Product (b, ..., d) of the covariance of e, given the counts, with (b, ..., d)."""
-        if not self._known.shape[1]:
-            return parts
-        flat = parts.flatten(1, -2) if parts.dim() > 2 else parts[:, None]
-        flat = flat - (flat @ self._known.transpose(1, 2)) @ self._known
-        return flat.view(parts.shape)
+        known = self._known_directions
+        if not known.shape[1]:
+            return vectors
+        flat = vectors.flatten(1, -2) if vectors.dim() > 2 else vectors[:, None]
+        # Σ is the identity before all looks
+        flat = flat - (flat @ known.transpose(1, 2)) @ known
+        return flat.view(vectors.shape)
 
     def _light(self, masks: Tensor) -> tuple[Tensor, Tensor]:
         """Light (b, ..., Q) of the mean scene and the mean of e, and of components (b, ..., Q, d).
 
         Masks are (b, ..., N).
         """
-        mean, parts = self.prior.light(self.optics.readouts(masks))
-        shift = (parts.flatten(1, -2) @ self._shift[..., None])[..., 0]
-        return mean + shift.view(mean.shape), parts
+        mean, responses = self.prior.light(self.optics.readouts(masks))
+        shift = (responses.flatten(1, -2) @ self._shift[..., None])[..., 0]
+        return mean + shift.view(mean.shape), responses
 
     @property
     def weights(self) -> Tensor:
         """Probabilities (b, n) of the scenes of the prior."""
         if self._weights is None:
-            self._weights = self.logs.softmax(dim=1)
+            self._weights = self.log_weights.softmax(dim=1)
         return self._weights
 
     @property
     def class_sums(self) -> Tensor:
-        """Sums (b, C, d) of the coefficients of scenes by their probabilities, over classes."""
+        """Sums (b, C, d) over each class of coefficients times probabilities of its scenes."""
         if self._class_sums is None:
             sizes = self.prior.sizes
-            own = self.prior.coefficients.split(sizes)
-            parts = zip(self.weights.split(sizes, 1), own, strict=True)
-            self._class_sums = torch.stack([some @ each for some, each in parts], dim=1)
+            by_class = zip(
+                self.weights.split(sizes, 1), self.prior.coefficients.split(sizes), strict=True
+            )
+            sums = [weights @ coefficients for weights, coefficients in by_class]
+            self._class_sums = torch.stack(sums, dim=1)
         return self._class_sums
 
     @property
-    def class_weights(self) -> Tensor:
+    def class_probabilities(self) -> Tensor:
         """Sums (b, C) of the probabilities of scenes over the classes."""
-        return class_chances(self.weights, self.prior.sizes)
+        return sum_by_class(self.weights, self.prior.sizes)
 
     @property
     def odds(self) -> Tensor:
         """Logarithms (b, C) of the probabilities of the classes over those before all looks."""
-        return self.class_weights.clamp(min=LEAST_WEIGHT).log() - self.prior.class_shares.log()
+        probabilities = self.class_probabilities.clamp(min=LEAST_WEIGHT)
+        return probabilities.log() - self.prior.class_shares.log()
 
     @property
-    def chances(self) -> Tensor:
+    def probabilities(self) -> Tensor:
         """Calibrated probabilities (b, C) of the classes."""
         if self.prior.temperatures is None or not self._looks:
-            return self.class_weights
+            return self.class_probabilities
         return self.prior.calibrated(self.odds, self._looks, self.optics.photons)
 
     @property
     def scene(self) -> Tensor:
         """Mean scene (b, N) of the posterior."""
-        here = self._shift + self.unknown(self.class_sums.sum(dim=1))
-        return self.prior.mean + here @ self.prior.components
+        coefficients = self._shift + self.times_covariance(self.class_sums.sum(dim=1))
+        return self.prior.mean + coefficients @ self.prior.components

@@ -245,7 +245,7 @@ class Design:
             If shapes do not match the design, counts are not finite or the budget is not above 0.
         """
         check_classes(self.values, "classify")
-        return self.answer(*self._observed(counts, photons)).chances.cpu().numpy()
+        return self.answer(*self._observed(counts, photons)).probabilities.cpu().numpy()
 
     @library_defaults(grad=False)
     def estimate(self, counts: Any, photons: Any) -> np.ndarray:

@@ -33,7 +33,7 @@ class _Graph(nn.Module):
     def forward(self, counts: Tensor, photons: Tensor) -> Tensor:
         budget = photons.unsqueeze(-1)
         features = self.design.mask_exposure.features(counts, budget)
-        return self.design.answer(features, budget).chances
+        return self.design.answer(features, budget).probabilities
 
 
 @library_defaults(grad=False)

@@ -119,7 +119,7 @@ def _answering(design: Design, camera: Camera, x: Tensor) -> Guess:
         answer, light = expose(budget, generator)
         if design.values is not None:
             return (design.values.estimated(answer.logits),), light
-        return (answer.classes, answer.chances), light
+        return (answer.classes, answer.probabilities), light
 
     return guess
 

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepfsi.adaptive.posterior import class_chances
+from deepfsi.adaptive.posterior import sum_by_class
 from deepfsi.base.arrays import check_memory
 from deepfsi.base.progress import Progress, progress_bar
 from deepfsi.camera.light import check_budget
@@ -71,7 +71,7 @@ class IdealObserver:
         if self._impossible is not None:
             faults = read @ self._impossible.T
             logs.masked_fill_(faults > faults.amin(dim=1, keepdim=True), -torch.inf)
-        return class_chances(logs.softmax(dim=1), self._sizes)
+        return sum_by_class(logs.softmax(dim=1), self._sizes)
 
 
 @library_defaults()

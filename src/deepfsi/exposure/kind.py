@@ -38,8 +38,8 @@ class Answer(NamedTuple):
     """Answer to exposures."""
 
     logits: Tensor  # (..., C)
-    chances: Tensor  # (..., C)
-    classes: Tensor  # (...); logits can tell classes apart whose chances round alike
+    probabilities: Tensor  # (..., C)
+    classes: Tensor  # (...); logits can tell classes apart whose probabilities round alike
 
 
 class CountedLight(NamedTuple):

@@ -133,12 +133,12 @@ class SceneObserver:
         mask = self._masks[-1]
         share = self._gates_ns[-1] / self._exposure_ns
         if self._made.dictionary is not None:
-            self._logs.append(self._posterior.logs.clone())
+            self._logs.append(self._posterior.log_weights.clone())
         elif self._made.usual_misfit is not None:
             self._misfit += float(self._posterior.misfit(mask, counts, share))
         self._counts.append(counts)
         self._posterior.update(mask, counts, share)
-        return self._posterior.chances[0].double().numpy()
+        return self._posterior.probabilities[0].double().numpy()
 
     def _arrivals(self, count: Callable[[FrameList], np.ndarray], asked: FrameList) -> Arrivals:
         """Photons that arrived in the gates of a list, of those that were counted."""
@@ -179,11 +179,11 @@ class SceneObserver:
         if self._logs:
             # The misfit takes longer than a decision by tables: once, after all looks
             before = AdaptivePosterior(self._made.prior, looks, self._optics)
-            before.logs = torch.cat(self._logs)
+            before.log_weights = torch.cat(self._logs)
             share = self._made.settings.shares[0]
             counts = torch.cat(self._counts)
             misfit = float(before.misfit(torch.cat(self._masks), counts, share).sum())
-        chance = usual.chance(misfit, looks - 1, self._optics.photons)
+        chance = usual.p_value(misfit, looks - 1, self._optics.photons)
         words = f"a misfit of {misfit:.3g} in {looks} looks"
         return self._test.find_unlike(scene, self._scenes, chance, words)
 

@@ -121,7 +121,7 @@ def predict(
         chances = []
         for some in scenes.split(EXPOSED_AT_ONCE):
             answer, _ = design.exposures(some, tested)(budget, generator)
-            chances.append(answer.chances.cpu())
+            chances.append(answer.probabilities.cpu())
         confidence, best = torch.cat(chances).max(dim=-1)
         dim = CountTest(design).find_dim(np.array([budget]))
     labels = shown.labels or [None] * len(shown.names)
