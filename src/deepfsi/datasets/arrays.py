@@ -18,8 +18,8 @@ from deepfsi.datasets.levels import AnyArray, ValueRange, measure_levels, reflec
 Scenes: TypeAlias = tuple[npt.ArrayLike, npt.ArrayLike]
 """Scenes (n, H, W) or (n, N), and their labels (n,) or values (n, q)."""
 
-TEST_SHARE = 5
-"""A test part that is drawn has one scene in five."""
+TEST_FOLDS = 5
+"""A test part that is drawn is one of five equal parts."""
 
 
 def from_arrays(
@@ -80,7 +80,7 @@ def from_arrays(
     >>> deepfsi.from_arrays(x, [0.1, 0.8] * 10, values=["left pixel"]).values
     ('left pixel',)
     """
-    if any(np.ma.is_masked(given) for given in (x, y, x_test, y_test)):
+    if any(np.ma.is_masked(array) for array in (x, y, x_test, y_test)):
         raise InputError(f"{name} hides values under a mask: leave out those scenes")
     return split_arrays(
         (x, y),
@@ -105,10 +105,11 @@ def as_test_part(
     if pixels.ndim == 2 and pixels.shape[1] == prod(image_shape):
         x = pixels.reshape(-1, *image_shape)
     words = np.asarray(y).astype(str)
-    if set(words.ravel().tolist()) <= set(classes):  # classes that are called "0", "1", ..
+    # Integers 0, 1, … may be the names of classes, and no numbers of theirs
+    if set(words.ravel().tolist()) <= set(classes):
         y = words
-    part = x, y
-    data = split_arrays(part, part, classes=classes or None, values=values or None, name="arrays")
+    pair = x, y
+    data = split_arrays(pair, pair, classes=classes or None, values=values or None, name="arrays")
     return replace(data, x_train=data.x_train[:0], y_train=data.y_train[:0])
 
 
@@ -125,8 +126,8 @@ def split_arrays(
     white: float | None = None,
     levels: ValueRange | None = None,
 ) -> Dataset:
-    """Data set of arrays; a test part is drawn unless it is given."""
-    drawn = all(part is None for part in test)
+    """Data set of arrays; without a test part a fifth of the scenes is drawn."""
+    drawn = all(array is None for array in test)
     pairs = [train] if drawn else [train, test]
     x, words, levels = _scenes([pair[0] for pair in pairs], name, white, levels)
     y = _answers([pair[1] for pair in pairs], x, name)
@@ -137,16 +138,17 @@ def split_arrays(
     else:
         truth, classes = _read_classes(y, n, classes, name)
         sizes = np.bincount(truth[:n], minlength=len(classes))
-        if drawn and sizes.min() < TEST_SHARE:  # a fifth of fewer may be none
+        if drawn and sizes.min() < TEST_FOLDS:  # a fifth of fewer may be none
             fewest = classes[int(sizes.argmin())]
             raise InputError(
                 f"{name}: class '{fewest}' has {sizes.min()} scenes; to draw a test part give "
-                f"{TEST_SHARE} or more of each class, or a test part of your own"
+                f"{TEST_FOLDS} or more of each class, or a test part of your own"
             )
     if drawn:
         order, chosen = draw_fifth(n, truth if classes else None, seed)
         tested = x[0][chosen], truth[chosen]
     else:
+        # The last training scenes must be a fair sample to validate on
         order = np.random.default_rng(seed).permutation(n)
         tested = x[1], truth[n:]
     data = assemble(
@@ -162,12 +164,13 @@ def split_arrays(
 
 
 def _answers(
-    parts: Sequence[npt.ArrayLike], scenes: Sequence[Reflectance], name: str
+    arrays: Sequence[npt.ArrayLike], scenes: Sequence[Reflectance], name: str
 ) -> npt.NDArray[Any]:
-    """Labels (n,) or values (n, q) of the scenes of all parts, one part after another."""
+    """Labels (n, 1) or values (n, q) of the training scenes, then of the test scenes."""
     answers = []
-    for part, x in zip(parts, scenes, strict=True):
-        y = np.asarray(part)
+    for array, x in zip(arrays, scenes, strict=True):
+        y = np.asarray(array)
+        # pandas keeps strings as objects
         if y.dtype == object and all(isinstance(label, str) for label in y.flat):
             y = y.astype(str)
         if y.shape == (1, len(x)):  # MATLAB's vectors
@@ -186,7 +189,7 @@ def _answers(
 def _read_classes(
     y: npt.NDArray[Any], n: int, names: Sequence[str] | None, name: str
 ) -> tuple[Labels, Sequence[str]]:
-    """Class numbers of labels, the first n of which are trained on, and names of the classes."""
+    """Class numbers of labels, those of n training scenes first, and names of the classes."""
     labels = y.ravel().tolist()
     if y.dtype.kind == "U":
         labels = [normal_name(label) for label in labels]
@@ -211,22 +214,22 @@ def _read_classes(
 def _read_values(
     y: npt.NDArray[Any], n: int, names: Sequence[str] | None, name: str
 ) -> tuple[Truth, Sequence[str]]:
-    """Values, the first n of which are trained on, and their names."""
+    """Values (scenes, q), those of n training scenes first, and their q names."""
     truth = y.astype(np.float32)
     train = truth[:n]
     width = train.shape[1]
     values = tuple(names or (f"value {k + 1}" for k in range(width)))
     vary = np.isfinite(truth).all() and (np.ptp(train, axis=0) > 0).all()
-    if not vary or len(set(values)) != width or n < TEST_SHARE:
+    if not vary or len(set(values)) != width or n < TEST_FOLDS:
         raise InputError(
             f"{name}: {width} values of {n} training scenes, named {', '.join(values)}; give "
-            f"finite ones that differ, each with its own name, of {TEST_SHARE} scenes or more"
+            f"finite ones that differ, each with its own name, of {TEST_FOLDS} scenes or more"
         )
     distinct = np.unique(train)
-    whole = width == 1 and len(distinct) <= n / TEST_SHARE and not (distinct % 1).any()
+    integers = width == 1 and len(distinct) <= n / TEST_FOLDS and not (distinct % 1).any()
     one_hot = width > 1 and np.isin(train, (0, 1)).all() and (train.sum(axis=1) == 1).all()
     # As MATLAB or one-hot codes write classes: a design would estimate them without a word
-    if names is None and (whole or one_hot):
+    if names is None and (integers or one_hot):
         raise InputError(
             f"{name}: y holds whole numbers written as floats: if they are classes, give integers "
             "(1 and not 1.0, `y.argmax(axis=1)` of one-hot rows) or strings; if values, name them"
@@ -235,22 +238,22 @@ def _read_values(
 
 
 def _scenes(
-    parts: Sequence[npt.ArrayLike],
+    arrays: Sequence[npt.ArrayLike],
     name: str,
     white: float | None = None,
     levels: ValueRange | None = None,
 ) -> tuple[list[Reflectance], str, ValueRange]:
-    """Reflectance (n, H, W) or (n, N) of each part, a sentence on the changes, and levels."""
+    """Reflectances (n, H, W) or (n, N) of arrays, a sentence on the changes, and levels."""
     read: dict[str, AnyArray] = {}
-    for part, what in zip(parts, (f"{name}: x", f"{name}: x_test"), strict=False):
-        scenes = np.asarray(part)
+    for array, what in zip(arrays, (f"{name}: x", f"{name}: x_test"), strict=False):
+        scenes = np.asarray(array)
         if scenes.ndim not in (2, 3) or scenes.size == 0:
             raise InputError(
                 f"{what} has shape {scenes.shape}; give (n, H, W) for images, (n, N) for spectra, "
                 "and turn RGB to grey: x @ [0.299, 0.587, 0.114]"
             )
         read[what] = scenes
-    shapes = [part.shape[1:] for part in read.values()]
+    shapes = [scenes.shape[1:] for scenes in read.values()]
     if shapes[0] != shapes[-1]:
         raise InputError(
             f"{name}: a scene has shape {shapes[0]} in x but {shapes[-1]} in x_test; bring both "
@@ -258,7 +261,7 @@ def _scenes(
         )
     levels = levels or measure_levels(read, white)
     words = levels.words[0].upper() + levels.words[1:]
-    return [reflectance(part, levels) for part in read.values()], words, levels
+    return [reflectance(scenes, levels) for scenes in read.values()], words, levels
 
 
 def assemble(
@@ -271,7 +274,7 @@ def assemble(
     classes: tuple[str, ...] = (),
     values: tuple[str, ...] = (),
 ) -> Dataset:
-    """Data set of scenes that are ready but for rescaling, which is done in place."""
+    """Data set of scenes in [0, 1], which are rescaled in place."""
     low, high = (0.0, 1.0) if rescale is None else rescale
     if not 0 <= low < high <= 1:
         raise InputError(f"rescale ({low}, {high}): give low and high with 0 <= low < high <= 1")
@@ -298,11 +301,11 @@ def assemble(
 def draw_fifth(
     count: int, classes: npt.NDArray[np.integer] | None, seed: int
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Indices to train on, in random order, and of a fifth to test on; of each of classes (n,)."""
+    """Indices to train on, in random order, and of a fifth to test on, drawn by classes (n,)."""
     from sklearn.model_selection import train_test_split
 
     train, test = train_test_split(
-        np.arange(count), test_size=1 / TEST_SHARE, stratify=classes, random_state=seed
+        np.arange(count), test_size=1 / TEST_FOLDS, stratify=classes, random_state=seed
     )
     return train, test
 
@@ -310,18 +313,19 @@ def draw_fifth(
 def draw_stratified(
     labels: npt.ArrayLike, count: int | None, seed: int, name: str
 ) -> tuple[npt.NDArray[np.intp], str]:
-    """Sorted indices of scenes, each class (n,) with its share, and words on them; all of None."""
+    """Sorted indices of `count` scenes (None: all), by labels (n,), and words on the draw."""
     if count is None:
         return np.arange(np.size(labels)), ""
     labels = np.asarray(labels)
-    values, numbers, sizes = np.unique(labels, return_inverse=True, return_counts=True)
-    if not len(values) <= count <= len(labels):
+    classes, numbers, sizes = np.unique(labels, return_inverse=True, return_counts=True)
+    if not len(classes) <= count <= len(labels):
         raise InputError(
             f"{name}: {count} of {len(labels)} training images were asked for; give "
-            f"{len(values)} (one of each class) to {len(labels)}"
+            f"{len(classes)} (one of each class) to {len(labels)}"
         )
     order = np.random.default_rng(seed).permutation(len(labels))
     order = order[np.argsort(numbers[order], kind="stable")]
+    # The scenes of a class are spread evenly over ranks 0 to 1: the lowest hold its share
     rank = np.concatenate([np.arange(size) for size in sizes]) / np.repeat(sizes, sizes)
     drawn = np.sort(order[np.argsort(rank, kind="stable")[:count]])
     return drawn, f"{count} training images drawn by class; "

@@ -71,15 +71,15 @@ class NamedDataset(ABC):
         """Load it."""
 
     def download(self) -> Path:
-        """Folder of the files; the cache downloads what is missing or damaged."""
+        """Folder of the files; missing or damaged ones are downloaded to the cache."""
         import pooch
 
         *users, cache = _data_folders(self.folder)
-        whole = (all((user / file).is_file() for file in self.hashes) for user in users)
-        folder = next(itertools.compress(users, whole), cache)
+        complete = (all((user / file).is_file() for file in self.hashes) for user in users)
+        folder = next(itertools.compress(users, complete), cache)
         for file, expected in self.hashes.items():
-            own = folder != cache  # a user's file is never replaced
-            if own and not pooch.hashes.hash_matches(folder / file, expected):
+            # A user's file is never replaced
+            if folder != cache and not pooch.hashes.hash_matches(folder / file, expected):
                 raise InputError(f"{folder / file} is damaged: replace it with the original")
             for mirror in self.mirrors:
                 with suppress(OSError, ValueError):  # no connection, no such file; wrong hash
@@ -144,7 +144,7 @@ class IdxImages(NamedDataset):
 
 
 def _read_idx(path: Path) -> npt.NDArray[np.uint8]:
-    """Bytes of a gzipped idx file: the fourth says how many lengths follow, then the array."""
+    """Array of a gzipped idx file: byte 3 is its number of axes; lengths and values follow."""
     content = gzip.decompress(path.read_bytes())
     start = 4 + 4 * content[3]
     lengths = np.frombuffer(content[4:start], ">u4")
@@ -189,7 +189,7 @@ class _Cifar10(NamedDataset):
 def _grey_pictures(
     records: npt.NDArray[np.uint8], height: int, width: int
 ) -> npt.NDArray[np.uint8]:
-    """Grey pictures (n, H, W) of records (n, 3073)."""
+    """Grey pictures (n, H, W) of records (n, 3073), a label before three planes of colour."""
     from PIL import Image
 
     out = np.empty((len(records), height, width), np.uint8)
@@ -251,12 +251,13 @@ class _IndianPines(NamedDataset):
 
 def _restore_high_bytes(cube: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
     """The cube (H, W, B) with the high bytes 13 that became 10."""
-    # Which of the bytes 10 were 13 is stored, a bit for each, band by band. It was predicted of the
-    # other bands of the pixel, by `restore_high_bytes` as last in commit fc7d6b34
+    # A bit for each byte 10, band by band, tells whether it was 13. It was predicted from the other
+    # bands of the pixel, by `restore_high_bytes` as last in commit fc7d6b34
     with as_file(files(__package__) / "indian_pines.npz") as path, np.load(path) as arrays:
         lost = np.unpackbits(arrays["lost"])
     bands = np.moveaxis(cube, 2, 0).copy()
     unsure = bands >> 8 == 10
+    # 768 is 13 − 10 in the high byte
     bands[unsure] += lost[: np.count_nonzero(unsure)] * np.uint16(768)
     return np.ascontiguousarray(np.moveaxis(bands, 0, 2))
 

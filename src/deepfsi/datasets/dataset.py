@@ -123,7 +123,7 @@ class Dataset:
 
     @property
     def answers(self) -> int:
-        """Number of classes, or of values: what a network gives of a scene."""
+        """Number of a network's outputs: one for each class, or for each value."""
         return len(self.classes or self.values)
 
     @property
@@ -133,7 +133,7 @@ class Dataset:
 
     @property
     def measure(self) -> MeasureTitle:
-        """Measure of the answers: of values the share of their variance that answers explain."""
+        """Accuracy; of values R², the share of their variance that the answers explain."""
         return "R²" if self.values else "accuracy"
 
     @property
@@ -164,8 +164,8 @@ class Dataset:
         n = len(self.x_train)
         count = n // 6 if count is None else count
         rest = n - count
-        left = np.bincount(self.groups[: max(rest, 0)], minlength=len(self.classes))
-        if not (0 < count < n and left.all()):
+        sizes = np.bincount(self.groups[: max(rest, 0)], minlength=len(self.classes))
+        if not (0 < count < n and sizes.all()):
             raise InputError(
                 f"{self.name}: {count} of {n} training scenes held out for validation; hold out 1 "
                 "or more, and leave some of each class to train on"
@@ -201,7 +201,7 @@ class Dataset:
             )
         order = np.random.default_rng(seed).permutation(len(y))
         labels = y[order] if self.classes else np.zeros(len(y), dtype=np.int64)
-        # the scenes of each class in turn, one to each fold
+        # The scenes of a class go to the folds in turn, so that each has its share
         fold = np.empty(len(y), dtype=np.int64)
         fold[np.argsort(labels, kind="stable")] = np.arange(len(y)) % count
         return [

@@ -35,7 +35,7 @@ class Display(NamedTuple):
     x: Reflectance  # (S, H, W), reflectance in [0, 1]
     levels: ValueRange  # range of the values, and their white
     preprocessing: str  # sentence on the changes made to the pictures
-    written: int  # those that `write_pictures` wrote
+    written: int  # number of pictures that `write_pictures` wrote
 
 
 def array_display(pictures: npt.ArrayLike, white: float | None = None) -> Display:
@@ -50,7 +50,7 @@ def array_display(pictures: npt.ArrayLike, white: float | None = None) -> Displa
 def read_display(
     path: str | os.PathLike[str], white: float | None = None, shape: PictureSize | None = None
 ) -> Display:
-    """Read a picture, a folder of some, or a folder of folders of classes; average to a shape."""
+    """Read a picture, a folder of pictures, or one of classes, and average them to a shape."""
     source = Path(path)
     labels: tuple[str, ...] | None = None
     if source.is_file():
@@ -60,7 +60,7 @@ def read_display(
     elif any(is_image(file.name) for file in source.iterdir()):
         pictures = [file for file in sorted(source.iterdir()) if is_image(file.name)]
     else:
-        pictures = [picture for part in list_pictures(source) for picture in part]
+        pictures = [picture for split in list_pictures(source) for picture in split]
         labels = tuple(map(class_name, pictures))
     folder = source.parent if source.is_file() else source
     read = read_pictures(pictures, shape, white)
@@ -127,8 +127,9 @@ def write_pictures(
         for name, picture in pictures.items():
             path = draft / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            drawn = io.BytesIO()  # a full disk is then an error of the file, not of its format
+            # Written in memory first: a full disk is then an error of the file, not of its format
+            content = io.BytesIO()
             grey = Image.fromarray(np.rint(picture * 255).astype(np.uint8))
-            grey.save(drawn, format="PNG", pnginfo=text)
-            path.write_bytes(drawn.getvalue())
+            grey.save(content, format="PNG", pnginfo=text)
+            path.write_bytes(content.getvalue())
     return [Path(folder) / name for name in pictures]

@@ -46,7 +46,7 @@ FILE_KINDS = (
 """Kinds of files that hold a data set: a new one is an entry here."""
 
 Source: TypeAlias = Dataset | str | os.PathLike[str] | tuple[Any, ...]
-"""A data set, or what `load_dataset` makes one of."""
+"""A data set, or a source that `load_dataset` takes."""
 
 
 def load_dataset(
@@ -107,10 +107,10 @@ def load_dataset(
             f"data were given as {type(source).__name__}: give a Dataset of deepfsi, a name such "
             "as 'digits', a path, or a tuple (x, y) or (x, y, x_test, y_test) of arrays"
         )
-    found: Any = None if isinstance(source, tuple) else find_source(source)
+    loader: Any = None if isinstance(source, tuple) else find_source(source)
     with as_input_error():
         options = Origin(
-            data="arrays" if found is None else absolute_source(source),
+            data="arrays" if loader is None else absolute_source(source),
             size=(size, size) if isinstance(size, int) else size,
             seed=seed,
             rescale=rescale,
@@ -119,17 +119,17 @@ def load_dataset(
             white=white,
         )
     for option in ("size", "images", "split", "white"):
-        taken = found is not None and option in found.options
+        taken = loader is not None and option in loader.options
         if getattr(options, option) is not None and not taken:
             raise InputError(f"{Path(options.data).name} takes no `{option}`: leave it out")
     if isinstance(source, tuple):
         return from_arrays(*source, seed=seed, rescale=rescale)
-    data = found.load(options)
+    data = loader.load(options)
     return replace(data, origin=options.model_copy(update={"white": data.white}))
 
 
 def find_source(source: Any) -> NamedDataset | _FileKind:
-    """What loads a data set, by its name or its path; `InputError` where none is there."""
+    """Loader of a data set by its name or its path; `InputError` if there is none."""
     if source in DATASETS:
         return DATASETS[source]
     path = Path(source).expanduser()
@@ -147,24 +147,24 @@ def find_source(source: Any) -> NamedDataset | _FileKind:
 
 
 def absolute_source(source: Any) -> str:
-    """Name of a data set as it is, absolute path of any other; a path is never a name."""
+    """Name of a named data set, absolute path of any other."""
     if source in DATASETS:
         return str(source)
     path = str(Path(source).expanduser().absolute())
-    if readable_name(path) != path:  # a file of ours could not keep it
+    if readable_name(path) != path:  # JSON of a design file could not hold it
         raise InputError(f"the name {readable_name(path)} is not UTF-8: rename the file or folder")
     return path
 
 
 def as_dataset(data: Source) -> Dataset:
-    """A data set as it is, or the one of a name, a path or a tuple of arrays, as `load_dataset`."""
+    """The data set itself, or the one that `load_dataset` makes of a source."""
     return data if isinstance(data, Dataset) else load_dataset(data)
 
 
 def prepare_display(pictures: Path | npt.NDArray[Any], origin: Origin) -> Display:
     """Make scenes of pictures like those of a data set, without the view of a camera.
 
-    Pictures that `write_pictures` wrote are mapped already.
+    Pictures that `write_pictures` wrote hold reflectance after the mapping.
     """
     if isinstance(pictures, Path):
         display = read_display(pictures, origin.white, origin.size)

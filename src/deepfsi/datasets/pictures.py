@@ -37,8 +37,8 @@ IMAGE_SUFFIXES = (
 )
 """Ends of the names of image files."""
 
-OF_SYSTEMS = ("__MACOSX", "@eaDir", "$RECYCLE.BIN", "System Volume Information", "lost+found")
-"""Folders that operating systems and servers put beside those of a user, as do hidden ones."""
+SYSTEM_FOLDERS = ("__MACOSX", "@eaDir", "$RECYCLE.BIN", "System Volume Information", "lost+found")
+"""Folders that operating systems and servers add; hidden ones are passed over, too."""
 
 
 def load_pictures(options: Origin) -> Dataset:
@@ -62,9 +62,9 @@ def load_pictures(options: Origin) -> Dataset:
             list(map(class_name, train)), options.images, options.seed, name
         )
         train = [train[i] for i in kept]
-        labels = np.array([class_name(path) for part in (train, *test) for path in part])
-    every = [*train, *(test[0] if test else [])]
-    pixels, levels, words, _ = read_pictures(every, options.size, options.white)
+        labels = np.array([class_name(path) for split in (train, *test) for path in split])
+    paths = [*train, *(test[0] if test else [])]
+    pixels, levels, words, _ = read_pictures(paths, options.size, options.white)
     n = len(train)
     return split_arrays(
         (pixels[:n], labels[:n]),
@@ -122,17 +122,17 @@ def class_name(path: Path) -> str:
 
 
 def list_pictures(path: Path) -> list[list[Path]]:
-    """Images of a folder: all in one part, or a training and a test part."""
-    parts = {each.name.lower(): each for each in path.iterdir() if each.is_dir()}
-    roots = [parts["train"], parts["test"]] if {"train", "test"} <= parts.keys() else [path]
+    """Images of a folder: one list, or a training and a test list."""
+    splits = {entry.name.lower(): entry for entry in path.iterdir() if entry.is_dir()}
+    roots = [splits["train"], splits["test"]] if {"train", "test"} <= splits.keys() else [path]
     images: dict[Path, list[Path]] = {}  # by their folder
     for folder, inside, names in os.walk(path, followlinks=True):
-        inside[:] = [name for name in inside if name[0] != "." and name not in OF_SYSTEMS]
+        inside[:] = [name for name in inside if name[0] != "." and name not in SYSTEM_FOLDERS]
         # A folder that is called like an image is refused when it is read
         named = (Path(folder, name) for name in [*names, *inside])
         images[Path(folder)] = [path for path in named if is_image(path.name)]
-    classes = [each for each in images if each.parent in roots and each not in roots]
-    # Were they left out, a set with train/ and val/ alone would have these two as classes
+    classes = [folder for folder in images if folder.parent in roots and folder not in roots]
+    # If they were passed over, a set with train/ and val/ alone would have these as its classes
     astray = [image for folder in images.keys() - classes for image in images[folder]]
     if astray:
         raise InputError(
@@ -146,8 +146,8 @@ def list_pictures(path: Path) -> list[list[Path]]:
             f"{_names_text(empty) or 'it'} has none; add them, or give arrays in an .npz file"
         )
     paths = [image for folder in classes for image in images[folder]]
-    paths.sort(key=lambda each: (class_name(each), readable_name(each.name)))
-    return [[each for each in paths if each.parent.parent == root] for root in roots]
+    paths.sort(key=lambda image: (class_name(image), readable_name(image.name)))
+    return [[image for image in paths if image.parent.parent == root] for root in roots]
 
 
 class Pictures(NamedTuple):
@@ -156,7 +156,7 @@ class Pictures(NamedTuple):
     values: npt.NDArray[Any]  # (n, H, W), bytes or floats
     levels: ValueRange
     words: str  # what they were and what was done, as the beginning of a sentence
-    written: int  # those that `write_pictures` wrote, as reflectance
+    written: int  # number of pictures that `write_pictures` wrote, as reflectance
 
 
 def read_pictures(paths: list[Path], shape: PictureSize | None, white: float | None) -> Pictures:
@@ -164,14 +164,14 @@ def read_pictures(paths: list[Path], shape: PictureSize | None, white: float | N
     from PIL import Image
 
     sizes: set[PictureSize] = set()
-    reach: dict[str, npt.NDArray[Any]] = {}
+    ends: dict[str, npt.NDArray[Any]] = {}
     written = 0
     out: npt.NDArray[Any] = np.empty(0)
     for index, path in enumerate(paths):
         grey, marked = _read(path)
         height, width = grey.shape
         sizes.add((height, width))
-        reach[str(path)] = np.array([grey.min(), grey.max()])
+        ends[str(path)] = np.array([grey.min(), grey.max()])
         written += marked
         if grey.dtype != np.uint8:
             grey = grey.astype(np.float32)
@@ -180,7 +180,7 @@ def read_pictures(paths: list[Path], shape: PictureSize | None, white: float | N
         if not out.size:
             size = f"{grey.shape[0]}x{grey.shape[1]} pixels"
             check_memory(
-                len(paths) * grey.size * (grey.itemsize + 8),  # and reflectance, twice
+                len(paths) * grey.size * (grey.itemsize + 8),  # reflectance in float32, twice
                 f"{len(paths)} images of {size}",
                 "give a smaller size, or fewer",
             )
@@ -191,7 +191,7 @@ def read_pictures(paths: list[Path], shape: PictureSize | None, white: float | N
                 "size to bring them to one"
             )
         out[index] = grey
-    levels = measure_levels(reach, white)
+    levels = measure_levels(ends, white)
     kinds = {"uint8": "8-bit", "float32": "float", "int32": "32-bit"}
     levels = levels._replace(kind=kinds.get(levels.kind, "16-bit"))
     how = "averaged to" if shape and sizes != {shape} else "of"

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from deepfsi.base.arrays import read_array
 from deepfsi.base.errors import InputError, check_choice
-from deepfsi.datasets.arrays import TEST_SHARE, assemble, draw_fifth
+from deepfsi.datasets.arrays import TEST_FOLDS, assemble, draw_fifth
 from deepfsi.datasets.dataset import Dataset, Ends
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
@@ -44,8 +44,8 @@ class SpectralImage:
         cube = self.cube
         labels = self.labels
         fits = cube.ndim == 3 and cube.size and labels.shape == cube.shape[:2]
-        whole = labels.dtype.kind in "ui" and len(self.present) > 1
-        if not (fits and whole and np.isfinite(cube).all()):
+        labelled = labels.dtype.kind in "ui" and len(self.present) > 1
+        if not (fits and labelled and np.isfinite(cube).all()):
             raise InputError(
                 f"{self.name}: the cube is of shape {cube.shape}, the label map {labels.dtype} of "
                 f"shape {labels.shape}; give (height, width, bands) without NaN, and integers "
@@ -54,7 +54,7 @@ class SpectralImage:
 
     @cached_property
     def present(self) -> npt.NDArray[np.integer]:
-        """Labels (C,) of the classes that have pixels, rising."""
+        """Labels (C,) of the classes that have pixels, in rising order."""
         return np.unique(self.labels[self.labels != 0])
 
     @property
@@ -64,13 +64,13 @@ class SpectralImage:
         return tuple(str(k) if names is None else names[k - 1] for k in self.present.tolist())
 
     def parts(self, split: str = "random", seed: int = 0) -> tuple[Mask, Mask]:
-        """Divide the labelled pixels into a training and a test part, where they are in (H, W)."""
+        """Masks (H, W) of the labelled pixels to train on, and of those to test on."""
         check_choice("split", split, ("random", "blocks"))
         counts = np.unique(self.labels[self.labels != 0], return_counts=True)[1]
-        if counts.min() < TEST_SHARE:
+        if counts.min() < TEST_FOLDS:
             raise InputError(
                 f"{self.name}: class '{self.class_names[counts.argmin()]}' has {counts.min()} "
-                f"pixels; label {TEST_SHARE} or more of each class"
+                f"pixels; label {TEST_FOLDS} or more of each class"
             )
         if split == "blocks":
             return self._blocks(seed)
@@ -81,34 +81,36 @@ class SpectralImage:
         return (self.labels != 0) & ~test, test
 
     def _blocks(self, seed: int) -> tuple[Mask, Mask]:
-        """The best of some stratified choices: most classes in both parts, nearest to a fifth."""
+        """The best of thirty stratified choices: with most classes in both of its masks (H, W)."""
         from scipy.ndimage import binary_dilation
         from sklearn.model_selection import StratifiedGroupKFold
 
         labels = self.labels
         rows, columns = np.nonzero(labels)
-        kinds = np.unique(labels[rows, columns], return_inverse=True)[1]
+        classes = np.unique(labels[rows, columns], return_inverse=True)[1]
         rng = np.random.default_rng(seed)
+        # The grid of blocks begins anywhere, so that seeds differ in it
         down, across = rng.integers(0, BLOCK_SIDE, 2)
         blocks = (rows + down) // BLOCK_SIDE * labels.shape[1] + (columns + across) // BLOCK_SIDE
         best: tuple[Mask, Mask] | None = None
         merit = (0, 0.0)
         # Each shuffle has five choices of a fifth; fewer blocks have none
-        shuffles = 6 if len(np.unique(blocks)) >= TEST_SHARE else 0
+        shuffles = 6 if len(np.unique(blocks)) >= TEST_FOLDS else 0
         for _ in range(shuffles):
             state = int(rng.integers(2**31))
-            folds = StratifiedGroupKFold(TEST_SHARE, shuffle=True, random_state=state)
-            for _, chosen in folds.split(rows, kinds, blocks):
+            folds = StratifiedGroupKFold(TEST_FOLDS, shuffle=True, random_state=state)
+            for _, chosen in folds.split(rows, classes, blocks):
                 test = np.zeros(labels.shape, bool)
                 test[rows[chosen], columns[chosen]] = True
                 # A pixel beside a tested one resembles it, and is left out
                 train = (labels != 0) & ~binary_dilation(test, np.ones((3, 3)))
-                tested = np.bincount(kinds[test[rows, columns]], minlength=kinds.max() + 1)
-                trained = np.bincount(kinds[train[rows, columns]], minlength=kinds.max() + 1)
+                tested = np.bincount(classes[test[rows, columns]], minlength=classes.max() + 1)
+                trained = np.bincount(classes[train[rows, columns]], minlength=classes.max() + 1)
                 if not trained.all():
                     continue
+                # More classes count first, then shares of the test nearest to a fifth
                 both = int(np.count_nonzero((tested > 0) & (tested <= trained)))
-                distance = float(np.abs(tested / (tested + trained) - 1 / TEST_SHARE).mean())
+                distance = float(np.abs(tested / (tested + trained) - 1 / TEST_FOLDS).mean())
                 if (both, -distance) > merit:
                     best = train, test
                     merit = both, -distance
@@ -138,7 +140,7 @@ class SpectralImage:
         x[:, :lit] /= high - low
         np.clip(x, 0, 1, out=x)
         y = np.searchsorted(self.present, self.labels.ravel()).astype(np.int64)
-        train, test = (np.flatnonzero(part) for part in self.parts(split, seed))
+        train, test = (np.flatnonzero(mask) for mask in self.parts(split, seed))
         train = np.random.default_rng(seed).permutation(train)
         scaled = "" if (low, high) == (0, 1) else f" mapped from [{low:g}, {high:g}] to [0, 1]"
         dark = "" if x.shape[1] == lit else f", padded with darkness to {x.shape[1]}"
@@ -177,7 +179,7 @@ def read_cube(
     advice = "save it alone"
     cube = read_array(path, (3,), advice=advice)
     labels = read_array(label_file, (2,), advice=advice)
-    # MATLAB's own whole numbers are doubles; others are left for the checks
+    # MATLAB saves whole numbers as doubles; the check of the image refuses other floats
     if labels.dtype.kind == "f" and (np.abs(labels) < 2**31).all() and not (labels % 1).any():
         labels = labels.astype(np.int64)
     return SpectralImage(name or path.stem, cube, labels, classes=classes, origin=origin)
