@@ -81,3 +81,17 @@ def test_a_lab_counts_its_recording_and_wrong_wiring_is_put_right(
     counted = json.loads(done("camera", "count", run, "--json"))
     assert (counted["exposures"], counted["inputs"]) == (3, [3])
     assert counted["photons_counted"] == lab.photons[:, 2:-2].sum()
+
+
+def test_time_stamps_become_a_photon_file(done, refuse, tmp_path):
+    """A trigger on channel 8 and three detections; what is imported is whole or not there."""
+    stamps, photons = tmp_path / "tags.csv", tmp_path / "photons.ptu"
+    stamps.write_text("time,channel\n0,8\n5,3\n9,3\n12,3\n")
+    given = ("camera", "import", stamps, "--marker-channel", 8, "-o", photons)
+    assert "give their --unit" in refuse(*given)
+    assert "channel 7 has no events" in refuse(*given, "--unit", "1ps", "--channel", 7)
+    done(*given, "--unit", "1ps")
+    said = json.loads(done("camera", "inspect", photons, "--json"))
+    assert (said["photons"], said["markers"]) == ({"1": 3}, {"0": 1})
+    assert "exists already" in refuse(*given, "--unit", "1ps")
+    assert "give --scenes" in refuse(*given[:-1], tmp_path / "run", "--patterns", tmp_path)

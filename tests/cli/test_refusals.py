@@ -107,7 +107,7 @@ REFUSED = {
     f"camera live run/patterns --scene few {FAST}": "| masks are known before",
     "camera import run/photons.ptu": """
         --patterns looks --scenes few | use `deepfsi camera live`
-        --patterns run/patterns | --scenes
+        --patterns run/patterns | give --scenes
     """,
     f"camera simulate clicks --scene few {FAST}": """
         --dead-time 20ns | click noise has no dead time

@@ -240,7 +240,7 @@ def _words(answer: ClassifiedScene) -> str:
 
 
 class ImportRecording(Command):
-    """It becomes an acquisition folder for `camera count`.
+    """It becomes an acquisition folder for `camera count`; without patterns, a photon file alone.
 
     Without options, the design's camera gives exposure and flux; the exposure is the longest that
     fits where it has none.
@@ -252,10 +252,10 @@ class ImportRecording(Command):
         "photon file (.ptu), or time and channel of each event (.txt .csv .npy .parquet)"
     )
     settings: Annotated[dict[str, Any], fields.camera_options("camera", "exposure", "flux")]
-    out: fields.NewFolder = fields.option("acquisition folder, new", ...)
-    patterns: Path = fields.option("folder of the patterns that were shown for each scene", ...)
-    scenes: Path = fields.option(
-        "text file with NAME or NAME,LABEL on each line; or a folder of the pictures", ...
+    out: Path = fields.option("acquisition folder, new; or the photon file, .ptu", ...)
+    patterns: Path | None = fields.option("folder of the patterns that were shown for each scene")
+    scenes: Path | None = fields.option(
+        "text file with NAME or NAME,LABEL on each line; or a folder of the pictures"
     )
     inputs: fields.Inputs = ()
     marker_bit: fields.MarkerBit = None
@@ -266,8 +266,16 @@ class ImportRecording(Command):
     channels: tuple[int, ...] = fields.option(
         "time stamps: channel of each detector; default: all others", (), alias="channel"
     )
+    force: fields.Force = False
 
     def run(self, terminal: Terminal) -> Outcome:
+        if self.patterns is None:
+            fields.Output((".ptu",)).check(self.out, self.force)
+            self._write_photons(self.out)
+            return Outcome({"file": str(self.out)})
+        fields.Output(new=True).check(self.out, self.force)
+        if self.scenes is None:
+            raise InputError("an acquisition has scenes: give `scenes`, or leave `patterns` out")
         camera = camera_of(self.patterns, self.settings)
         patterns = Patterns.read(self.patterns)
         scenes = listed_scenes(self.scenes, patterns)
