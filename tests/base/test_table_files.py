@@ -100,6 +100,7 @@ def test_whole_numbers_that_may_be_rounded_are_refused(tmp_path, values, said):
         ("a,b\n", "holds no numbers"),
         ("nan\n1\n2\n", "row 1 of column column_1 holds 'nan'"),
         ("0,1,2,3\n5,6,7,8\n", "its first line numbers the columns"),
+        (3_000_000 * ",", "too many columns"),
         ("1;2\n1,5;2\n", "row 2 of column column_1 holds '1,5'"),
     ],
 )

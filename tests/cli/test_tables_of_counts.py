@@ -144,3 +144,4 @@ def test_dead_time_of_a_table_is_corrected(done, refuse, lab, classify, values):
     assert photons(*words) < 0.93 * true
     assert photons(*words, "--dead-time", "100ns") == pytest.approx(true, rel=1e-3)
     assert "dim the light" in refuse(*words, "--dead-time", "1us")
+    assert "give --dead-time" in refuse(*words, "--dead-time-model", "paralysable")

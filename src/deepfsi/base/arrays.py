@@ -69,7 +69,11 @@ def read_npz(
                 size = sum(entry.file_size for entry in arrays.zip.infolist())
                 check_unpacked(size, path.stat().st_size, str(path), advice)
                 check_memory(size, f"the arrays of {path}", "give fewer or smaller ones")
-                return {name: _native(arrays[name]) for name in arrays.files}
+                read = {name: _native(arrays[name]) for name in arrays.files}
+            for array in read.values():
+                if array.dtype.kind == "U" and array.nbytes:
+                    array.tolist()  # fails at what are no characters
+            return read
         except InputError:
             raise
         except Exception as error:  # zipfile and numpy raise almost anything on damaged files

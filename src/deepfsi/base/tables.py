@@ -29,6 +29,9 @@ TABLE_ENDINGS = (*TEXT_ENDINGS, ".parquet", ".npy", ".mat")
 LARGEST_TABLE_FILE = 2**31
 """Bytes of a text or Parquet file at most."""
 
+MOST_COLUMNS = 2**15
+"""Columns of a file at most: polars would take minutes for three million."""
+
 SEPARATORS = ";\t,"
 """Characters that may stand between the cells of a line of text."""
 
@@ -178,8 +181,11 @@ def read_cells(path: Path, advice: str, spaces: bool = False) -> "pl.DataFrame":
     separator = next((mark for mark in SEPARATORS if mark in first), ",")
     if spaces and separator not in first:  # as NumPy writes tables
         text = re.sub(" +", ",", re.sub("^ +| +$", "", text, flags=re.M))
+        first = first.strip().replace(" ", ",")
     if not first:
         return pl.DataFrame()
+    if first.count(separator) >= MOST_COLUMNS:
+        raise InputError(f"{path} has too many columns: give {MOST_COLUMNS} columns or fewer")
     with _as_table(path):
         cells = pl.read_csv(
             text.encode(),

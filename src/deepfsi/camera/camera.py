@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from deepfsi.base.arrays import read_npy
-from deepfsi.base.errors import as_input_error, check_choice
+from deepfsi.base.errors import InputError, as_input_error, check_choice
 from deepfsi.base.files import read_toml
 from deepfsi.base.models import Seconds, UserModel
 from deepfsi.base.quantities import count_text, time_text
@@ -275,7 +275,10 @@ class Camera(UserModel):
         known = cls.load(source if camera is None else camera)
         if "device" in settings and not LIGHT_LAWS[known.light].one_device:
             known = cls.load(known, light="free-dwell")
-        return cls.load(known, **settings)
+        run = cls.load(known, **settings)
+        if "dead_time_model" in settings and not run.dead_time:
+            raise InputError("`dead_time_model` is of a dead time: give `dead_time`, such as 20ns")
+        return run
 
     @classmethod
     def restored(cls, fields: Mapping[str, Any]) -> "Camera":

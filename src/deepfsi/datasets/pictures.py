@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from deepfsi.base.arrays import check_memory
 from deepfsi.base.errors import InputError
-from deepfsi.base.files import read_regular, readable_name
+from deepfsi.base.files import check_unpacked, read_regular, readable_name
 from deepfsi.base.quantities import plural
 from deepfsi.base.tables import normal_name, read_cells
 from deepfsi.datasets.arrays import draw_stratified, split_arrays
@@ -210,6 +210,8 @@ def _read(path: Path) -> tuple[npt.NDArray[Any], bool]:
         with warnings.catch_warnings():
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(content), formats=formats) as image:
+                pixels = image.width * image.height
+                check_unpacked(pixels, len(content), str(path), "replace or remove it")
                 ImageOps.exif_transpose(image, in_place=True)
                 return _values(image, str(path)), WRITTEN in image.info
     except InputError:
