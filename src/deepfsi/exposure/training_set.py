@@ -147,7 +147,7 @@ class TrainingSet:
 
     def prepare(self, name: str) -> None:
         """Compute what the trainings of a design share, so that processes need not each do it."""
-        if DESIGNS[name].is_made_whole(self.data.pixels):
+        if DESIGNS[name].is_made_at_once(self.data.pixels):
             self.matrix(name, 1, 0)
 
     def matrix(
@@ -158,7 +158,7 @@ class TrainingSet:
         check_count(name, masks, self.data, detectors)
         _, most = count_allowed(name, self.data, detectors)
         facts = DESIGNS[name]
-        whole = most if facts.is_made_whole(most) else masks
+        whole = most if facts.is_made_at_once(most) else masks
         key = (name, whole, seed if facts.seeded else 0, detectors.cells)
         if key not in self.matrices:
             self.matrices[key] = sensing_matrix(name, whole, self.data, seed, detectors=detectors)

@@ -1,9 +1,9 @@
 """The named designs: which sensing matrix each of them means, before any light law.
 
 Matrices are numpy arrays (m, N), one mask a row, signed unless the design has one rail. Their scale
-is arbitrary here (`LightLaw.fit` brings it to a light law) but for `impulse` and
-`raster`, whose scale is what defines them. Under several detectors each one's part of the device
-has masks of its own, the design of that part, all at once.
+is arbitrary here, as `LightLaw.fit` brings it to a light law; the scale of `impulse` and `raster`
+defines them. With several detectors each sees a tile of the device. A tile has the design's masks
+for its own pixels, and all tiles are shown at once.
 """
 
 import math
@@ -28,25 +28,25 @@ Shape = tuple[int, ...]
 
 @dataclass(frozen=True)
 class DesignFacts:
-    """All that the name of a design implies; nobody else compares names."""
+    """Facts that the name of a design implies; no other code compares names."""
 
     label: str
     title: str
-    # Sensing matrix (m, N), float64, of data, a number of masks m and a seed
+    # Makes the sensing matrix (m, N), float64, from data, a number of masks m and a seed
     make: Callable[[Dataset, int, int], np.ndarray] | None = None
-    # Largest number of masks, of a scene's shape and the number of classes
-    most: Callable[[Shape, int], int] = lambda shape, classes: math.prod(shape)
+    # Largest number of masks, by a scene's shape and the number of classes
+    highest: Callable[[Shape, int], int] = lambda shape, classes: math.prod(shape)
     complete: bool = False  # it has the largest number of masks, and no other
     rails: RailsKind | None = None
     every_pixel: bool = False  # it has a detector for each pixel: light law `column`, and no device
     scaled: bool = False  # its scale is what defines it, so that no light law changes it
     specific: bool = False  # its masks are made of the training scenes
-    first_of_many: bool = False  # few masks are the first of all
+    first_of_many: bool = False  # m masks are the first m of all
     seeded: bool = False  # its matrix is drawn from the seed
-    of_classes: bool = False
+    of_classes: bool = False  # it needs scenes with classes, not values
     learned: bool = False  # masks are optimised together with the classifier
-    learned_under: str | None = None  # noise under which they are, before a classifier of their own
-    adaptive: bool = False  # masks are each made from the counts so far
+    learned_under: str | None = None  # noise under which masks are learned, before the classifier
+    adaptive: bool = False  # each mask is made from the counts so far
     is_custom: bool = False  # its matrix is the user's
 
     @property
@@ -54,14 +54,14 @@ class DesignFacts:
         """True if its masks are learned, at once or before its classifier."""
         return self.learned or self.learned_under is not None
 
-    def is_made_whole(self, pixels: int) -> bool:
+    def is_made_at_once(self, pixels: int) -> bool:
         """True if all masks are made at once, and a training takes the first."""
         return self.first_of_many and pixels <= FULL_BASIS_PIXELS
 
-    def counts(self, image_shape: Shape, classes: int) -> tuple[int, int]:
+    def count_range(self, image_shape: Shape, classes: int) -> tuple[int, int]:
         """Smallest and largest number of masks for one detector."""
-        most = self.most(image_shape, classes)
-        return most if self.complete else 1, most
+        high = self.highest(image_shape, classes)
+        return high if self.complete else 1, high
 
 
 def _hadamard(data: Dataset, masks: int, seed: int) -> np.ndarray:
@@ -94,9 +94,11 @@ DESIGNS: dict[str, DesignFacts] = {
         scaled=True,
     ),
     "hadamard": DesignFacts(
-        "HB", "Hadamard basis", _hadamard, most=_padded_pixels, complete=True, rails="dual"
+        "HB", "Hadamard basis", _hadamard, highest=_padded_pixels, complete=True, rails="dual"
     ),
-    "truncated-hadamard": DesignFacts("TH", "truncated Hadamard", _hadamard, most=_padded_pixels),
+    "truncated-hadamard": DesignFacts(
+        "TH", "truncated Hadamard", _hadamard, highest=_padded_pixels
+    ),
     "pca": DesignFacts(
         "FSI",
         "PCA",
@@ -118,7 +120,7 @@ DESIGNS: dict[str, DesignFacts] = {
         "LDA",
         "linear discriminants",
         lambda data, masks, seed: _discriminants(np.asarray(data.x_train), data.y_train, masks),
-        most=lambda shape, classes: min(classes - 1, math.prod(shape)),
+        highest=lambda shape, classes: min(classes - 1, math.prod(shape)),
         specific=True,
         of_classes=True,
     ),
@@ -133,7 +135,7 @@ DESIGNS: dict[str, DesignFacts] = {
         "S",
         "S-matrix",
         lambda data, masks, seed: s_matrix(data.pixels),
-        most=_residues,
+        highest=_residues,
         complete=True,
         rails="single",
     ),
@@ -182,7 +184,8 @@ def hadamard_masks(image_shape: tuple[int, ...], masks: int) -> np.ndarray:
     most one mask lacks its transpose; for spectra 1-D sequencies.
     """
     padded = padded_shape(image_shape)
-    axes = [sequency_hadamard(side)[:, :own] for side, own in zip(padded, image_shape, strict=True)]
+    # Padding is dark: those columns are cut off
+    axes = [sequency_hadamard(side)[:, :n] for side, n in zip(padded, image_shape, strict=True)]
     if len(axes) == 1:
         return axes[0][:masks]
     height, width = padded
@@ -195,12 +198,12 @@ def hadamard_masks(image_shape: tuple[int, ...], masks: int) -> np.ndarray:
 
 def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
     """Leading principal components (masks, N) of training scenes (n, N), conventional FSI."""
-    # The largest entry of each component is positive. Where the data has fewer directions than
-    # masks are asked for, pixels' own directions complete the basis, those least explained first
     import scipy.linalg
 
     pixels = x.shape[1]
+    # A pixel that is the same in all scenes is in no component
     varying = np.flatnonzero(x.max(axis=0) != x.min(axis=0))
+    # A full decomposition takes the cube of the pixels, a few components much less
     few = FULL_BASIS_PIXELS < len(varying) > 4 * masks < len(x)
     lit = x[:, varying]
     mean = lit.mean(axis=0, dtype=np.float64)
@@ -208,12 +211,15 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
         power, directions = _leading(lit, mean, masks)
     else:
         power, directions = scipy.linalg.eigh(_scatter(lit, mean))
-    known = power > pixels * np.finfo(np.float64).eps * power.max(initial=0)
-    rows = np.zeros((min(masks, int(known.sum())), pixels))
-    rows[:, varying] = directions[:, known].T[::-1][:masks]
+    # Below rounding a direction is arbitrary
+    real = power > pixels * np.finfo(np.float64).eps * power.max(initial=0)
+    rows = np.zeros((min(masks, int(real.sum())), pixels))
+    rows[:, varying] = directions[:, real].T[::-1][:masks]
+    # The sign is free: by convention the largest entry is positive
     rows = rows * np.sign(rows[np.arange(len(rows)), np.abs(rows).argmax(axis=1)])[:, None]
     if len(rows) == masks:
         return rows
+    # Too few directions: axes of pixels complete the basis, the least explained first
     unexplained = np.eye(pixels) - rows.T @ rows
     basis, _, _ = scipy.linalg.qr(unexplained, pivoting=True)
     rest = basis[:, : masks - len(rows)].T
@@ -224,8 +230,9 @@ def principal_components(x: np.ndarray, masks: int) -> np.ndarray:
 def _scatter(x: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Scatter matrix (N, N) of scenes (n, N) about their mean."""
     scatter = np.zeros((len(mean), len(mean)))
-    for part in np.array_split(x, -(-len(x) // 8192)):
-        centred = part - mean
+    # In chunks, as centred scenes are float64
+    for chunk in np.array_split(x, -(-len(x) // 8192)):
+        centred = chunk - mean
         scatter += centred.T @ centred
     return scatter
 
@@ -235,32 +242,30 @@ def _leading(x: np.ndarray, mean: np.ndarray, count: int) -> tuple[np.ndarray, n
     from scipy.sparse.linalg import LinearOperator, eigsh
 
     centred = x - mean.astype(x.dtype)
-    scatter = LinearOperator(  # applied and not made
+    # Applied, and never formed: it has N² entries
+    scatter = LinearOperator(
         (x.shape[1], x.shape[1]),
         matvec=lambda vector: centred.T @ (centred @ vector.ravel()),
         dtype=x.dtype,
     )
-    # ARPACK's own start differs from call to call
+    # ARPACK draws another start at each call
     start = np.random.default_rng(0).standard_normal(x.shape[1], dtype=np.float32)
     power, directions = eigsh(scatter, k=count, v0=start)
     return power.astype(np.float64), directions.astype(np.float64)
 
 
 def _discriminants(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
-    """Linear discriminant directions, the supervised linear baseline that PCA is not."""
-    # Unit rows, at most one fewer than there are classes
+    """Linear discriminants (masks, N), unit rows, of x (n, N) and y (n,): at most C − 1."""
     from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
+    # Without shrinkage constant pixels leave the scatter singular
     model = LinearDiscriminantAnalysis(solver="eigen", shrinkage="auto").fit(x, y)
     rows = model.scalings_.T[:masks]
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
 def _class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
-    """Differences of the mean scenes of two classes as unit rows, pairs that differ least first."""
-    # As frames of one rail a pair is what one class has more than the other, and the reverse. Where
-    # there are fewer pairs of different means than masks, principal components follow. x (n, N); y
-    # (n,)
+    """Differences of two classes' mean scenes, (masks, N), unit rows, of x (n, N) and y (n,)."""
     means = np.stack([x[y == label].mean(axis=0, dtype=np.float64) for label in np.unique(y)])
     first, second = np.triu_indices(len(means), k=1)
     pairs = means[first] - means[second]
@@ -268,10 +273,12 @@ def _class_pairs(x: np.ndarray, y: np.ndarray, masks: int) -> np.ndarray:
     differ = length > 0
     pairs = pairs[differ]
     length = length[differ]
+    # Pairs that differ least come first
     order = np.argsort(length, kind="stable")[:masks]
     rows = pairs[order] / length[order, None]
     if len(rows) == masks:
         return rows
+    # There are fewer pairs of different means than masks
     return np.concatenate([rows, principal_components(x, masks - len(rows))])
 
 
@@ -286,8 +293,7 @@ def s_matrix_order(pixels: int) -> int:
 
 def s_matrix(pixels: int) -> np.ndarray:
     """Cyclic S-matrix (p, pixels) from quadratic residues, the non-negative Hadamard code."""
-    # Its order p is `s_matrix_order`; pixels beyond the scene's own are dark. Entries are 0 or 1,
-    # and every full row holds (p + 1) / 2 ones
+    # Entries are 0 or 1. A full row has (p + 1) / 2 ones; pixels beyond the scene's own are dark
     order = s_matrix_order(pixels)
     row = np.zeros(order)
     row[np.arange(order) ** 2 % order] = 1  # Paley's construction, for p ≡ 3 (mod 4)
@@ -296,7 +302,7 @@ def s_matrix(pixels: int) -> np.ndarray:
 
 
 def _tiles(image_shape: Shape, detectors: DetectorMap) -> Iterator[tuple[np.ndarray, Shape]]:
-    """Pixels that each detector sees, as indices, and their shape: of a rectangle, else a row."""
+    """Yield indices of the pixels of each detector, and their shape: a rectangle or a row."""
     labels = detectors.labels
     if labels is None:
         yield np.arange(math.prod(image_shape)), image_shape
@@ -312,14 +318,14 @@ def count_allowed(
 ) -> tuple[int, int]:
     """Smallest and largest number of masks of a design, for its largest tile."""
     shapes = {shape for _, shape in _tiles(data.image_shape, detectors)}
-    ranges = [DESIGNS[name].counts(shape, len(data.classes)) for shape in shapes]
+    ranges = [DESIGNS[name].count_range(shape, len(data.classes)) for shape in shapes]
     return max(low for low, _ in ranges), max(high for _, high in ranges)
 
 
 def check_count(
     name: str, masks: int, data: Dataset, detectors: DetectorMap = ONE_DETECTOR
 ) -> None:
-    """Raise `InputError` if a design cannot have so many masks on this data."""
+    """Raise `InputError` if a design cannot have this number of masks on this data."""
     low, high = count_allowed(name, data, detectors)
     if not low <= masks <= high:
         allowed = f"exactly {low}" if low == high else f"a whole number from {low} to {high}"
@@ -332,7 +338,7 @@ def check_count(
 def sensing_matrix(
     name: str, masks: int, data: Dataset, seed: int = 0, detectors: DetectorMap = ONE_DETECTOR
 ) -> np.ndarray:
-    """Sensing matrix (m, N) of a fixed design, float64, signed; each detector sees its tile of it.
+    """Sensing matrix (m, N) of a fixed design, float64, signed; each detector sees its tile.
 
     Where a tile can have fewer masks, the others are dark there.
     """
@@ -341,18 +347,19 @@ def sensing_matrix(
     assert facts.make is not None
     if detectors.count == 1:
         return facts.make(data, masks, seed)
-    whole = np.zeros((masks, data.pixels))
+    matrix = np.zeros((masks, data.pixels))
     for pixels, shape in _tiles(data.image_shape, detectors):
         x_train = data.x_train[:, pixels]
         scenes = replace(data, x_train=x_train, x_test=data.x_test[:, pixels], image_shape=shape)
-        low, high = facts.counts(shape, len(data.classes))
+        low, high = facts.count_range(shape, len(data.classes))
         count = min(max(masks, low), high)
-        whole[:count, pixels] = facts.make(scenes, count, seed)
-    return np.where(whole > 0, 1 / masks, 0.0) if facts.scaled else whole
+        matrix[:count, pixels] = facts.make(scenes, count, seed)
+    # A mask takes 1 / m of the time in every tile, also in one of fewer pixels
+    return np.where(matrix > 0, 1 / masks, 0.0) if facts.scaled else matrix
 
 
 def read_matrix(source: str) -> np.ndarray:
-    """A user's own masks (m, N), of an array or a MATLAB variable in a file."""
+    """A user's own masks (m, N), from an array or a MATLAB variable in a file."""
     path, variable = split_variable(source)
     ways = (
         "a .npy file, or a .mat file with one numeric variable (or FILE:VARIABLE), of shape "
@@ -360,11 +367,11 @@ def read_matrix(source: str) -> np.ndarray:
     )
     if not path.exists():
         raise InputError(f"no matrix at {path}: give {ways}")
-    # A small file may claim more than memory holds
     masks = read_array(path, (2, 3), variable)
     if masks.ndim not in (2, 3) or not masks.size:
         raise InputError(f"{path} holds an array of shape {masks.shape}: give {ways}")
-    if masks.dtype.kind in "bu" and masks.dtype.itemsize <= 2:  # levels, the last of all light
+    # Grey levels: the highest passes all light, for 1 / m of the time
+    if masks.dtype.kind in "bu" and masks.dtype.itemsize <= 2:
         full = 1 if masks.max() <= 1 else int(np.iinfo(masks.dtype).max)
         masks = masks / (full * len(masks))
     return masks.reshape(len(masks), -1)

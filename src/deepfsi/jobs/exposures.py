@@ -4,9 +4,9 @@
     Range     the same for a range of budgets, and the network is told the budget
     SharedLight  adaptive masks whose exposures end when a class is sure, at a mean budget
 
-A kind has settings, which are asked for, and an entry in the header of a design file. Files are
-read again by entries: nothing of a field's name, order or default may change. What a trained design
-does with its masks is in `exposure`.
+A kind has settings, which a job asks for, and an entry in the header of a design file. Old files
+are read by these entries: no field of theirs may change its name, order or default. What a trained
+design does with its masks is in `exposure`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -54,7 +54,7 @@ class Exposure(UserModel):
 
     @property
     def most_light(self) -> float:
-        """Largest light of one exposure over the budget; above 1 the budget is a mean."""
+        """Largest light of one exposure, as a multiple of the budget; above 1 that is a mean."""
         return 1.0
 
     @property
@@ -67,7 +67,7 @@ class Exposure(UserModel):
         return {}
 
     def describe(self, camera: Camera) -> str:
-        """The camera in a few lines, as it exposes."""
+        """The camera and how it exposes, in a few lines."""
         return camera.describe()
 
     def view(self, data: Dataset) -> Dataset:
@@ -79,7 +79,7 @@ class Exposure(UserModel):
         return self.view(replace(data, x_train=data.x_train[:1], y_train=data.y_train[:1]))
 
     def faults(self, job: "Job") -> Iterator[str]:
-        """Everything that a job asks of this exposure and that cannot be had."""
+        """Yield a sentence for each setting of a job that this exposure cannot have."""
         yield from ()
 
 
@@ -203,7 +203,7 @@ class SharedLight(Exposure):
 class AdaptiveMasks(UserModel):
     """Settings of adaptive masks, each made from the counts so far."""
 
-    # Files have these names. Later fields are left out at their defaults, so that files keep bytes
+    # Files hold these names. Later fields are left out at their defaults: older files stay the same
     looks: int = Field(default=16, ge=1, le=1024, strict=True)  # masks shown one after another
     growth: float = Field(default=1.0, ge=1e-3, le=1e3)  # light of the last look over the first's
     until: float = Field(default=1.0, gt=0, le=1)  # probability that ends an exposure; 1 for never
@@ -248,8 +248,9 @@ class AdaptiveMasks(UserModel):
                 "adaptive masks are for photon counts or clicks of steady light: give poisson "
                 "noise, click noise, or camera noise of dark counts alone, without `fluctuation`"
             )
-        several = camera.gates != 1 or not camera.one_detector or LIGHT_LAWS[camera.light].arms > 1
-        if noise.gates and several:
+        # A posterior for clicks has one outcome a look: a click or none
+        many = camera.gates != 1 or not camera.one_detector or LIGHT_LAWS[camera.light].arms > 1
+        if noise.gates and many:
             raise InputError(
                 "adaptive masks for clicks have one detector, which clicks at most once a look: "
                 'leave `gates` and `detectors` out, and give `light="free-dwell"`'
@@ -258,21 +259,21 @@ class AdaptiveMasks(UserModel):
 
 @cache
 def exposure_kinds() -> dict[str, type[Exposure]]:
-    """Kind of exposure by the setting that asks for it; the first that is given counts."""
+    """Kinds of exposure by the setting that asks for one; the first that is set counts."""
     schemes = installed().schemes.values()
     core: dict[str, type[Exposure]] = {"span": Range, "cap": SharedLight}
     return core | {name: resolve_name(path) for names, path in schemes for name in names}
 
 
-def find_exposure(given: Any) -> Exposure:
+def find_exposure(settings: Any) -> Exposure:
     """Exposure of its settings: none for `Fixed`, ``{"span": 10}`` for `Range`, and so on."""
-    if isinstance(given, Exposure):
-        return given
-    if not isinstance(given, Mapping):
-        raise InputError(f"exposure = {given!r}: give a table of settings, or an exposure")
+    if isinstance(settings, Exposure):
+        return settings
+    if not isinstance(settings, Mapping):
+        raise InputError(f"exposure = {settings!r}: give a table of settings, or an exposure")
     # In an axis of a recipe 1 asks for no range, and for no shared light
-    neutral = {name for name in ("span", "cap") if str(given.get(name)) in ("1", "1.0")}
-    asked = {name: value for name, value in given.items() if name not in neutral}
+    neutral = {name for name in ("span", "cap") if str(settings.get(name)) in ("1", "1.0")}
+    asked = {name: value for name, value in settings.items() if name not in neutral}
     kinds = exposure_kinds()
     for name, kind in kinds.items():
         if name in asked:

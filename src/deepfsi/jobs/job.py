@@ -72,34 +72,34 @@ class Job(UserModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _completed(cls, given: Any) -> Any:
-        """The settings, with what the camera, the exposure and the design imply of others."""
-        if not isinstance(given, Mapping):
-            return given
-        given = {name: value for name, value in given.items() if value is not None}
-        camera = Camera.load(given.get("camera"))
-        given = {"photons": camera.budget, **given, "camera": camera}
-        if given["photons"] is None:
+    def _completed(cls, fields: Any) -> Any:
+        """The fields, with defaults that follow from the camera, the exposure and the design."""
+        if not isinstance(fields, Mapping):
+            return fields
+        fields = {name: value for name, value in fields.items() if value is not None}
+        camera = Camera.load(fields.get("camera"))
+        fields = {"photons": camera.budget, **fields, "camera": camera}
+        if fields["photons"] is None:
             raise InputError(
                 "the light of a design is told once: give `photons`, the budget on the device, or "
                 "a camera with its flux"
             )
-        exposure = find_exposure(given.get("exposure", {}))
+        exposure = find_exposure(fields.get("exposure", {}))
         if exposure.fixed_mask_count:
-            given.setdefault("masks", exposure.fixed_mask_count)
-        training = _given_training(given)
+            fields.setdefault("masks", exposure.fixed_mask_count)
+        training = _training_settings(fields)
         few = {"start": "random"} if training.get("counts") is not None else {}
-        usual = {**exposure.training, **TUNED.get(given.get("design", "deepfsi"), {}), **few}
-        return {**given, "exposure": exposure, "training": Training(**{**usual, **training})}
+        usual = {**exposure.training, **TUNED.get(fields.get("design", "deepfsi"), {}), **few}
+        return {**fields, "exposure": exposure, "training": Training(**{**usual, **training})}
 
     @property
     def facts(self) -> DesignFacts:
-        """All that the design's name implies."""
+        """Facts that the design's name implies."""
         return DESIGNS[self.design]
 
     @property
     def noise(self) -> str:
-        """Name of the noise that is trained under."""
+        """Name of the noise of the training."""
         if self.training.noise is not None:
             return noise_name(self.training.noise)
         noise = self.camera.noise_name
@@ -107,9 +107,10 @@ class Job(UserModel):
 
     @property
     def optics(self) -> Camera:
-        """The camera as the design has it: one with a detector for each pixel needs no other.
+        """The camera as the design uses it.
 
-        Impulse imaging is `column` whatever else is compared, and a design of one rail has one.
+        A detector for each pixel means `column` light and no device, whatever the camera; a design
+        of one rail has one.
         """
         changes = self.exposure.optics(self.camera)
         if self.facts.every_pixel:
@@ -123,17 +124,17 @@ class Job(UserModel):
 
     @property
     def start_matrix(self) -> str:
-        """The named design whose matrix the masks are or start from."""
+        """Named design whose matrix the masks are, or start from."""
         return self.training.start if self.mask_job().facts.learned else self.design
 
     def features(self, image_shape: tuple[int, ...]) -> int:
-        """Numbers that are read of the masks of scenes of a shape, k."""
+        """Number of features k that the network reads of a scene of this shape."""
         camera = self.optics
         rails = camera.rail_count if camera.readout == "both" else 1
         return self.masks * rails * camera.detector_map(image_shape).count
 
     def mask_job(self) -> "Job":
-        """The job that makes the masks: of a design that learns them before, DeepFSI's."""
+        """The job that makes the masks: for a control group a DeepFSI job under another noise."""
         under = self.facts.learned_under
         if under is None:
             return self
@@ -141,21 +142,21 @@ class Job(UserModel):
         return self.model_copy(update={"design": "deepfsi", "training": training})
 
     def check(self, data: Dataset, matrix: np.ndarray | None = None) -> None:
-        """Raise `InputError` for whatever the job asks that cannot be had on this data."""
+        """Raise `InputError` with all `faults` on this data."""
         if faults := self.faults(data, matrix):
             raise InputError("; ".join(faults))
 
     def faults(self, data: Dataset, matrix: np.ndarray | None = None) -> list[str]:
-        """Sentences on everything that the job asks and that cannot be had on this data.
+        """A sentence for each setting that cannot be had on this data.
 
-        Whether a user's own matrix (m, N) breaks the light law is seen when it is shown.
+        Whether a user's own matrix (m, N) breaks the light law is checked when it becomes rails.
         """
-        faults = [*self._own_faults(), *self.exposure.faults(self)]
+        faults = [*self._basic_faults(), *self.exposure.faults(self)]
         if self.training.counts is not None:
             faults += self._few_counts_faults(data.image_shape)
         if data.values:
             faults += self._value_faults()
-            if self.facts.of_classes:  # it has no masks of such data, whose number could be told
+            if self.facts.of_classes:  # no masks can be made of such data, nor their number checked
                 return faults
         if self.facts.adaptive:
             faults += self._adaptive_faults(data)
@@ -166,7 +167,7 @@ class Job(UserModel):
         return faults
 
     def _check_masks(self, data: Dataset, matrix: np.ndarray | None) -> None:
-        """Raise `InputError` for masks that the camera does not show, or this data has not."""
+        """Raise `InputError` for masks that the camera cannot show, or this data cannot give."""
         camera = self.optics
         check_light_law(camera.light, camera.rails)
         scene = self.exposure.scene(data)
@@ -178,14 +179,15 @@ class Job(UserModel):
         if matrix is None:
             check_count(self.design, self.masks, scene, camera.detector_map(scene.image_shape))
             return
-        given = np.asarray(matrix)
-        real = given.dtype.kind in "biuf" and given.shape == (self.masks, data.pixels)
-        if not real or not 0 < np.abs(given, dtype=float).max() < 1e30:
+        array = np.asarray(matrix)
+        real = array.dtype.kind in "biuf" and array.shape == (self.masks, data.pixels)
+        # Comparisons of NaN are false, too
+        if not real or not 0 < np.abs(array, dtype=float).max() < 1e30:
             wanted = f"({self.masks}, {data.pixels}) finite real numbers that are not all zero"
-            raise InputError(f"a matrix of shape {given.shape} does not fit: give {wanted}")
+            raise InputError(f"a matrix of shape {array.shape} does not fit: give {wanted}")
 
-    def _own_faults(self) -> Iterator[str]:
-        """Everything in a job that cannot be had on any data."""
+    def _basic_faults(self) -> Iterator[str]:
+        """Yield faults that the job has on any data."""
         training = self.training
         name = part_name(training.classifier)
         facts = find_classifier(name)
@@ -195,8 +197,8 @@ class Job(UserModel):
         if training.balance and training.loss is not None:
             yield "`balance` weighs the usual loss: leave it out, or `loss`"
         sizes = training.classifier_arguments
-        whole = all(type(size) is int and size > 0 for size in sizes.values())
-        if not training.is_custom and not (whole and sizes.keys() <= {*facts.sizes}):
+        integers = all(type(size) is int and size > 0 for size in sizes.values())
+        if not training.is_custom and not (integers and sizes.keys() <= {*facts.sizes}):
             names = ", ".join(facts.sizes) or "none"
             yield f"{training.classifier} cannot have {sizes}: give whole numbers of {names}"
         if self.facts.rails == "dual" and self.camera.rails == "single":
@@ -206,7 +208,7 @@ class Job(UserModel):
             yield "gaussian noise is read noise: give `sigma` above 0"
 
     def _few_counts_faults(self, image_shape: tuple[int, ...]) -> Iterator[str]:
-        """Everything in a job of few counts within its budget that cannot be had."""
+        """Yield faults of a job whose mean counts are set below its budget."""
         camera = self.optics
         counts = self.training.counts or 0.0
         noise = find_noise(self.noise)
@@ -230,7 +232,7 @@ class Job(UserModel):
             yield f"{counts:g} counts are not fewer than {most:g}, {limit}: give fewer"
 
     def _value_faults(self) -> Iterator[str]:
-        """Everything in a job on scenes with values that is of classes alone."""
+        """Yield faults of a job on scenes with values: settings that need classes."""
         start = self.training.start
         if self.facts.of_classes:
             yield f"{self.design} is of classes, and these scenes have values: give another design"
@@ -240,7 +242,7 @@ class Job(UserModel):
             yield "`balance` is of classes, and these scenes have values: leave it out"
 
     def _adaptive_faults(self, data: Dataset) -> Iterator[str]:
-        """Everything in a job of adaptive masks that cannot be had."""
+        """Yield faults of a job of adaptive masks."""
         scenes = len(data.x_train)
         fewest = int(np.bincount(data.y_train, minlength=len(data.classes)).min())
         clicks = self.camera.clicks is not None
@@ -258,8 +260,8 @@ class Job(UserModel):
             yield f"{scenes} training scenes say too little of {what}: give {needed} or more"
         if clicks and cap > 1:
             yield "exposures of adaptive masks for clicks end by themselves: leave `cap` out"
-        several = LIGHT_LAWS[self.optics.light].arms > 1 or not self.optics.one_detector
-        if self.training.dictionary and (clicks or several):
+        many = LIGHT_LAWS[self.optics.light].arms > 1 or not self.optics.one_detector
+        if self.training.dictionary and (clicks or many):
             yield "a `dictionary` is for one detector and one arm, which count: leave it out"
         if self.training.classifier != MLP:
             yield "adaptive masks are read by their posterior: leave `classifier` out"
@@ -277,16 +279,17 @@ def job_of(
     matrix: np.ndarray | None = None,
 ) -> Job:
     """Job that a user asks for, with the counts and the matrix (m, N) of `learn`."""
-    given = {name: value for name, value in settings.items() if value is not None}
+    fields = {name: value for name, value in settings.items() if value is not None}
     if matrix is not None:
-        given = {"design": "custom", "masks": len(matrix), **given}
-    training = _given_training(given)
+        fields = {"design": "custom", "masks": len(matrix), **fields}
+    training = _training_settings(fields)
     if counts is not None:
-        given["training"] = {**training, "counts": counts}
-    facts = DESIGNS[check_design(str(given.get("design", "deepfsi")))]
-    whole = facts.complete and "masks" not in given
-    job = Job(**given, **({"masks": 1} if whole else {}))
-    if whole:  # the camera says how many pixels each detector sees
+        fields["training"] = {**training, "counts": counts}
+    facts = DESIGNS[check_design(str(fields.get("design", "deepfsi")))]
+    # One mask stands in until the job's camera says how many pixels each detector sees
+    unknown = facts.complete and "masks" not in fields
+    job = Job(**fields, **({"masks": 1} if unknown else {}))
+    if unknown:
         scene = job.exposure.scene(data)
         _, most = count_allowed(job.design, scene, job.optics.detector_map(scene.image_shape))
         job = job.model_copy(update={"masks": most})
@@ -302,8 +305,8 @@ def job_of(
     return job
 
 
-def _given_training(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Settings of the training that were given."""
+def _training_settings(settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Settings of the training that are set, of the fields of a job."""
     training = settings.get("training", {})
     if isinstance(training, Training):
         return {name: getattr(training, name) for name in training.model_fields_set}

@@ -30,7 +30,7 @@ class ClassifierFacts:
 
     sizes: tuple[str, ...] = ()  # its arguments, whole numbers of 1 or more
     features: str = ""  # parts of scenes that it reads, as in `Exposure`
-    # Of one that a package beside the core has: its entry in a header, and import path of its class
+    # For a classifier of another package: its entry in a header, and the import path of its class
     entry: type[StrictModel] | None = None
     network: str = ""
 
@@ -40,6 +40,7 @@ CUSTOM_CLASSIFIER = ClassifierFacts()
 
 def find_classifier(name: str) -> ClassifierFacts:
     """Facts of a classifier that settings or a design file name."""
+    # Equal to that of a user's own, but another object: `is` tells them apart
     if name == MLP:
         return ClassifierFacts()
     path = installed().parts["classifier"].get(name)
@@ -47,7 +48,7 @@ def find_classifier(name: str) -> ClassifierFacts:
 
 
 MOST_LAYERS = 64
-"""Hidden layers of a network at most."""
+"""Largest number of hidden layers of a network."""
 
 Widths = Annotated[tuple[Count, ...], Field(max_length=MOST_LAYERS)]
 """Widths of the hidden layers of a network."""
@@ -56,29 +57,29 @@ Scale = Literal["each", "common"]
 """Whether each feature has a standard deviation of its own, or all a common one."""
 
 
-def part_name(given: Any) -> Any:
+def part_name(part: Any) -> Any:
     """Name or import path of a classifier or a loss, `UNNAMED_PLUGIN` of one that has none."""
-    if given is None or isinstance(given, str):
-        return given
-    return import_path(given) or UNNAMED_PLUGIN
+    if part is None or isinstance(part, str):
+        return part
+    return import_path(part) or UNNAMED_PLUGIN
 
 
-def _own(given: Any, advice: str) -> Any:
+def _check_own(part: Any, advice: str) -> Any:
     """A part of a user's own or its import path; else an error that says what to give."""
-    named = isinstance(given, str) and re.fullmatch(f"{IMPORT_PATH}|{UNNAMED_PLUGIN}", given)
-    if not (named or callable(given)):
+    named = isinstance(part, str) and re.fullmatch(f"{IMPORT_PATH}|{UNNAMED_PLUGIN}", part)
+    if not (named or callable(part)):
         raise ValueError(advice)
-    return given
+    return part
 
 
-def _classifier(given: Any) -> Any:
-    known = isinstance(given, str) and find_classifier(given) is not CUSTOM_CLASSIFIER
-    return given if known else _own(given, f"give {MLP}, or module:factory of your own")
+def _classifier(part: Any) -> Any:
+    known = isinstance(part, str) and find_classifier(part) is not CUSTOM_CLASSIFIER
+    return part if known else _check_own(part, f"give {MLP}, or module:factory of your own")
 
 
-def _loss(given: Any) -> Any:
+def _loss(part: Any) -> Any:
     advice = "give module:function, or a function of outputs and truth"
-    return given if given is None else _own(given, advice)
+    return part if part is None else _check_own(part, advice)
 
 
 OwnPart = Annotated[
@@ -93,8 +94,8 @@ def _start(name: str) -> str:
     return name
 
 
-def _widths(given: Any) -> Any:
-    return [width for width in given.split(",") if width] if isinstance(given, str) else given
+def _widths(text: Any) -> Any:
+    return [width for width in text.split(",") if width] if isinstance(text, str) else text
 
 
 class Training(UserModel):
