@@ -70,7 +70,7 @@ def show(design: Design, data: Dataset, scenes: int) -> Shown:
     flux = RATE / manifest.summed_reflectance
     lit = np.zeros((len(manifest.frames), x.shape[1]))
     lit[[0, -2]] = 1
-    lit[manifest.shown] = patterns.fractions
+    lit[manifest.mask_frames] = patterns.fractions
     return Shown(design.as_shown(*patterns.realised), patterns, x @ lit.T * flux + DARK)
 
 

@@ -98,13 +98,13 @@ def recorded(patterns: Path, camera: VirtualCamera, flux: float, seed: int) -> R
     manifest = read.manifest
     rates = arrival_rates(read, scenes, camera, flux)
     gates = manifest.picture_s.copy()
-    gates[manifest.shown] = manifest.shares * EXPOSURE_S
+    gates[manifest.mask_frames] = manifest.shares * EXPOSURE_S
     counts = rng.poisson(rates * gates[:, None]).reshape(SCENES, -1)
     with tempfile.TemporaryDirectory() as folder:
         np.save(Path(folder) / "counts.npy", counts)
         on = rates[:, 0, : manifest.detector_count].sum(axis=1).mean() * EXPOSURE_S
         settings = TableSettings(photons=float(on))
-        masks = np.repeat(np.isin(np.arange(len(gates)), manifest.shown), manifest.inputs)
+        masks = np.repeat(np.isin(np.arange(len(gates)), manifest.mask_frames), manifest.inputs)
         np.save(Path(folder) / "counts.npy", counts[:, masks])
         run = deepfsi.classify_table(patterns, Path(folder) / "counts.npy", settings, force=True)
     assert run.view is not None

@@ -66,7 +66,7 @@ patterns = Patterns.read("frames")
 manifest = patterns.manifest
 frames = [unpack(frame, manifest.device) for frame in Patterns.read("frames").frames()]
 figure, axes = plt.subplots(2, 4, figsize=(4.8, 2.4), layout="constrained")
-for ax, place, share in zip(axes.flat, manifest.shown, manifest.shares, strict=True):
+for ax, place, share in zip(axes.flat, manifest.mask_frames, manifest.shares, strict=True):
     ax.imshow(frames[place], cmap="gray", interpolation="antialiased")
     ax.set(xticks=[], yticks=[], xlabel=f"{share:.1%}")
 plt.show()

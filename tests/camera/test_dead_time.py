@@ -82,7 +82,9 @@ def run(request, tmp_path_factory):
 
 def off_by(counts, shown, rates) -> np.ndarray:
     dark = rates[:, 1:2]
-    wanted = (rates[:, shown.manifest.shown] - dark) * counts.lengths_s[0] * counts.counts.shape[1]
+    wanted = (
+        (rates[:, shown.manifest.mask_frames] - dark) * counts.lengths_s[0] * counts.counts.shape[1]
+    )
     found = counts.signal().sum(axis=(1, 2))
     return (found - wanted) / np.sqrt(counts.variance.sum(axis=(1, 2)))
 

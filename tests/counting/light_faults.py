@@ -88,7 +88,10 @@ class Lit:
         """Write the folder of the acquisition."""
         starts, rng = self.starts(), self.rng
         inputs = ARM_INPUTS[: self.rates.shape[2]]
-        given = {"exposure_s": 0.9 * DWELL * len(self.patterns.manifest.shown), "settle_s": SETTLE}
+        given = {
+            "exposure_s": 0.9 * DWELL * len(self.patterns.manifest.mask_frames),
+            "settle_s": SETTLE,
+        }
         wanted = named(self.scenes, inputs=inputs, marker_bit=MARKER, **given)
         Recording.prepare(folder, Patterns.read(patterns_folder), wanted)
         grid = np.linspace(0, self.scenes * self.pass_s, 20_001)
@@ -111,10 +114,10 @@ class Lit:
         manifest, wrong, size = self.patterns.manifest, 0.0, 0.0
         gate = float(counts.lengths_s[0, 0])
         inside = SETTLE + (np.arange(40) + 0.5) / 40 * gate
-        when = self.starts()[:, manifest.shown, None] + inside
+        when = self.starts()[:, manifest.mask_frames, None] + inside
         lamp, stray = self.lamp(when).mean(axis=2), self.stray(when).mean(axis=2)
         for arm in range(self.rates.shape[2]):
-            true = self.rates[:, manifest.shown, arm]
+            true = self.rates[:, manifest.mask_frames, arm]
             seen = true * lamp + stray - counts.dark_rate[:, [arm]]
             wrong = wrong + ((seen / counts.flux[:, None] - true / self.flux) ** 2).sum(axis=1)
             size = size + ((true / self.flux) ** 2).sum(axis=1)

@@ -11,7 +11,7 @@ from ptufile.ptufile import encode_tag
 
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.counting import ptu
-from deepfsi.counting.ptu import Part
+from deepfsi.counting.ptu import Decoded
 from deepfsi.counting.reader import PtuFile, PtuStream
 
 T2 = ptu.GENERIC_T2
@@ -54,7 +54,9 @@ def decode(code: int, words: list[int]) -> list[tuple[str, int, int]]:
     return out
 
 
-def encode(kind: ptu.Kind, events: list[tuple[str, int, int]], rng: np.random.Generator) -> list:
+def encode(
+    kind: ptu.RecordType, events: list[tuple[str, int, int]], rng: np.random.Generator
+) -> list:
     """Records of events; a long pause is one overflow record or many."""
     words, wraps = [], 0
     hydra = kind.inputs == 64
@@ -86,7 +88,7 @@ def encode(kind: ptu.Kind, events: list[tuple[str, int, int]], rng: np.random.Ge
 @cache
 def recorded(code: int, events: int = 3000, seed: int = 0) -> list[int]:
     """Records of every sort, with pauses from none to many overflows."""
-    kind, rng = ptu.KINDS[code], np.random.default_rng(seed)
+    kind, rng = ptu.RECORD_TYPES[code], np.random.default_rng(seed)
     steps = rng.integers(0, kind.wrap // 40, events)
     steps[rng.random(events) < 0.1] = 0
     steps[rng.random(events) < 0.05] *= 300
@@ -100,7 +102,7 @@ def recorded(code: int, events: int = 3000, seed: int = 0) -> list[int]:
     )
 
 
-def tags_of(kind: ptu.Kind, records: int, **changes: object) -> bytes:
+def tags_of(kind: ptu.RecordType, records: int, **changes: object) -> bytes:
     tags = {
         "Measurement_Mode": int(kind.mode[1]),
         "Measurement_SubMode": 1,
@@ -118,7 +120,7 @@ def tags_of(kind: ptu.Kind, records: int, **changes: object) -> bytes:
 END = encode_tag("Header_End", None)
 
 
-def save(path: Path, kind: ptu.Kind, words: list[int], **changes: object) -> Path:
+def save(path: Path, kind: ptu.RecordType, words: list[int], **changes: object) -> Path:
     body = np.array(words, "<u4").tobytes()
     path.write_bytes(tags_of(kind, len(words), **changes) + END + body)
     return path
@@ -146,11 +148,11 @@ class StreamedFile(PtuStream):
             ptu.Header.read(path)  # refused, as a file that ends within its header
         self.header = replace(self.header, size=path.stat().st_size)
 
-    def parts(self, progress: Progress = SILENT) -> Iterator[Part]:
-        yield from super().parts()
+    def blocks(self, progress: Progress = SILENT) -> Iterator[Decoded]:
+        yield from super().blocks()
         for piece in self.pieces:
             self.feed(piece)
-            yield from super().parts()
+            yield from super().blocks()
 
 
 def cut(content: bytes) -> Iterator[bytes]:

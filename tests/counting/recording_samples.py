@@ -152,7 +152,7 @@ def split(patterns: Patterns, light: np.ndarray, arms: int) -> np.ndarray:
     """Light (S, N) of scenes that each arm sees in each frame, (S, F, arms)."""
     part = np.zeros((len(patterns.manifest.frames), patterns.on.shape[1]))
     part[[0, -2]] = 1
-    part[patterns.manifest.shown] = patterns.fractions
+    part[patterns.manifest.mask_frames] = patterns.fractions
     return np.stack([light @ part.T, light @ (1 - part.T)], axis=-1)[..., :arms]
 
 

@@ -66,5 +66,5 @@ def test_gates_of_the_usual_exposure_end_before_a_late_marker_could_cut_one(
     found = Acquisition.plan(manifest, (Scene(name="a"),), settle_s=1e-5, repeats=repeats)
     assert found.repeats == (repeats or 1)
     opened = 1e-5 + manifest.shares * found.exposure_s * found.repeats
-    left = manifest.picture_s[manifest.shown] - opened
+    left = manifest.picture_s[manifest.mask_frames] - opened
     assert left.min() == pytest.approx(manifest.usual_tolerance_s, rel=1e-6)

@@ -134,7 +134,10 @@ def test_law_few_photons_alone_are_no_gain(seconds):
 def test_a_mask_that_is_brighter_than_all_mirrors_on_spoils_its_scene(shown, tmp_path):
     """Stray light that is steady while one mask is shown is told by its brightness alone."""
     folder, patterns = shown["free-dwell"]
-    lit, place = Lit.sound(patterns, np.random.default_rng(8)), int(patterns.manifest.shown[3])
+    lit, place = (
+        Lit.sound(patterns, np.random.default_rng(8)),
+        int(patterns.manifest.mask_frames[3]),
+    )
     begin, end = lit.starts()[2, place : place + 2]
     lit.stray = while_in(begin, end, 1.5 * lit.flux, lit.stray(np.zeros(1))[0])
     lit.record(tmp_path / "run", folder)
@@ -159,6 +162,6 @@ def test_law_the_error_of_the_background_is_in_the_test_of_levels(unit):
         background = flux.Background.of(curve, 1e-4)
         assert len(background.segments) == 2
         every = np.ones(passes, bool)
-        given = {"used": every, "brightness": BRIGHTNESS, "chance": 1e-4}
+        given = {"used": every, "brightness": BRIGHTNESS, "level": 1e-4}
         alarms += len(flux.Flux.of(curve, background, **given).levels) > 1
     assert alarms == 0

@@ -21,8 +21,8 @@ def test_every_photon_of_a_frame_is_counted_for_its_readout(run):
     assert counts.counts.dtype == np.int64
     assert counts.valid.all()
     assert counts.faults == ()
-    rail, mask, column, _ = manifest.read
-    shown = run.photons[:, manifest.shown, 0]
+    rail, mask, column, _ = manifest.readout_table
+    shown = run.photons[:, manifest.mask_frames, 0]
     assert (counts.counts[:, 0, rail, mask] == shown[:, column]).all()
     assert counts.counts.sum() == shown.sum()  # a rail is dark
     seconds = DWELL - 3e-5  # less settling and guard
@@ -107,7 +107,7 @@ def lamp(tmp_path):
         begins = train(manifest, SCENES, rate, jitter=0)
         rates = np.zeros(len(manifest.frames))
         rates[[0, -2]] = FLUX
-        rates[manifest.shown] = FLUX * patterns.fractions.mean(axis=1)
+        rates[manifest.mask_frames] = FLUX * patterns.fractions.mean(axis=1)
         starts, lengths = begins.ravel(), (1 + rate) * np.tile(manifest.picture_s, SCENES)
         many = rng.poisson(np.tile(rates, SCENES) * lengths)
         photons = np.repeat(starts, many) + np.repeat(lengths, many) * rng.random(many.sum())

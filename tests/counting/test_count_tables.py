@@ -113,7 +113,7 @@ def test_law_units_of_an_analogue_detector_are_counts_with_read_noise(tmp_path):
     counts, _ = count_table(NumberTable(values), manifest, settings)
     assert counts.faults == ()
     found, variance = counts.arrivals[:, 0, 0], counts.variance[:, 0, 0]
-    wanted = rates[manifest.shown] * counts.lengths_s[0]
+    wanted = rates[manifest.mask_frames] * counts.lengths_s[0]
     error = np.sqrt(variance.mean(axis=0) / draws)
     assert (abs(found.mean(axis=0) - wanted) < 5 * error).all()
     assert found.var(axis=0) == pytest.approx(variance.mean(axis=0), rel=5 * np.sqrt(2 / draws))
@@ -142,8 +142,8 @@ def test_clicks_of_a_table_are_read_as_they_are_and_tell_the_budget(counted):
     table = clicks_of(manifest, mean)
     counts, scenes = count_table(table, manifest, TableSettings(clicks=8))
     assert (len(scenes), counts.gates) == (60, 8)
-    rail, mask, column, _ = manifest.read
-    drawn = table.values[:, manifest.shown]
+    rail, mask, column, _ = manifest.readout_table
+    drawn = table.values[:, manifest.mask_frames]
     assert np.array_equal(counts.signal()[:, 0, rail, mask], drawn[:, column])
     error, rate = np.sqrt(np.expm1(mean) / (2 * 8 * 60)) / mean, 8 * mean / manifest.picture_s[0]
     assert counts.flux == pytest.approx(np.full(60, rate), rel=5 * error)

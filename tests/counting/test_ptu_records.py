@@ -74,7 +74,7 @@ def test_damaged_records_are_named_and_nothing_is_counted(
 @every_source
 def test_one_record_can_stand_for_very_many_overflows(tmp_path, opened):
     """Ptufile is no oracle here: it multiplies in 32 bits."""
-    for kind, wraps in ((T2, 200), (T2, 2**25 - 1), (ptu.KINDS[0x00010307], 1023)):
+    for kind, wraps in ((T2, 200), (T2, 2**25 - 1), (ptu.RECORD_TYPES[0x00010307], 1023)):
         path = save(tmp_path / "a.ptu", kind, [special(63, wraps), special(1, 4), photon(5)])
         late = wraps * kind.wrap
         assert read_markers(opened(path))[0] == [late + 4]
@@ -115,7 +115,7 @@ def sound_file(code: int) -> bytes:
     more = encode_tag("Text", "µs") + encode_tag("Wide", "λ") + encode_tag("Blob", b"\1\2")
     array = struct.pack("<32siIq2d", b"Array", 0, 0x2001FFFF, 16, 1, 2)
     body = np.array(words, "<u4").tobytes()
-    return tags_of(ptu.KINDS[code], len(words)) + more + array + END + body
+    return tags_of(ptu.RECORD_TYPES[code], len(words)) + more + array + END + body
 
 
 def read(path: Path, edges: np.ndarray, opened: Any) -> str:
@@ -139,14 +139,14 @@ def read(path: Path, edges: np.ndarray, opened: Any) -> str:
     return ""
 
 
-@pytest.mark.parametrize("code", ptu.KINDS)
+@pytest.mark.parametrize("code", ptu.RECORD_TYPES)
 def test_mutated_files_are_read_right_or_refused(tmp_path, code):
     """A file and a stream say the same, in bounded time and memory."""
     path, sound = tmp_path / "mutated.ptu", sound_file(code)
     times = [time for _, time, _ in decode(code, recorded(code, 60, seed=code % 97))]
     edges = np.linspace(0, times[-1] // 2, 20).astype(np.int64)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for seed in range(FUZZ // len(ptu.KINDS)):
+    for seed in range(FUZZ // len(ptu.RECORD_TYPES)):
         path.write_bytes(mangled(random.Random(f"{code} {seed}"), sound))
         chunk, began = (16, 2**17)[seed % 2], time.process_time()
         with mock.patch.object(ptu, "RECORDS_AT_ONCE", chunk):

@@ -27,7 +27,7 @@ from deepfsi.counting.reader import (
     summarise,
 )
 
-every_kind = pytest.mark.parametrize("kind", ptu.KINDS.values(), ids=lambda kind: kind.name)
+every_kind = pytest.mark.parametrize("kind", ptu.RECORD_TYPES.values(), ids=lambda kind: kind.name)
 
 
 def gates_over(times: np.ndarray, gates: int) -> tuple[np.ndarray, np.ndarray]:
@@ -118,7 +118,7 @@ def test_of_a_recording_that_may_not_be_whole_only_what_is_sure_is_counted(
 def test_a_gate_is_counted_when_a_later_record_shows_that_it_has_ended():
     def give(counter, *words):
         stream.feed(np.array(words, "<u4").tobytes())
-        (part,) = stream.parts()
+        (part,) = stream.blocks()
         counter.add(part)
         return counter.take().ravel().tolist()
 
@@ -126,7 +126,7 @@ def test_a_gate_is_counted_when_a_later_record_shows_that_it_has_ended():
     assert not stream.begun
     stream.feed(tags_of(T2, 0) + END)
     assert stream.begun
-    assert list(stream.parts()) == []
+    assert list(stream.blocks()) == []
     counter = WindowCounter(stream, (0,))
     counter.expect(np.array([10, 20, 3 * 10**6]), np.array([20, 30, 4 * 10**6]))
     assert give(counter, photon(12), photon(19)) == []
@@ -148,7 +148,7 @@ def test_memory_does_not_grow_with_the_stream():
     for k in range(30):
         counter.expect(np.array([k << 25]), np.array([k + 1 << 25]))
         stream.feed(block)
-        for part in stream.parts():
+        for part in stream.blocks():
             counter.add(part)
         found += int(counter.take().sum())
     _, peak = tracemalloc.get_traced_memory()

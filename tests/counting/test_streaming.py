@@ -44,7 +44,7 @@ def frames_of(starts, slack, rng):
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("kind", ptu.KINDS.values(), ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", ptu.RECORD_TYPES.values(), ids=lambda kind: kind.name)
 def test_frames_of_all_types_of_records_are_counted_alike(tmp_path, kind, seed):
     rng = np.random.default_rng(seed)
     path = save(tmp_path / "a.ptu", kind, recorded(kind.code, 600, seed))

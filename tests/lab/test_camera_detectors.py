@@ -42,7 +42,9 @@ def test_each_detector_has_a_dead_time_of_its_own(tmp_path):
     slow, x = VirtualCamera(dead_time_s=2e-7), scenes(1).repeat(100, axis=0)
     run = record(tmp_path, x, camera=slow, flux=FLUX, exposure_s=EXPOSURE, repeats=1, seed=3)
     counts = Recording.read(run).count()
-    arriving = arrival_rates(Patterns.read(tmp_path / "p"), x[:1], slow, FLUX)[0, manifest.shown].T
+    arriving = arrival_rates(Patterns.read(tmp_path / "p"), x[:1], slow, FLUX)[
+        0, manifest.mask_frames
+    ].T
     gate_s = counts.lengths_s[0]
     wanted, one = (slow.registered(rates) * gate_s for rates in (arriving, arriving.sum(0)))
     counted = counts.counts[:, 0, 0].mean(axis=0).T

@@ -27,7 +27,7 @@ def test_law_each_device_counts_its_realised_masks(tmp_path, name):
     flow = arrival_rates(shown, x, IDEAL, 1e6)[0, :, 0] * 3e-6
     assert flow[[0, -2]] == pytest.approx(x.sum(), rel=1e-4)
     assert flow[1] == flow[-1] == 0
-    assert flow[shown.manifest.shown] == pytest.approx(shown.fractions @ x.ravel(), rel=1e-4)
+    assert flow[shown.manifest.mask_frames] == pytest.approx(shown.fractions @ x.ravel(), rel=1e-4)
 
 
 def places() -> tuple[np.ndarray, np.ndarray]:

@@ -62,8 +62,8 @@ def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path, 
     manifest = Patterns.read(lab / "frames").manifest
     x = read_display(lab / "images").x[:2]
     rates = arrival_rates(Patterns.read(lab / "frames"), x, CAMERAS["ideal"], 1e7)[..., 0]
-    gate_s = np.full(len(manifest.frames), 10e-3 / len(manifest.shown))
-    gate_s[manifest.shown] = manifest.shares * 10e-3
+    gate_s = np.full(len(manifest.frames), 10e-3 / len(manifest.mask_frames))
+    gate_s[manifest.mask_frames] = manifest.shares * 10e-3
     bright = np.random.default_rng(0).poisson((rates + dark / 10e-3) * gate_s)
     dim = np.random.default_rng(1).poisson(0.02 * rates * gate_s)
     table = tmp_path / "table.npy"

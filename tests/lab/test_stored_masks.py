@@ -44,7 +44,7 @@ def test_the_folder_holds_the_dictionary_once_mask_by_mask(design, patterns):
     masks = design.prior_exposure.dictionary.masks.numpy().astype(bool)
     read = Patterns.read(patterns)
     manifest = read.manifest
-    assert [manifest.frames[at].mask for at in manifest.shown] == list(range(MASKS))
+    assert [manifest.frames[at].mask for at in manifest.mask_frames] == list(range(MASKS))
     grid = manifest.grid
     for frame, mask in zip(list(Patterns.read(patterns).frames())[2:-2], masks, strict=True):
         cells = unpack(frame, DEVICE)[grid.window].reshape(8, grid.height, 8, grid.width)

@@ -71,7 +71,7 @@ def test_a_picture_is_the_scene(tmp_path, light):
         DesignRails(rails, light, SHAPE, summed_reflectance=2.0), DEVICE, DWELL
     ).write(tmp_path / "patterns")
     arms = 2 if light == "two-arm" else 1
-    flux, exposure = 2e9, 0.9 * DWELL * len(patterns.manifest.shown)
+    flux, exposure = 2e9, 0.9 * DWELL * len(patterns.manifest.mask_frames)
     given = {"inputs": (2, 1)[:arms], "marker_bit": 4, "exposure_s": exposure, "settle_s": 3e-5}
     Recording.prepare(
         tmp_path / "run", Patterns.read(tmp_path / "patterns"), named(2, flux=flux, **given)

@@ -72,7 +72,7 @@ def test_rates_of_the_ideal_camera_are_those_of_the_realised_masks(tmp_path, lig
     assert flow.shape == (3, len(manifest.frames), 2 if light == "two-arm" else 1)
     part = flux / SUMMED_REFLECTANCE * x.reshape(3, -1) @ shown.fractions.T
     whole = flux / SUMMED_REFLECTANCE * x.sum(axis=(1, 2))
-    assert flow[:, manifest.shown, 0] == pytest.approx(part, rel=1e-5)
+    assert flow[:, manifest.mask_frames, 0] == pytest.approx(part, rel=1e-5)
     on, off = ([frame.role for frame in manifest.frames].index(role) for role in ("on", "off"))
     assert flow[:, on, 0] == pytest.approx(whole, rel=1e-5)  # the budget
     assert (flow[:, off, 0] == 0).all()
@@ -87,7 +87,7 @@ def test_dark_counts_and_ambient_light_add_to_the_signal(tmp_path, light):
     signal = arrival_rates(Patterns.read(tmp_path / "p"), x, IDEAL, 1e6)
     stray = arrival_rates(Patterns.read(tmp_path / "p"), x, camera, 1e6) - 0.4 * signal
     part = shown.fractions.mean(axis=1) * 24 * 36 / (26 * 36)  # of the whole device
-    places = shown.manifest.shown
+    places = shown.manifest.mask_frames
     assert stray[0, places, 0] == pytest.approx(123 + 0.4 * 4e5 * part, rel=1e-4)
     if light == "two-arm":
         rest = 24 * 36 / (26 * 36) - part

@@ -50,7 +50,7 @@ def test_clicks_of_each_readout_are_binomial(tmp_path, light, rails):
     """Mean and variance of all exposures of two scenes, to five standard errors."""
     shown, x = patterns(tmp_path / "p", light, rails), scenes(2)
     run = record(tmp_path, x.repeat(150, axis=0), **LIGHT)
-    counts = Recording.read(run).count(clicks=GATES)
+    counts = Recording.read(run).count(click_gates=GATES)
     assert counts.valid.all()
     assert counts.gates == Recording.read(run).read_counts().gates == GATES
     found = counts.signal().reshape(2, -1, *counts.counts.shape[2:])
@@ -72,11 +72,11 @@ def test_a_gated_and_a_free_detector_give_the_same_clicks(tmp_path, light, rails
     patterns(tmp_path / "p", light, rails)
     run = record(tmp_path, scenes(20), repeats=1, seed=3, **LIGHT)
     free, photons = (
-        Recording.read(run).count(clicks=GATES),
+        Recording.read(run).count(click_gates=GATES),
         Recording.read(run).count(),
     )
     gate(run, GATES)
-    gated = Recording.read(run).count(clicks=GATES)
+    gated = Recording.read(run).count(click_gates=GATES)
     assert np.array_equal(gated.counts, free.counts)
     assert gated.counts.max() == GATES
     assert photons.counts.max() > GATES
@@ -92,7 +92,7 @@ def test_all_on_frames_tell_the_budget_by_clicks_or_by_photons(tmp_path, gates, 
     run = record(tmp_path, x, repeats=1, **(LIGHT | {"flux": flux}))
     if gates:
         gate(run, gates)
-    counts = Recording.read(run).count(clicks=gates or GATES)
+    counts = Recording.read(run).count(click_gates=gates or GATES)
     number = 80 * (gates or GATES)
     wanted = flux * float(x[0].sum()) / SUMMED_REFLECTANCE
     mean = wanted * 2e-3 / (gates or GATES)  # photons in a gate, about
@@ -108,7 +108,7 @@ def test_clicks_without_light_have_no_budget(tmp_path):
     dark = LIGHT | {"camera": CAMERAS["ideal"].model_copy(update={"dark": 2e3})}
     run = record(tmp_path, 0 * scenes(20), **dark, seed=3)
     with pytest.raises(InputError, match="no light on input"):
-        Recording.read(run).count(clicks=GATES)
+        Recording.read(run).count(click_gates=GATES)
 
 
 def test_what_is_of_photons_refuses_clicks(tmp_path):
@@ -116,9 +116,9 @@ def test_what_is_of_photons_refuses_clicks(tmp_path):
     run = record(tmp_path, scenes(), repeats=1, **LIGHT)
     dead = DeadTime(seconds=2e-8)
     with pytest.raises(InputError, match="are of photon counts, and clicks"):
-        Recording.read(run).count(clicks=GATES, dead_time=dead)
+        Recording.read(run).count(click_gates=GATES, dead_time=dead)
     assert not (run / "counts.npz").exists()
-    Recording.read(run).count(clicks=GATES)
+    Recording.read(run).count(click_gates=GATES)
     for use in (check_view, find_gains):
         with pytest.raises(InputError, match="was counted in clicks, which are not in proportion"):
             use(run)

@@ -35,7 +35,7 @@ with tempfile.TemporaryDirectory() as folder:
 # counts. Between them are the frames of the masks, each counted for its share of the exposure. The
 # figure shows the first mask, its frame, and one cell of the frame. White mirrors are ON.
 
-first = patterns.manifest.shown[0]
+first = patterns.manifest.mask_frames[0]
 window = patterns.manifest.grid.window
 figure, axes = plt.subplot_mosaic(
     [["mask", "cell"], ["frame", "frame"]],

@@ -168,7 +168,9 @@ class RecordRun(_DeviceRun):
         clicks = camera_of(self.patterns).clicks
         with terminal.progress("counting") as report:
             run = Recording.read(self.out)
-            counts = run.count(dead_time=camera.counter_dead_time, clicks=clicks, progress=report)
+            counts = run.count(
+                dead_time=camera.counter_dead_time, click_gates=clicks, progress=report
+            )
         after = f"run: {self.out}; then: deepfsi camera classify {self.patterns} {self.out}"
         return Outcome(run.as_dict(counts), [*run.lines(counts), after])
 

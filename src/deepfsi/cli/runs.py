@@ -60,7 +60,7 @@ class CountRun(Command):
                 exposure_s=self.exposure_s,
                 dead_time=dead_time,
                 gains=() if self.flat is None else find_gains(self.flat),
-                clicks=camera_of(self.folder).clicks,
+                click_gates=camera_of(self.folder).clicks,
                 progress=report,
             )
         return Outcome(recording.as_dict(counts), recording.lines(counts))

@@ -92,17 +92,17 @@ class Acquisition(StrictModel):
         exposure_s: float | None = None,
         settle_s: float | None = None,
         repeats: int | None = None,
-        **others: Any,
+        **fields: Any,
     ) -> Self:
         """Plan a recording of patterns: device and frames say what is not given."""
-        others = {"inputs": tuple(range(manifest.inputs)), **others}
+        fields = {"inputs": tuple(range(manifest.inputs)), **fields}
         settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
         exposure = exposure_s
         if exposure is None:
             longest = manifest.longest_exposure_s(settle + manifest.usual_tolerance_s)
             exposure = max(longest, 0) / (repeats or 1)
         with as_input_error():
-            planned = cls(scenes=scenes, exposure_s=exposure, settle_s=settle, repeats=1, **others)
+            planned = cls(scenes=scenes, exposure_s=exposure, settle_s=settle, repeats=1, **fields)
         gates = planned.gates(manifest, exposure, repeats=repeats)
         return planned.model_copy(update={"repeats": gates.repeats})
 
@@ -112,14 +112,17 @@ class Acquisition(StrictModel):
         exposure_s: float | None = None,
         *,
         repeats: int | None = None,
-        parts: int = 1,
+        click_gates: int = 1,
     ) -> GatePlan:
-        """Gates as recorded, or of another exposure, as many as fit where None, in equal parts."""
+        """Gates as recorded, or of another exposure; as many as fit where `repeats` is None.
+
+        Each holds `click_gates` shorter ones, in which a detector clicks once at most.
+        """
         if exposure_s is None:
             exposure_s = self.exposure_s
             repeats = self.repeats
         gates = GatePlan.of(manifest, exposure_s, self.settle_s, repeats)
-        most = MOST_READOUTS // (len(self.scenes) * manifest.readouts * parts)
+        most = MOST_READOUTS // (len(self.scenes) * manifest.readouts * click_gates)
         if most < (repeats or 1):
             raise InputError(
                 f"{len(self.scenes)} scenes with {repeats or 1} repeats are more than "
@@ -207,23 +210,23 @@ class Calibration(StrictModel):
     @property
     def doubts(self) -> list[str]:
         """Why not to trust it, one line each; none where all is well."""
-        said = []
+        reasons = []
         if self.spots < min(16, self.shown):
-            said.append(
+            reasons.append(
                 f"only {self.spots} of {self.shown} spots are seen, and 16 or more are wanted: "
                 "expose longer, show larger spots or aim the camera"
             )
         if self.residual > 0.25:
-            said.append(
+            reasons.append(
                 f"the spots lie {self.residual:.2f} cells from one perspective, and up to 0.25 are "
                 "well: the lens bends lines, something moved, or there is too little light"
             )
         if self.error > 0.1:
-            said.append(
+            reasons.append(
                 f"the view is known to {self.error:.2f} cells, and 0.1 are wanted: give "
                 f"{(self.error / 0.1) ** 2:.2g} times the light"
             )
-        return said
+        return reasons
 
     def lines(self) -> list[str]:
         """Say what the view was found of, how well it is known, and its dark counts."""

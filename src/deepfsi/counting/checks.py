@@ -7,10 +7,10 @@ By the all-ON and all-OFF frames of each pass, and the masks' between them:
 - No mask sends more light than all mirrors ON.
 - From pass to pass the light stays, as far as scenes are alike.
 
-Each is tested with exact chances, `FALSE_ALARMS` for all passes and checks together. What is below
-`HARMLESS` is left alone, however certain it is. A recording is checked as a whole (`check_light`),
-a live run scene by scene (`LightMonitor`): its frames stand between an all-ON and an all-OFF frame
-before its first look and two after its last, and the scenes that are planned share the chance.
+Tests are exact: all passes and checks together have the level `FALSE_ALARMS`. Changes below
+`HARMLESS` are left alone, however certain. A recording is checked at once (`check_light`), a live
+run scene by scene (`LightMonitor`): an all-ON and an all-OFF frame stand before the first look at a
+scene and after the last one, and the planned scenes share the level.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,8 +31,8 @@ from deepfsi.counting.flux import (
     Background,
     Flux,
     LightCurve,
-    change_chance,
-    excess_chance,
+    change_p_value,
+    excess_p_value,
     light_curves,
 )
 from deepfsi.patterns.manifest import Brightness, Manifest
@@ -79,31 +79,31 @@ class Fault(StrictModel):
 
 @dataclass
 class PassLight:
-    """Light of passes under test, and what the checks have found so far."""
+    """Light of passes under test, and the passes without a fault so far."""
 
     curve: LightCurve
     background: Background
     lit: np.ndarray  # (P,): bool; passes with light
-    # (P,): bool; passes that are tested (lit ones, or all of a detector that sees a part) in which
-    # no check found a fault that spoils them
+    # (P,): bool; tested passes without a spoiling fault: tested are lit ones, and all passes of a
+    # detector that sees a part of the device
     sound: np.ndarray
 
     @classmethod
-    def of(cls, curve: LightCurve, background: Background, chance: float) -> Self:
+    def of(cls, curve: LightCurve, background: Background, level: float) -> Self:
         """Light of passes that are not yet checked."""
-        lit = _find_lit(curve, background, chance)
+        lit = _find_lit(curve, background, level)
         sound = np.ones_like(lit) if curve.sees_part else lit.copy()
         return cls(curve, background, lit, sound)
 
-    def find_faults(self, chance: float) -> list[Fault]:
-        """Faults of passes, which are then no more sound; one without light has no other."""
+    def find_faults(self, level: float) -> list[Fault]:
+        """Faults of passes, which are then not sound; a dark pass has no other fault."""
         tested = self.sound.copy()
         dark = list(self._find_dark())
-        without = {fault.scene for fault in dark}
-        others = [*self._find_brighter(chance), *self._find_drift(chance)]
-        for fault in (*dark, *others):
+        dark_scenes = {fault.scene for fault in dark}
+        lit_faults = [*self._find_brighter(level), *self._find_drift(level)]
+        for fault in (*dark, *lit_faults):
             self.sound[self.curve.scenes == fault.scene] = False
-        faults = dark + [fault for fault in others if fault.scene not in without]
+        faults = dark + [fault for fault in lit_faults if fault.scene not in dark_scenes]
         return faults + _find_restless_lamp(self.curve.scenes, tested, self.sound)
 
     def _find_dark(self) -> Iterator[Fault]:
@@ -120,7 +120,7 @@ class PassLight:
             )
             yield Fault(kind="dark", scene=int(curve.scenes[index]), detail=detail)
 
-    def _find_brighter(self, chance: float) -> Iterator[Fault]:
+    def _find_brighter(self, level: float) -> Iterator[Fault]:
         """Faults of passes with masks that send more than all mirrors ON, each with the brightest.
 
         These are stray light, or a lamp that changed.
@@ -129,8 +129,9 @@ class PassLight:
         photons = curve.photons
         seconds = curve.seconds
         on, on_s = curve.together(curve.bright)
-        chances = excess_chance(photons, seconds, on[:, None], on_s[:, None], ratio=1 + HARMLESS)
-        brighter = chances * photons.size <= chance
+        p_values = excess_p_value(photons, seconds, on[:, None], on_s[:, None], ratio=1 + HARMLESS)
+        # all frames of all passes share the level
+        brighter = p_values * photons.size <= level
         brighter[:, [*curve.bright, *curve.dark]] = False
         for index in np.flatnonzero(brighter.any(axis=1)).tolist():
             scale = on_s[index] / max(on[index], 1)
@@ -144,7 +145,7 @@ class PassLight:
             scene = int(curve.scenes[index])
             yield Fault(kind="brighter", scene=scene, frame=frame, detail=detail)
 
-    def _find_drift(self, chance: float) -> Iterator[Fault]:
+    def _find_drift(self, level: float) -> Iterator[Fault]:
         """Faults of passes whose two bright frames, or else two dark ones, differ."""
         curve = self.curve
         background = self.background
@@ -153,9 +154,9 @@ class PassLight:
         spent = np.where(background.seconds > 0, background.seconds, 1.0)
         # Without a single dark count the background is known to one count
         floor = (background.photons + 1) / spent
-        bright = _differ(curve, curve.bright, 1 + HARMLESS, chance)
+        bright = _differ(curve, curve.bright, 1 + HARMLESS, level)
         ratio = 1 + HARMLESS_DARK * bright_rate / floor
-        differ = bright | _differ(curve, curve.dark, ratio, chance)
+        differ = bright | _differ(curve, curve.dark, ratio, level)
         for index in np.flatnonzero(differ).tolist():
             frames = curve.bright if bright[index] else curve.dark
             one, other = curve.photons[index, list(frames)].tolist()
@@ -165,35 +166,36 @@ class PassLight:
             )
             yield Fault(kind="unsteady", scene=int(curve.scenes[index]), detail=detail)
 
-    def measure_flux(self, brightness: Brightness | None, chance: float) -> Flux:
+    def measure_flux(self, brightness: Brightness | None, level: float) -> Flux:
         """Flux of passes, from those whose light was steady if any was."""
         used = self.sound if self.sound.any() else self.lit
-        return Flux.of(self.curve, self.background, used=used, brightness=brightness, chance=chance)
+        return Flux.of(self.curve, self.background, used=used, brightness=brightness, level=level)
 
 
-def _find_lit(curve: LightCurve, background: Background, chance: float) -> np.ndarray:
+def _find_lit(curve: LightCurve, background: Background, level: float) -> np.ndarray:
     """Passes (P,) whose bright frames, alone or with the masks', are brighter than the dark."""
     masks = [k for k in range(curve.photons.shape[1]) if k not in curve.dark]
     lit = np.zeros(len(curve.scenes), bool)
     for frames in (curve.bright, masks):
         photons, seconds = curve.together(frames)
-        chances = excess_chance(photons, seconds, background.photons, background.seconds)
-        lit |= chances * 2 * len(lit) <= chance
+        p_values = excess_p_value(photons, seconds, background.photons, background.seconds)
+        # two tests of each pass share the level
+        lit |= p_values * 2 * len(lit) <= level
     return lit
 
 
 def _differ(
-    curve: LightCurve, frames: tuple[int, int], ratio: np.ndarray | float, chance: float
+    curve: LightCurve, frames: tuple[int, int], ratio: np.ndarray | float, level: float
 ) -> np.ndarray:
     """Passes (P,) in which one of two frames is brighter by more than a ratio."""
     one, other = curve.photons[:, list(frames)].T
     one_s, other_s = curve.seconds[:, list(frames)].T
-    chances = change_chance(one, one_s, other, other_s, ratio=ratio)
-    return np.asarray(chances * len(one) <= chance)
+    p_values = change_p_value(one, one_s, other, other_s, ratio=ratio)
+    return np.asarray(p_values * len(one) <= level)
 
 
 def _find_level_changes(flux: Flux) -> Iterator[Fault]:
-    """Faults of the scenes from which on the light is another, or of a steady rise or fall."""
+    """Faults of a light that changes at a scene, or rises or falls steadily."""
     if flux.trend is not None:
         detail = (
             f"all ON {'rises' if flux.trend > 1 else 'falls'} steadily, to {flux.trend:.3g} times "
@@ -201,17 +203,17 @@ def _find_level_changes(flux: Flux) -> Iterator[Fault]:
         )
         yield Fault(kind="level", detail=detail)
     for before, after in pairwise(flux.levels):
-        several = after.last > after.first
-        some = f"scenes {after.first} to {after.last} have" if several else "this scene has"
+        plural = after.last > after.first
+        scenes = f"scenes {after.first} to {after.last} have" if plural else "this scene has"
         detail = (
             f"all ON is {after.rate / max(before.rate, 1e-300):.3g} times as bright as before, "
-            f"and scenes do not differ so much: {some} another budget"
+            f"and scenes do not differ so much: {scenes} another budget"
         )
         yield Fault(kind="level", scene=int(after.first), detail=detail)
 
 
 CHECKS = 4
-"""Checks of the light; each has a part of `FALSE_ALARMS`."""
+"""Checks of the light, which share `FALSE_ALARMS`."""
 
 
 def _find_restless_lamp(scenes: np.ndarray, lit: np.ndarray, sound: np.ndarray) -> list[Fault]:
@@ -243,14 +245,14 @@ def check_light(arrivals: Arrivals, manifest: Manifest, inputs: Sequence[int]) -
     """Check the light of a recording, all passes together: one of each scene."""
     count = manifest.detector_count
     scenes = np.arange(len(arrivals.photons))
-    wired = [tuple(inputs[first : first + count]) for first in range(0, len(inputs), count)]
-    curves = light_curves(arrivals, scenes, wired)
-    chance = FALSE_ALARMS / len(curves) / CHECKS
-    lights = [PassLight.of(curve, Background.of(curve, chance), chance) for curve in curves]
-    faults = _find_faults(lights, chance)
-    arms = lights[: len(wired)]
+    arm_inputs = [tuple(inputs[first : first + count]) for first in range(0, len(inputs), count)]
+    curves = light_curves(arrivals, scenes, arm_inputs)
+    level = FALSE_ALARMS / len(curves) / CHECKS
+    lights = [PassLight.of(curve, Background.of(curve, level), level) for curve in curves]
+    faults = _find_faults(lights, level)
+    arms = lights[: len(arm_inputs)]
     of_inputs = lights[-len(inputs) :]
-    flux = arms[0].measure_flux(manifest.brightness, chance)
+    flux = arms[0].measure_flux(manifest.brightness, level)
     faults += _find_level_changes(flux)
     if count > 1:
         faults += _find_blind_detectors(of_inputs)
@@ -262,12 +264,12 @@ def check_light(arrivals: Arrivals, manifest: Manifest, inputs: Sequence[int]) -
     return Light(flux.rate, rates, tuple(faults), lit)
 
 
-def _find_faults(lights: Sequence[PassLight], chance: float) -> list[Fault]:
-    """Faults of arms, and of their detectors: what an arm shows as a whole is said once."""
+def _find_faults(lights: Sequence[PassLight], level: float) -> list[Fault]:
+    """Faults of arms, and of their detectors; a fault of the arm is not repeated for each."""
     faults = list[Fault]()
     of_arms = set[tuple[str, int | None]]()
     for light in lights:  # those of arms come first
-        of_curve = light.find_faults(chance)
+        of_curve = light.find_faults(level)
         if light.curve.sees_part:
             of_curve = [fault for fault in of_curve if (fault.kind, fault.scene) not in of_arms]
         else:
@@ -304,16 +306,16 @@ def find_unequal_gains(detectors: Sequence[PassLight], trained: DetectorMap | No
     photons, seconds = np.array(bright).swapaxes(0, 1)  # (D, P): those of equal relative noise
     seconds = np.where(seconds > 0, seconds, np.inf)
     rates = photons / seconds - np.array([light.background.rate for light in detectors])
-    every = rates.sum()
-    if not every > 0:
+    total = rates.sum()
+    if not total > 0:
         return []
-    share = rates.sum(axis=1) / every
+    share = rates.sum(axis=1) / total
     classes = np.array(trained.shares).T
     spread = np.array(trained.spread) / np.sqrt(rates.shape[1])
-    noise = np.sqrt(((photons + 1) / seconds**2).sum(axis=1)) / every
+    noise = np.sqrt(((photons + 1) / seconds**2).sum(axis=1)) / total
     allowed = HARMLESS * classes.max(axis=1) + CERTAIN_SIGMAS * np.hypot(spread, noise)
-    off, nearest = _nearest_mixture(share, classes, allowed)
-    if off <= 1:
+    departure, nearest = _nearest_mixture(share, classes, allowed)
+    if departure <= 1:
         return []
     ratio = share / np.maximum(nearest, 1e-300)
     worst = int(np.abs(np.log(np.maximum(ratio, 1e-300))).argmax())
@@ -347,12 +349,12 @@ def _list_frames(which: np.ndarray) -> str:
     frames = np.flatnonzero(which).tolist()
     if len(frames) < 2:
         return ""
-    more = f" and {len(frames) - 5} more" if len(frames) > 5 else ""
-    return f" (frames {', '.join(map(str, frames[:5]))}{more})"
+    rest = f" and {len(frames) - 5} more" if len(frames) > 5 else ""
+    return f" (frames {', '.join(map(str, frames[:5]))}{rest})"
 
 
 NO_LIGHT = 0.01
-"""Largest chance that a scene without light is taken for one with light, before its looks."""
+"""Largest chance that a dark scene is taken for a lit one, before its looks."""
 
 
 class LightMonitor:
@@ -361,14 +363,14 @@ class LightMonitor:
     def __init__(self, manifest: Manifest, inputs: tuple[int, ...], scenes: int) -> None:
         count = manifest.detector_count
         self._manifest = manifest
-        self._wired = [inputs[first : first + count] for first in range(0, len(inputs), count)]
-        curves = len(self._wired) * (1 + count if count > 1 else 1)
-        self._chance = FALSE_ALARMS / curves / CHECKS / scenes
-        self._ends: list[Arrivals] = []  # of each scene, its all-ON and all-OFF frames
+        self._arm_inputs = [inputs[first : first + count] for first in range(0, len(inputs), count)]
+        curves = len(self._arm_inputs) * (1 + count if count > 1 else 1)
+        self._level = FALSE_ALARMS / curves / CHECKS / scenes
+        self._sentinels: list[Arrivals] = []  # of each scene, its all-ON and all-OFF frames
         self._lit: list[bool] = []
         self._sound: list[bool] = []
         self._backgrounds: list[Background] = []
-        self._said: set[tuple[str, int | None]] = set()
+        self._reported: set[tuple[str, int | None]] = set()
         self.flux = 0.0
         self.dark = np.zeros(len(inputs))
 
@@ -381,39 +383,39 @@ class LightMonitor:
             variance=0 * first.variance,
             seconds=0 * first.seconds,
         )
-        self._ends.append(Arrivals.join([first, unknown]))
+        self._sentinels.append(Arrivals.join([first, unknown]))
         self._look_back()
         arm = self._history[0]
         dark = self._backgrounds[0]
         of_inputs = self._backgrounds[-len(self.dark) :]
         self.dark = np.array([one.rate[-1] for one in of_inputs])
         on, on_s = arm.together(arm.bright)
-        chance = excess_chance(on[-1], on_s[-1], dark.photons[-1], dark.seconds[-1])
-        lit = bool(chance <= NO_LIGHT)
+        p_value = excess_p_value(on[-1], on_s[-1], dark.photons[-1], dark.seconds[-1])
+        lit = bool(p_value <= NO_LIGHT)
         self._lit.append(lit)
         self._sound.append(lit)
         if not lit:
             return lit, ()
         light = PassLight(arm, dark, np.array(self._lit), np.array(self._sound))
-        flux = light.measure_flux(self._manifest.brightness, self._chance)
+        flux = light.measure_flux(self._manifest.brightness, self._level)
         self.flux = float(flux.rate[-1])
         changes = _find_level_changes(flux)
-        new = tuple(fault for fault in changes if (fault.kind, fault.scene) not in self._said)
-        self._said |= {(fault.kind, fault.scene) for fault in new}
+        new = tuple(fault for fault in changes if (fault.kind, fault.scene) not in self._reported)
+        self._reported |= {(fault.kind, fault.scene) for fault in new}
         return lit, new
 
     def end(self, lists: Sequence[Arrivals]) -> tuple[Fault, ...]:
         """Faults of the light of the scene that ends, from all lists of its frames."""
         scene = Arrivals.join(lists)
-        last = len(self._ends) - 1
-        self._ends[-1] = Arrivals.join([lists[0], lists[-1]])
+        last = len(self._sentinels) - 1
+        self._sentinels[-1] = Arrivals.join([lists[0], lists[-1]])
         self._look_back()
-        curves = light_curves(Arrivals.stack([scene]), np.array([last]), self._wired)
+        curves = light_curves(Arrivals.stack([scene]), np.array([last]), self._arm_inputs)
         lights = []
         for curve, so_far in zip(curves, self._backgrounds, strict=True):
             dark = Background(so_far.photons[-1:], so_far.seconds[-1:], [slice(0, 1)])
-            lights.append(PassLight.of(curve, dark, self._chance))
-        faults = _find_faults(lights, self._chance)
+            lights.append(PassLight.of(curve, dark, self._level))
+        faults = _find_faults(lights, self._level)
         self._sound[-1] &= all(bool(light.sound[0]) for light in lights)
         scenes = np.arange(last + 1)
         faults += _find_restless_lamp(scenes, np.array(self._lit), np.array(self._sound))
@@ -421,6 +423,6 @@ class LightMonitor:
 
     def _look_back(self) -> None:
         """Find the curves of the all-ON and all-OFF frames of all scenes, and their backgrounds."""
-        ends = Arrivals.stack(self._ends)
-        self._history = light_curves(ends, np.arange(len(self._ends)), self._wired)
-        self._backgrounds = [Background.of(curve, self._chance) for curve in self._history]
+        ends = Arrivals.stack(self._sentinels)
+        self._history = light_curves(ends, np.arange(len(self._sentinels)), self._arm_inputs)
+        self._backgrounds = [Background.of(curve, self._level) for curve in self._history]

@@ -70,15 +70,15 @@ class Counts:
 
     def signal(self) -> np.ndarray:
         """Arrivals less the background, float64 (S, R, rails, m[, D])."""
-        return self.arrivals - self.background[:, None] * self.by_readout(self.valid)
+        return self.arrivals - self.background[:, None] * self.expand_to_counts(self.valid)
 
     @property
     def excess(self) -> np.ndarray:
         """Variance of the arrivals beyond Poisson's, 0 or more, float64 (S, R, rails, m[, D])."""
         return np.maximum(self.variance - np.maximum(self.arrivals, 0.0), 0.0)
 
-    def by_readout(self, exposures: np.ndarray) -> np.ndarray:
-        """Array (S, R) of exposures, with further axes so that it goes with `counts`."""
+    def expand_to_counts(self, exposures: np.ndarray) -> np.ndarray:
+        """Array (S, R) of exposures, with axes of length 1 for the other axes of `counts`."""
         return np.expand_dims(exposures, tuple(range(2, self.counts.ndim)))
 
     @property
@@ -219,18 +219,19 @@ ENDS = [0, 1, -2, -1]
 def light_of_clicks(
     photons: np.ndarray, fired: np.ndarray, *, gates: int, width_s: float, manifest: Manifest
 ) -> tuple[float, np.ndarray]:
-    """Flux of all exposures (E) together, and dark rates (inputs,).
+    """Flux of all exposures together, and dark rates (inputs,).
 
-    The flux is NaN where too few gates stay without a click.
+    `photons`, and the gates that `fired`, are (E, 4, inputs), of the frames of `ENDS` in E
+    exposures. The flux is NaN where too few gates stay without a click.
     """
-    # Photons, and gates that fired, (E, 4, inputs), of the frames of `ENDS`
-    arm = manifest.arm
+    arm = manifest.on_inputs
     opened = 2 * gates * len(photons)
     photons, fired = (
         counts.reshape(-1, 2, 2, counts.shape[-1]).sum(axis=(0, 1)) for counts in (photons, fired)
     )  # (on and off, inputs)
     mean = photons / opened
     with np.errstate(divide="ignore"):
+        # photons, too: where gates hold more than one, the detector was not gated
         rate = np.where(mean > 1, mean, -np.log1p(-(fired / opened))) / width_s
     # The second arm is dark when all mirrors are ON
     dark = np.append(rate[1, arm], rate[0, arm.stop :])
@@ -240,9 +241,9 @@ def light_of_clicks(
     return flux, dark
 
 
-def check_clicks(*of_photons: object) -> None:
-    """Raise `InputError` where what is of photon counts is given for clicks."""
-    if any(given is not None for given in of_photons):
+def refuse_photon_settings(*settings: object) -> None:
+    """Raise `InputError` if any setting of photon counts is given for clicks."""
+    if any(setting is not None for setting in settings):
         raise InputError(
             "dead time, backgrounds, flat fields, gains and read noise are of photon counts, and "
             "clicks are read as they are: leave them out"

@@ -36,7 +36,7 @@ class PtuWriter:
         self._path = path
         self._tick_s = float(tick_s)
         self._growing = growing
-        self._records = self._latest = self._wraps = 0
+        self._records = self._latest = self._overflows = 0
 
     def __enter__(self) -> Self:
         opened: AbstractContextManager[BinaryIO | GrowingFile] = (
@@ -82,19 +82,19 @@ class PtuWriter:
         words |= times & GENERIC_T2.time_mask
 
         # Overflow records before an event that needs them
-        wraps = times >> GENERIC_T2.time_bits
-        steps = np.diff(wraps, prepend=self._wraps)
+        overflows = times >> GENERIC_T2.time_bits
+        steps = np.diff(overflows, prepend=self._overflows)
         late = np.flatnonzero(steps)
         most = 127  # overflows of one record: ptufile 2026.2 multiplies them in 32 bits
         copies = -(-steps[late] // most)
         counts = np.full(int(copies.sum()), most)
         counts[np.cumsum(copies) - 1] = steps[late] - (copies - 1) * most
-        overflows = 1 << 31 | 63 << GENERIC_T2.shift | counts
-        words = np.insert(words, np.repeat(late, copies), overflows)
+        overflow_words = 1 << 31 | 63 << GENERIC_T2.shift | counts
+        words = np.insert(words, np.repeat(late, copies), overflow_words)
 
         self.write_records(words)
         self._latest = int(times[-1])
-        self._wraps = int(wraps[-1])
+        self._overflows = int(overflows[-1])
 
     def _write_header(self) -> None:
         """Write the header, with the number of records so far."""
@@ -156,8 +156,8 @@ def write_ptu(
     wanted = (*(() if marker is None else (marker,)), *inputs)
     for channel in wanted:
         if channel not in available:
-            some = ", ".join(map(str, available[:20])) or "none"
-            raise InputError(f"channel {channel} has no events; there are some on {some}")
+            active = ", ".join(map(str, available[:20])) or "none"
+            raise InputError(f"channel {channel} has no events; there are some on {active}")
     most = GENERIC_T2.inputs
     if not 0 < len(inputs) <= most or len(set(wanted)) < len(wanted):
         raise InputError(
@@ -169,13 +169,13 @@ def write_ptu(
         events = np.flatnonzero(channels == channel)
         codes[events] = code
         # Channels may follow each other in a list: each counts its time for itself, to 1 µs
-        own = times[events]
+        ticks = times[events]
         slack = max(round(1e-6 / tick_s), 1)
-        back = np.flatnonzero(own[1:] < np.maximum.accumulate(own)[:-1] - slack)
+        back = np.flatnonzero(ticks[1:] < np.maximum.accumulate(ticks)[:-1] - slack)
         if len(back):
             raise InputError(
                 f"time runs back on channel {channel}, event {events[back[0] + 1] + 1}: from "
-                f"{own[back[0]]} to {own[back[0] + 1]} ticks of {tick_s:g} s. The clock began "
+                f"{ticks[back[0]]} to {ticks[back[0] + 1]} ticks of {tick_s:g} s. The clock began "
                 "anew or overflowed, or these are several recordings: give each alone, with times "
                 "that count on"
             )

@@ -88,7 +88,7 @@ class LightCurve:
 
 
 def light_curves(
-    arrivals: Arrivals, scenes: np.ndarray, wired: Sequence[tuple[int, ...]]
+    arrivals: Arrivals, scenes: np.ndarray, arm_inputs: Sequence[tuple[int, ...]]
 ) -> list[LightCurve]:
     """Curves of passes (P) of each arm's detectors together, then of each where there are several.
 
@@ -99,24 +99,24 @@ def light_curves(
     off = (1, last)
     arms = []
     detectors = []
-    for arm, inputs in enumerate(wired):
+    for arm, inputs in enumerate(arm_inputs):
         first = arm * len(inputs)
         photons, seconds = _as_poisson(arrivals, slice(first, first + len(inputs)))
-        together = LightCurve(
+        arm_curve = LightCurve(
             photons,
             seconds,
             scenes,
             bright=on if arm == 0 else off,
             dark=off if arm == 0 else on,
             frames=arrivals.frames,
-            name=f" on input {name_inputs(inputs)}" if len(wired) > 1 else "",
+            name=f" on input {name_inputs(inputs)}" if len(arm_inputs) > 1 else "",
         )
-        arms.append(together)
+        arms.append(arm_curve)
         for column, number in enumerate(inputs if len(inputs) > 1 else (), first):
             photons, seconds = _as_poisson(arrivals, slice(column, column + 1))
             name = f" on input {number + 1}"
             detectors.append(
-                replace(together, photons=photons, seconds=seconds, name=name, sees_part=True)
+                replace(arm_curve, photons=photons, seconds=seconds, name=name, sees_part=True)
             )
     return arms + detectors
 
@@ -138,51 +138,52 @@ def name_inputs(inputs: Sequence[int]) -> str:
     return " and ".join(str(number + 1) for number in inputs)
 
 
-def excess_chance(
+def excess_p_value(
     photons: np.ndarray,
     seconds: np.ndarray,
-    others: np.ndarray,
-    others_s: np.ndarray,
+    base: np.ndarray,
+    base_s: np.ndarray,
     ratio: np.ndarray | float = 1.0,
 ) -> np.ndarray:
-    """Chance that a window holds its photons or more, given the sum of it and another."""
+    """Chance that a window holds its photons or more, given its sum with a base window."""
     from scipy.special import betainc
 
-    photons, seconds, others, others_s, ratio = np.broadcast_arrays(
-        *(np.asarray(array, np.float64) for array in (photons, seconds, others, others_s, ratio))
+    photons, seconds, base, base_s, ratio = np.broadcast_arrays(
+        *(np.asarray(array, np.float64) for array in (photons, seconds, base, base_s, ratio))
     )
     out = np.ones(photons.shape)
-    which = (photons > 0) & (seconds > 0) & (others_s > 0)
+    which = (photons > 0) & (seconds > 0) & (base_s > 0)
     open_s = (ratio * seconds)[which]
-    share = open_s / (open_s + others_s[which])
-    out[which] = betainc(photons[which] / EXCESS, others[which] / EXCESS + 1, share)
+    share = open_s / (open_s + base_s[which])
+    out[which] = betainc(photons[which] / EXCESS, base[which] / EXCESS + 1, share)
     return out
 
 
-def change_chance(
+def change_p_value(
     photons: np.ndarray,
     seconds: np.ndarray,
-    others: np.ndarray,
-    others_s: np.ndarray,
+    base: np.ndarray,
+    base_s: np.ndarray,
     ratio: np.ndarray | float,
 ) -> np.ndarray:
     """Chance that one of two windows holds more photons by as much as it does.
 
-    `ratio` is allowed either way, and the chance is twice the less likely side's.
+    Either window may be brighter by `ratio`.
     """
-    more = excess_chance(photons, seconds, others, others_s, ratio=ratio)
-    less = excess_chance(others, others_s, photons, seconds, ratio=ratio)
-    return np.minimum(1.0, 2 * np.minimum(more, less))
+    above = excess_p_value(photons, seconds, base, base_s, ratio=ratio)
+    below = excess_p_value(base, base_s, photons, seconds, ratio=ratio)
+    # the smaller of two p-values, doubled (Bonferroni)
+    return np.minimum(1.0, 2 * np.minimum(above, below))
 
 
-def _find_segments(passes: np.ndarray, allowed: AllowedRatio, chance: float) -> list[slice]:
+def _find_segments(passes: np.ndarray, allowed: AllowedRatio, level: float) -> list[slice]:
     """Segments between the change points of passes: counts, variances, seconds (3, P)."""
     segments = []
     todo = [(0, passes.shape[1])]
     sums = np.pad(np.cumsum(passes, axis=1), ((0, 0), (1, 0)))  # of the first 0 … P passes
     while todo:
         start, stop = todo.pop()
-        cut = _find_cut(sums[:, start : stop + 1], allowed, chance)
+        cut = _find_cut(sums[:, start : stop + 1], allowed, level)
         if cut is None:
             segments.append(slice(start, stop))
             continue
@@ -191,7 +192,7 @@ def _find_segments(passes: np.ndarray, allowed: AllowedRatio, chance: float) -> 
     return sorted(segments, key=lambda segment: int(segment.start))
 
 
-def _find_cut(sums: np.ndarray, allowed: AllowedRatio, chance: float) -> tuple[int, int] | None:
+def _find_cut(sums: np.ndarray, allowed: AllowedRatio, level: float) -> tuple[int, int] | None:
     """Start and stop of the segment that stands out most from the rest of a row, if any does."""
     passes = sums.shape[1] - 1
     if passes < 2:
@@ -207,9 +208,9 @@ def _find_cut(sums: np.ndarray, allowed: AllowedRatio, chance: float) -> tuple[i
         length *= 2
     start = np.concatenate(starts)
     stop = np.concatenate(stops)
-    clearness, chances = _compare(sums, start, stop, allowed)
+    clearness, p_values = _compare(sums, start, stop, allowed)
     best = int(np.argmax(clearness))
-    if chances[best] * len(start) > chance:
+    if p_values[best] * len(start) > level:
         return None
     return _refine(sums, (int(start[best]), int(stop[best])), allowed)
 
@@ -239,7 +240,7 @@ def _compare(
     ratio = allowed(stop - start, passes - (stop - start))
     apart = np.abs(np.log((one + 0.5) / one_s) - np.log((other + 0.5) / other_s)) - np.log(ratio)
     clearness = apart / np.sqrt(1 / (one + 0.5) + 1 / (other + 0.5))
-    return clearness, change_chance(one, one_s, other, other_s, ratio=ratio)
+    return clearness, change_p_value(one, one_s, other, other_s, ratio=ratio)
 
 
 def _as_photons(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -262,13 +263,13 @@ class Background:
     segments: list[slice]  # passes that agree with each other
 
     @classmethod
-    def of(cls, curve: LightCurve, chance: float) -> Self:
+    def of(cls, curve: LightCurve, level: float) -> Self:
         """Background of each pass, from its dark frames and its neighbours' that agree."""
         photons, seconds = curve.together(curve.dark)
         usual = (photons.sum() + 1) / max(seconds.sum(), 1e-300)
         ratio = 1 + HARMLESS_DARK * _usual_light(curve) / usual
         passes = np.stack([photons, photons, seconds]).astype(np.float64)
-        segments = _find_segments(passes, lambda *_: np.array(ratio), chance)
+        segments = _find_segments(passes, lambda *_: np.array(ratio), level)
         pooled = photons.astype(np.float64)
         pooled_s = seconds.copy()
         for segment in segments:
@@ -317,7 +318,7 @@ class Flux:
         *,
         used: np.ndarray,
         brightness: Brightness | None,
-        chance: float,
+        level: float,
     ) -> Self:
         """Flux from the passes `used` (P,), bool, of scenes that differ by a known brightness."""
         if not used.any():
@@ -334,11 +335,11 @@ class Flux:
         segments = [slice(0, len(counts))]
         lit = np.flatnonzero(used)
         if brightness is not None:
-            segments = _find_segments(passes, _allowed_ratio(brightness), chance)
+            segments = _find_segments(passes, _allowed_ratio(brightness), level)
             line = _fit_decay(passes, segments, brightness)
             if line is not None:
-                every = np.interp(np.arange(len(used)), lit, line)
-                return cls(every, trend=line[-1] / line[0])
+                rates = np.interp(np.arange(len(used)), lit, line)
+                return cls(rates, trend=line[-1] / line[0])
         starts = [0, *(int(lit[segment.start]) for segment in segments[1:]), len(used)]
         lengths = np.diff(starts)
         scenes = curve.scenes[lit]

@@ -20,7 +20,7 @@ from deepfsi.base.models import StrictModel
 from deepfsi.base.progress import SILENT, Progress
 from deepfsi.base.quantities import Table, time_text
 from deepfsi.counting import ptu
-from deepfsi.counting.ptu import Decoder, Header, Part
+from deepfsi.counting.ptu import Decoded, Decoder, Header
 
 
 class PtuFile:
@@ -29,8 +29,8 @@ class PtuFile:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.header = Header.read(path)
 
-    def parts(self, progress: Progress = SILENT) -> Iterator[Part]:
-        """Give the records in parts; none follows one with a `fault`."""
+    def blocks(self, progress: Progress = SILENT) -> Iterator[Decoded]:
+        """Give the records in blocks, up to one with a `fault`."""
         header = self.header
         decoder = Decoder(header.kind, header.tick_s)
         with open_regular(header.path, buffering=0) as file:
@@ -42,9 +42,9 @@ class PtuFile:
                     raise InputError(
                         f"{header.path} became shorter while it was read: wait for its end"
                     )
-                part = decoder.decode(np.frombuffer(content, "<u4"))
-                yield part
-                if part.fault:
+                block = decoder.decode(np.frombuffer(content, "<u4"))
+                yield block
+                if block.fault:
                     return
                 progress((start + wanted) / header.records)
 
@@ -67,7 +67,7 @@ class PtuStream:
         return self._decoder is not None
 
     def feed(self, data: bytes | bytearray | memoryview) -> None:
-        """Take the next bytes, which `parts` then reads."""
+        """Take the next bytes, which `blocks` then reads."""
         self._data += data
         if self._decoder is None and (header := Header.parse(self._data, self._name)):
             self.header: Header = header
@@ -75,19 +75,19 @@ class PtuStream:
             self._decoder = Decoder(header.kind, header.tick_s)
             del self._data[: header.offset]
 
-    def parts(self, progress: Progress = SILENT) -> Iterator[Part]:
-        """Give the records that ended with the bytes that came since the last call, in order.
+    def blocks(self, progress: Progress = SILENT) -> Iterator[Decoded]:
+        """Give the records that are complete since the last call.
 
-        What follows the records that the header gives is not read.
+        Bytes beyond the records that the header states are not read.
         """
         if self._decoder is None:
             return
         while count := min(len(self._data) // 4, self._records_left, ptu.RECORDS_AT_ONCE):
             words = np.frombuffer(bytes(self._data[: 4 * count]), "<u4")
             del self._data[: 4 * count]
-            part = self._decoder.decode(words)
-            self._records_left = 0 if part.fault else self._records_left - count
-            yield part
+            block = self._decoder.decode(words)
+            self._records_left = 0 if block.fault else self._records_left - count
+            yield block
         if not self._records_left:
             self._data.clear()
 
@@ -134,21 +134,21 @@ def summarise(photons: Photons, progress: Progress = SILENT) -> PtuSummary:
     markers = np.zeros(16, np.int64)
     records_read = last = 0
     faults: tuple[str, ...] = ()
-    for part in source.parts(progress):
-        records_read += part.records
-        inputs += np.bincount(part.inputs, minlength=len(inputs))
-        markers += np.bincount(part.bits, minlength=16)
-        last = max(last, part.last)
-        if part.fault:
-            faults = (part.fault,)
+    for block in source.blocks(progress):
+        records_read += block.records
+        inputs += np.bincount(block.inputs, minlength=len(inputs))
+        markers += np.bincount(block.bits, minlength=16)
+        last = max(last, block.last)
+        if block.fault:
+            faults = (block.fault,)
     # A marker record has a bit for each marker input, and several may be set at once
-    wired = [int(markers[np.arange(16) >> number & 1 != 0].sum()) for number in range(4)]
+    by_marker = [int(markers[np.arange(16) >> number & 1 != 0].sum()) for number in range(4)]
     return PtuSummary(
         kind=header.kind.name,
         tick_s=header.tick_s,
         records=records_read,
         photons={number: int(n) for number, n in enumerate(inputs, 1) if n},
-        markers={number: n for number, n in enumerate(wired) if n},
+        markers={number: n for number, n in enumerate(by_marker) if n},
         span_s=last * header.tick_s,
         problems=header.problems + faults,
     )
@@ -163,11 +163,11 @@ def read_markers(photons: Photons, progress: Progress = SILENT) -> tuple[np.ndar
     times = [np.zeros(0, np.int64)]
     bits = [np.zeros(0, np.uint8)]
     total = 0
-    for part in source.parts(progress):
-        part.check(source.header.path)
-        times.append(part.marks)
-        bits.append(part.bits)
-        total += len(part.marks)
+    for block in source.blocks(progress):
+        block.check(source.header.path)
+        times.append(block.marks)
+        bits.append(block.bits)
+        total += len(block.marks)
         if total > 2**24:
             raise InputError(
                 f"{source.header.path} has more than {2**24} markers: give one for each frame"
@@ -182,10 +182,10 @@ def read_photons(
     source = _as_source(photons)
     times = [np.zeros(0, np.int64)]
     reached = total = 0
-    for part in source.parts(progress):
-        part.check(source.header.path)
-        times.append(part.times[part.inputs == number])
-        reached = part.reached
+    for block in source.blocks(progress):
+        block.check(source.header.path)
+        times.append(block.times[block.inputs == number])
+        reached = block.reached
         total += len(times[-1])
         if total > 2**27:  # their times are held at once
             raise InputError(
@@ -202,16 +202,16 @@ def count_windows(
     inputs: Sequence[int] = (0,),
     progress: Progress = SILENT,
 ) -> np.ndarray:
-    """Photons (windows, inputs) from each start up to its stop, ticks (windows,) in order.
+    """Photons (windows, inputs) from each start up to its stop, ticks (windows,) that rise.
 
     Raises `InputError` if the file is damaged, or may end before the last window.
     """
     source = _as_source(photons)
     counter = WindowCounter(source, inputs)
     counter.expect(starts, stops)
-    for part in source.parts(progress):
-        part.check(source.header.path)
-        counter.add(part)
+    for block in source.blocks(progress):
+        block.check(source.header.path)
+        counter.add(block)
     return counter.finish()
 
 
@@ -225,7 +225,7 @@ class WindowCounter:
         self._before = np.zeros((0, len(inputs)), np.int64)  # photons before each edge, in `_done`
         self._done = 0
         self._total = np.zeros(len(inputs), np.int64)
-        self._reached = -1  # no photon of parts to come is earlier
+        self._reached = -1  # no photon of later blocks is earlier
 
     def expect(self, starts: np.ndarray, stops: np.ndarray) -> None:
         """Count further windows, as in `count_windows`, that begin after what was added."""
@@ -234,15 +234,15 @@ class WindowCounter:
         unknown = np.zeros((len(edges), len(self._inputs)), np.int64)
         self._before = np.concatenate([self._before, unknown])
 
-    def add(self, part: Part) -> None:
-        """Count the photons of the next part."""
+    def add(self, block: Decoded) -> None:
+        """Count the photons of the next block."""
         edges = self._edges[self._done :]
-        self._reached = part.reached
+        self._reached = block.reached
         # Later records hold no photon before `reached`: edges up to there are settled
         ended = int(np.searchsorted(edges, self._reached, side="right"))
         before = self._before[self._done :]
         for column, number in enumerate(self._inputs):
-            times = part.times[part.inputs == number]
+            times = block.times[block.inputs == number]
             before[:ended, column] = self._total[column] + np.searchsorted(times, edges[:ended])
             self._total[column] += len(times)
         self._done += ended

@@ -34,8 +34,8 @@ from deepfsi.counting.counts import (
     ENDS,
     Corrections,
     Counts,
-    check_clicks,
     light_of_clicks,
+    refuse_photon_settings,
 )
 from deepfsi.counting.flux import Arrivals, name_inputs
 from deepfsi.counting.reader import PtuFile
@@ -124,16 +124,16 @@ class Recording:
         exposure_s: float | None = None,
         dead_time: DeadTime | None = None,
         gains: tuple[float, ...] = (),
-        clicks: int | None = None,
+        click_gates: int | None = None,
         progress: Progress = SILENT,
     ) -> Counts:
         """Count the photons of each readout, and write counts.npz.
 
         The folder says what is None: the exposure, and the dead time that is corrected. Gains are
-        efficiencies of detectors, relative to their mean. Of each of the equal parts of a gate that
-        `clicks` asks for only the first photon counts. Raises `InputError` if the photon file is
-        missing or damaged, gates do not fit the frames, markers do not follow the schedule, or no
-        pass has light.
+        efficiencies of detectors, relative to their mean. Each gate of a frame is divided into
+        `click_gates` ones that count their first photon alone. Raises `InputError` if the photon
+        file is missing or damaged, gates do not fit the frames, markers do not follow the schedule,
+        or no pass has light.
         """
         self.acquisition.check_fixed(self.folder)
         if exposure_s is not None and (self.acquisition.camera or {}).get("gates"):
@@ -141,22 +141,22 @@ class Recording:
             raise InputError(
                 f"{self.folder} holds the first photons alone of its gates: leave the exposure out"
             )
-        if clicks is not None:
-            check_clicks(dead_time, *gains)
+        if click_gates is not None:
+            refuse_photon_settings(dead_time, *gains)
         corrections = Corrections.of(self._dead_time(dead_time), self.manifest, gains)
-        gates = self.acquisition.gates(self.manifest, exposure_s, parts=clicks or 1)
-        shortest_s = float(gates.length_s.min()) / (clicks or 1)
+        gates = self.acquisition.gates(self.manifest, exposure_s, click_gates=click_gates or 1)
+        shortest_s = float(gates.length_s.min()) / (click_gates or 1)
         source, starts = _find_frames(self, gates, shortest_s, progress.between(0.0, 0.4))
-        if clicks is None:
+        if click_gates is None:
             windows = Windows.of_gates(self.manifest, gates, starts)
         else:
-            windows = Windows.of_clicks(self.manifest, gates, clicks)
+            windows = Windows.of_clicks(self.manifest, gates, click_gates)
         inputs = self.acquisition.inputs
-        photons = starts.count_in(source, windows, inputs, progress.between(0.4, 1.0))
-        if clicks is None:
-            fields = _count_photons(self, gates, photons, corrections)
+        windowed = starts.count_in(source, windows, inputs, progress.between(0.4, 1.0))
+        if click_gates is None:
+            fields = _count_photons(self, gates, windowed, corrections)
         else:
-            fields = _count_clicks(self, gates, photons, clicks)
+            fields = _count_clicks(self, gates, windowed, click_gates)
         counts = Counts(
             **fields,
             valid=np.ones((len(self.acquisition.scenes), gates.repeats), bool),
@@ -166,7 +166,7 @@ class Recording:
             drift=starts.drift,
             inputs=inputs,
             gains=gains,
-            gates=clicks,
+            gates=click_gates,
         )
         counts.save(self._counts_file, self.photons, self.acquisition.digest)
         return counts
@@ -260,7 +260,7 @@ def _find_frames(
         )
     starts = FrameStarts.find(source, recording.acquisition, manifest, progress)
     # Gates do not fit frames that are much shorter than planned
-    pictures = starts.pictures_s[manifest.shown]
+    pictures = starts.pictures_s[manifest.mask_frames]
     room = pictures - gates.settle_s
     over = gates.repeats * gates.length_s - room - MOST_DRIFT * pictures
     if over.max() > 0:
@@ -285,12 +285,12 @@ def _check_lit(recording: Recording, lit: np.ndarray) -> None:
 
 
 def _count_photons(
-    recording: Recording, gates: GatePlan, gated: WindowCounts, corrections: Corrections
+    recording: Recording, gates: GatePlan, windowed: WindowCounts, corrections: Corrections
 ) -> dict[str, Any]:
     """Photons of each readout, and what arrived: fields of the counts."""
     manifest = recording.manifest
     inputs = recording.acquisition.inputs
-    photons, spent = gated.per_frame()
+    photons, spent = windowed.per_frame()
     rates = photons / spent[..., None]
     corrections.check(rates, manifest.frames, inputs, str(recording.photons))
     factors = corrections.factors(rates)
@@ -299,8 +299,8 @@ def _count_photons(
     )
     light = check_light(arrivals, manifest, inputs)
     _check_lit(recording, light.lit)
-    counts = gated.gates(gates.repeats)  # (S, R, f, inputs)
-    of_masks = (slice(None), None, manifest.shown)
+    counts = windowed.gates(gates.repeats)  # (S, R, f, inputs)
+    of_masks = (slice(None), None, manifest.mask_frames)
     return {
         "counts": manifest.by_readout(counts),
         "arrivals": manifest.by_readout(counts * factors.arrivals[of_masks]),
@@ -313,19 +313,19 @@ def _count_photons(
 
 
 def _count_clicks(
-    recording: Recording, gates: GatePlan, gated: WindowCounts, clicks: int
+    recording: Recording, gates: GatePlan, windowed: WindowCounts, click_gates: int
 ) -> dict[str, Any]:
-    """Clicks of each readout: the first photon of each of the equal parts of a gate."""
+    """Clicks of each readout: gates of a detector that hold a photon or more."""
     manifest = recording.manifest
-    fired = replace(gated, photons=np.minimum(gated.photons, 1))
-    parts = fired.gates(gates.repeats * clicks)
-    parts = parts.reshape(len(parts), gates.repeats, clicks, *parts.shape[2:])
-    counts = manifest.by_readout(parts.sum(axis=2))
+    fired = replace(windowed, photons=np.minimum(windowed.photons, 1))
+    clicks = fired.gates(gates.repeats * click_gates)
+    clicks = clicks.reshape(len(clicks), gates.repeats, click_gates, *clicks.shape[2:])
+    counts = manifest.by_readout(clicks.sum(axis=2))
     flux, dark_rate = light_of_clicks(
-        gated.per_frame()[0][:, ENDS],
+        windowed.per_frame()[0][:, ENDS],
         fired.per_frame()[0][:, ENDS],
-        gates=clicks,
-        width_s=float(gated.windows.length_s[0]),
+        gates=click_gates,
+        width_s=float(windowed.windows.length_s[0]),
         manifest=manifest,
     )
     _check_lit(recording, np.array(not flux <= 0))  # NaN: too few gates stay without a click
@@ -334,7 +334,7 @@ def _count_clicks(
     return {
         "counts": counts,
         "arrivals": counts.astype(float),
-        "variance": counts * (1 - counts / clicks),
+        "variance": counts * (1 - counts / click_gates),  # binomial, G p (1 − p), p = counts / G
         "flux": np.full(len(counts), flux),
         "dark_rate": manifest.by_rail(np.tile(dark_rate, (len(counts), 1))),
         "faults": (),

@@ -17,7 +17,7 @@ import numpy as np
 
 from deepfsi.base.errors import InputError
 from deepfsi.base.quantities import time_text
-from deepfsi.counting.ptu import EARLIEST_TICK, Part, marker_slack
+from deepfsi.counting.ptu import EARLIEST_TICK, Decoded, marker_slack
 from deepfsi.counting.reader import PtuStream, WindowCounter
 from deepfsi.counting.windows import MOST_EXTRA, MOST_RATE
 
@@ -89,8 +89,8 @@ class FrameCounter:
     def feed(self, data: bytes | bytearray | memoryview) -> np.ndarray:
         """Read the next bytes; give the counts (F, inputs) of frames whose gates ended."""
         self._stream.feed(data)
-        none = np.zeros((0, len(self._inputs)), np.int64)
-        return np.concatenate([none, *(self._add(part) for part in self._stream.parts())])
+        no_counts = np.zeros((0, len(self._inputs)), np.int64)
+        return np.concatenate([no_counts, *(self._add(block) for block in self._stream.blocks())])
 
     @property
     def _tick_s(self) -> float:
@@ -116,15 +116,15 @@ class FrameCounter:
         for number, times in enumerate(columns.T.tolist()):
             self._due.append(_DueFrame._make([*times, number > 0]))
 
-    def _add(self, part: Part) -> np.ndarray:
+    def _add(self, block: Decoded) -> np.ndarray:
         """Count the next records; give the frames whose gates, and pictures, have ended."""
         while self._told:
             self._plan(self._told.pop(0))
-        part.check(self._stream.header.path)
-        begun = map(self._begin, part.marks[part.bits & self._bit != 0].tolist())
+        block.check(self._stream.header.path)
+        begun = map(self._begin, block.marks[block.bits & self._bit != 0].tolist())
         gates = np.array([gate for gate in begun if gate], np.int64).reshape(-1, 2)
         self._windows.expect(*gates.T)
-        self._windows.add(part)
+        self._windows.add(block)
         counts = np.concatenate([self._counts, self._windows.take()])
         waits = 0 < len(counts) == self._begun and self._followed
         ready = len(counts) - waits

@@ -27,8 +27,8 @@ from deepfsi.counting.counts import (
     ENDS,
     Corrections,
     Counts,
-    check_clicks,
     light_of_clicks,
+    refuse_photon_settings,
 )
 from deepfsi.counting.flux import Arrivals
 from deepfsi.patterns.manifest import Manifest
@@ -80,7 +80,9 @@ def count_table(
             "`read_noise`"
         )
     if settings.clicks is not None:
-        check_clicks(settings.background, settings.gain, settings.read_noise, dead_time or None)
+        refuse_photon_settings(
+            settings.background, settings.gain, settings.read_noise, dead_time or None
+        )
     values = _arrange(table, manifest, name)
     with_ends = values.shape[1] == len(manifest.frames)
     if not with_ends:
@@ -92,7 +94,7 @@ def count_table(
             f"`settle` {time_text(settings.settle_s)} leaves nothing of the shortest frame: "
             f"give less than {manifest.picture_s.min():g}"
         )
-    masks = manifest.shown
+    masks = manifest.mask_frames
     exposure_s = float(seconds[masks].sum() / manifest.shares.sum())
     scenes, scene_of = _find_scenes(table, len(values), name)
     arrivals, variance = _correct(values, seconds, manifest, settings, name)
@@ -106,7 +108,7 @@ def count_table(
         dark = np.full_like(light.dark_rate, settings.background / exposure_s)
         flux = light.flux
         if with_ends:
-            flux = flux + (light.dark_rate - dark)[:, manifest.arm].sum(axis=1)
+            flux = flux + (light.dark_rate - dark)[:, manifest.on_inputs].sum(axis=1)
         light = replace(light, flux=flux, dark_rate=dark)
     if settings.photons is None and not (light.flux > 0).any():
         raise InputError(
@@ -228,7 +230,7 @@ def _find_light(
 ) -> Light:
     """Light of each scene, from the all-ON and all-OFF frames of its exposures; scene_of (E,)."""
     scenes = int(scene_of[-1]) + 1
-    arm = manifest.arm
+    arm = manifest.on_inputs
     if settings.clicks is not None:
         clicks = arrivals[:, ENDS]
         width = float(seconds[0]) / settings.clicks

@@ -41,10 +41,10 @@ class Windows:
     def of_gates(cls, manifest: Manifest, gates: GatePlan, starts: "FrameStarts") -> Self:
         """Found gates of a manifest's frames, and what they leave of each frame."""
         count = np.ones(len(manifest.frames), np.int64)
-        count[manifest.shown] += gates.repeats
+        count[manifest.mask_frames] += gates.repeats
         frame = np.repeat(np.arange(len(count)), count)
         first = np.cumsum(count) - count
-        gated = first[manifest.shown][:, None] + np.arange(gates.repeats)  # (f, R)
+        gated = first[manifest.mask_frames][:, None] + np.arange(gates.repeats)  # (f, R)
         # A guard takes up to half of a frame after settling
         guard_s = np.minimum(manifest.usual_tolerance_s, 0.5 * (starts.pictures_s - gates.settle_s))
         ends = starts.pictures_s - guard_s
@@ -58,21 +58,21 @@ class Windows:
         return cls(frame, offset, length, gate)
 
     @classmethod
-    def of_clicks(cls, manifest: Manifest, gates: GatePlan, clicks: int) -> Self:
+    def of_clicks(cls, manifest: Manifest, gates: GatePlan, click_gates: int) -> Self:
         """Equal parts of each gate, and as many of other frames: a detector clicks once in each."""
         # Of an all-ON or all-OFF frame they are parts of what settling and the usual tolerance of
         # markers leave of it
-        width = (manifest.picture_s - gates.settle_s - manifest.usual_tolerance_s) / clicks
-        width[manifest.shown] = gates.length_s / clicks
-        count = np.full(len(width), clicks)
-        count[manifest.shown] *= gates.repeats
+        width = (manifest.picture_s - gates.settle_s - manifest.usual_tolerance_s) / click_gates
+        width[manifest.mask_frames] = gates.length_s / click_gates
+        count = np.full(len(width), click_gates)
+        count[manifest.mask_frames] *= gates.repeats
         frame = np.repeat(np.arange(len(count)), count)
         order = np.arange(len(frame)) - (np.cumsum(count) - count)[frame]
         return cls(
             frame,
             offset_s=gates.settle_s + order * width[frame],
             length_s=width[frame],
-            gate=np.isin(frame, manifest.shown),
+            gate=np.isin(frame, manifest.mask_frames),
         )
 
 
@@ -124,14 +124,14 @@ class FrameStarts:
     ) -> Self:
         """Frames of a recording by its markers."""
         times, bits = read_markers(source, progress)
-        wired = bits & acquisition.marker_bit != 0
-        if not wired.any():
+        frame_markers = bits & acquisition.marker_bit != 0
+        if not frame_markers.any():
             raise InputError(
                 f"{source.header.path} has 0 frame markers on marker input "
                 f"{acquisition.marker_bit.bit_length() - 1}: write the bit of another one, as "
                 "`deepfsi camera inspect` lists them, into acquisition.json, or wire the trigger"
             )
-        times_s = np.sort(times[wired] * source.header.tick_s)
+        times_s = np.sort(times[frame_markers] * source.header.tick_s)
         try:
             return cls.of(times_s, manifest, len(acquisition.scenes))
         except InputError as error:
@@ -145,16 +145,16 @@ class FrameStarts:
         planned = manifest.picture_s
         tolerance = manifest.usual_tolerance_s
         # A pass that was begun after the last one is left out
-        whole, begun = divmod(len(times_s), len(planned))
-        starts = times_s[: len(times_s) - begun].reshape(whole, len(planned))
+        passes, begun = divmod(len(times_s), len(planned))
+        starts = times_s[: len(times_s) - begun].reshape(passes, len(planned))
         pictures = planned
         if not _follows(starts, planned, tolerance):
             pictures = _as_measured(times_s, planned, tolerance)
             if not _follows(starts, pictures, tolerance):
                 raise InputError(_first_departure(times_s, pictures, tolerance))
-        if whole != scenes:
+        if passes != scenes:
             raise InputError(
-                f"they are of {whole} whole passes, and there are {scenes} scenes: record again, "
+                f"they are of {passes} whole passes, and there are {scenes} scenes: record again, "
                 "or keep the scenes that were recorded in acquisition.json"
             )
         drifts = np.ptp(starts, axis=1) / np.cumsum(planned)[-2] - 1
@@ -211,10 +211,10 @@ def _as_measured(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> n
     steps = np.lib.stride_tricks.sliding_window_view(np.diff(times), size)
     # Places of a recording that are compared: multiples of the golden section are spread evenly,
     # out of step with passes
-    places = np.unique((np.arange(64) * 0.6180339887498949 % 1 * len(steps)).astype(np.int64))
+    sampled = np.unique((np.arange(64) * 0.6180339887498949 % 1 * len(steps)).astype(np.int64))
     total = planned.sum(axis=1)
     shortest = float(pictures.min())
-    blocks = steps[places][:, None]
+    blocks = steps[sampled][:, None]
     rate = blocks.sum(axis=2) / total - 1
     extra = (blocks.sum(axis=2) - total) / size
     off_rate = np.abs(blocks - (1 + rate[..., None]) * planned).max(axis=2)
@@ -222,9 +222,9 @@ def _as_measured(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> n
     off_rate[np.abs(rate) > MOST_RATE] = np.inf
     off_extra[(extra > MOST_EXTRA * shortest) | (extra < -MOST_RATE * shortest)] = np.inf
     medians = {}
-    for kind, values, off in (("rate", rate, off_rate), ("extra", extra, off_extra)):
-        best = np.arange(len(off)), off.argmin(axis=1)
-        fits = np.stack([values[best], off[best]], axis=1)
+    for kind, values, departure in (("rate", rate, off_rate), ("extra", extra, off_extra)):
+        best = np.arange(len(departure)), departure.argmin(axis=1)
+        fits = np.stack([values[best], departure[best]], axis=1)
         close = fits[fits[:, 1] <= 2 * tolerance]
         if len(close) >= len(fits) / 8:
             medians[kind] = np.median(close, axis=0)

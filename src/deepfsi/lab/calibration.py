@@ -322,7 +322,7 @@ def find_gains(white: Path) -> tuple[float, ...]:
     rails = run.patterns.rails
     cells = np.zeros(rails.shape[-1], int) if detectors is None else np.array(detectors.cells)
     count = manifest.detector_count
-    usable = counts.by_readout(counts.valid)
+    usable = counts.expand_to_counts(counts.valid)
     signal = counts.signal().sum(axis=(0, 1), where=usable)
     variance = counts.variance.sum(axis=(0, 1), where=usable)
     lit = np.stack([rails[..., cells == each].sum(axis=-1) for each in range(count)], axis=-1)
@@ -356,7 +356,7 @@ def reconstruct(run: Recording, counts: Counts) -> np.ndarray:
     valid = np.asarray(counts.valid.any(axis=1))
     weights = counts.valid / np.maximum(counts.valid.sum(axis=1, keepdims=True), 1)
     mean = np.einsum("sr,sr...->s...", weights, counts.signal())[valid]
-    if patterns.manifest.several:
+    if patterns.manifest.detector_axis:
         mean = mean.sum(axis=-1)
     read = counts.lengths_s > 0
     out = np.full((len(valid), patterns.on.shape[1]), np.nan)

@@ -268,7 +268,7 @@ def _test(
 ) -> tuple[ConsistencyResult | None, ViewResult | None]:
     """Verdicts on the counts of usable exposures (S, R), summed over those of a scene."""
     # The tests take scenes for independent, which exposures of one scene are not
-    exposures = counts.by_readout(usable)
+    exposures = counts.expand_to_counts(usable)
     number = exposures.sum(axis=1)
     sums = counts.signal().sum(axis=1, where=exposures)
     noise = counts.background.clip(min=0) * number + counts.excess.sum(axis=1, where=exposures)

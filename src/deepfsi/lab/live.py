@@ -24,7 +24,7 @@ from deepfsi.base.progress import Progress, progress_bar
 from deepfsi.camera.dead_time import NO_DEAD_TIME, DeadTime
 from deepfsi.counting.acquisition import Acquisition, LiveSettings, Scene, StopRule
 from deepfsi.counting.checks import NO_LIGHT
-from deepfsi.counting.flux import excess_chance
+from deepfsi.counting.flux import excess_p_value
 from deepfsi.counting.recording import Recording
 from deepfsi.counting.streaming import FrameGates
 from deepfsi.designfile.provenance import was_trained_on
@@ -255,10 +255,10 @@ class _CountedFrames:
 
 def _light_text(counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> str:
     """Light of a pass, by counts (F, inputs) of its frames but the last, and their times (F,)."""
-    arm = counts[:, manifest.arm].sum(axis=1)
+    arm = counts[:, manifest.on_inputs].sum(axis=1)
     (on, off), (on_s, off_s) = ((each[0] + each[-1], each[OFF]) for each in (arm, times))
     # All-ON frames are brighter than the all-OFF one by no more than chance
-    dark = excess_chance(on, on_s, off, off_s) >= NO_LIGHT
+    dark = excess_p_value(on, on_s, off, off_s) >= NO_LIGHT
     said = f"{on / on_s:.4g} counts/s with all mirrors ON, {off / off_s:.4g} with all OFF"
     return f"{said}{': NO LIGHT' if dark else ''}"
 

@@ -121,7 +121,7 @@ class SceneObserver:
         self._masks.append(mask)
         self._gates_ns.append(round(share * self._exposure_ns))
         gate = np.array(self._gates_ns[-1:])
-        frames = self._manifest.shown
+        frames = self._manifest.mask_frames
         if self._made.dictionary is not None:
             return FrameList(look, frames[self._made.dictionary.indices(mask)], gate)
         return FrameList(look, frames, gate, mask.bool().numpy())

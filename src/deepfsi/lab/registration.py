@@ -163,12 +163,12 @@ def check_view(folder: Path, report: Progress = SILENT) -> _ReferenceFit:
             f"{read.sum()} readouts do not tell where the reference lies, and 8 are needed: record "
             "it with the patterns of `deepfsi dmd export hadamard --size 8x8`"
         )
-    usable = counts.by_readout(counts.valid & ~counts.spoilt[:, None])
+    usable = counts.expand_to_counts(counts.valid & ~counts.spoilt[:, None])
     if not usable.any():
         raise InputError("no exposure of the reference was counted: record it again")
     signal = counts.signal().sum(axis=(0, 1), where=usable)
     variance = counts.variance.sum(axis=(0, 1), where=usable)
-    if manifest.several:
+    if manifest.detector_axis:
         signal = signal.sum(axis=-1)
         variance = variance.sum(axis=-1)
     return _fit_place(run.patterns.rails[read], signal[read], variance[read], manifest, report)

@@ -145,7 +145,7 @@ class Patterns:
                 f"{path} was changed after it was written: export the patterns again, or remove "
                 "its sha256 to use it as it is"
             )
-        shape = (len(manifest.shown), math.prod(manifest.image_shape))
+        shape = (len(manifest.mask_frames), math.prod(manifest.image_shape))
         counts = Path(folder) / "mirrors.npy"
         on = read_npy(counts)
         stored = np.ascontiguousarray(on, "<u4")
@@ -203,7 +203,7 @@ class Patterns:
         """Realised rails, float64 (rails, m, N): share of each pixel's photons."""
         manifest = self.manifest
         lit = np.stack([self.fractions, 1 - self.fractions])
-        rail, mask, column, arm = manifest.read
+        rail, mask, column, arm = manifest.readout_table
         out = np.zeros((manifest.rails, manifest.masks, self.on.shape[1]))
         out[rail, mask] = manifest.shares[column, None] * lit[arm, column]
         return out
@@ -220,8 +220,8 @@ class Patterns:
         times = [frame.picture_us for frame in manifest.frames]
         return {
             "frames": len(manifest.frames),
-            "mask_frames": len(manifest.shown),
-            "mean_picture_s": float(manifest.picture_s[manifest.shown].mean()),
+            "mask_frames": len(manifest.mask_frames),
+            "mean_picture_s": float(manifest.picture_s[manifest.mask_frames].mean()),
             "pass_s": manifest.pass_s,
             "longest_exposure_s": None if manifest.looks else self._longest_s,
             "dimmed": manifest.dimmed,
@@ -241,8 +241,8 @@ class Patterns:
         grid = manifest.grid
         looks = manifest.looks
         frames = (
-            f"{plural(len(manifest.shown), 'frame')} of masks and "
-            f"{len(manifest.frames) - len(manifest.shown)} all-ON and all-OFF ones"
+            f"{plural(len(manifest.mask_frames), 'frame')} of masks and "
+            f"{len(manifest.frames) - len(manifest.mask_frames)} all-ON and all-OFF ones"
         )
         if looks is None:
             yield (
@@ -295,15 +295,15 @@ def _times_us(
         return pictures, sentinel
     total = len(shares) + SENTINELS
     together = device.packed_frames(total)
-    one = max(*pictures, sentinel, -(-device.video_us // together))
-    if one > device.longest_us:
+    video_us = max(*pictures, sentinel, -(-device.video_us // together))
+    if video_us > device.longest_us:
         raise InputError(
-            f"{total} frames, {together} in each picture of the video, would last {one} µs "
+            f"{total} frames, {together} in each picture of the video, would last {video_us} µs "
             f"each, and {device.name} shows {device.longest_us} at most: give a shorter "
             f"--exposure, or masks that make with {SENTINELS} sentinels a multiple of more "
             "frames"
         )
-    return [one] * len(pictures), one
+    return [video_us] * len(pictures), video_us
 
 
 def _table(manifest: Manifest) -> str:
@@ -317,9 +317,9 @@ def _table(manifest: Manifest) -> str:
     heads = ("pattern", "image", "bit", "exposure_us", "dark_us", "trigger_out", "new_image")
     rows.writerow([*heads, "shows", "settle_us"])
     form = FRAME_FORMATS[manifest.format]
-    for place, frame in enumerate(manifest.frames):
-        image, bit = form.location(place, len(manifest.frames), device)
-        where = [place, image, "" if bit is None else bit]
+    for index, frame in enumerate(manifest.frames):
+        image, bit = form.location(index, len(manifest.frames), device)
+        where = [index, image, "" if bit is None else bit]
         new_image = int(not bit)
         shown = [str(frame), f"{device.settle_us:g}"]
         rows.writerow([*where, frame.picture_us - dark, dark, 1, new_image, *shown])

@@ -87,15 +87,15 @@ def order_mirrors(height: int, width: int) -> np.ndarray:
 
 def _inside(down: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Order of each mirror in its block; neighbouring blocks are mirror images."""
-    places = []
+    axes = []
     for axis in (down, across):
         most = np.bincount(axis).max()
-        place = np.arange(len(axis)) - np.searchsorted(axis, axis)
-        places.append(np.where(axis % 2, most - 1 - place, place))
-    most = tuple(int(place.max()) + 1 for place in places)
+        offsets = np.arange(len(axis)) - np.searchsorted(axis, axis)
+        axes.append(np.where(axis % 2, most - 1 - offsets, offsets))
+    most = tuple(int(offsets.max()) + 1 for offsets in axes)
     if most == (1, 1):
         return np.zeros(len(down) * len(across), dtype=np.uint32)
-    return order_mirrors(*most)[np.ix_(*places)].ravel()
+    return order_mirrors(*most)[np.ix_(*axes)].ravel()
 
 
 def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
@@ -115,10 +115,10 @@ def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
     wanted = 2 * np.outer(down @ heights, across @ widths)
     excess = np.full(free.shape, unit**2 * mirrors)
     chosen = np.empty(mirrors, dtype=np.intp)
-    for place in range(mirrors):
+    for step in range(mirrors):
         excess -= wanted
-        chosen[place] = excess.argmin()
-        row, column = divmod(int(chosen[place]), len(widths))
+        chosen[step] = excess.argmin()
+        row, column = divmod(int(chosen[step]), len(widths))
         excess += np.outer(down[row], 2 * mirrors * across[column])
         free[row, column] -= 1
         if not free[row, column]:

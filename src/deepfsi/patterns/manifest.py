@@ -181,14 +181,14 @@ class Manifest(StrictModel):
         return find_grid(self.device, self.image_shape, self.layout)
 
     @cached_property
-    def shown(self) -> np.ndarray:
+    def mask_frames(self) -> np.ndarray:
         """Indices of the masks' frames among all, shape (f,)."""
         return np.flatnonzero([frame.role == "mask" for frame in self.frames])
 
     @cached_property
-    def read(self) -> np.ndarray:
+    def readout_table(self) -> np.ndarray:
         """Rail, mask, index among the masks' frames, and arm of each readout, shape (4, r)."""
-        frames = enumerate(self.frames[index] for index in self.shown)
+        frames = enumerate(self.frames[index] for index in self.mask_frames)
         return np.array(
             [
                 (rail, frame.mask, column, arm)
@@ -200,7 +200,7 @@ class Manifest(StrictModel):
     @cached_property
     def shares(self) -> np.ndarray:
         """Share of the exposure of each mask's frame, shape (f,)."""
-        return np.array([self.frames[index].share for index in self.shown])
+        return np.array([self.frames[index].share for index in self.mask_frames])
 
     @cached_property
     def picture_s(self) -> np.ndarray:
@@ -233,19 +233,19 @@ class Manifest(StrictModel):
         return self.arms * self.detector_count
 
     @property
-    def arm(self) -> slice:
+    def on_inputs(self) -> slice:
         """Inputs of the detectors that see mirrors ON."""
         return slice(self.detector_count)
 
     @property
-    def several(self) -> tuple[int, ...]:
+    def detector_axis(self) -> tuple[int, ...]:
         """Shape of what several detectors count of a readout: (D,), or () of one detector."""
         return (self.detectors.count,) if self.detectors else ()
 
     @property
     def readouts(self) -> int:
         """Numbers that an exposure counts, dark rails among them."""
-        return self.detector_count * max(len(self.shown), self.rails * self.masks)
+        return self.detector_count * max(len(self.mask_frames), self.rails * self.masks)
 
     def by_readout(self, frames: np.ndarray) -> np.ndarray:
         """Numbers of readouts (..., rails, m[, D]), from masks' frames (..., f, inputs)."""
@@ -253,14 +253,14 @@ class Manifest(StrictModel):
         split = frames.reshape(*frames.shape[:-1], -1, self.detector_count)
         shape = (*frames.shape[:-2], self.rails, self.masks, self.detector_count)
         out = np.zeros(shape, frames.dtype)
-        rail, mask, column, arm = self.read
+        rail, mask, column, arm = self.readout_table
         out[..., rail, mask, :] = split[..., column, arm, :]
-        return out.reshape(*out.shape[:-1], *self.several)
+        return out.reshape(*out.shape[:-1], *self.detector_axis)
 
     def lengths_by_readout(self, lengths_s: np.ndarray) -> np.ndarray:
         """For how long each readout is counted (rails, m), from the gates of masks' frames (f,)."""
         out = np.zeros((self.rails, self.masks))
-        rail, mask, column, _ = self.read
+        rail, mask, column, _ = self.readout_table
         out[rail, mask] = lengths_s[column]
         return out
 
@@ -269,7 +269,7 @@ class Manifest(StrictModel):
         # One arm reads both rails, of two each its own
         split = inputs.reshape(*inputs.shape[:-1], -1, self.detector_count)
         wide: Any = (*inputs.shape[:-1], self.rails, self.detector_count)
-        return np.broadcast_to(split, wide).reshape(*wide[:-1], *self.several)
+        return np.broadcast_to(split, wide).reshape(*wide[:-1], *self.detector_axis)
 
     @property
     def usual_tolerance_s(self) -> float:
@@ -278,7 +278,7 @@ class Manifest(StrictModel):
 
     def longest_exposure_s(self, settle_s: float) -> float:
         """Longest exposure, seconds, whose gates fit all frames after the time to settle."""
-        room = (self.picture_s[self.shown] - settle_s) / self.shares
+        room = (self.picture_s[self.mask_frames] - settle_s) / self.shares
         return float(room.min())
 
     def check_limits(self) -> None:

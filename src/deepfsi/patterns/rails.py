@@ -117,15 +117,15 @@ class DesignRails:
 
     def _levels(self, mask: int, mirrors: int) -> Iterator[tuple[Rail, float, np.ndarray]]:
         """Rail, peak, and mirrors ON before rounding (N,), of each frame of a mask."""
-        parts = self.rails[:, mask].astype(np.float64)
+        rails = self.rails[:, mask].astype(np.float64)
         if self.two_arm:
-            time = parts.sum(axis=0)
-            yield "both", time.max(), parts[0] / np.where(time > 0, time, 1.0) * mirrors
+            time = rails.sum(axis=0)
+            yield "both", time.max(), rails[0] / np.where(time > 0, time, 1.0) * mirrors
             return
         names: tuple[Rail, Rail] = ("plus", "minus")
-        for rail, part in zip(names, parts, strict=False):
-            step = max(part.max() / mirrors, SMALLEST_STEP)
-            yield rail, part.max(), part / step
+        for rail, values in zip(names, rails, strict=False):
+            step = max(values.max() / mirrors, SMALLEST_STEP)
+            yield rail, values.max(), values / step
 
     def manifest(
         self,

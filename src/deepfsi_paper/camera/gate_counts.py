@@ -20,8 +20,8 @@ def draw_counts(
     rng: np.random.Generator,
 ) -> np.ndarray:
     """Counts (S, R, rails, m) that `count` would give of arrivals/s (S, F, 1), without a file."""
-    shown = [manifest.frames[place] for place in manifest.shown]
-    flow = np.repeat(rates[:, None, manifest.shown, 0], gates.repeats, axis=1)
+    shown = [manifest.frames[place] for place in manifest.mask_frames]
+    flow = np.repeat(rates[:, None, manifest.mask_frames, 0], gates.repeats, axis=1)
     out = np.zeros((*flow.shape[:2], manifest.rails, manifest.masks), dtype=np.int64)
     rail = [int(frame.rail == "minus") for frame in shown]
     out[:, :, rail, [frame.mask for frame in shown]] = draw(detector, flow, gates.length_s, rng)
