@@ -128,9 +128,9 @@ def live(patterns: Path, camera: VirtualCamera, flux: float, seed: int) -> Run:
     views, right = [], 0
     with tempfile.TemporaryDirectory() as folder:
         for each in live_run.steps(Path(folder) / "run", devices):
-            if each.final and len(each.chances):
+            if each.final and len(each.probabilities):
                 views.append(each.view)
-                best = data.classes[each.chances.argmax()]
+                best = data.classes[each.probabilities.argmax()]
                 right += best == scenes[each.scene].label
     after = next((k for k, view in enumerate(views, 1) if view.refused), SCENES)
     return Run(views[-1].refused, views[-1].named, after, views[-1].likeliest, right)

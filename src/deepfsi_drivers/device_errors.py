@@ -30,11 +30,11 @@ def refusals(
     except InputError:
         raise
     except Exception as error:
-        said = reason(error)
-        if said is None:
+        text = reason(error)
+        if text is None:
             raise
         raise InputError(
-            f"{device} cannot {doing}: {said.rstrip('.')}; check that it is on, connected and not "
+            f"{device} cannot {doing}: {text.rstrip('.')}; check that it is on, connected and not "
             "used by another program"
         ) from error
 

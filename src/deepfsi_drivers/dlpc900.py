@@ -125,16 +125,16 @@ class _Link:
         self._sequence = (self._sequence + 1) % 256
         message = bytes([flags, self._sequence]) + (2 + len(data)).to_bytes(2, "little")
         message += command.to_bytes(2, "little") + data
-        places = iter(range(0, len(message), _Usb.REPORT_BYTES))
+        offsets = iter(range(0, len(message), _Usb.REPORT_BYTES))
         try:
-            self._reports(message, places)
+            self._reports(message, offsets)
         except KeyboardInterrupt:
-            self._reports(message, places)  # it takes what comes next as the rest of this command
+            self._reports(message, offsets)  # it takes what comes next as the rest of this command
             raise
 
-    def _reports(self, message: bytes, places: Iterator[int]) -> None:
-        for place in places:
-            report = message[place : place + _Usb.REPORT_BYTES].ljust(_Usb.REPORT_BYTES, b"\0")
+    def _reports(self, message: bytes, offsets: Iterator[int]) -> None:
+        for offset in offsets:
+            report = message[offset : offset + _Usb.REPORT_BYTES].ljust(_Usb.REPORT_BYTES, b"\0")
             if self._device.write(b"\0" + report) < 0:  # the report's number comes first
                 raise OSError("a report was not sent")
 
@@ -257,11 +257,11 @@ def _healthy(link: _Link) -> int:
 def _for_board(patterns: Patterns, device: Device) -> Manifest:
     """Manifest of a folder for the device of a board, or `InputError` for what it cannot show."""
     manifest = patterns.manifest
-    made = manifest.device
-    if (made.columns, made.rows) != (device.columns, device.rows):
+    exported = manifest.device
+    if (exported.columns, exported.rows) != (device.columns, device.rows):
         raise InputError(
-            f"'{patterns.folder}' is made for {made.columns} x {made.rows} mirrors and the board's "
-            f"{device.name} has {device.columns} x {device.rows}: export for that device"
+            f"'{patterns.folder}' is made for {exported.columns} x {exported.rows} mirrors and the "
+            f"board's {device.name} has {device.columns} x {device.rows}: export for that device"
         )
     manifest = manifest.model_copy(update={"device": device})
     manifest.check_limits()
@@ -304,8 +304,8 @@ def _load(link: _Link, pictures: list[tuple[bytes, ...]], report: Progress) -> N
     for index, halves in reversed(list(enumerate(pictures))):
         for content, (begin, fill) in zip(halves, _CommandCode.LOADS, strict=False):
             link.write(begin, index.to_bytes(2, "little") + len(content).to_bytes(4, "little"))
-            for place in range(0, len(content), _Usb.PACKET_BYTES):
-                packet = content[place : place + _Usb.PACKET_BYTES]
+            for offset in range(0, len(content), _Usb.PACKET_BYTES):
+                packet = content[offset : offset + _Usb.PACKET_BYTES]
                 link.write(fill, len(packet).to_bytes(2, "little") + packet, reply=False)
                 sent += len(packet)
                 report(sent / total)

@@ -47,8 +47,8 @@ class SnapiCounter(TappedCounter):
         module = import_library("the PicoQuant device", "snapi", "snAPI.Main")
         self._api = api = module.snAPI()
         try:
-            found = api.getDevice() if self.serial is None else api.getDevice(self.serial)
-            self._accept(found, "be found")
+            opened = api.getDevice() if self.serial is None else api.getDevice(self.serial)
+            self._accept(opened, "be found")
             self._accept(api.initDevice(module.MeasMode.T2), "be set to T2 mode")
             if self.config is not None:
                 self._accept(api.loadIniConfig(str(self.config)), f"take {self.config}")

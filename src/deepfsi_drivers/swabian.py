@@ -57,7 +57,7 @@ class TaggerCounter(TappedCounter):
         config: FilePath | None = None,
     ) -> None:
         # The channel of the trigger is negative for falling edges; `config` is a TOML file
-        channels = [each + 1 for each in inputs]
+        channels = [number + 1 for number in inputs]
         if trigger == 0 or abs(trigger) in channels:
             raise InputError(
                 f"channel {trigger} for the trigger is not allowed: give one that is no detector's "
@@ -105,20 +105,20 @@ class TaggerCounter(TappedCounter):
                 return
             types = block.getEventTypes()
             lost = np.flatnonzero(types)
-            whole = int(lost[0]) if len(lost) else block.size
+            sound = int(lost[0]) if len(lost) else block.size
             times = block.getTimestamps()
             if first is None:
                 first = int(times[0])
             times = times - first
-            channels = block.getChannels()[:whole]
-            codes = np.zeros(whole, np.int64)
+            channels = block.getChannels()[:sound]
+            codes = np.zeros(sound, np.int64)
             for channel, code in self._codes.items():
                 codes[channels == channel] = code
-            writer.write(times[:whole], codes)
+            writer.write(times[:sound], codes)
             if len(lost):
                 missed = int(block.getMissedEvents().sum())
-                said = _describe(int(types[whole]), times[whole] * TICK_S, missed)
-                raise InputError(f"{path}: {said}")
+                text = _describe(int(types[sound]), times[sound] * TICK_S, missed)
+                raise InputError(f"{path}: {text}")
             if block.size >= MOST_TAGS:
                 raise InputError(
                     f"{path}: more tags came than the {MOST_TAGS} that may wait, and some were "

@@ -291,20 +291,20 @@ class VialuxLooks(_Board):
         """Show a list of frames when the last list has ended; may return before its end."""
         # frames (F,); dwells_s (F,)
         picture_us, repeats = self._plan(dwells_s)
-        places = np.repeat(frames, repeats)
+        indices = np.repeat(frames, repeats)
         (sequence,) = self._sequences
         with _refusals("show patterns"):
             self._wait(LIST_POLL_S)
             wide = self._frames > FRAMES_OF_9BIT
-            entries = (ctypes.c_ulong * LONGEST_LIST)(*places.tolist())
-            table = self._flut(ctypes.c_long(0), ctypes.c_long(len(places)), entries)
+            entries = (ctypes.c_ulong * LONGEST_LIST)(*indices.tolist())
+            table = self._flut(ctypes.c_long(0), ctypes.c_long(len(indices)), entries)
             write = Alp.FLUT_WRITE_18BIT if wide else Alp.FLUT_WRITE_9BIT
             self._alp.ProjControlEx(write, ctypes.byref(table))
-            self._alp.SeqControl(Alp.FLUT_ENTRIES9, len(places) * (1 + wide), sequence)
+            self._alp.SeqControl(Alp.FLUT_ENTRIES9, len(indices) * (1 + wide), sequence)
             if picture_us != self._picture_us:
                 self._alp.SetTiming(sequence, pictureTime=picture_us)
                 self._picture_us = picture_us
-            self._end = time.monotonic() + len(places) * picture_us * 1e-6 + GRACE_S
+            self._end = time.monotonic() + len(indices) * picture_us * 1e-6 + GRACE_S
             self._alp.Run(sequence, loop=False)
 
     def _plan(self, dwells_s: np.ndarray) -> tuple[int, np.ndarray]:

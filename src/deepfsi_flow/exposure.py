@@ -86,15 +86,15 @@ class ScenePath:
         lead = torch.broadcast_shapes(correlation.shape[:-1], edges.shape[:-1])
         between = (correlation[..., 1:] + correlation[..., :-1]) / 2
         summed = functional.pad(between.cumsum(dim=-1), (1, 0))
-        place = edges.clamp(0, shifts - 1)
-        low = place.floor().clamp(max=shifts - 2)
-        part = place - low
+        position = edges.clamp(0, shifts - 1)
+        low = position.floor().clamp(max=shifts - 2)
+        fraction = position - low
         index = low.long().expand(*lead, -1)
-        here, next_, whole = (
+        lower, upper, sums_below = (
             sums.expand(*lead, -1).gather(-1, index + step)
             for sums, step in ((correlation, 0), (correlation, 1), (summed, 0))
         )
-        integral = whole + part * here + part.square() / 2 * (next_ - here)
+        integral = sums_below + fraction * lower + fraction.square() / 2 * (upper - lower)
         return (integral.diff(dim=-1) / edges.diff(dim=-1)).clamp(min=0)  # of rounding
 
     def matrix(self, pattern: Tensor) -> Tensor:
@@ -235,11 +235,11 @@ class PassingExposure(MaskExposure):
         """Share (K, T) that each shift has in each bin, in the mean over places."""
         device = self.device
         generator = torch.Generator(device)
-        every = torch.eye(self.transit.shifts, device=device).unsqueeze(1)
+        unit_rates = torch.eye(self.transit.shifts, device=device).unsqueeze(1)
         # Transits whose mean is taken for expected counts of all
         count = 1024 if self.transit.moves else 1
         edges = self.transit.edges((count,), generator.manual_seed(0), device)
-        return self.transit.means(every, edges).mean(dim=1)
+        return self.transit.means(unit_rates, edges).mean(dim=1)
 
     def drawing(self) -> tuple[Tensor, tuple[int, ...], None]:
         """The pattern as one row, and its shape; bins have one length."""
@@ -271,10 +271,10 @@ class PassingTraining(ExposureTraining):
         draws = [torch.Generator().manual_seed(seed) for seed in seeds]
         size = height, self.transit.width
         if self.learns:  # logits
-            start = torch.stack([torch.randn(size, generator=each) for each in draws])
+            start = torch.stack([torch.randn(size, generator=draw) for draw in draws])
             self.masks = LearnedPattern(start, self.transit, self.levels).to(self.scenes.device)
         else:  # ON and OFF
-            pattern = torch.stack([torch.rand(size, generator=each) for each in draws])
+            pattern = torch.stack([torch.rand(size, generator=draw) for draw in draws])
             self.masks = FixedPattern(in_levels(pattern, 2), self.transit).to(self.scenes.device)
 
     def prepare(self) -> None:
@@ -291,12 +291,12 @@ class PassingTraining(ExposureTraining):
 
         def features(stream: SeedStream) -> Tensor:
             if shifts is None:
-                every = stream.products(self.products)
+                correlation = stream.products(self.products)
             else:
                 x = self.scenes.full.index_select(0, stream.rows)
-                every = project(x, stream.of_jobs(shifts, -3))
-            edges = self.transit.edges((len(every), 1), stream.generator, every.device)
-            expected = self.transit.means(every, edges) / self.transit.bins
+                correlation = project(x, stream.of_jobs(shifts, -3))
+            edges = self.transit.edges((len(correlation), 1), stream.generator, correlation.device)
+            expected = self.transit.means(correlation, edges) / self.transit.bins
             if expected.shape[1] == 1:
                 expected = stream.repeated(expected)
             return stream.noise.features(expected, expected, self.read, stream.normal)

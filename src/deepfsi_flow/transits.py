@@ -125,16 +125,16 @@ def align_transits(
     # Background over the mean rate of a transit that a stray photon is held against at least
     weight = np.log1p(rate / max(background, 0.01 * rate.mean()))
     step = bin_s / FINE
-    moved = []
+    aligned = []
     for start in starts:
         origin = start - cells // 2 * step
         inside = times[np.searchsorted(times, origin) :]
         inside = inside[: np.searchsorted(inside, origin + 2 * cells * step)]
-        found = np.bincount(((inside - origin) / step).astype(int), minlength=2 * cells)
-        score = np.correlate(found[: 2 * cells].astype(float), weight, "valid")
+        histogram = np.bincount(((inside - origin) / step).astype(int), minlength=2 * cells)
+        score = np.correlate(histogram[: 2 * cells].astype(float), weight, "valid")
         best = np.flatnonzero(score == score.max())
-        moved.append(origin + step * float(best.mean()))
-    return np.array(moved)
+        aligned.append(origin + step * float(best.mean()))
+    return np.array(aligned)
 
 
 def count_bins(times: np.ndarray, starts: np.ndarray, bin_s: float, bins: int) -> np.ndarray:
@@ -249,13 +249,13 @@ def classify_transits(
             background=rate,
         )
         counts = count_bins(times, starts, bin_s, path.bins)
-        chances = design.classify((counts - rate * bin_s).astype(np.float32), budget)
+        probabilities = design.classify((counts - rate * bin_s).astype(np.float32), budget)
         transits = tuple(
             _Transit(
                 start_s=start,
                 counts=tuple(counts[index].tolist()),
-                predicted=design.classes[int(np.argmax(chances[index]))],
-                confidence=float(chances[index].max()),
+                predicted=design.classes[int(np.argmax(probabilities[index]))],
+                confidence=float(probabilities[index].max()),
             )
             for index, start in enumerate(starts.tolist())
         )

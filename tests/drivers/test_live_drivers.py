@@ -74,5 +74,5 @@ def test_the_loop_runs_on_a_time_tagger_as_on_the_virtual_counter(digits, tmp_pa
     assert device.steps[-2:] == ["stop", "freeTimeTagger"]
     counted.check_file(folder)
     usual = live(tmp_path / "usual", patterns, digits, SCENES, exposure_s=20e-3, flux=FLUX)
-    chances = [each.chances for each in decided]
-    assert np.array_equal(chances, [each.chances for each in usual])
+    chances = [each.probabilities for each in decided]
+    assert np.array_equal(chances, [each.probabilities for each in usual])

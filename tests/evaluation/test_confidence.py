@@ -12,7 +12,7 @@ from deepfsi import Camera
 from deepfsi.designfile.design_file import calibration_budgets
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
-    Exposed,
+    Labelled,
     draw_logits,
     fit_temperatures,
 )
@@ -80,7 +80,7 @@ def test_scenes_of_the_training_make_no_network_surer(fixed, digits):
     dim = torch.nn.Linear(10, 10, bias=False)
     dim.weight.data = 0.2 * torch.eye(10)
     shy = replace(fixed, classifier=torch.nn.Sequential(fixed.classifier, dim))
-    scenes = CalibrationScenes.of([Exposed(shy, Camera(), x, y)], seed=0)
+    scenes = CalibrationScenes.of([Labelled(shy, Camera(), x, y)], seed=0)
     left_out, trained_on = (
         fit_temperatures(scenes, calibration_budgets(PHOTONS, PHOTONS), trained_on=seen)
         for seen in (False, True)

@@ -34,7 +34,7 @@ def test_chances_are_those_of_the_poisson_law(made, digits, light, rails, photon
     rates, labels = design.exposure.rates(scanner, x), digits.y_train[:300]
     seen = design.exposure.rates(scanner, torch.from_numpy(digits.x_test[:60]))
     counts = scanner.read(seen * photons, generator())
-    found = IdealObserver(rates, torch.from_numpy(labels), 10).chances(counts, photons)
+    found = IdealObserver(rates, torch.from_numpy(labels), 10).probabilities(counts, photons)
     lit = rates.flatten(1).amax(dim=0).numpy() > 0  # scipy gives NaN for 0 counts of rate 0
     flat, read = rates.flatten(1).numpy()[:, lit], counts.flatten(1).numpy()[:, lit]
     np.testing.assert_allclose(found, exact(flat, labels, read, photons), atol=2e-3)
@@ -61,7 +61,7 @@ def test_what_cannot_be_had_is_refused(good, digits):
 def test_counts_that_a_scene_cannot_give_exclude_it():
     rates = torch.tensor([[0.5, 0.0, 0.0], [0.3, 0.2, 0.0], [0.1, 0.2, 0.2]])
     counts = torch.tensor([[3.0, 1, 0], [3, 0, 1], [9, 0, 0]])
-    chances = IdealObserver(rates, torch.arange(3), 4).chances(counts, 10.0)
+    chances = IdealObserver(rates, torch.arange(3), 4).probabilities(counts, 10.0)
     assert (chances > 0).tolist() == [
         [False, True, True, False],
         [False, False, True, False],
@@ -73,7 +73,8 @@ def test_where_no_scene_can_give_the_counts_the_fewest_impossible_ones_count():
     """The limit of a background that vanishes, and readouts that no scene lights say nothing."""
     rates = torch.tensor([[0.5, 0.0, 0.2, 0.0], [0.0, 0.4, 0.2, 0.0], [0.5, 0.2, 0.0, 0.0]])
     counts = torch.tensor([[2.0, 1, 3, 0], [2, 1, 3, 7], [1, 1, 1, 0]])
-    found = IdealObserver(rates, torch.arange(3), 3).chances(counts, 10.0)
-    dim = IdealObserver(rates.double() + 1e-30, torch.arange(3), 3).chances(counts.double(), 10.0)
+    found = IdealObserver(rates, torch.arange(3), 3).probabilities(counts, 10.0)
+    dim_rates, counts = rates.double() + 1e-30, counts.double()
+    dim = IdealObserver(dim_rates, torch.arange(3), 3).probabilities(counts, 10.0)
     np.testing.assert_allclose(found, dim, atol=1e-6)
     assert torch.equal(found[0], found[1])

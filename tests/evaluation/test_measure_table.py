@@ -15,7 +15,7 @@ from shared.trials import small, train_trials
 
 def among_two(answers):
     """Share of exposures whose true class is one of the two most probable ones."""
-    first = np.argsort(-answers.chances, axis=1)[:, :2]
+    first = np.argsort(-answers.probabilities, axis=1)[:, :2]
     return float((first == answers.true[:, None]).any(axis=1).mean())
 
 

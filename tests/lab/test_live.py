@@ -58,7 +58,7 @@ def test_exposures_that_share_light_end_when_sure_and_take_the_cap_at_most(digit
     threshold = planned(patterns, scenes_of(digits, 1)[1]).settings.live.rule.threshold
     for each in decided:
         assert each.light_s == pytest.approx(2 / LOOKS * (each.look + 1) * EXPOSURE_S, 1e-3)
-        ends = each.look == LOOKS - 1 or each.chances.max() > threshold
+        ends = each.look == LOOKS - 1 or each.probabilities.max() > threshold
         assert each.final == ends
     assert len({each.look for each in decided if each.final}) > 1
 

@@ -54,7 +54,7 @@ def observe(patterns, scenes, change=lambda rates, lists: rates, **settings):
 def check_alike(decided, again):
     """The same answers at the same budget."""
     for one, other in zip(decided, again, strict=True):
-        np.testing.assert_allclose(other.chances, one.chances, atol=1e-4)
+        np.testing.assert_allclose(other.probabilities, one.probabilities, atol=1e-4)
         assert other.photons == pytest.approx(one.photons, rel=1e-6)
 
 

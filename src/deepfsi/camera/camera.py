@@ -60,14 +60,14 @@ Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
 """Grey levels, dark included; 0 for continuous masks."""
 
 
-def _detectors(given: Any) -> str | tuple[int, ...]:
+def _detectors(setting: Any) -> str | tuple[int, ...]:
     """Field of a camera: a name, bands as text, or the detector of each pixel, or its .npy file."""
-    name = str(given).lower() if isinstance(given, str | int) else ""
+    name = str(setting).lower() if isinstance(setting, str | int) else ""
     if re.fullmatch(r"[1-9]\d*(x[1-9]\d*)?", name):
         return name
     if name.endswith(".npy"):
-        given = read_npy(Path(given))
-    labels = np.asarray(given).ravel()
+        setting = read_npy(Path(setting))
+    labels = np.asarray(setting).ravel()
     if labels.dtype.kind not in "iu":
         raise ValueError(
             "give ROWSxCOLUMNS such as 2x2, a number of bands, or the detector of each pixel as a "
@@ -76,13 +76,13 @@ def _detectors(given: Any) -> str | tuple[int, ...]:
     return tuple(labels.tolist())
 
 
-def _device(given: Any) -> Any:
-    if not isinstance(given, str):
-        return given
-    if not given.lower().endswith(".toml"):
-        return find_device(given)
-    path = Path(given)
-    with as_input_error(given):
+def _device(setting: Any) -> Any:
+    if not isinstance(setting, str):
+        return setting
+    if not setting.lower().endswith(".toml"):
+        return find_device(setting)
+    path = Path(setting)
+    with as_input_error(setting):
         return Device.model_validate({"name": path.stem, **read_toml(path)})
 
 
@@ -236,9 +236,9 @@ class Camera(UserModel):
             "fluctuation out, or give another light": self.fluctuation and not law.in_turn,
         }
         for name, words in OF_NOISES.items():
-            told = getattr(self, name) != type(self).model_fields[name].default
+            stated = getattr(self, name) != type(self).model_fields[name].default
             words = f"{noise.title} has no {words}: leave {name} out, or give another noise"
-            conflicts[words] = told and not getattr(noise, name)
+            conflicts[words] = stated and not getattr(noise, name)
         for words, conflict in conflicts.items():
             if conflict:
                 raise ValueError(words)
@@ -285,14 +285,14 @@ class Camera(UserModel):
         """Camera of a file that holds all fields: those that follow from others do so again."""
         if "stretch" not in fields:  # of a version that knew no other cells than stretched ones
             fields = {**fields, "stretch": fields.get("device") is not None}
-        whole = cls.model_validate(fields)
-        every: dict[str, Any] = {}
+        stored = cls.model_validate(fields)
+        known: dict[str, Any] = {}
         special: dict[str, Any] = {}
         for name, field in cls.model_fields.items():
-            usual = field.get_default(call_default_factory=True, validated_data=every)
-            every[name] = getattr(whole, name)
-            if every[name] != usual:
-                special[name] = every[name]
+            usual = field.get_default(call_default_factory=True, validated_data=known)
+            known[name] = getattr(stored, name)
+            if known[name] != usual:
+                special[name] = known[name]
         return cls.model_validate(special)
 
     @property

@@ -123,10 +123,10 @@ class DmdGrid:
 
         turned = self.layout.rotate in (90, 270)
         shape = (self.across, self.down) if turned else (self.down, self.across)
-        places = np.arange(math.prod(shape)).reshape(shape)
+        pixels = np.arange(math.prod(shape)).reshape(shape)
         if self.layout.flip:
-            places = places[:, ::-1]
-        return np.rot90(places, -self.layout.rotate // 90)
+            pixels = pixels[:, ::-1]
+        return np.rot90(pixels, -self.layout.rotate // 90)
 
 
 def find_grid(

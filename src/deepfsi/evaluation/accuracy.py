@@ -84,15 +84,15 @@ def evaluate(
     known = ["the variance of the values is taken as known"] if names else []
     covers = "; ".join([COVERS, *known, *([left] if left else [])])
     title = f"{design.name}, {design.masks} masks"
-    light = design.exposure.shares.view(design.masks, -1).sum(dim=1)
+    shares = design.exposure.shares.view(design.masks, -1).sum(dim=1)
     answer = partial(_answering, design, camera)
     kind = ValueAnswers if names else ClassAnswers
     with progress_bar(report, title) as bar:
-        every = expose_scenes(
+        tests = expose_scenes(
             scenes,
             answer,
             budgets,
-            light,
+            shares,
             draws=draws,
             seed=seed,
             noise=camera.noise_name,
@@ -100,28 +100,28 @@ def evaluate(
             kind=kind,
             report=bar,
         )
-    return [Estimates.of(each, names) if names else Result.of(each) for each in every]
+    return [Estimates.of(answers, names) if names else Result.of(answers) for answers in tests]
 
 
-Guessed = tuple[tuple[Tensor, ...], CountedLight]
+Exposed = tuple[tuple[Tensor, ...], CountedLight]
 """Answers to scenes, and the light of their exposures: classes (b,), which rounded probabilities
 may not tell apart, and probabilities (b, C); or values (b, q)."""
 
-Guess = Callable[[torch.Generator, float], Guessed]
+Expose = Callable[[torch.Generator, float], Exposed]
 """Exposes scenes once at a budget, and answers."""
 
 
-def _answering(design: Design, camera: Camera, x: Tensor) -> Guess:
+def _answering(design: Design, camera: Camera, x: Tensor) -> Expose:
     """Rule that exposes scenes (b, N) and answers their classes, or their values."""
     expose = design.exposures(x, camera)
 
-    def guess(generator: torch.Generator, budget: float) -> Guessed:
+    def answer_once(generator: torch.Generator, budget: float) -> Exposed:
         answer, light = expose(budget, generator)
         if design.values is not None:
             return (design.values.estimated(answer.logits),), light
         return (answer.classes, answer.probabilities), light
 
-    return guess
+    return answer_once
 
 
 def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> Camera:
@@ -137,7 +137,7 @@ def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> 
 
 def expose_scenes(
     data: Dataset,
-    answer_of: Callable[[Tensor], Guess],
+    answer_of: Callable[[Tensor], Expose],
     budgets: Sequence[float],
     shares: Tensor,
     *,
@@ -156,19 +156,19 @@ def expose_scenes(
     chunks = torch.arange(len(data.x_test)).split(EXPOSED_AT_ONCE)
     with torch.no_grad():
         for done, rows in enumerate(chunks, start=1):
-            some = rows.numpy()  # NumPy takes a tensor of one number for the number itself
-            answer = answer_of(torch.from_numpy(data.x_test[some]))
-            exposed += [some] * draws
-            for place, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
+            indices = rows.numpy()  # NumPy takes a tensor of one number for the number itself
+            answer = answer_of(torch.from_numpy(data.x_test[indices]))
+            exposed += [indices] * draws
+            for column, (budget, generator) in enumerate(zip(budgets, generators, strict=True)):
                 for _ in range(draws):
                     answers, counted = answer(generator, budget)
-                    outputs[place].append([each.cpu().numpy() for each in answers])
-                    light[place] += np.array(counted, dtype=float)
+                    outputs[column].append([values.cpu().numpy() for values in answers])
+                    light[column] += np.array(counted, dtype=float)
             report(done / len(chunks))
     means = light / (draws * len(data.x_test))
     return [
         kind(
-            *(np.concatenate(parts) for parts in zip(*exposures, strict=True)),
+            *(np.concatenate(arrays) for arrays in zip(*exposures, strict=True)),
             photons=budget,
             noise=noise,
             covers=covers,
@@ -195,8 +195,8 @@ def check_data(design: Design, data: Dataset) -> None:
         )
     values = design.values.names if design.values else ()
     if data.values != values or data.classes != design.classes:
-        here, there = (
+        found, wanted = (
             ", ".join((names or classes)[:12])
             for names, classes in ((data.values, data.classes), (values, design.classes))
         )
-        raise InputError(f"{data.name} has {here}, and the design answers {there}: use such data")
+        raise InputError(f"{data.name} has {found}, and the design answers {wanted}: use such data")

@@ -34,7 +34,7 @@ from deepfsi.designfile.distribution import (
 from deepfsi.exposure.kind import EXPOSED_AT_ONCE, temperatures_at
 
 
-class Exposed(NamedTuple):
+class Labelled(NamedTuple):
     """Scenes of known classes, and the design that answers them."""
 
     design: Design
@@ -57,24 +57,24 @@ class CalibrationScenes:
 
     @classmethod
     def of(
-        cls, parts: Sequence[Exposed], seed: int, draws: int = 1, doubt: float = 0.0
+        cls, sets: Sequence[Labelled], seed: int, draws: int = 1, doubt: float = 0.0
     ) -> "CalibrationScenes":
         """Scenes that designs answer after a whole exposure."""
 
-        def logits(photons: float, place: int) -> np.ndarray:
+        def logits(photons: float, stop: int) -> np.ndarray:
             drawn = [
-                draw_logits(each.design, each.camera, each.x, photons, draws, seed)
-                for each in parts
+                draw_logits(labelled.design, labelled.camera, labelled.x, photons, draws, seed)
+                for labelled in sets
             ]
             return np.concatenate(drawn)
 
-        labels = np.concatenate([part.labels.repeat(draws) for part in parts])
+        labels = np.concatenate([labelled.labels.repeat(draws) for labelled in sets])
         return cls(labels, logits, draws=draws, doubt=doubt)
 
     def losses(self, logits: np.ndarray, temperature: float) -> np.ndarray:
         """−ln of the probability (E,) of the true classes, of `logits` (E, C) of some stop."""
-        chances = log_softmax(logits.astype(float) / temperature + self.base, axis=1)
-        return -chances[np.arange(len(chances)), self.labels]
+        logs = log_softmax(logits.astype(float) / temperature + self.base, axis=1)
+        return -logs[np.arange(len(logs)), self.labels]
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def fit_temperatures(
     # at eight numbers of masks or looks, at most
     fitted = np.unique(np.rint(np.geomspace(1, stops, 8)).astype(int)) - 1
     logs = np.array(
-        [[_fit(scenes.logits(budget, place), scenes) for place in fitted] for budget in budgets]
+        [[_fit(scenes.logits(budget, stop), scenes) for stop in fitted] for budget in budgets]
     )
     if trained_on:
         logs = logs.clip(min=0)
@@ -147,8 +147,8 @@ def draw_logits(
         for rows in torch.arange(len(x)).split(EXPOSED_AT_ONCE):
             # NumPy takes a tensor of one number for the number itself
             expose = design.exposures(torch.from_numpy(x[rows.numpy()]), camera)
-            several = [expose(photons, generator)[0].logits for _ in range(draws)]
-            chunks.append(torch.stack(several, dim=-2).flatten(-3, -2))
+            logits = [expose(photons, generator)[0].logits for _ in range(draws)]
+            chunks.append(torch.stack(logits, dim=-2).flatten(-3, -2))
     return torch.cat(chunks, dim=-2).cpu().numpy()
 
 
@@ -187,17 +187,17 @@ def find_distribution(
 
     Rates (n, rails, m) are for a budget of one photon.
     """
-    every = rates.double().cpu().numpy()
+    all_rates = rates.double().cpu().numpy()
     rng = np.random.default_rng([0, 12])
     # each calibrated with the covariance of the others
-    folds = np.array_split(rng.permutation(len(every)), 4)
+    folds = np.array_split(rng.permutation(len(all_rates)), 4)
     # what the scenes of one fold alone light cannot be compared with those of the others
-    lit = np.sum([(every[fold] > 0).any(axis=0) for fold in folds], axis=0) > 1
+    lit = np.sum([(all_rates[fold] > 0).any(axis=0) for fold in folds], axis=0) > 1
     sizes = np.bincount(labels, minlength=classes)
     # the tail of a class, to which a power law is fitted, is a fifth of its scenes
-    if len(every) < 100 or sizes.min() < 50 or not lit.any():
+    if len(all_rates) < 100 or sizes.min() < 50 or not lit.any():
         return None
-    held = every[:, lit]
+    held = all_rates[:, lit]
     total = held.mean(axis=0).sum()
 
     def exposed(expected: float) -> np.ndarray:
@@ -206,10 +206,10 @@ def find_distribution(
     model = ReadoutModel.fit(held)
     tails, pairs = _calibrate(model, held, np.asarray(labels), folds, exposed=exposed)
 
-    def spread_out(part: np.ndarray) -> np.ndarray:
-        whole = np.zeros((*part.shape[:-1], *lit.shape), np.float32)
-        whole[..., lit] = part
-        return whole
+    def spread_out(values: np.ndarray) -> np.ndarray:
+        full = np.zeros((*values.shape[:-1], *lit.shape), np.float32)
+        full[..., lit] = values
+        return full
 
     return ReadoutDistribution(
         mean=spread_out(model.share * model.total),
@@ -222,7 +222,7 @@ def find_distribution(
 
 
 def _calibrate(
-    whole: ReadoutModel,
+    model: ReadoutModel,
     rates: np.ndarray,
     labels: np.ndarray,
     folds: list[np.ndarray],
@@ -231,25 +231,25 @@ def _calibrate(
     """Tails (2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of them."""
     # Each scene is compared with the model of the other folds
     members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
-    couples = [each[: len(each) // 2 * 2].reshape(2, -1) for each in members]
+    couples = [scenes[: len(scenes) // 2 * 2].reshape(2, -1) for scenes in members]
     models = [ReadoutModel.fit(np.delete(rates, fold, axis=0)) for fold in folds]
     likeness = [np.empty((len(TAIL_COUNTS), couple.shape[1])) for couple in couples]
     levels = []
-    for place, counts in enumerate(TAIL_COUNTS):
+    for row, counts in enumerate(TAIL_COUNTS):
         expected = np.full(len(rates), counts * rates.shape[1])
         read = exposed(float(expected[0]))
         seen = ReadoutCounts(read, expected, np.zeros_like(read))
-        values = np.empty((2, len(rates)))
-        for fold, model in zip(folds, models, strict=True):
-            values[:, fold] = model.statistics(seen.rows(fold))
-        for found, (first, second) in zip(likeness, couples, strict=True):
-            found[place] = whole.likeness(seen.rows(first), seen.rows(second))
-        levels.append(values)
+        statistics = np.empty((2, len(rates)))
+        for fold, fold_model in zip(folds, models, strict=True):
+            statistics[:, fold] = fold_model.statistics(seen.rows(fold))
+        for values, (first, second) in zip(likeness, couples, strict=True):
+            values[row] = model.likeness(seen.rows(first), seen.rows(second))
+        levels.append(statistics)
     logs = np.log(np.maximum(np.stack(levels, axis=1), SMALLEST_STATISTIC))
-    every = _tail(logs)
-    worst = np.max([every, *(_tail(logs[..., each]) for each in members)], axis=0)
-    pairs = np.max([_tail(np.log(found)) for found in likeness], axis=0)
-    return np.stack([every, worst]), pairs
+    overall = _tail(logs)
+    worst = np.max([overall, *(_tail(logs[..., scenes]) for scenes in members)], axis=0)
+    pairs = np.max([_tail(np.log(values)) for values in likeness], axis=0)
+    return np.stack([overall, worst]), pairs
 
 
 def _tail(logs: np.ndarray) -> np.ndarray:

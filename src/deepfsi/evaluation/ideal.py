@@ -21,8 +21,8 @@ from deepfsi.datasets.load import Source, as_dataset
 from deepfsi.design.design import Design
 from deepfsi.designfile.provenance import new_scenes
 from deepfsi.evaluation.accuracy import (
-    Guess,
-    Guessed,
+    Expose,
+    Exposed,
     check_data,
     expose_scenes,
 )
@@ -54,18 +54,18 @@ class IdealObserver:
         mean = self._mean.double()
         self._offset = torch.cat(
             [
-                logs.double() @ mean - (part.double() - mean).sum(dim=1)
-                for logs, part in zip(self._logs.split(1024), rates.split(1024), strict=True)
+                logs.double() @ mean - (block.double() - mean).sum(dim=1)
+                for logs, block in zip(self._logs.split(1024), rates.split(1024), strict=True)
             ]
         )
 
-    def chances(self, counts: Tensor, photons: float) -> Tensor:
+    def probabilities(self, counts: Tensor, photons: float) -> Tensor:
         """Class probabilities (b, C) of counts (b, ...) of the readouts, at a budget Φ."""
         rows = max(1, 2**24 // len(self._logs))  # likelihoods held at a time
         read = counts.flatten(1)[:, self._lit].to(self._logs.dtype)
-        return torch.cat([self._chances(part, photons) for part in read.split(rows)])
+        return torch.cat([self._probabilities(block, photons) for block in read.split(rows)])
 
-    def _chances(self, read: Tensor, photons: float) -> Tensor:
+    def _probabilities(self, read: Tensor, photons: float) -> Tensor:
         offset = (photons * self._offset).to(read.dtype)
         logs = torch.addmm(offset, read - photons * self._mean, self._logs.T)
         if self._impossible is not None:
@@ -136,20 +136,20 @@ def ideal_observer(
         shares = rates.mean(dim=0).flatten(0, -2).sum(dim=0)
         del rates
 
-        def guess_of(x: Tensor) -> Guess:
+        def expose_of(x: Tensor) -> Expose:
             rates = rates_of(x)
 
-            def guess(generator: torch.Generator, budget: float) -> Guessed:
+            def answer_once(generator: torch.Generator, budget: float) -> Exposed:
                 expected = rates * budget
-                chances = observer.chances(scanner.read(expected, generator), budget)
+                probabilities = observer.probabilities(scanner.read(expected, generator), budget)
                 counted = float(expected.sum())
-                return (chances.argmax(dim=-1), chances), CountedLight(counted, counted)
+                return (probabilities.argmax(dim=-1), probabilities), CountedLight(counted, counted)
 
-            return guess
+            return answer_once
 
         answers = expose_scenes(
             scenes,
-            guess_of,
+            expose_of,
             budgets,
             shares,
             draws=draws,

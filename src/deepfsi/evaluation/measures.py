@@ -29,8 +29,8 @@ def confidence_error(confidence: np.ndarray, right: np.ndarray) -> float:
     """
     order = np.argsort(confidence, kind="stable")
     return sum(
-        len(part) / len(order) * abs(float(confidence[part].mean()) - float(right[part].mean()))
-        for part in np.array_split(order, min(BINS, len(order)))
+        len(group) / len(order) * abs(float(confidence[group].mean()) - float(right[group].mean()))
+        for group in np.array_split(order, min(BINS, len(order)))
     )
 
 
@@ -69,7 +69,7 @@ class ClassAnswers(Answers):
     """Answers that are classes."""
 
     classes: np.ndarray  # (E,)
-    chances: np.ndarray  # (E, C), probability of each class
+    probabilities: np.ndarray  # (E, C), probability of each class
 
     @cached_property
     def true(self) -> np.ndarray:
@@ -79,7 +79,7 @@ class ClassAnswers(Answers):
     @cached_property
     def confusion(self) -> np.ndarray:
         """Exposures (C, C): rows true classes, columns answers."""
-        counts = np.zeros([self.chances.shape[1]] * 2, dtype=np.int64)
+        counts = np.zeros([self.probabilities.shape[1]] * 2, dtype=np.int64)
         np.add.at(counts, (self.true, self.classes), 1)
         return counts
 
@@ -92,8 +92,8 @@ class ClassAnswers(Answers):
     @property
     def losses(self) -> np.ndarray:
         """−ln of the probability (E,) of the true classes, in nats."""
-        chances = self.chances[np.arange(len(self.true)), self.true].astype(float)
-        return -np.log(chances.clip(min=np.finfo(np.float32).eps))
+        probabilities = self.probabilities[np.arange(len(self.true)), self.true].astype(float)
+        return -np.log(probabilities.clip(min=np.finfo(np.float32).eps))
 
     @property
     def terms(self) -> dict[str, np.ndarray]:
@@ -196,7 +196,7 @@ MEASURES: dict[str, Measure] = {
             title="expected calibration error",
             of=ClassAnswers,
             compute=lambda answers: confidence_error(
-                answers.chances.max(axis=1).astype(float), answers.classes == answers.true
+                answers.probabilities.max(axis=1).astype(float), answers.classes == answers.true
             ),
             column="ECE",
             legend="ECE: expected calibration error, between probabilities and how often they are "

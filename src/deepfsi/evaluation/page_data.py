@@ -49,14 +49,14 @@ def playable(
     fresh, _ = new_scenes(design.training_scenes, data)
     tested = fresh
     trained = trained_budgets(design.info)
-    inside = [each for each in trained if SLIDER_BUDGETS[0] <= each <= SLIDER_BUDGETS[-1]]
+    inside = [budget for budget in trained if SLIDER_BUDGETS[0] <= budget <= SLIDER_BUDGETS[-1]]
     if design.exposure.makes_masks:
         budgets = sorted({*SLIDER_BUDGETS[::2], *inside})
         rows = np.random.default_rng(seed).permutation(len(fresh.x_test))[:TESTED]
         tested = replace(fresh, x_test=fresh.x_test[rows], y_test=fresh.y_test[rows])
-        whole = design
-        design = of_page(whole, seed)
-        optics = _posterior(design, whole)
+        full_design = design
+        design = of_page(full_design, seed)
+        optics = _posterior(design, full_design)
     else:
         budgets = sorted({*SLIDER_BUDGETS, *inside})
         optics = _networks(design)
@@ -75,10 +75,10 @@ def playable(
         "scenes": _scenes(fresh, seed),
         "curve": [
             {
-                **{name: getattr(each, name) for name in ("photons", "accuracy", "low", "high")},
-                "used": each.score("mean_light") or 1.0,
+                **{name: getattr(result, name) for name in ("photons", "accuracy", "low", "high")},
+                "used": result.score("mean_light") or 1.0,
             }
-            for each in results
+            for result in results
         ],
         "test": {
             "images": results[0].images,
@@ -136,7 +136,7 @@ def _networks(design: Design) -> dict[str, Any]:
     assert isinstance(network, Mlp)
     # Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|
     rails = design.rails
-    difference, total = (each.cpu().numpy() for each in (rails.difference, rails.total))
+    difference, total = (value.cpu().numpy() for value in (rails.difference, rails.total))
     sums = None
     if rails.count == 2 and not np.array_equal(total, np.abs(difference)):
         flat = np.ptp(total, axis=1).max() < ROUNDING_SLACK * total.max()
@@ -156,14 +156,14 @@ def _networks(design: Design) -> dict[str, Any]:
         "mean": _pack(masks.mean.cpu().numpy()),
         "std": _pack(masks.std.cpu().numpy()),
         "network": [
-            {name: _pack(each.detach().cpu().numpy()) for name, each in layer.named_parameters()}
+            {name: _pack(value.detach().cpu().numpy()) for name, value in layer.named_parameters()}
             for layer in network.layers
         ],
         "exposure": masks.entry.model_dump(),
     }
 
 
-def _posterior(design: Design, whole: Design) -> dict[str, Any]:
+def _posterior(design: Design, full_design: Design) -> dict[str, Any]:
     """Looks of adaptive masks as a page plays them, and which scenes of the whole design it has."""
     exposure = design.prior_exposure
     prior = exposure.prior
@@ -184,7 +184,7 @@ def _posterior(design: Design, whole: Design) -> dict[str, Any]:
         },
         "known": {
             "scenes": len(prior),
-            "of": len(whole.prior_exposure.prior),
+            "of": len(full_design.prior_exposure.prior),
             "centres": exposure.settings.clusters is not None,
         },
     }

@@ -48,7 +48,7 @@ class _AnswerTest:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types only, without the numbers of each image."""
-        declared = {each.name: getattr(self, each.name) for each in fields(self) if each.repr}
+        declared = {item.name: getattr(self, item.name) for item in fields(self) if item.repr}
         return declared | self.further
 
     def packed_terms(self) -> dict[str, str]:

@@ -86,10 +86,10 @@ def fit_calibration(
 def calibrate(shown: Display, run: Recording, counts: Counts) -> Calibration:
     """Calibrate from a run of spots, a white and a black picture, of those that were shown."""
     names = [scene.name for scene in run.acquisition.scenes]
-    others = sorted(set(names) - set(shown.names))
-    if others:
+    unknown = sorted(set(names) - set(shown.names))
+    if unknown:
         raise InputError(
-            f"the run has a scene {others[0]} that is none of the displayed pictures: give the "
+            f"the run has a scene {unknown[0]} that is none of the displayed pictures: give the "
             "folder spots of the scan"
         )
     counted = np.any(counts.valid, axis=1)
@@ -121,7 +121,7 @@ def _find_spots(pictures: np.ndarray, clear: float = 6.0) -> np.ndarray:
 
     down, across = np.indices(pictures.shape[1:])
     out = np.full((len(pictures), 2), np.nan)
-    for place, picture in enumerate(pictures):
+    for index, picture in enumerate(pictures):
         smooth = ndimage.gaussian_filter(picture - np.median(picture), 1.0, mode="constant")
         noise = 1.4826 * np.median(np.abs(smooth - np.median(smooth)))
         top = np.unravel_index(smooth.argmax(), smooth.shape)
@@ -129,7 +129,7 @@ def _find_spots(pictures: np.ndarray, clear: float = 6.0) -> np.ndarray:
         if smooth[top] > clear * noise:
             near = np.hypot(down - top[0], across - top[1]) < 2.5
             spot = np.array(ndimage.center_of_mass((picture - np.median(picture)).clip(0) * near))
-            out[place] = (spot[::-1] + 0.5) / smooth.shape[::-1]
+            out[index] = (spot[::-1] + 0.5) / smooth.shape[::-1]
     return out
 
 
@@ -208,8 +208,8 @@ class DisplayedScenes:
         self.light: list[np.ndarray] = []
         for scene in scenes:
             pixels = np.argwhere(scene > 0)
-            places = (pixels[:, None] + inside).reshape(-1, 2) / shape
-            self.points.append(places[:, ::-1])
+            points = (pixels[:, None] + inside).reshape(-1, 2) / shape
+            self.points.append(points[:, ::-1])
             self.light.append(scene[tuple(pixels.T)].repeat(len(inside)))
         self.spacing = self.cells / (shape * fine * np.sqrt(12))
 
@@ -223,10 +223,10 @@ class DisplayedScenes:
         for image, points, light in zip(out, self.points, self.light, strict=True):
             x, y, scale = matrix @ np.stack([*points.T, np.ones(len(points))])
             shares = []  # of each point's light, (points, cells), down and across
-            for axis, place in enumerate((y / scale, x / scale)):
+            for axis, position in enumerate((y / scale, x / scale)):
                 edges = np.arange(self.cells[axis] + 1)
-                away = edges - (place * self.cells[axis])[:, None]
-                shares.append(np.diff(special.ndtr(away / width[axis]), axis=1))
+                distances = edges - (position * self.cells[axis])[:, None]
+                shares.append(np.diff(special.ndtr(distances / width[axis]), axis=1))
             image[:] = (shares[0] * light[:, None]).T @ shares[1]
         return out
 
@@ -261,11 +261,11 @@ def _corner_error(spots: DisplayedScenes, view: np.ndarray, covariance: np.ndarr
     """Standard error, cells, of the place on the device of the display's worst corner."""
     worst = 0.0
     for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        place = np.array([*corner, 1.0])
-        x, y, scale = np.append(view[:8], 1).reshape(3, 3) @ place
+        point = np.array([*corner, 1.0])
+        x, y, scale = np.append(view[:8], 1).reshape(3, 3) @ point
         slopes = np.zeros((2, 8))
-        slopes[0, :3] = slopes[1, 3:6] = place / scale
-        slopes[:, 6:] = -np.outer([x, y], place[:2]) / scale**2
+        slopes[0, :3] = slopes[1, 3:6] = point / scale
+        slopes[:, 6:] = -np.outer([x, y], point[:2]) / scale**2
         slopes *= spots.cells[::-1, None]
         worst = max(worst, float(np.trace(slopes @ covariance[:8, :8] @ slopes.T)))
     return float(np.sqrt(worst))
@@ -295,8 +295,8 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
         axes = [hadamard(1 << (side - 1).bit_length())[:, :side] for side in cells]
         masks = np.kron(*axes)
         rails = np.stack([masks > 0, masks < 0]) / (2 * len(masks) - 1)
-    several = DetectorMap(count=detectors) if detectors > 1 else None
-    return DesignRails(rails, "equal-dwell", cells, float(math.prod(cells)), detectors=several)
+    detector_map = DetectorMap(count=detectors) if detectors > 1 else None
+    return DesignRails(rails, "equal-dwell", cells, float(math.prod(cells)), detectors=detector_map)
 
 
 def find_gains(white: Path) -> tuple[float, ...]:
@@ -325,16 +325,16 @@ def find_gains(white: Path) -> tuple[float, ...]:
     usable = counts.expand_to_counts(counts.valid)
     signal = counts.signal().sum(axis=(0, 1), where=usable)
     variance = counts.variance.sum(axis=(0, 1), where=usable)
-    lit = np.stack([rails[..., cells == each].sum(axis=-1) for each in range(count)], axis=-1)
+    lit = np.stack([rails[..., cells == label].sum(axis=-1) for label in range(count)], axis=-1)
     # Two arms count one rail each, one arm counts all rails: (arms, D)
     shape = (manifest.arms, -1, count)
-    found, noise, sent = (part.reshape(shape).sum(axis=1) for part in (signal, variance, lit))
-    if not (np.sqrt(noise) < 0.01 * found).all():
+    counted, noise, sent = (values.reshape(shape).sum(axis=1) for values in (signal, variance, lit))
+    if not (np.sqrt(noise) < 0.01 * counted).all():
         raise InputError(
             "the flat field does not tell each detector's share to 1.0%: record it longer, or with "
             "more light"
         )
-    gains = (found / sent).ravel()
+    gains = (counted / sent).ravel()
     return tuple((gains / gains.mean()).tolist())
 
 
@@ -361,6 +361,6 @@ def reconstruct(run: Recording, counts: Counts) -> np.ndarray:
     read = counts.lengths_s > 0
     out = np.full((len(valid), patterns.on.shape[1]), np.nan)
     # Least singular value that a picture is made from, of the sensing matrix's largest
-    found = lstsq(patterns.rails[read], mean[:, read].T, cond=1e-3)[0].T
-    out[valid] = found * (patterns.manifest.summed_reflectance / budget)
+    solution = lstsq(patterns.rails[read], mean[:, read].T, cond=1e-3)[0].T
+    out[valid] = solution * (patterns.manifest.summed_reflectance / budget)
     return out.reshape(len(valid), *patterns.manifest.image_shape)

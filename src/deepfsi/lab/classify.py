@@ -95,19 +95,19 @@ def classify_run(
 
 def _live_answers(design: Path, run: Recording, trust: bool) -> ClassifiedRun:
     """Classes of a live run by its log, which must be of the design's classes."""
-    made = open_design(design, trust=trust)
+    opened = open_design(design, trust=trust)
     log = read_log(run.folder)
     scenes = run.acquisition.scenes[: len(log)]
     sizes = {len(logged.chances) for logged in log}
-    if len(scenes) < len(log) or not sizes <= {0, len(made.classes)}:
+    if len(scenes) < len(log) or not sizes <= {0, len(opened.classes)}:
         raise InputError(f"{run.folder / LOG} does not fit the run's settings: it was changed")
-    trained = was_trained_on(made.training_scenes, [scene.hash for scene in scenes])
+    trained = was_trained_on(opened.training_scenes, [scene.hash for scene in scenes])
     return ClassifiedRun(
         title="a live run, as it was decided",
         noun="scene",
-        classes=made.classes,
+        classes=opened.classes,
         scenes=tuple(
-            logged.answer(scene, made.classes, known)
+            logged.answer(scene, opened.classes, known)
             for scene, logged, known in zip(scenes, log, trained, strict=True)
         ),
         faults=tuple(fault for logged in log for fault in logged.faults),
@@ -164,10 +164,10 @@ def classify_table(
     (5, 10000.0)
     """
     patterns = Patterns.read(design) if Path(design).is_dir() else None
-    made = open_design(Path(design), patterns, trust=trust, static=True)
-    settings = (settings or TableSettings()).model_copy(update={"clicks": made.camera.clicks})
+    opened = open_design(Path(design), patterns, trust=trust, static=True)
+    settings = (settings or TableSettings()).model_copy(update={"clicks": opened.camera.clicks})
     if camera:
-        dead_time = Camera.of_run(made.camera, **camera).counter_dead_time
+        dead_time = Camera.of_run(opened.camera, **camera).counter_dead_time
         settings = settings.model_copy(update={"dead_time": dead_time or NO_DEAD_TIME})
     if patterns is not None:
         manifest = patterns.manifest
@@ -182,7 +182,7 @@ def classify_table(
         read_table(Path(table), TableSettings.WORDS), manifest, settings, str(table)
     )
     return _classify_counts(
-        made, counts, scenes, source=str(table), photons=settings.photons, force=force
+        opened, counts, scenes, source=str(table), photons=settings.photons, force=force
     )
 
 

@@ -61,18 +61,18 @@ class CountTest:
             return None
         return design.consistency(design.readouts(counts), photons, design.readouts(noise))
 
-    def find_unlike(self, scene: int, scenes: int, chance: float, misfit: str) -> list[Fault]:
+    def find_unlike(self, scene: int, scenes: int, p_value: float, misfit: str) -> list[Fault]:
         """Faults of a scene of a live run, whose misfit has this chance in a sound run."""
         from scipy.special import bdtrc
 
-        self._unsure.append(chance < UNSURE)
+        self._unsure.append(p_value < UNSURE)
         unsure = sum(self._unsure)
         tested = len(self._unsure)
         faults = []
-        if chance < UNSURE:
+        if p_value < UNSURE:
             detail = (
                 "its counts do not look like what this design was trained for (p = "
-                f"{chance:.1g}; {misfit})"
+                f"{p_value:.1g}; {misfit})"
             )
             faults.append(Fault(kind="unsure", scene=scene, detail=detail))
         if bdtrc(unsure - 1, tested, 2 * UNSURE) * scenes < REFUSED:

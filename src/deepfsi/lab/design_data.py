@@ -81,17 +81,17 @@ def data_of(
     """Data to test a design on, by default its training's, and notes on what differs from it."""
     training = trained_on(design.info)
     known = training.origin if training else None
-    told = {"size": size, "view": absolute_source(view) if view else None}
-    told = {option: value for option, value in told.items() if value is not None}
+    stated = {"size": size, "view": absolute_source(view) if view else None}
+    stated = {option: value for option, value in stated.items() if value is not None}
     name = absolute_source(data) if data is not None else None
     if known is not None and name in (None, known.data):
-        asked = known.model_copy(update=told)
+        asked = known.model_copy(update=stated)
     elif name is None:
         raise InputError(f"{NO_ORIGIN}: give the data to test it on, `data`")
     else:
-        same = {"rescale", "view", *({"size", "white"} & set(find_source(name).options))}
-        kept = {option: getattr(known, option) for option in same} if known else {}
-        asked = Origin(data=name).model_copy(update=kept | told)
+        inherited = {"rescale", "view", *({"size", "white"} & set(find_source(name).options))}
+        kept = {option: getattr(known, option) for option in inherited} if known else {}
+        asked = Origin(data=name).model_copy(update=kept | stated)
     try:
         loaded = _load(asked)
     except InputError as error:
@@ -120,8 +120,8 @@ def _load(origin: Origin) -> Dataset:
     options = origin.model_dump(exclude={"data", "normal", "skip_bad", "view", "fold"})
     scenes = load_dataset(origin.data, **options)
     if origin.fold is not None:
-        place, count = origin.fold
-        scenes = scenes.folds(count)[place]
+        index, count = origin.fold
+        scenes = scenes.folds(count)[index]
     if origin.view is None:
         return scenes
     folder = Path(origin.view)
@@ -275,22 +275,24 @@ def geometry_matrix(
     return sparse.kron(sparse.eye_array(down), average_across, format="csr") @ half
 
 
-def _axis_average(cells: int, blur: float, each: int) -> tuple["sparse.csr_array", np.ndarray]:
-    """Average of blurred light over each cell of an axis (cells, points), and the points."""
-    # Points lie beyond the cells as far as the blur reaches
+def _axis_average(cells: int, blur: float, fine: int) -> tuple["sparse.csr_array", np.ndarray]:
+    """Average of blurred light over each cell of an axis (cells, points), and the points.
+
+    A cell has `fine` points; more lie beyond the cells, as far as the blur reaches.
+    """
     from scipy import sparse
 
-    step = 1 / (cells * each)
+    step = 1 / (cells * fine)
     beyond = int(np.ceil(4 * blur / step))
-    places = (np.arange(-beyond, cells * each + beyond) + 0.5) * step
+    points = (np.arange(-beyond, cells * fine + beyond) + 0.5) * step
     kernel = np.ones(1)
     if beyond:
         kernel = np.exp(-((np.arange(-beyond, beyond + 1) * step / blur) ** 2) / 2)
-    weights = np.convolve(kernel / kernel.sum(), np.full(each, 1 / each))
+    weights = np.convolve(kernel / kernel.sum(), np.full(fine, 1 / fine))
     cell = np.repeat(np.arange(cells), len(weights))
-    point = cell * each + np.tile(np.arange(len(weights)), cells)
+    point = cell * fine + np.tile(np.arange(len(weights)), cells)
     values = np.tile(weights, cells)
-    return sparse.csr_array((values, (cell, point)), shape=(cells, len(places))), places
+    return sparse.csr_array((values, (cell, point)), shape=(cells, len(points))), points
 
 
 def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) -> Camera:

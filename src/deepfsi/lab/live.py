@@ -65,7 +65,7 @@ class LiveRun:
         *,
         until: float | None = None,
         dead_time: DeadTime = NO_DEAD_TIME,
-        **others: object,
+        **fields: object,
     ) -> None:
         if until is not None and not 0 < until < 1:
             raise InputError(f"confidence {until!r} is not allowed: give `until` between 0 and 1")
@@ -80,14 +80,14 @@ class LiveRun:
                 "`import`"
             )
         self.design = open_design(shown_design(folder, manifest))
-        made = self.design.prior_exposure
-        threshold = made.settings.until if until is None else until
-        looks_s = exposure_s * np.array(made.settings.shares)
+        exposure = self.design.prior_exposure
+        threshold = exposure.settings.until if until is None else until
+        looks_s = exposure_s * np.array(exposure.settings.shares)
         # Time of a decision, by `benchmarks/adaptive.py --latency` with 8192 and 60 000 scenes, and
         # with `--dictionary 2000`, where counts and light take most of it
-        self.decision_s = 4e-3 + 1.35e-7 * len(made.prior)
+        self.decision_s = 4e-3 + 1.35e-7 * len(exposure.prior)
         if manifest.looks.dictionary:
-            self.decision_s = 0.5e-3 + 5e-9 * len(made.prior)
+            self.decision_s = 0.5e-3 + 5e-9 * len(exposure.prior)
         with as_input_error():
             self.settings = Acquisition(
                 scenes=scenes,
@@ -99,7 +99,7 @@ class LiveRun:
                     rule=None if threshold == 1 else StopRule(threshold=threshold),
                     dead_time=dead_time,
                 ),
-                **{"inputs": tuple(range(manifest.inputs)), **others},
+                **{"inputs": tuple(range(manifest.inputs)), **fields},
             )
 
     def steps(self, folder: Path, setup: Setup) -> Generator[Decision]:
@@ -130,15 +130,15 @@ class LiveRun:
                 frames.lists = []
                 first_marker = frames.markers
                 start_s = setup.clock()
-                for each in observer.observe(number, frames.count):
-                    decision = replace(each, clock_s=setup.clock() - start_s)
+                for observed in observer.observe(number, frames.count):
+                    decision = replace(observed, clock_s=setup.clock() - start_s)
                     if not decision.final:
                         yield decision
                 logged = LoggedScene(
                     scene=number,
                     first_marker=first_marker,
                     lists=tuple(frames.lists),
-                    chances=tuple(decision.chances.tolist()),
+                    chances=tuple(decision.probabilities.tolist()),
                     faults=decision.faults,
                     light_s=decision.light_s,
                     clock_s=decision.clock_s,
@@ -219,7 +219,7 @@ class _DeviceFrames:
         us = (asked.gate_ns + _margin_ns(asked.gate_ns)) * 1e-3 + device.settle_us
         if asked.look < 0:
             us = np.array([self._manifest.frames[index].picture_us for index in asked.frames])
-        return np.array([device.whole_us(each) for each in (*us.tolist(), 0.0)]) * 1e-6
+        return np.array([device.whole_us(least_us) for least_us in (*us.tolist(), 0.0)]) * 1e-6
 
 
 class _CountedFrames:
@@ -236,7 +236,7 @@ class _CountedFrames:
     def take(self, wanted: int, limit_s: float, since: str = "") -> np.ndarray:
         """Counts (F, inputs) of the next frames; `since` says in a fault when the time begins."""
         until = time.monotonic() + limit_s
-        parts = [np.zeros((0, self._inputs), np.int64)]
+        blocks = [np.zeros((0, self._inputs), np.int64)]
         count = -self._late
         while count < wanted:
             left = until - time.monotonic()
@@ -247,20 +247,20 @@ class _CountedFrames:
                     "counter and that it records"
                 )
             counts = self._counter.counts_since_marker(left)
-            parts.append(counts[max(-count, 0) :])
+            blocks.append(counts[max(-count, 0) :])
             count += len(counts)
         self._late = wanted + 1 - count
-        return np.concatenate(parts)[:wanted]
+        return np.concatenate(blocks)[:wanted]
 
 
 def _light_text(counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> str:
     """Light of a pass, by counts (F, inputs) of its frames but the last, and their times (F,)."""
     arm = counts[:, manifest.on_inputs].sum(axis=1)
-    (on, off), (on_s, off_s) = ((each[0] + each[-1], each[OFF]) for each in (arm, times))
+    (on, off), (on_s, off_s) = ((values[0] + values[-1], values[OFF]) for values in (arm, times))
     # All-ON frames are brighter than the all-OFF one by no more than chance
     dark = excess_p_value(on, on_s, off, off_s) >= NO_LIGHT
-    said = f"{on / on_s:.4g} counts/s with all mirrors ON, {off / off_s:.4g} with all OFF"
-    return f"{said}{': NO LIGHT' if dark else ''}"
+    text = f"{on / on_s:.4g} counts/s with all mirrors ON, {off / off_s:.4g} with all OFF"
+    return f"{text}{': NO LIGHT' if dark else ''}"
 
 
 def record_run(

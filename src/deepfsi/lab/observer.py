@@ -46,9 +46,9 @@ class SceneObserver:
 
     def __init__(self, design: Design, manifest: Manifest, acquisition: Acquisition) -> None:
         assert acquisition.live is not None
-        self._made = design.prior_exposure
+        self._exposure = design.prior_exposure
         self._manifest = manifest
-        self._tabled: LookOptics | None = None
+        self._table_optics: LookOptics | None = None
         self._settings = acquisition.live
         self._exposure_ns = round(acquisition.exposure_s * 1e9)
         self._scenes = len(acquisition.scenes)
@@ -71,15 +71,15 @@ class SceneObserver:
         photons = float(self._light.flux * self._exposure_ns * 1e-9)
         self._begin(scene, photons)
         arrivals: list[Arrivals] = []
-        last = self._made.settings.looks - 1
+        last = self._exposure.settings.looks - 1
         rule = self._settings.rule
         for look in range(last + 1):
-            asked = self._ask(look)
+            asked = self._next_frames(look)
             arrivals.append(self._arrivals(count, asked))
-            chances = self._take(arrivals[-1])
+            probabilities = self._take(arrivals[-1])
             light_s = sum(self._gates_ns) * 1e-9
-            decision = Decision(scene, look, chances, photons, light_s, final=False)
-            confidence = float(confidence_of(torch.from_numpy(chances)))
+            decision = Decision(scene, look, probabilities, photons, light_s, final=False)
+            confidence = float(confidence_of(torch.from_numpy(probabilities)))
             sure = rule is not None and confidence > rule.threshold
             if sure or look == last:
                 break
@@ -99,31 +99,31 @@ class SceneObserver:
     def _begin(self, scene: int, photons: float) -> None:
         """Begin an exposure at a budget."""
         dark = torch.from_numpy(self._light.dark.clip(min=0) * self._exposure_ns * 1e-9)
-        self._optics = replace(self._made.optics_at(photons), dark=dark.float())
+        self._optics = replace(self._exposure.optics_at(photons), dark=dark.float())
         # Tables of a dictionary take a hundred times as long as all looks at a scene, and the light
         # that is measured changes a little with each scene: they stay while it is nearly alike
-        last = self._tabled
-        if not (self._made.dictionary and scene and last and _alike(last, self._optics)):
-            self._tabled = last = self._optics
-        self._posterior = self._made.posterior(1, last)
+        last = self._table_optics
+        if not (self._exposure.dictionary and scene and last and _alike(last, self._optics)):
+            self._table_optics = last = self._optics
+        self._posterior = self._exposure.posterior(1, last)
         self._generator = torch.Generator().manual_seed(scene)
         self._misfit = 0.0
         self._masks: list[torch.Tensor] = []  # of the looks so far
         self._gates_ns: list[int] = []
         self._counts: list[torch.Tensor] = []
-        self._logs: list[torch.Tensor] = []  # of the scenes, before each look
+        self._log_weights: list[torch.Tensor] = []  # of the scenes, before each look
 
     @library_defaults(grad=False)
-    def _ask(self, look: int) -> FrameList:
+    def _next_frames(self, look: int) -> FrameList:
         """Frame of the mask that tells most of the class, as far as it is known."""
-        share = self._made.settings.shares[look]
+        share = self._exposure.settings.shares[look]
         mask = self._posterior.next_masks(share, self._generator)
         self._masks.append(mask)
         self._gates_ns.append(round(share * self._exposure_ns))
         gate = np.array(self._gates_ns[-1:])
         frames = self._manifest.mask_frames
-        if self._made.dictionary is not None:
-            return FrameList(look, frames[self._made.dictionary.indices(mask)], gate)
+        if self._exposure.dictionary is not None:
+            return FrameList(look, frames[self._exposure.dictionary.indices(mask)], gate)
         return FrameList(look, frames, gate, mask.bool().numpy())
 
     @library_defaults(grad=False)
@@ -132,9 +132,9 @@ class SceneObserver:
         counts = torch.from_numpy(arrivals.photons).float()
         mask = self._masks[-1]
         share = self._gates_ns[-1] / self._exposure_ns
-        if self._made.dictionary is not None:
-            self._logs.append(self._posterior.log_weights.clone())
-        elif self._made.usual_misfit is not None:
+        if self._exposure.dictionary is not None:
+            self._log_weights.append(self._posterior.log_weights.clone())
+        elif self._exposure.usual_misfit is not None:
             self._misfit += float(self._posterior.misfit(mask, counts, share))
         self._counts.append(counts)
         self._posterior.update(mask, counts, share)
@@ -171,21 +171,21 @@ class SceneObserver:
     @library_defaults(grad=False)
     def _find_unlike(self, scene: int) -> list[Fault]:
         """Faults of counts that do not look like the training's."""
-        usual = self._made.usual_misfit
+        usual = self._exposure.usual_misfit
         if usual is None:
             return []
         looks = len(self._masks)
         misfit = self._misfit
-        if self._logs:
+        if self._log_weights:
             # The misfit takes longer than a decision by tables: once, after all looks
-            before = AdaptivePosterior(self._made.prior, looks, self._optics)
-            before.log_weights = torch.cat(self._logs)
-            share = self._made.settings.shares[0]
+            before = AdaptivePosterior(self._exposure.prior, looks, self._optics)
+            before.log_weights = torch.cat(self._log_weights)
+            share = self._exposure.settings.shares[0]
             counts = torch.cat(self._counts)
             misfit = float(before.misfit(torch.cat(self._masks), counts, share).sum())
-        chance = usual.p_value(misfit, looks - 1, self._optics.photons)
+        p_value = usual.p_value(misfit, looks - 1, self._optics.photons)
         words = f"a misfit of {misfit:.3g} in {looks} looks"
-        return self._test.find_unlike(scene, self._scenes, chance, words)
+        return self._test.find_unlike(scene, self._scenes, p_value, words)
 
 
 def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:

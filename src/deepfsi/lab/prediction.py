@@ -118,11 +118,11 @@ def predict(
         shown = design_scenes(design.info, design.image_shape, source)
         generator = torch.Generator(design.exposure.device).manual_seed(seed)
         scenes = torch.from_numpy(np.ascontiguousarray(shown.x.reshape(len(shown.x), -1)))
-        chances = []
-        for some in scenes.split(EXPOSED_AT_ONCE):
-            answer, _ = design.exposures(some, tested)(budget, generator)
-            chances.append(answer.probabilities.cpu())
-        confidence, best = torch.cat(chances).max(dim=-1)
+        probabilities = []
+        for block in scenes.split(EXPOSED_AT_ONCE):
+            answer, _ = design.exposures(block, tested)(budget, generator)
+            probabilities.append(answer.probabilities.cpu())
+        confidence, best = torch.cat(probabilities).max(dim=-1)
         dim = CountTest(design).find_dim(np.array([budget]))
     labels = shown.labels or [None] * len(shown.names)
     trained = was_trained_on(design.training_scenes, scene_hashes(shown.x, design.image_shape))

@@ -98,7 +98,7 @@ class _ReferenceFit:
         """JSON types only."""
         layouts = {"exported": self.exported, "found": self.layout}
         turns = {
-            name: each.model_dump(include={"flip", "rotate"}) for name, each in layouts.items()
+            name: layout.model_dump(include={"flip", "rotate"}) for name, layout in layouts.items()
         }
         verdict = {"fits": self.fits, "doubt": self.doubt, "departures": self.departures}
         return {**verdict, "orientation": turns, "place": self.place, "errors": self.errors}
@@ -115,19 +115,19 @@ class _ReferenceFit:
         yield self.doubt or fits
 
 
-def _doubt(chance: float, clear: float, errors: dict[str, float]) -> str | None:
+def _doubt(p_value: float, clear: float, errors: dict[str, float]) -> str | None:
     """Reason to doubt a fit, by its misfit's chance and how clear its orientation is."""
-    if chance < 1e-6:
+    if p_value < 1e-6:
         return (
             "no place of the reference explains these counts: show it alone, on black, and give "
             "the patterns that were shown"
         )
-    more = max(errors[name] / WELL[name][1] for name in WELL if name != "blur") ** 2
+    factor = max(errors[name] / WELL[name][1] for name in WELL if name != "blur") ** 2
     # Squared misfits grow with the light; a difference of 25 tells two orientations apart
-    more = max(more, 25.0 / max(clear, 1e-3))
-    if more <= 1:
+    factor = max(factor, 25.0 / max(clear, 1e-3))
+    if factor <= 1:
         return None
-    return f"too little light to be certain: record the reference with {more:.2g} times as much"
+    return f"too little light to be certain: record the reference with {factor:.2g} times as much"
 
 
 def _image(
@@ -204,8 +204,8 @@ def _fit_place(
             image = _image(scene, exported, layout, place)
             light = masks @ np.stack([image, np.ones_like(image)], axis=1) / noise[:, None]
             size = np.maximum(np.linalg.norm(light, axis=0), 1e-300)
-            parts, _ = optimize.nnls(light / size, counts / noise)
-            return np.asarray(counts / noise - (light / size) @ parts)
+            brightness, _ = optimize.nnls(light / size, counts / noise)
+            return np.asarray(counts / noise - (light / size) @ brightness)
 
         # The two best starts of each orientation are followed
         for start in sorted(starts, key=lambda place: float((misfit(place) ** 2).sum()))[:2]:
@@ -222,15 +222,15 @@ def _fit_place(
             fits.append((2 * step.cost, layout, step))
     fits.sort(key=lambda fit: fit[0])
     cost, layout, best = fits[0]
-    others = [fit[0] for fit in fits if fit[1] != layout]
+    other_costs = [fit[0] for fit in fits if fit[1] != layout]
     degrees = np.array([1.0, np.degrees(1.0), 1.0, 1.0, 1.0])
     spread = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac))) * degrees
     errors = dict(zip(WELL, spread.tolist(), strict=True))
-    chance = float(chi2.sf(cost, max(len(counts) - 7, 1)))
+    p_value = float(chi2.sf(cost, max(len(counts) - 7, 1)))
     return _ReferenceFit(
         exported=exported,
         layout=layout,
         place=dict(zip(WELL, (best.x * degrees).tolist(), strict=True)),
         errors=errors,
-        doubt=_doubt(chance, min(others) - cost, errors),
+        doubt=_doubt(p_value, min(other_costs) - cost, errors),
     )

@@ -49,7 +49,7 @@ class Decision:
 
     scene: int  # from 0
     look: int  # from 0; -1 where the scene has no light
-    chances: np.ndarray  # (C,): probabilities of the classes; none without light
+    probabilities: np.ndarray  # (C,): probabilities of the classes; none without light
     photons: float | None  # budget of a whole exposure, in counts
     light_s: float  # exposure so far, seconds
     final: bool  # true if no look follows
@@ -87,12 +87,12 @@ class LoggedScene(StrictModel):
     ) -> "ClassifiedScene":
         """Class of the scene; it has none if a fault spoils its counts."""
         spoilt = any(fault.kind in SPOILING for fault in self.faults)
-        chances = () if spoilt else self.chances
+        probabilities = () if spoilt else self.chances
         return ClassifiedScene(
             name=scene.name,
             label=scene.label,
-            predicted=classes[int(np.argmax(chances))] if chances else None,
-            probability=max(chances, default=None),
+            predicted=classes[int(np.argmax(probabilities))] if probabilities else None,
+            probability=max(probabilities, default=None),
             trained_on=trained_on,
             faults=self.faults,
             looks=sum(shown.look >= 0 for shown in self.lists),
@@ -153,14 +153,14 @@ class ClassifiedScene:
 
     def cells(self) -> dict[str, str]:
         """Cells of a table by their heads."""
-        several = len(self.answers) > 1
+        repeated = len(self.answers) > 1
         agreeing = f"{self.answers.count(str(self.predicted))} of {len(self.answers)}"
         kinds = sorted({fault.kind for fault in self.faults})
         return {
             "scene": self.name,
             "class": self.predicted or "none",
             "probability": "" if self.probability is None else f"{self.probability:.3f}",
-            "of its exposures": agreeing if several else "",
+            "of its exposures": agreeing if repeated else "",
             "looks": "" if self.looks is None else str(self.looks),
             "light": "" if self.light_s is None else time_text(self.light_s),
             "labelled": self.label or "",
@@ -203,13 +203,13 @@ class ClassifiedRun:
     def summary(self) -> Iterator[str]:
         """Say what the tests of the counts found, and how many answers are right."""
         yield from self.remarks
-        none = sum(scene.predicted is None for scene in self.scenes)
-        if none:
-            yield f"no class: {none} of {plural(len(self.scenes), 'scene')}"
+        unclassified = sum(scene.predicted is None for scene in self.scenes)
+        if unclassified:
+            yield f"no class: {unclassified} of {plural(len(self.scenes), 'scene')}"
         labelled = sum(len(scene.answers) for scene in self.scenes if scene.label)
         if foreign := labelled - sum(kind["answers"] for kind in self.score.values()):
-            what = plural(foreign, self.noun)
-            yield f"{what} with labels that are none of the design's classes: left out"
+            answers = plural(foreign, self.noun)
+            yield f"{answers} with labels that are none of the design's classes: left out"
         yield from score_lines(self.score, self.noun)
 
     def as_dict(self) -> dict[str, Any]:

@@ -53,15 +53,15 @@ class Detector(StrictModel):
 def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Cut a course of steady rates into chunks of about `EVENTS_AT_ONCE` events."""
     expected = rates.sum(axis=1) * (durations * DETECTOR_TICK_S)
-    parts = np.maximum(np.ceil(expected / EVENTS_AT_ONCE), 1).astype(np.int64)
-    source = np.repeat(np.arange(len(parts)), parts)
-    part = np.arange(len(source)) - np.repeat(np.cumsum(parts) - parts, parts)
-    short, rest = np.divmod(durations, parts)
-    pieces = short[source] + (part < rest[source])
-    load = np.cumsum((expected / parts)[source]) // EVENTS_AT_ONCE
+    counts = np.maximum(np.ceil(expected / EVENTS_AT_ONCE), 1).astype(np.int64)
+    source = np.repeat(np.arange(len(counts)), counts)
+    index = np.arange(len(source)) - np.repeat(np.cumsum(counts) - counts, counts)
+    short, rest = np.divmod(durations, counts)
+    lengths = short[source] + (index < rest[source])
+    load = np.cumsum((expected / counts)[source]) // EVENTS_AT_ONCE
     edges = np.flatnonzero(np.diff(load)) + 1
     for first, last in zip(np.r_[0, edges], np.r_[edges, len(source)], strict=True):
-        yield pieces[first:last], rates[source[first:last]]
+        yield lengths[first:last], rates[source[first:last]]
 
 
 class Stream:
@@ -125,9 +125,9 @@ def _thin(times: np.ndarray, dead: int) -> np.ndarray:
     ends = np.r_[heads[1:], len(times)]
     keep = np.zeros(len(times), dtype=bool)
     keep[heads] = True
-    many = ends - heads > 1
-    at = heads[many]
-    ends = ends[many]
+    crowded = ends - heads > 1
+    at = heads[crowded]
+    ends = ends[crowded]
     while at.size:
         at = np.searchsorted(times, times[at] + dead)
         inside = at < ends

@@ -133,7 +133,7 @@ def irradiance(
     edge = math.ceil(4 * blur)
     down = (np.arange(-edge, height + edge) + 0.5) / height
     across = (np.arange(-edge, width + edge) + 0.5) / width
-    place, inside = _find_pixels(camera, down, across, scenes.shape[1:])
+    pixel, inside = _find_pixels(camera, down, across, scenes.shape[1:])
     kept = slice(edge, edge + height), slice(edge, edge + width)
     x = across[kept[1]] - 0.5
     y = down[kept[0]] - 0.5
@@ -141,7 +141,7 @@ def irradiance(
     share = ((1 - camera.vignetting * corner) / grid.mirrors).astype(np.float32)
     out = np.zeros((len(scenes), device.rows, device.columns), dtype=np.float32)
     for scene, mirrors in zip(scenes, out, strict=True):
-        image = np.where(inside, scene.ravel()[place], 0).astype(np.float32)
+        image = np.where(inside, scene.ravel()[pixel], 0).astype(np.float32)
         if blur:
             spectrum = fourier_gaussian(rfft2(image), blur, n=image.shape[1])
             image = np.maximum(irfft2(spectrum, image.shape), 0)
@@ -176,7 +176,7 @@ def _mirrors_of_arm(manifest: Manifest) -> list[np.ndarray | slice]:
     labels = manifest.detectors.labels[grid.pixels].repeat(grid.height, axis=0)
     of_mirrors = np.full((manifest.device.rows, manifest.device.columns), -1)
     of_mirrors[grid.window] = labels.repeat(grid.width, axis=1)
-    return [np.flatnonzero(of_mirrors == each) for each in range(manifest.detector_count)]
+    return [np.flatnonzero(of_mirrors == detector) for detector in range(manifest.detector_count)]
 
 
 class MirrorLight:
@@ -190,7 +190,7 @@ class MirrorLight:
         self._device = device = manifest.device
         self._mirrors = _mirrors_of_arm(manifest)
         image = irradiance(scenes, camera, device, manifest.grid).reshape(len(scenes), -1)
-        self._light = [image[:, places] for places in self._mirrors]
+        self._light = [image[:, mirrors] for mirrors in self._mirrors]
         cells = np.zeros((device.rows, device.columns), np.float32)
         cells[manifest.grid.window] = 1
         self._inside = cells.ravel()
@@ -209,10 +209,10 @@ class MirrorLight:
         on = (lit ^ self._camera.inverted).astype(np.float32)
         out = []
         for arm in range(self._arms):
-            for places, light in zip(self._mirrors, self._light, strict=True):
-                seen = on[:, places] if arm == 0 else 1 - on[:, places]
+            for mirrors, light in zip(self._mirrors, self._light, strict=True):
+                seen = on[:, mirrors] if arm == 0 else 1 - on[:, mirrors]
                 photons = (seen @ light.T).astype(np.float64) * self._flux
-                out.append(photons + (seen @ self._inside[places])[:, None] * self._stray)
+                out.append(photons + (seen @ self._inside[mirrors])[:, None] * self._stray)
         return np.stack(out).transpose(2, 1, 0) * self._gains + self._camera.dark
 
 
@@ -230,14 +230,14 @@ def arrival_rates(
     out = np.empty((len(images), frames, manifest.inputs))
     # The light of 64 scenes on all mirrors fits the memory
     for first in range(0, len(images), 64):
-        part = images[first : first + 64]
-        light = MirrorLight(manifest, part, camera, flux)
+        block = images[first : first + 64]
+        light = MirrorLight(manifest, block, camera, flux)
         done = 0
         unread = patterns.frames()
-        while some := list(islice(unread, 16)):
-            out[first : first + len(part), done : done + len(some)] = light.rates(some)
-            done += len(some)
-            report((first * frames + done * len(part)) / (len(images) * frames))
+        while batch := list(islice(unread, 16)):
+            out[first : first + len(block), done : done + len(batch)] = light.rates(batch)
+            done += len(batch)
+            report((first * frames + done * len(block)) / (len(images) * frames))
     return out
 
 
@@ -313,10 +313,10 @@ class EventRecorder:
     def see(self, durations: np.ndarray, rates: np.ndarray, report: Progress = SILENT) -> None:
         """Draw and write the events of pictures that last ticks (p,), at rates (p, inputs)."""
         last = self.end + int(durations.sum())
-        for pieces, steady in divide(durations, self._camera.fluctuate(rates, self._rng)):
+        for lengths, steady in divide(durations, self._camera.fluctuate(rates, self._rng)):
             for input_, stream, rate in zip(self.inputs, self._streams, steady.T, strict=True):
-                self.add(stream.events(self.end, pieces, rate), input_)
-            self.end += int(pieces.sum())
+                self.add(stream.events(self.end, lengths, rate), input_)
+            self.end += int(lengths.sum())
             self.write(self.end - self.reach)
             report(self.end / last)
 
@@ -343,11 +343,11 @@ def write_photons(
     report: Progress = SILENT,
 ) -> None:
     """Write the photons and markers of a pass for each scene, at rates (S, F, inputs)."""
-    wired = range(rates.shape[2]) if inputs is None else inputs
+    counter_inputs = range(rates.shape[2]) if inputs is None else inputs
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
     durations = np.tile(picture * round(1e-6 / DETECTOR_TICK_S), len(rates))
     marks = np.cumsum(durations) - durations
-    recorder = EventRecorder(camera, rng, wired)
+    recorder = EventRecorder(camera, rng, counter_inputs)
     recorder.add(marks, -FRAME_MARKER)
     with PtuWriter(path, tick_s=DETECTOR_TICK_S) as recorder.writer:
         recorder.see(durations, rates.reshape(len(durations), -1), report)

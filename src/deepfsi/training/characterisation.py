@@ -31,7 +31,7 @@ from deepfsi.designfile.provenance import TrainedOn
 from deepfsi.designfile.view_test import SceneModel
 from deepfsi.evaluation.confidence import (
     CalibrationScenes,
-    Exposed,
+    Labelled,
     LeftOutTest,
     find_distribution,
     fit_temperatures,
@@ -79,7 +79,7 @@ def find_temperatures(
     budgets = calibration_budgets(job.photons, job.exposure.highest(job.photons))
     held = data.held_out > 0
     if left_out and not held:
-        parts = [Exposed(made, job.camera, fold.x_test, fold.y_test) for fold, made in left_out]
+        parts = [Labelled(made, job.camera, fold.x_test, fold.y_test) for fold, made in left_out]
         # about 1000 exposures in all
         draws = max(1, 1000 // sum(len(fold.x_test) for fold, _ in left_out))
         scenes = CalibrationScenes.of(parts, job.seed, draws, DOUBT)
@@ -87,7 +87,7 @@ def find_temperatures(
         x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
         readouts = prod(design.counts_shape) * prod(design.mask_exposure.part_axis)
         rows = sample_scenes(len(x), readouts, job.seed)
-        part = Exposed(design, job.camera, x[rows], labels[rows])
+        part = Labelled(design, job.camera, x[rows], labels[rows])
         doubt = DOUBT if held and len(x) < LEFT_OUT else 0.0
         scenes = CalibrationScenes.of([part], job.seed, doubt=doubt)
     fitted = fit_temperatures(scenes, budgets, trained_on=not (left_out or held))
