@@ -94,7 +94,7 @@ class Acquisition(StrictModel):
         repeats: int | None = None,
         **fields: Any,
     ) -> Self:
-        """Plan a recording of patterns: device and frames say what is not given."""
+        """Plan a recording of patterns; device and frames give the settings that are None."""
         fields = {"inputs": tuple(range(manifest.inputs)), **fields}
         settle = manifest.device.settle_us * 1e-6 if settle_s is None else settle_s
         exposure = exposure_s
@@ -136,7 +136,7 @@ class Acquisition(StrictModel):
         return sha256(self.model_dump_json().encode()).hexdigest()
 
     def check_fixed(self, folder: str | os.PathLike[str]) -> None:
-        """Raise `InputError` if it is a live run, of other frames for each scene."""
+        """Raise `InputError` for a live run, which shows other frames for each scene."""
         if self.live:
             raise InputError(
                 f"{folder} is a live run, which is counted while it is recorded: use `deepfsi "
@@ -144,7 +144,7 @@ class Acquisition(StrictModel):
             )
 
     def check(self, manifest: Manifest, name: str) -> None:
-        """Raise `InputError`, in which it has this name, unless these patterns are recorded so."""
+        """Raise `InputError`, which says `name`, unless the settings fit these patterns."""
         if len(self.inputs) != manifest.inputs:
             raise InputError(
                 f"{name} has {len(self.inputs)} inputs, and its patterns need {manifest.inputs}: "
@@ -209,7 +209,7 @@ class Calibration(StrictModel):
 
     @property
     def doubts(self) -> list[str]:
-        """Why not to trust it, one line each; none where all is well."""
+        """Reasons to distrust it, one line each; none if all is well."""
         reasons = []
         if self.spots < min(16, self.shown):
             reasons.append(
@@ -229,7 +229,7 @@ class Calibration(StrictModel):
         return reasons
 
     def lines(self) -> list[str]:
-        """Say what the view was found of, how well it is known, and its dark counts."""
+        """Say how many spots the view rests on, how well it is known, and its dark counts."""
         return [
             f"{self.spots} of {self.shown} spots, {self.residual:.2f} cells from the fit (rms); "
             f"the view is known to {self.error:.2f} cells at the display's corners",

@@ -107,7 +107,7 @@ class PassLight:
         return faults + _find_restless_lamp(self.curve.scenes, tested, self.sound)
 
     def _find_dark(self) -> Iterator[Fault]:
-        """Faults of passes that are not lit. A detector that sees a part need not be lit."""
+        """Faults of dark passes; a detector that sees a part of the device may be dark."""
         curve = self.curve
         (on, on_s) = curve.together(curve.bright)
         (off, off_s) = curve.together(curve.dark)
@@ -121,9 +121,9 @@ class PassLight:
             yield Fault(kind="dark", scene=int(curve.scenes[index]), detail=detail)
 
     def _find_brighter(self, level: float) -> Iterator[Fault]:
-        """Faults of passes with masks that send more than all mirrors ON, each with the brightest.
+        """Faults of passes in which a mask sends more light than all mirrors ON.
 
-        These are stray light, or a lamp that changed.
+        Causes are stray light, or a lamp that changed. The fault names the brightest frame.
         """
         curve = self.curve
         photons = curve.photons
@@ -167,7 +167,7 @@ class PassLight:
             yield Fault(kind="unsteady", scene=int(curve.scenes[index]), detail=detail)
 
     def measure_flux(self, brightness: Brightness | None, level: float) -> Flux:
-        """Flux of passes, from those whose light was steady if any was."""
+        """Flux of passes, from the sound ones, or from all lit ones if none is sound."""
         used = self.sound if self.sound.any() else self.lit
         return Flux.of(self.curve, self.background, used=used, brightness=brightness, level=level)
 
@@ -279,7 +279,7 @@ def _find_faults(lights: Sequence[PassLight], level: float) -> list[Fault]:
 
 
 def _find_blind_detectors(detectors: Sequence[PassLight]) -> Iterator[Fault]:
-    """Detectors that certainly see less than `HARMLESS` of the light that they see in the mean."""
+    """Faults of detectors that see less than `HARMLESS` of their mean light, beyond doubt."""
     bright = [light.curve.together(light.curve.bright) for light in detectors]
     photons = np.array([float(counts.sum()) for counts, _ in bright])
     pairs = zip(detectors, bright, strict=True)
@@ -296,14 +296,14 @@ def _find_blind_detectors(detectors: Sequence[PassLight]) -> Iterator[Fault]:
 
 
 def find_unequal_gains(detectors: Sequence[PassLight], trained: DetectorMap | None) -> list[Fault]:
-    """Fault of an arm whose detectors share the light of all scenes as no classes do."""
-    # In the mean over scenes each detector's share of the light lies among those of the classes,
-    # whatever classes are shown. Where no mixture of classes explains the shares, detectors differ
-    # in efficiency
+    """Fault of an arm whose detectors share the light as no mixture of classes does."""
+    # The shares of the detectors, in the mean over scenes, are a mixture of the classes' shares,
+    # whatever classes are shown. If no mixture explains them, detectors differ in efficiency
     if trained is None or trained.shares is None:
         return []
     bright = [light.curve.together(light.curve.bright) for light in detectors]
     photons, seconds = np.array(bright).swapaxes(0, 1)  # (D, P): those of equal relative noise
+    # frames that were not counted have the rate 0
     seconds = np.where(seconds > 0, seconds, np.inf)
     rates = photons / seconds - np.array([light.background.rate for light in detectors])
     total = rates.sum()
@@ -329,7 +329,10 @@ def find_unequal_gains(detectors: Sequence[PassLight], trained: DetectorMap | No
 def _nearest_mixture(
     share: np.ndarray, classes: np.ndarray, allowed: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Largest departure from the nearest mixture of classes (D, C), over the allowed (D,)."""
+    """Largest departure of shares (D,), over the allowed (D,), from the nearest mixture.
+
+    `classes` (D, C) are mixed; the mixture (D,) is given, too.
+    """
     from scipy.optimize import linprog
 
     count = classes.shape[1]
@@ -375,7 +378,7 @@ class LightMonitor:
         self.dark = np.zeros(len(inputs))
 
     def begin(self, first: Arrivals) -> tuple[bool, tuple[Fault, ...]]:
-        """Add the all-ON and the all-OFF frame that begin a scene."""
+        """Take the two frames before the looks at a scene: whether it is lit, and faults."""
         # the two frames that end the scene are not counted yet
         unknown = replace(
             first,
@@ -405,7 +408,7 @@ class LightMonitor:
         return lit, new
 
     def end(self, lists: Sequence[Arrivals]) -> tuple[Fault, ...]:
-        """Faults of the light of the scene that ends, from all lists of its frames."""
+        """Faults of the light of the scene that ends, from all its lists of frames."""
         scene = Arrivals.join(lists)
         last = len(self._sentinels) - 1
         self._sentinels[-1] = Arrivals.join([lists[0], lists[-1]])
@@ -422,7 +425,7 @@ class LightMonitor:
         return tuple(faults)
 
     def _look_back(self) -> None:
-        """Find the curves of the all-ON and all-OFF frames of all scenes, and their backgrounds."""
+        """Compute curves and backgrounds from the all-ON and all-OFF frames of all scenes."""
         ends = Arrivals.stack(self._sentinels)
         self._history = light_curves(ends, np.arange(len(self._sentinels)), self._arm_inputs)
         self._backgrounds = [Background.of(curve, self._level) for curve in self._history]

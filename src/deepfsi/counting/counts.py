@@ -1,10 +1,9 @@
 """Photon counts of each readout: their corrections, and their file counts.npz.
 
-A counter registers more or less than arrives, in proportion to what it counts: first what dead time
-took is undone (`Corrections`), then the gains of its detectors.
+`Corrections` undo what dead time took, and then the gains of the detectors.
 
-Clicks are not in proportion to the light, and are not corrected: of the photons in each of the G
-equal gates of a frame's exposure only the first is counted. Of r expected photons a frame has
+Clicks are not in proportion to the light, and are not corrected: each of the G equal gates of a
+frame's exposure counts its first photon alone. With r expected photons a frame has
 
     k ~ Binomial(G, 1 - exp(-r / G))
 
@@ -12,8 +11,7 @@ clicks. The all-ON and all-OFF frames of a whole run tell the budget: a gate in 
 fires with the probability p has -log(1 - p) photons in the mean. Where gates hold more than one
 photon in the mean, the detector is not gated, and its photons are the budget.
 
-The file carries hashes of what was counted (settings, patterns, photons.ptu): counts of something
-else are refused.
+The file carries hashes of settings, patterns and photons.ptu: counts of other ones are refused.
 """
 
 import io
@@ -133,7 +131,7 @@ class Counts:
 
     @classmethod
     def read(cls, path: Path, photons: Path, acquisition: str) -> Self:
-        """Read counts of a photon file, where it is there, and of an acquisition with this hash."""
+        """Read counts; `InputError` if they are of another acquisition hash or photon file."""
         again = "make it with `deepfsi camera count`"
         arrays: dict[str, Any] = read_npz(path, again)
         try:
@@ -170,7 +168,7 @@ class _Provenance(StrictModel):
 
 @dataclass(frozen=True)
 class Corrections:
-    """What a counter does to counts, undone by factors of them."""
+    """Corrections of counts for dead time and gains, as factors."""
 
     dead_time: DeadTime  # photons that arrive while it is blind are not counted
     gains: np.ndarray  # (inputs,): how many times as much of the light as usual each counts

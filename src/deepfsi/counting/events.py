@@ -1,7 +1,7 @@
-"""PTU files that are written: a recording's own, and events of other makes of counter.
+"""Writing PTU files: of simulated and live recordings, and of events of other makes of counter.
 
-The trigger of another make's device becomes a marker, and the channels of the detectors become
-inputs, so that all that reads PTU files works.
+The trigger of another make becomes a marker, and the channels of its detectors become inputs. So
+whatever reads PTU files reads these.
 """
 
 import os
@@ -24,8 +24,8 @@ from deepfsi.counting.ptu import GENERIC_T2, MAGIC, TICKS_S
 class PtuWriter:
     """Writer of a T2 file of type Generic, as a context manager.
 
-    The file appears when the block ends, and there is none if the block fails; one that is
-    `growing` is there from the start, and is read while it is written.
+    The file appears when the block ends, and not at all if the block fails. A `growing` file is
+    there from the start, so that it can be read while it is written.
     """
 
     def __init__(
@@ -53,10 +53,9 @@ class PtuWriter:
         self._opened.__exit__(*error)
 
     def write(self, times: np.ndarray, codes: np.ndarray) -> None:
-        """Append events at ticks (n,) that rise over all calls.
+        """Append events at ticks (n,), with codes (n,); ticks rise over all calls.
 
-        A code, 0 to 63, is a photon on that input, 0 for input 1; -1 to -15 are a marker with the
-        bits of the negative.
+        Codes 0 to 63 are photons on inputs 1 to 64; codes -1 to -15 are markers with bits 1 to 15.
         """
         for start in range(0, len(times), 2**18):  # bounds the memory that words take
             stop = start + 2**18
@@ -144,8 +143,8 @@ def write_ptu(
 
     Times (n,), in any order of channels, are ticks if they are integers, and seconds if they are
     floats; the clock begins with the first event. The channel of the device's trigger becomes
-    marker 0, and those of the detectors, in order, inputs 1, 2, …: all others unless given. Gives
-    the channel of each input.
+    marker 0. Channels of detectors become inputs 1, 2, … in order; default: all other channels.
+    Returns the channel of each input.
     """
     times = np.asarray(times)
     if times.dtype.kind == "f":

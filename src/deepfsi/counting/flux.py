@@ -1,16 +1,15 @@
-"""Light over time: what arrived in frames, its flux and background, and exact chances.
+"""Light over time: arrivals in frames, their flux and background, and exact tests.
 
-A row of passes is cut where a segment of it, at one of its ends or within, is brighter or darker
-than the rest beyond chance and beyond what is allowed; then each segment is looked at in the same
-way.
+A row of passes is cut at both ends of a segment that is brighter or darker than the rest, beyond
+chance and beyond the allowed ratio. Each segment is then cut in the same way.
 
-The flux of a scene is the mean over the passes between two changes of the lamp, not its own: scenes
-differ in brightness, and a dim one is to stay dim. What a scene's brightness may be is known from
-the training scenes (`Brightness`). Where the all-ON rates change by more, the light did.
+The flux of a scene is the mean over all passes between two changes of the lamp. Its own pass alone
+would not do: scenes differ in brightness, and a dim one is to stay dim. Training scenes tell how
+bright a scene may be (`Brightness`). All-ON rates that change by more tell of a changed light.
 
-Two windows of one light share their photons like a coin's throws, whatever its brightness: given
-the sum, the photons of one are binomial with its share of the time. So no rate need be known, and
-few photons are as sound a base as many.
+Two windows of one light share their photons like a coin's throws: given the sum, the photons of one
+are binomial, with its share of the time. So no rate need be known, and tests of few photons are as
+sound as tests of many.
 """
 
 from collections.abc import Callable, Sequence
@@ -70,7 +69,7 @@ class Arrivals:
 
 @dataclass(frozen=True)
 class LightCurve:
-    """Light over time, of an arm's detectors together or of a single detector."""
+    """Light over time on an arm's detectors together, or on one of them."""
 
     photons: np.ndarray  # (P, F)
     seconds: np.ndarray  # (P, F)
@@ -82,7 +81,7 @@ class LightCurve:
     sees_part: bool = False  # True of a detector that sees a part of the device, which may be dark
 
     def together(self, frames: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """Photons and seconds of some frames together, each (P,)."""
+        """Photons (P,) and seconds (P,) of the frames, summed."""
         which = list(frames)
         return self.photons[:, which].sum(axis=1), self.seconds[:, which].sum(axis=1)
 
@@ -90,9 +89,9 @@ class LightCurve:
 def light_curves(
     arrivals: Arrivals, scenes: np.ndarray, arm_inputs: Sequence[tuple[int, ...]]
 ) -> list[LightCurve]:
-    """Curves of passes (P) of each arm's detectors together, then of each where there are several.
+    """Curves of each arm's detectors together, then of each detector if an arm has more than one.
 
-    `scenes` (P,) are those of the passes, `wired` the inputs of each arm's detectors.
+    `scenes` (P,) has the scene of each pass, `arm_inputs` the inputs of each arm's detectors.
     """
     last = len(arrivals.frames) - 1
     on = (0, last - 1)
@@ -193,7 +192,7 @@ def _find_segments(passes: np.ndarray, allowed: AllowedRatio, level: float) -> l
 
 
 def _find_cut(sums: np.ndarray, allowed: AllowedRatio, level: float) -> tuple[int, int] | None:
-    """Start and stop of the segment that stands out most from the rest of a row, if any does."""
+    """Start and stop of the segment that stands out most from the rest; None if none does."""
     passes = sums.shape[1] - 1
     if passes < 2:
         return None
@@ -238,6 +237,7 @@ def _compare(
     (one, one_s) = _as_photons(inner)
     (other, other_s) = _as_photons(outer)
     ratio = allowed(stop - start, passes - (stop - start))
+    # half a photon keeps the logarithm of a dark segment finite
     apart = np.abs(np.log((one + 0.5) / one_s) - np.log((other + 0.5) / other_s)) - np.log(ratio)
     clearness = apart / np.sqrt(1 / (one + 0.5) + 1 / (other + 0.5))
     return clearness, change_p_value(one, one_s, other, other_s, ratio=ratio)
@@ -256,7 +256,7 @@ def _as_photons(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Background:
-    """Counts of an input without light, of each pass and of those that agree with it."""
+    """Counts of an input without light, pooled over the passes that agree."""
 
     photons: np.ndarray  # (P,): of all-OFF frames; for the second of two arms, of all-ON ones
     seconds: np.ndarray  # (P,)
@@ -264,7 +264,7 @@ class Background:
 
     @classmethod
     def of(cls, curve: LightCurve, level: float) -> Self:
-        """Background of each pass, from its dark frames and its neighbours' that agree."""
+        """Background of each pass, from the dark frames of the segment that holds it."""
         photons, seconds = curve.together(curve.dark)
         usual = (photons.sum() + 1) / max(seconds.sum(), 1e-300)
         ratio = 1 + HARMLESS_DARK * _usual_light(curve) / usual
@@ -284,7 +284,7 @@ class Background:
 
 
 def _usual_light(curve: LightCurve) -> float:
-    """Median over passes of the rate with all light less that with none, counts/s."""
+    """Median over passes of the bright rate less the dark one, counts/s."""
     (on, on_s) = curve.together(curve.bright)
     (off, off_s) = curve.together(curve.dark)
     counted = (on_s > 0) & (off_s > 0)
@@ -306,7 +306,7 @@ class _Level:
 class Flux:
     """Light of the scenes with all mirrors ON, without background."""
 
-    rate: np.ndarray  # (P,): counts/s, of each pass and of those that agree with it
+    rate: np.ndarray  # (P,): counts/s, the mean over the passes that agree
     levels: tuple[_Level, ...] = ()
     trend: float | None = None  # last brightness over first, of a lamp that rises or falls steadily
 
@@ -351,14 +351,14 @@ class Flux:
 
 
 def _mean_rate(passes: np.ndarray, segment: slice) -> float:
-    """Counts/s of some passes (3, P) together."""
+    """Mean counts/s of a segment of passes (3, P)."""
     return float(passes[0, segment].sum() / passes[2, segment].sum())
 
 
 def _fit_decay(
     rows: np.ndarray, segments: list[slice], brightness: Brightness
 ) -> np.ndarray | None:
-    """Rates (P,) of a light that rises or falls steadily, if it does, and not in steps."""
+    """Rates (P,) of a light that rises or falls steadily; None if it is steady or steps."""
     counts, variances, seconds = rows
     passes = len(counts)
     # A line through fewer passes fits their noise
@@ -377,6 +377,7 @@ def _fit_decay(
     steps = np.concatenate(
         [np.full(segment.stop - segment.start, _mean_rate(rows, segment)) for segment in segments]
     )
+    # each step has a level, and all but the first an edge
     free = max(passes - 2 * len(segments) + 1, 1)
     by_line = float(((logs - line) ** 2).sum()) / (passes - 2)
     by_steps = float(((logs - np.log(steps)) ** 2).sum()) / free
@@ -384,7 +385,7 @@ def _fit_decay(
 
 
 def _allowed_ratio(brightness: Brightness) -> AllowedRatio:
-    """Ratio by which the mean brightness of two groups of scenes may differ."""
+    """Largest ratio of the mean brightness of two groups of scenes."""
     low = brightness.low
     high = brightness.high
     # New scenes may fill 1.25 times the training scenes' range of brightness (in log)

@@ -1,4 +1,4 @@
-"""Photons read from their source: markers, times, what a file holds, and counts in windows.
+"""Photons read from PTU files and streams: markers, times, summaries, and counts in windows.
 
 A record is a photon on one of the inputs, a marker, a sync event (T2 only), or an overflow, after
 which times count from one *wrap* later. Times are in *ticks*. In T2 a tick is the resolution of the
@@ -24,7 +24,7 @@ from deepfsi.counting.ptu import Decoded, Decoder, Header
 
 
 class PtuFile:
-    """PTU file that is there as a whole, or as far as it was recorded."""
+    """PTU file that grows no more."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.header = Header.read(path)
@@ -50,9 +50,9 @@ class PtuFile:
 
 
 class PtuStream:
-    """PTU file whose bytes arrive in any cuts: from a pipe, or a file that grows.
+    """PTU file whose bytes arrive in pieces of any size: from a pipe, or a file that grows.
 
-    Its `header` is there when it has `begun`.
+    `header` exists once `begun` is true.
     """
 
     def __init__(self, name: str | os.PathLike[str] = "the stream") -> None:
@@ -216,7 +216,7 @@ def count_windows(
 
 
 class WindowCounter:
-    """Counts photons in windows; each is told before it begins."""
+    """Counts photons in windows that are announced before they begin."""
 
     def __init__(self, source: PhotonSource, inputs: Sequence[int]) -> None:
         self._source = source
@@ -228,7 +228,7 @@ class WindowCounter:
         self._reached = -1  # no photon of later blocks is earlier
 
     def expect(self, starts: np.ndarray, stops: np.ndarray) -> None:
-        """Count further windows, as in `count_windows`, that begin after what was added."""
+        """Count further windows, as in `count_windows`; they begin after the last added photon."""
         edges = np.stack([starts, stops], axis=1).astype(np.int64).ravel()
         self._edges = np.concatenate([self._edges, edges])
         unknown = np.zeros((len(edges), len(self._inputs)), np.int64)

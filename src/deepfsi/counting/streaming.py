@@ -1,10 +1,10 @@
 """Photons counted frame by frame while a recording runs, as soon as the gate of each has ended.
 
-A device gives a marker at the start of each frame, and the frames that it shows are told before
-they are: their gates, as times after their marker. Each marker starts the next of them, and must
-follow the one before as the times of the pictures say, so that one that is missing shifts no
-frames: it is noticed at the latest when the next list of frames begins. A gate has ended when a
-later record says that no earlier photon can follow: a photon, a marker or an overflow.
+A device gives a marker at the start of each frame. The gates of frames, as times after their
+markers, are announced before the frames are shown. Each marker starts the next frame, and must come
+when the picture before it ends: so a missing marker shifts no frames, and is noticed at the latest
+when the next list of frames begins. A gate has ended when a later record (a photon, a marker or an
+overflow) shows that no earlier photon can follow.
 """
 
 import os
@@ -24,7 +24,7 @@ from deepfsi.counting.windows import MOST_EXTRA, MOST_RATE
 
 @dataclass(frozen=True)
 class FrameGates:
-    """Gates of frames in the order in which they are shown, one each."""
+    """Gates of frames, one for each frame, in the order in which they are shown."""
 
     offsets_s: np.ndarray  # (F,): When it begins after the first marker of its frame, seconds
     lengths_s: np.ndarray  # (F,): For how long it is open
@@ -36,7 +36,7 @@ class FrameGates:
 
     @classmethod
     def of(cls, offset_s: float, lengths_s: Sequence[float] | np.ndarray) -> "FrameGates":
-        """Gates that all begin at one time after their marker, of frames with one marker each."""
+        """Gates of frames with one marker each, all as long after their marker."""
         lengths = np.asarray(lengths_s, np.float64)
         return cls(np.full(lengths.shape, offset_s), lengths, np.ones(lengths.shape, np.int64))
 
@@ -56,7 +56,7 @@ class _DueFrame(NamedTuple):
 
 
 class FrameCounter:
-    """Counter of photons frame by frame in a PTU file whose bytes arrive in any cuts.
+    """Counts photons frame by frame in a PTU file whose bytes arrive in pieces of any size.
 
     The inputs of the counter are numbered from 0; the marker bit of the device's trigger is 1, 2, 4
     or 8. `stream` is the name by which errors call it.
@@ -83,7 +83,7 @@ class FrameCounter:
         self._stop = EARLIEST_TICK  # end of the last gate
 
     def expect(self, gates: FrameGates) -> None:
-        """Count frames that are shown after those before. To be told before they are shown."""
+        """Announce the next frames, before they are shown."""
         self._told.append(gates)
 
     def feed(self, data: bytes | bytearray | memoryview) -> np.ndarray:
@@ -97,7 +97,7 @@ class FrameCounter:
         return self._stream.header.tick_s
 
     def _plan(self, gates: FrameGates) -> None:
-        """Frames of a list become due, on the clock that the header tells."""
+        """Put the frames of a list in line, with times in ticks of the header."""
         tick_s = self._tick_s
         slack = marker_slack(tick_s)
         offsets = np.rint(gates.offsets_s / tick_s)
@@ -166,7 +166,7 @@ class FrameCounter:
         return start, self._stop
 
     def _check_step(self, time: int, follows: bool) -> None:
-        """Raise `InputError` if a marker does not come when the picture before it ends."""
+        """Raise `InputError` unless a marker comes when the picture before it ends."""
         # The first one of a list may come later
         frame = self._frame
         if frame is None or not frame.picture:

@@ -35,7 +35,7 @@ from deepfsi.patterns.manifest import Manifest
 
 
 class TableSettings(UserModel):
-    """Settings with which a table is read."""
+    """Settings of a table of counts."""
 
     WORDS: ClassVar[tuple[str, ...]] = ("scene", "label")  # names of the columns of words
 
@@ -190,7 +190,7 @@ def _arrange(table: NumberTable, manifest: Manifest, name: str) -> np.ndarray:
 def _find_scenes(
     table: NumberTable, exposures: int, name: str
 ) -> tuple[tuple[Scene, ...], np.ndarray]:
-    """Scenes, and the scene of each exposure (E,): all are scenes of their own without names."""
+    """Scenes, and the scene of each exposure (E,); without names each exposure is a scene."""
     names = table.words.get("scene")
     labels = table.words.get("label")
     scene_of = np.arange(exposures)
@@ -207,7 +207,7 @@ def _find_scenes(
 
 
 def _check_values(read: np.ndarray, settings: TableSettings, name: str) -> None:
-    """Raise `InputError` for too many values, and for photon counts or clicks that are none."""
+    """Raise `InputError` for too many values, or values that are no counts or clicks."""
     if read[:, 2:-2].size > MOST_READOUTS:
         raise InputError(f"{name} holds more than {MOST_READOUTS} values: split it")
     most = settings.clicks or np.inf

@@ -1,17 +1,16 @@
 """Frames of a recording, found by their markers, and windows of them in which photons are counted.
 
-A device gives one marker at the start of each frame; a counter records them on its own clock. A
-pass over the frames follows the schedule of its manifest, as that clock shows it, within 200 ppm.
-Between passes there may be pauses of any length. The counter's clock and the device's may differ,
-and a device may add the same time to every frame. Either stretches the whole schedule; which one is
-measured from markers that follow each other.
+A device gives one marker at the start of each frame, and a counter records it on its own clock. On
+that clock a pass follows the schedule of its manifest within 200 ppm. Pauses between passes may
+have any length. The counter's clock and the device's may differ, and a device may add the same time
+to every frame. Either stretches the schedule; consecutive markers tell which one it is.
 
 A recording whose markers do not all follow is refused: times alone cannot tell a pass that lacks
 its first marker from one that lacks its last, when all frames are equally long.
 
-A marker may come late, and what is counted up to the next one then holds some light of the next
-frame: a microsecond of 1e7 photons/s looks like thousands of dark counts/s in an all-OFF frame. So
-windows other than gates end a *guard*, the tolerance of the markers, before the next frame.
+A marker may come late. Counts up to it then hold light of the next frame: a microsecond of 1e7
+photons/s looks like thousands of dark counts/s in an all-OFF frame. So windows other than gates end
+a *guard* before the next frame: the tolerance of the markers.
 """
 
 from collections.abc import Sequence
@@ -39,7 +38,7 @@ class Windows:
 
     @classmethod
     def of_gates(cls, manifest: Manifest, gates: GatePlan, starts: "FrameStarts") -> Self:
-        """Found gates of a manifest's frames, and what they leave of each frame."""
+        """Gates of the masks' frames, and windows over the rest of all frames."""
         count = np.ones(len(manifest.frames), np.int64)
         count[manifest.mask_frames] += gates.repeats
         frame = np.repeat(np.arange(len(count)), count)
@@ -59,9 +58,8 @@ class Windows:
 
     @classmethod
     def of_clicks(cls, manifest: Manifest, gates: GatePlan, click_gates: int) -> Self:
-        """Equal parts of each gate, and as many of other frames: a detector clicks once in each."""
-        # Of an all-ON or all-OFF frame they are parts of what settling and the usual tolerance of
-        # markers leave of it
+        """Click gates: equal divisions of each gate, and as many of each sentinel frame."""
+        # A sentinel is divided after settling, up to the usual tolerance of markers before its end
         width = (manifest.picture_s - gates.settle_s - manifest.usual_tolerance_s) / click_gates
         width[manifest.mask_frames] = gates.length_s / click_gates
         count = np.full(len(width), click_gates)
@@ -141,7 +139,7 @@ class FrameStarts:
 
     @classmethod
     def of(cls, times_s: np.ndarray, manifest: Manifest, scenes: int) -> Self:
-        """Frames that markers (n,) start, each where the schedule has it, or `InputError`."""
+        """Frames that markers (n,) start; `InputError` if these do not follow the schedule."""
         planned = manifest.picture_s
         tolerance = manifest.usual_tolerance_s
         # A pass that was begun after the last one is left out
@@ -169,7 +167,7 @@ class FrameStarts:
     ) -> WindowCounts:
         """Photons of the passes in windows.
 
-        Where two clocks and a marker's jitter make a window reach into the next, it ends there.
+        A window that reaches into the next, by two clocks and a marker's jitter, ends there.
         """
         tick_s = source.header.tick_s
         opens_s = self.starts_s[:, windows.frame] + windows.offset_s
@@ -198,19 +196,19 @@ def _follows(starts: np.ndarray, pictures: np.ndarray, tolerance: float) -> bool
 
 
 def _as_measured(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> np.ndarray:
-    """Picture times (F,) on the clock on which most markers in a row follow, where that differs.
+    """Picture times (F,) on the counter's clock, or as planned if that clock hardly differs.
 
-    All frames are longer or shorter by a share of each, or by the same time, whichever fits better.
+    All frames are longer by one factor, or by one time, whichever fits more runs of markers.
     """
     # Frames in a row that are compared with the schedule
     size = min(8, len(pictures) // 2)
     if len(times) <= size:
         return pictures
-    # Places of the schedule that each is compared with, the first ones
+    # Runs of frames in the schedule, the first 4096
     planned = np.lib.stride_tricks.sliding_window_view(pictures[:-1], size)[:4096]
     steps = np.lib.stride_tricks.sliding_window_view(np.diff(times), size)
-    # Places of a recording that are compared: multiples of the golden section are spread evenly,
-    # out of step with passes
+    # 64 runs of a recording: multiples of the golden section are spread evenly, out of step with
+    # passes
     sampled = np.unique((np.arange(64) * 0.6180339887498949 % 1 * len(steps)).astype(np.int64))
     total = planned.sum(axis=1)
     shortest = float(pictures.min())

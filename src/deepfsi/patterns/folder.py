@@ -46,7 +46,7 @@ from deepfsi.patterns.rails import LEAST_DIMMED, DesignRails
 
 @dataclass(frozen=True)
 class Patterns:
-    """What a device shows: the manifest of its frames, and the mirrors ON in each cell."""
+    """Frames for a device: their manifest, and the mirrors ON in each cell."""
 
     DESIGN: ClassVar[str] = "design.safetensors"
     """File of the design in a folder of patterns."""
@@ -176,7 +176,7 @@ class Patterns:
         return make_frames(shown, manifest.device, grid)
 
     def check(self, progress: Progress = SILENT) -> Self:
-        """Compare every file of the folder with what is written anew from its mirrors."""
+        """Write the frames anew from the mirrors, and compare every file of the folder."""
         folder = self.folder
         assert folder is not None
         self.manifest.check_limits()
@@ -276,9 +276,9 @@ class Patterns:
 def _times_us(
     device: Device, dwell_s: float, shares: np.ndarray, light: LightLawName
 ) -> tuple[list[int], int]:
-    """Picture times of the masks' frames and of a sentinel, µs: one for all in a video."""
-    # Under `equal-dwell` all frames last the mean time. Otherwise what a picture lasts beyond the
-    # time to settle is in proportion to its share (f,) of the exposure
+    """Picture times of the masks' frames and of a sentinel, µs; a video has one time for all."""
+    # Under `equal-dwell` all frames last the mean time. Otherwise the time of a picture after
+    # settling is in proportion to its share (f,) of the exposure
     mean = max(dwell_s * 1e6, device.shortest_us)
     rest = mean - device.settle_us
     if rest <= 0:
@@ -327,6 +327,6 @@ def _table(manifest: Manifest) -> str:
 
 
 def _digest(manifest: str | bytes) -> str:
-    """Hash of a manifest's JSON but for the hash itself, whatever its layout."""
+    """Hash of a manifest's JSON without its own hash; white space does not matter."""
     content = {key: value for key, value in json.loads(manifest).items() if key != "sha256"}
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -7,9 +7,9 @@ where a scene varies within a cell.
 Bits are packed along rows, the leftmost mirror in the highest bit of a byte, ON as 1 unless the
 layout inverts them; each row begins a new byte.
 
-Files of frames are for those who load them with other programs: they are written and not read, as
-frames are made from the mirrors ON. `FRAME_FORMATS` is the table of files. Another one is a class
-with the methods of `_Bitmaps`, and its line in the table:
+Files of frames are for other programs: they are written and never read, since frames are made from
+the numbers of mirrors ON. A further format is a class with the methods of `_Bitmaps`, and a line in
+`FRAME_FORMATS`:
 
 npy    frames.npy, uint8 (frames, rows, bytes of a row)
 raw    frames.bin, the same bytes without the header, top row first
@@ -42,7 +42,7 @@ def make_frames(on: Iterable[np.ndarray], device: Device, grid: DmdGrid) -> Iter
 
 
 def make_frame(on: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
-    """Make the packed frame of cells (N,) that have all mirrors ON where true, or else none."""
+    """Make the packed frame of cells (N,), bool: all mirrors of a cell are ON, or none."""
     sides = grid.down, grid.height, grid.across, grid.width
     return _pack(np.broadcast_to(on[grid.pixels][:, None, :, None], sides), device, grid)
 
@@ -61,12 +61,14 @@ def unpack(frame: np.ndarray, device: Device) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def order_mirrors(height: int, width: int) -> np.ndarray:
-    """Number of each mirror of a cell in the order in which grey levels switch them ON."""
-    # Each next mirror is the one that brings the mean of a repelling potential over the mirrors
-    # chosen closest to its mean over the whole cell (kernel herding), so that every beginning of
-    # the order represents the cell. Of very large cells whole blocks of mirrors are chosen, as
-    # often as they have mirrors, and each gives those in an order of its own. Places are 0 to
-    # height · width - 1, each once, in an array (height, width) that is read only
+    """Rank (height, width), 0 to height · width - 1, in which grey levels switch mirrors ON.
+
+    The array is read only.
+    """
+    # Kernel herding: the next mirror brings the mean of a repelling potential over the chosen
+    # mirrors closest to its mean over the cell, so that every beginning of the order represents
+    # the cell. In a very large cell blocks of mirrors are chosen, each as often as it has mirrors,
+    # which then follow an order of their own
     rows = height
     columns = width
     # Most mirrors of a cell that are put in order one by one: the time grows with the square
@@ -129,7 +131,7 @@ def _herd(heights: np.ndarray, widths: np.ndarray) -> np.ndarray:
 # Files -------------------------------------------------------------------------------------------
 
 AGAIN = "export the patterns again"
-"""Way on where a file of a folder is not what was exported."""
+"""Advice for a file that is not as exported."""
 
 
 @dataclass(frozen=True)

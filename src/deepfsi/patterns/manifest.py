@@ -6,10 +6,10 @@ dark; on two arms one frame serves both rails. A frame is brought to its own pea
 
     share · exposure,    share = the frame's peak in the sensing matrix,
 
-within the longer *picture time* for which the device holds it. So every light law that one
-device can realise is shown in the same way, at full contrast, and the realised matrix is
-share · k / K. The shares sum to at most 1: the budget Φ of an exposure is the flux on the device
-times the exposure, whatever time mirrors take to settle.
+within the longer *picture time* for which the device holds it. So one device shows all its light
+laws in the same way, at full contrast, and the realised matrix is share · k / K. The shares sum to
+at most 1: the budget Φ of an exposure is the flux on the device times the exposure, and does not
+depend on the time in which mirrors settle.
 
 Each pass over the masks begins and ends with two *sentinel* frames, all mirrors of the cells ON and
 all OFF.
@@ -49,7 +49,7 @@ _READ_BY: dict[Rail | None, tuple[tuple[int, int], ...]] = {
     "minus": ((1, 0),),
     "both": ((0, 0), (1, 1)),
 }
-"""Rails for which a frame is read, and the arm that sees them."""
+"""Rails that a frame tells, each with the arm that sees it."""
 
 
 class Frame(StrictModel):
@@ -239,7 +239,7 @@ class Manifest(StrictModel):
 
     @property
     def detector_axis(self) -> tuple[int, ...]:
-        """Shape of what several detectors count of a readout: (D,), or () of one detector."""
+        """Shape of the detectors' axis of counts: (D,), or () for one detector."""
         return (self.detectors.count,) if self.detectors else ()
 
     @property
@@ -248,8 +248,10 @@ class Manifest(StrictModel):
         return self.detector_count * max(len(self.mask_frames), self.rails * self.masks)
 
     def by_readout(self, frames: np.ndarray) -> np.ndarray:
-        """Numbers of readouts (..., rails, m[, D]), from masks' frames (..., f, inputs)."""
-        # 0 for a rail that is dark
+        """Numbers of readouts (..., rails, m[, D]), from masks' frames (..., f, inputs).
+
+        Dark rails have 0.
+        """
         split = frames.reshape(*frames.shape[:-1], -1, self.detector_count)
         shape = (*frames.shape[:-2], self.rails, self.masks, self.detector_count)
         out = np.zeros(shape, frames.dtype)
@@ -282,7 +284,7 @@ class Manifest(StrictModel):
         return float(room.min())
 
     def check_limits(self) -> None:
-        """Raise `InputError` unless the device can show all of the frames."""
+        """Raise `InputError` unless the device can show all frames."""
         device = self.device
         if device.patterns is not None and len(self.frames) > device.patterns:
             raise InputError(
@@ -338,6 +340,7 @@ class GatePlan:
                 "more than 0, and 0 or more to settle"
             )
         longest = manifest.longest_exposure_s(settle)
+        # rounding of the ratio must not cost a repeat
         fit = int(np.floor(longest / exposure_s * (1 + 1e-9)))
         if fit < 1:
             raise InputError(

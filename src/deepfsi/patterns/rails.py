@@ -168,8 +168,8 @@ class DesignRails:
     def without_device(self) -> Manifest:
         """Manifest of the frames in their usual order, on a device of one mirror a cell.
 
-        For counts of a design for which no device was chosen: a mask's frame lasts for its share of
-        the exposure, a sentinel for the mean of them.
+        It serves counts of a design without a chosen device: a mask's frame lasts for its share of
+        the exposure, a sentinel for the mean share.
         """
         # Grey levels of a cell, more than any device has, so that a rail is dark only where it is 0
         frames = self.in_mirrors(2**16)
