@@ -29,10 +29,10 @@ from deepfsi.exposure.training import (
     deviation,
     matrix_seeds,
     moments,
-    standardise,
+    standardise_batch,
 )
 from deepfsi.physics.detection import Rails, Readouts
-from deepfsi.physics.laws import FixedMasks, LearnedMasks, check_levels, through
+from deepfsi.physics.laws import FixedMasks, LearnedMasks, check_levels, straight_through
 from deepfsi.physics.noise import NoiseFunction
 from deepfsi.physics.scanner import Scanner, project
 from deepfsi.physics.training_noise import Draws, SeedStream, side_by_side
@@ -149,7 +149,7 @@ class LearnedPattern(LearnedMasks):
             return grey
         with torch.no_grad():
             shown = in_levels(grey, self.levels)
-        return through(grey, shown)
+        return straight_through(grey, shown)
 
     def forward(self) -> Rails:
         """Rails of the nominal matrix, (R, T, N)."""
@@ -302,7 +302,7 @@ class PassingTraining(ExposureTraining):
             return stream.noise.features(expected, expected, self.read, stream.normal)
 
         drawn = side_by_side([features(stream) for stream in draws.streams])
-        return standardise(drawn - drawn.mean(dim=0), self.scale)
+        return standardise_batch(drawn - drawn.mean(dim=0), self.scale)
 
     def fix(self) -> None:
         """Take the pattern as it is at the end of the training."""

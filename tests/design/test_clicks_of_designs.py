@@ -5,7 +5,7 @@ import torch
 
 from conftest import quick
 from deepfsi import evaluate
-from deepfsi.physics.noise import to_training_light
+from deepfsi.physics.noise import click_rescaling
 
 FEW = 60.0
 
@@ -44,7 +44,7 @@ def test_clicks_of_any_light_have_mean_and_noise_of_the_training(gates, ratio):
         return one - other
 
     mean = gates * (torch.exp(-minus / gates) - torch.exp(-plus / gates))
-    gain, offset = to_training_light(ratio, mean, plus + minus, gates)
+    gain, offset = click_rescaling(ratio, mean, plus + minus, gates)
     seen, wanted = clicks(ratio) * gain + offset, clicks(1.0)
     error = (seen.var(dim=0) / n).sqrt() + (wanted.var(dim=0) / n).sqrt()
     assert bool(((seen.mean(dim=0) - wanted.mean(dim=0)).abs() < 5 * error).all())

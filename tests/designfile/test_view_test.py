@@ -73,7 +73,7 @@ def test_sound_runs_are_let_pass_whatever_their_classes(digits, model, masks):
 def test_each_fault_is_refused_and_named_in_40_scenes(digits, model, masks, view):
     rng = np.random.default_rng(4)
     scenes = digits.x_test[rng.integers(0, len(digits.x_test), 40)].astype(float)
-    seen = view.see(scenes.reshape(-1, *SHAPE)).reshape(scenes.shape)
+    seen = view.transform(scenes.reshape(-1, *SHAPE)).reshape(scenes.shape)
     result = exposed(model, masks, seen + view.stray * scenes.mean(), rng)
     assert result.named
     assert result.likeliest == view.words

@@ -9,7 +9,7 @@ import torch
 from conftest import RECIPE, every_optics, generator, once
 from deepfsi.camera.light import photons_per_pixel
 from deepfsi.exposure.kind import temperatures_at
-from deepfsi.exposure.training import standardise, standardised
+from deepfsi.exposure.training import standardise_batch, standardise_by_power
 from deepfsi.exposure.training_set import TrainingSet
 from deepfsi.physics.laws import ROUNDING_SLACK, light_law
 from deepfsi.training.learning import train
@@ -54,7 +54,7 @@ def test_features_have_unit_spread_in_the_mean_of_the_training(digits, scale):
     assert (np.abs(every.mean(axis=axis) - 1) < 5 * error + 1e-3).all()
 
 
-@pytest.mark.parametrize("divided", [standardise, standardised])
+@pytest.mark.parametrize("divided", [standardise_batch, standardise_by_power])
 @pytest.mark.parametrize("scale", ["each", "common"])
 def test_features_that_do_not_vary_in_a_batch_are_0_and_have_finite_gradients(scale, divided):
     """As of detectors whose gates all click."""

@@ -152,8 +152,9 @@ class AdaptiveHeader(StrictModel, populate_by_name=True):
         populated = arrays["members"].min() > 0 and sizes.min() >= 0 and sizes.sum() == scenes
         lit = light > 0 and math.isclose(light, arrays["mean"].sum(dtype=float), rel_tol=1e-3)
         timed = len(arrays.get("temperature_logs", arrays["shares"])) == looks
-        most = self.settings.dictionary or 0
-        ready = min(most, 1) <= stored <= most
+        asked = self.settings.dictionary or 0
+        # a small data set may have fewer different masks than were asked for
+        ready = min(asked, 1) <= stored <= asked
         return bool(fit and populated and lit and timed and ready and 0 <= spread <= 1e2)
 
 
@@ -225,7 +226,7 @@ MASKS_ARE_MADE = (
 """Why a design of adaptive masks is refused."""
 
 DAMAGED = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
-"""What arrays raise that do not fit their header."""
+"""Errors that arrays raise if they do not fit their header."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,18 +262,18 @@ class DesignFile:
         return cls(header, tensors, Path(path), text)
 
     def to_bytes(self) -> bytes:
-        """Content of the file; the bytes of a file that was read."""
+        """Content of the file; for a file that was read, the same bytes."""
         text = self.text
         if text is None:
             text = json.dumps(self.header.model_dump(mode="json", by_alias=True))
-        whole = {name: np.asarray(array, order="C") for name, array in self.arrays.items()}
-        return save(whole, metadata={"deepfsi": text})
+        arrays = {name: np.asarray(array, order="C") for name, array in self.arrays.items()}
+        return save(arrays, metadata={"deepfsi": text})
 
     def arrays_of(self, owner: str) -> dict[str, np.ndarray]:
         """Arrays of the design's parts, such as its `classifier`, by their names there."""
         start = f"{owner}."
-        every = self.arrays.items()
-        return {name.removeprefix(start): array for name, array in every if name.startswith(start)}
+        items = self.arrays.items()
+        return {name.removeprefix(start): array for name, array in items if name.startswith(start)}
 
     @property
     def mask_header(self) -> MaskHeader:
@@ -310,13 +311,13 @@ SHIPPED_DESIGNS = Path(str(files(__package__) / "shipped"))
 """Folder of the published designs."""
 
 
-def find_design(given: str | os.PathLike[str]) -> Path:
-    """Path of a design file, or of a published design by its name, where no file has this name."""
-    path = Path(given)
+def find_design(name: str | os.PathLike[str]) -> Path:
+    """Path of a design file, or of a published design if no file has this name."""
+    path = Path(name)
     shipped = SHIPPED_DESIGNS / f"{path.name}.safetensors"
     if path.exists():
         return path
-    if os.fspath(given) == path.name and shipped.exists():
+    if os.fspath(name) == path.name and shipped.exists():
         return shipped
     raise InputError(
         f"no design file at {path}: give one, or dmd-mnist or adaptive-mnist, or make one with "

@@ -58,7 +58,7 @@ class ConsistencyResult:
 
     @property
     def refusal(self) -> str:
-        """Sentence on what to look at if all together are refused."""
+        """Sentence for a refused acquisition: what to check."""
         return (
             "these counts do not look like what this design was trained for (p = "
             f"{self.whole:.1g}; {self.brightness:.2f} times the counts of its mean scene at this "
@@ -68,7 +68,7 @@ class ConsistencyResult:
 
     @property
     def remarks(self) -> Iterator[str]:
-        """Lines for a reader on what is not as in the training."""
+        """Lines for a reader on each difference from the training."""
         if self.refused:
             yield self.refusal
         if unsure := int(self.unsure.sum()):
@@ -80,7 +80,7 @@ class ConsistencyResult:
             yield "the scenes are alike: but for brightness, only photon noise differs between them"
 
     def as_dict(self) -> dict[str, float]:
-        """Results for all together, and the rates of false alarms; JSON types only."""
+        """Results of the acquisition, and the rates of false alarms; JSON types only."""
         return {
             "whole": self.whole,
             "alike": self.alike,
@@ -99,7 +99,7 @@ class ReadoutCounts:
     dark: np.ndarray  # (n, R), background that was subtracted
 
     def rows(self, index: np.ndarray | slice) -> "ReadoutCounts":
-        """Some of the exposures."""
+        """Exposures of an index or a slice."""
         return ReadoutCounts(*(array[index] for array in vars(self).values()))
 
 
@@ -108,7 +108,7 @@ class ReadoutModel:
     """Mean and covariance of the R readouts of scenes."""
 
     total: float  # all counts of the mean scene over the budget
-    share: np.ndarray  # (R,), what each readout has of them
+    share: np.ndarray  # (R,), share of each readout in them
     spread: float  # standard deviation of the brightness
     directions: np.ndarray  # (k, R)
     rest: np.ndarray  # (R,), variance of the patterns beyond these
@@ -141,27 +141,28 @@ class ReadoutModel:
         bright = counts.sum(axis=1) / expected
         brightness = np.square(bright - 1) / power
         scale = exposures.expected[:, None]
-        off = counts / scale - bright[:, None] * self.share
+        residuals = counts / scale - bright[:, None] * self.share
         floor = self.rest + np.square(0.02 * self.share)  # rounded masks, dead time
         noise = (self.share + dark / scale) / scale + floor
         if (noise == noise[0]).all():  # most often of fixed dwells: one matrix serves them all
-            return brightness, _distance(off, noise[0], self.directions)
+            return brightness, _distance(residuals, noise[0], self.directions)
         distances = []
-        for start in range(0, len(off), EXPOSURES_AT_ONCE):
+        for start in range(0, len(residuals), EXPOSURES_AT_ONCE):
             rows = slice(start, start + EXPOSURES_AT_ONCE)
-            distances.append(_distance(off[rows, None], noise[rows], self.directions)[:, 0])
+            distances.append(_distance(residuals[rows, None], noise[rows], self.directions)[:, 0])
         return brightness, np.concatenate(distances)
 
     def likeness(self, first: ReadoutCounts, second: ReadoutCounts) -> np.ndarray:
         """Inverse (n,) of the mean squared distance of patterns in units of their noise."""
         power = np.zeros(self.share.shape)
-        off = np.zeros(())
+        difference = np.zeros(())
         for sign, exposures in ((1, first), (-1, second)):
             scale = exposures.expected[:, None]
             mean = exposures.counts.sum(axis=1, keepdims=True) * self.share
-            off = off + sign * (exposures.counts - mean) / scale
+            difference = difference + sign * (exposures.counts - mean) / scale
             power = power + (np.maximum(mean, self.share) + exposures.dark) / np.square(scale)
-        return 1 / np.maximum((np.square(off) / power).mean(axis=1), SMALLEST_STATISTIC)
+        squares = (np.square(difference) / power).mean(axis=1)
+        return 1 / np.maximum(squares, SMALLEST_STATISTIC)
 
 
 @dataclass(frozen=True)
@@ -172,8 +173,8 @@ class ReadoutDistribution:
     spread: np.ndarray  # (), standard deviation of the brightness
     directions: np.ndarray  # (k, rails, m)
     rest: np.ndarray  # (rails, m), variance of the patterns beyond these
-    tails: np.ndarray  # (2, 2, counts, chances)
-    pairs: np.ndarray  # (counts, chances)
+    tails: np.ndarray  # (2, 2, counts, p): all scenes and worst class, brightness and pattern
+    pairs: np.ndarray  # (counts, p), of the likeness of two scenes
 
     @classmethod
     def restored(
@@ -192,9 +193,9 @@ class ReadoutDistribution:
         fit = {name: array.shape for name, array in arrays.items()} == shapes
         least = min(float(arrays[name].min()) for name in ("mean", "spread", "rest"))
         shares = [arrays[name] for name in ("mean", "directions", "rest") if arrays[name].size]
-        most = max(float(np.abs(share).max()) for share in shares)
+        largest = max(float(np.abs(share).max()) for share in shares)
         falling = any((np.diff(arrays[name]) < 0).any() for name in ("tails", "pairs"))
-        if not fit or least < 0 or most > 1.001 or falling or not (arrays["mean"] > 0).any():
+        if not fit or least < 0 or largest > 1.001 or falling or not (arrays["mean"] > 0).any():
             raise ValueError("the distribution of the readouts is not of these masks")
         return cls(**arrays)
 
@@ -224,38 +225,41 @@ class ReadoutDistribution:
         `background` is what was subtracted from each readout.
         """
         model = self._model
-        every = np.asarray(counts, dtype=float)
-        exposures = every.shape[:-2]
+        read = np.asarray(counts, dtype=float)
+        exposures = read.shape[:-2]
         budget = np.broadcast_to(np.asarray(photons, dtype=float), exposures).reshape(-1)
         lit = (self.mean > 0).ravel()
 
         def of_lit(values: ArrayLike) -> np.ndarray:
-            spread = np.broadcast_to(np.asarray(values, dtype=float), every.shape)
+            spread = np.broadcast_to(np.asarray(values, dtype=float), read.shape)
             return spread.reshape(len(budget), -1)[:, lit]
 
-        single = ReadoutCounts(of_lit(every), budget * model.total, of_lit(background))
-        together = ReadoutCounts(*(part.sum(axis=0)[None] for part in vars(single).values()))
-        usual = np.full_like(model.share, budget.sum())  # photons behind each readout
-        chances, of_worst_class = self._chances(model, single)
+        single = ReadoutCounts(of_lit(read), budget * model.total, of_lit(background))
+        together = ReadoutCounts(*(array.sum(axis=0)[None] for array in vars(single).values()))
+        photons_behind = np.full_like(model.share, budget.sum())  # (R,)
+        p_values, of_worst_class = self._p_values(model, single)
         alike = self._alike(model, single)
+        # Fisher's sum is of independent scenes: alike ones are tested together alone
         apart = 1.0 if alike < REFUSED else _fisher(of_worst_class)
-        joint = float(self._chances(model, together)[1][0])
+        joint = float(self._p_values(model, together)[1][0])
         return ConsistencyResult(
-            exposures=chances.reshape(exposures),
+            exposures=p_values.reshape(exposures),
+            # the smaller of two p-values, doubled (Bonferroni)
             whole=min(1.0, 2 * min(apart, joint)),
             alike=alike,
-            brightness=float(single.counts.sum() / (usual @ model.share * model.total)),
+            brightness=float(single.counts.sum() / (photons_behind @ model.share * model.total)),
         )
 
-    def _chances(self, model: ReadoutModel, exposures: ReadoutCounts) -> np.ndarray:
+    def _p_values(self, model: ReadoutModel, exposures: ReadoutCounts) -> np.ndarray:
         """p-values (2, n) of exposures, among all scenes and in the worst class."""
         statistics = model.statistics(exposures)
-        whole = (np.ones_like(exposures.counts) @ model.share)[:, None]
-        noise = _mean_counts(exposures.expected, exposures.dark / whole)
+        ones = (np.ones_like(exposures.counts) @ model.share)[:, None]  # but for rounding
+        noise = _mean_counts(exposures.expected, exposures.dark / ones)
         brightness, pattern = (
             [_survival(statistic, noise, tail) for tail in self.tails[:, k].astype(float)]
             for k, statistic in enumerate(statistics)
         )
+        # the smaller of two p-values, doubled (Bonferroni)
         return np.minimum(1.0, 2 * np.minimum(brightness, pattern))
 
     def _alike(self, model: ReadoutModel, exposures: ReadoutCounts) -> float:
@@ -284,23 +288,28 @@ def _principal(patterns: np.ndarray) -> np.ndarray:
     return axes * (sizes[:, None] / np.sqrt(len(patterns)))
 
 
-def _distance(off: np.ndarray, noise: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Squared Mahalanobis distance (..., n) of (..., n, R) for a diagonal (..., R) and (k, R)."""
+def _distance(residuals: np.ndarray, noise: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Squared Mahalanobis distance (..., n) of residuals (..., n, R) from 0.
+
+    Their covariance is the diagonal `noise` (..., R) plus the square of `directions` (k, R).
+    """
+    # Woodbury's identity: k equations in place of R
     scaled = directions / noise[..., None, :]
     inner = np.eye(len(directions)) + scaled @ directions.T
-    along = off @ scaled.swapaxes(-1, -2)
-    solved = np.linalg.solve(inner, along.swapaxes(-1, -2)).swapaxes(-1, -2)
-    return (np.square(off) / noise[..., None, :]).sum(axis=-1) - (along * solved).sum(axis=-1)
+    projected = residuals @ scaled.swapaxes(-1, -2)
+    solved = np.linalg.solve(inner, projected.swapaxes(-1, -2)).swapaxes(-1, -2)
+    squares = (np.square(residuals) / noise[..., None, :]).sum(axis=-1)
+    return squares - (projected * solved).sum(axis=-1)
 
 
 def _mean_counts(expected: np.ndarray, dark: np.ndarray) -> np.ndarray:
-    """Mean counts (n,) of a readout that would have the same relative noise without background."""
+    """Mean counts (n,) of a readout whose noise, without background, is relatively the same."""
     return expected**2 / (expected + dark.sum(axis=1)) / dark.shape[1]
 
 
 def _dispersion(exposures: ReadoutCounts) -> float:
     """Squared differences of exposures' patterns beyond noise, in standard deviations."""
-    counts = exposures.counts  # whose patterns are compared with their mean
+    counts = exposures.counts
     dark = exposures.dark
     total = max(float(counts.sum()), SMALLEST_STATISTIC)
     by_readout = counts.sum(axis=0) / total
@@ -313,20 +322,20 @@ def _dispersion(exposures: ReadoutCounts) -> float:
     return float((beyond / weight).sum() / max(error, SMALLEST_STATISTIC))
 
 
-def _fisher(chances: np.ndarray) -> float:
-    """p-value of independent ones (n,) together; 1 for none."""
+def _fisher(p_values: np.ndarray) -> float:
+    """Joint p-value of independent p-values (n,), by Fisher's method; 1 for none."""
     from scipy.special import chdtrc
 
-    return float(chdtrc(2 * len(chances), -2 * np.log(chances).sum())) if len(chances) else 1.0
+    return float(chdtrc(2 * len(p_values), -2 * np.log(p_values).sum())) if len(p_values) else 1.0
 
 
 def _survival(statistic: np.ndarray, noise: np.ndarray, tail: np.ndarray) -> np.ndarray:
-    """p-values (n,) of a statistic at mean counts of a readout, from the tail (counts, chances)."""
+    """p-values (n,) of a statistic at mean counts of a readout, from the tail (counts, p)."""
     row = np.interp(np.log(noise), np.log(TAIL_COUNTS), np.arange(len(TAIL_COUNTS)))
     below = np.minimum(row.astype(int), len(TAIL_COUNTS) - 2)
     weight = (row - below)[:, None]
     levels = (1 - weight) * tail[below] + weight * tail[below + 1]
-    # what is equal is no further out
+    # a statistic that equals a level is not beyond it: rounding must not put it there
     log = np.log(np.maximum(statistic, SMALLEST_STATISTIC)) - 1e-5
     logs = [np.interp(*pair, np.log(TAIL_CHANCES)) for pair in zip(log, levels, strict=True)]
     return np.exp(logs)

@@ -63,17 +63,17 @@ def scene_hashes(scenes: np.ndarray, image_shape: tuple[int, ...]) -> tuple[str,
     # Images are rounded as `write_pictures` does, so that a scene keeps its hash when it is written
     # as a picture and read again
     kind: type[np.unsignedinteger] = np.uint8 if len(image_shape) == 2 else np.uint16
-    most = np.iinfo(kind).max
+    levels = np.iinfo(kind).max
     return tuple(
-        blake2b(np.rint(scene.ravel() * most).clip(0, most).astype(kind), digest_size=4).hexdigest()
-        for scene in scenes
+        blake2b(row.astype(kind), digest_size=4).hexdigest()
+        for row in (np.rint(scene.ravel() * levels).clip(0, levels) for scene in scenes)
     )
 
 
 def training_hashes(data: Dataset) -> np.ndarray:
     """Short hashes (n,) int32, rising, of the training scenes and of held-out scenes."""
-    parts = [data.x_train, *([data.x_test] if data.held_out else [])]
-    return np.unique(_numbers(h for part in parts for h in scene_hashes(part, data.image_shape)))
+    sets = [data.x_train, *([data.x_test] if data.held_out else [])]
+    return np.unique(_numbers(h for scenes in sets for h in scene_hashes(scenes, data.image_shape)))
 
 
 def _numbers(hashes: Iterable[str]) -> np.ndarray:
@@ -82,7 +82,7 @@ def _numbers(hashes: Iterable[str]) -> np.ndarray:
 
 
 def was_trained_on(training: np.ndarray | None, hashes: Iterable[str | None]) -> list[bool | None]:
-    """Tell scenes of the training, by its hashes (n,), from others."""
+    """Whether each scene was trained on, by the training's hashes (n,); None where unknown."""
     scenes = list(hashes)
     if training is None:
         return [None] * len(scenes)
@@ -143,13 +143,13 @@ def score_of(scenes: Iterable[tuple[bool | None, int, int]]) -> Score:
     answered = [scene for scene in scenes if scene[2]]
     score = {}
     for name, (kind, _) in _KINDS.items():
-        numbers = [(right, every) for trained, right, every in answered if trained is kind]
-        right = sum(each for each, _ in numbers)
-        answers = sum(each for _, each in numbers)
+        of_kind = [(right, total) for trained, right, total in answered if trained is kind]
+        right = sum(count for count, _ in of_kind)
+        answers = sum(count for _, count in of_kind)
         share = right / answers if answers else None
         # exposures of one scene are alike: scenes are the trials
-        low, high = (None, None) if share is None else wilson(share, len(numbers))
-        counts = {"right": right, "answers": answers, "scenes": len(numbers)}
+        low, high = (None, None) if share is None else wilson(share, len(of_kind))
+        counts = {"right": right, "answers": answers, "scenes": len(of_kind)}
         score[name] = {**counts, "share": share, "low": low, "high": high}
     return score
 

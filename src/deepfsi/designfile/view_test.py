@@ -32,9 +32,8 @@ MOST_AXES = 40
 class _ViewFault:
     """Fault in how a camera sees scenes."""
 
-    words: str  # "... of the picture on the device"
-    # Of scenes as images (n, h, w), linear in them
-    see: Callable[[np.ndarray], np.ndarray]
+    words: str  # "the picture on the device is ..."
+    transform: Callable[[np.ndarray], np.ndarray]  # of images (n, h, w), linear in them
     stray: float = 0.0  # even light beside that of the scenes, over their mean light
 
 
@@ -75,8 +74,8 @@ def view_faults(image_shape: tuple[int, ...], harmless: bool = False) -> Iterato
         light = 1 + tilt * (dy * down + dx * across)
         yield _ViewFault(f"lit unevenly, brighter at the {side}", partial(np.multiply, light))
     for side, (dy, dx) in sides.items():
-        moved = (0.0, dy * share * height, dx * share * width)
-        yield _ViewFault(f"shifted to the {side}", partial(shift, shift=moved, order=1))
+        cells_moved = (0.0, dy * share * height, dx * share * width)
+        yield _ViewFault(f"shifted to the {side}", partial(shift, shift=cells_moved, order=1))
 
 
 def orientation_faults(image_shape: tuple[int, ...]) -> Iterator[_ViewFault]:
@@ -121,27 +120,28 @@ class SceneModel:
         if not cls.are_enough(sizes):
             return None
         means = np.stack([x[labels == k].mean(axis=0, dtype=float) for k in range(classes)])
-        away = np.asarray(x, float) - means[labels]
-        axes = min(MOST_AXES, len(x) // 5)
-        return cls.of(means, away / np.sqrt(len(x) - classes), sizes / len(x), axes)
+        residuals = np.asarray(x, float) - means[labels]
+        axes = min(MOST_AXES, len(x) // 5)  # five scenes or more for each axis
+        return cls.of(means, residuals / np.sqrt(len(x) - classes), sizes / len(x), axes)
 
     @classmethod
     def of(
-        cls, means: np.ndarray, away: np.ndarray, shares: np.ndarray, axes: int = MOST_AXES
+        cls, means: np.ndarray, residuals: np.ndarray, shares: np.ndarray, axes: int = MOST_AXES
     ) -> "SceneModel":
-        """Model of class means (C, N), and of rows (n, N) whose squares sum to the covariance."""
+        """Model of class means (C, N), and residuals (n, N) whose squares sum to the covariance."""
         from scipy.linalg import eigh
 
-        count = min(axes, len(away), away.shape[1])
-        wide = away.shape[1] > len(away)
-        square = away @ away.T if wide else away.T @ away
+        count = min(axes, *residuals.shape)
+        # the smaller square: both have the same eigenvalues
+        wide = residuals.shape[1] > len(residuals)
+        square = residuals @ residuals.T if wide else residuals.T @ residuals
         last = len(square) - 1
         values, vectors = eigh(square, subset_by_index=[last + 1 - count, last])
-        found_axes = vectors.T @ away if wide else (vectors * np.sqrt(values.clip(min=0))).T
-        rest = ((away**2).sum(axis=0) - (found_axes**2).sum(axis=0)).clip(min=0)
+        scaled = vectors.T @ residuals if wide else (vectors * np.sqrt(values.clip(min=0))).T
+        rest = ((residuals**2).sum(axis=0) - (scaled**2).sum(axis=0)).clip(min=0)
         return cls(
             means=means.astype(np.float16),
-            axes=found_axes[::-1].astype(np.float16),
+            axes=scaled[::-1].astype(np.float16),
             rest=rest.astype(np.float16),
             shares=shares.astype(np.float16),
         )
@@ -175,8 +175,8 @@ class ViewResult:
     scenes: int
     faults: tuple[str, ...]  # "the picture on the device is ..."
     odds: np.ndarray  # (V,), logarithm of the likelihood with each fault, over that without
-    alike: float = 0.0  # like `odds`, 0 or more, if all scenes were a single one, seen soundly
-    ever: bool = False  # whether the run was refused after fewer scenes
+    alike: float = 0.0  # like `odds`, 0 or more, for one scene shown again and again, seen soundly
+    refused_before: bool = False  # whether the run was refused after fewer scenes
 
     @property
     @np.errstate(under="ignore")
@@ -194,7 +194,7 @@ class ViewResult:
     @property
     def refused(self) -> bool:
         """Whether a single scene, shown again and again, does not explain the counts either."""
-        return self.ever or self.evidence - self.alike > -log(FALSE_ALARM)
+        return self.refused_before or self.evidence - self.alike > -log(FALSE_ALARM)
 
     @property
     def likeliest(self) -> str:
@@ -269,25 +269,25 @@ class ViewTest:
         scenes = np.concatenate([means, np.asarray(model.axes, float)])
         views = [scenes]
         for fault in (*harmless, *faults):
-            image = fault.see(scenes.reshape(len(scenes), *_rows(image_shape)))
+            image = fault.transform(scenes.reshape(len(scenes), *_rows(image_shape)))
             image = image.reshape(scenes.shape)
             lit = image[: self._classes]
             image = image * (self._mean.sum() / (self._shares @ lit).sum())
             image[: self._classes] += fault.stray * self._mean.mean()
             # The all-ON frames that measure the light see the stray light, too
             views.append(image / (1 + fault.stray))
-        # The same freedom whatever the view: brightness alone speaks for none
+        # Brightness is free by 30 % in every view, so that it is evidence for none
         free = [0.3 * self._shares @ view[None, : self._classes] for view in views]
         self._views = np.stack([np.concatenate(pair) for pair in zip(views, free, strict=True)])
         self._faults = tuple(fault.words for fault in faults)
         self._sound = 1 + len(harmless)  # views that pass; the first is the training's
-        # Scenes of each class so far, as a Dirichlet law of the shares has them
+        # Scenes of each class so far, with those that a Dirichlet law of the shares starts from
         count = self._sound + len(self._faults)
-        self._often = np.tile(self._shares * self._classes, (count, 1))
+        self._class_counts = np.tile(self._shares * self._classes, (count, 1))
         self._log = np.zeros(count)
         self._scenes = 0
         self._refused = False
-        # What scenes change of all counts, as `_log_densities` takes it, seen as in training
+        # Sums over scenes of the arguments of `_log_densities`, seen as in training
         self._sums: list[np.ndarray] = []
 
     @np.errstate(under="ignore")
@@ -302,7 +302,7 @@ class ViewTest:
             return
         scale = 1 / np.sqrt(np.maximum(noise[lit], 1e-12))
         light = self._views @ rows.masks[lit].T * scale  # (V, C + axes, k)
-        away = rows.counts[lit] * scale - light[:, : self._classes]
+        residuals = rows.counts[lit] * scale - light[:, : self._classes]
         gains = rows.inputs[lit, None] == np.unique(rows.inputs)
         # the efficiency of each detector is free by 3 %
         free = (0.03 * (expected[lit] * scale)[:, None] * gains).T
@@ -310,18 +310,19 @@ class ViewTest:
             [light[:, self._classes :], np.broadcast_to(free, (len(light), *free.shape))], axis=1
         )
         precision = np.eye(axes.shape[1]) + axes @ axes.swapaxes(1, 2)
-        along = away @ axes.swapaxes(1, 2)
-        squares = (away**2).sum(axis=2)
-        logs = _log_densities(precision, along, squares)
-        often = self._often
-        chances = logs + np.log(often / often.sum(axis=1, keepdims=True))
-        total = logsumexp(chances, axis=1)
+        projections = residuals @ axes.swapaxes(1, 2)
+        squares = (residuals**2).sum(axis=2)
+        logs = _log_densities(precision, projections, squares)
+        class_counts = self._class_counts
+        joint = logs + np.log(class_counts / class_counts.sum(axis=1, keepdims=True))
+        total = logsumexp(joint, axis=1)
         self._log += total
-        self._often = often + np.exp(chances - total[:, None])
+        # each scene counts for the classes by their probabilities
+        self._class_counts = class_counts + np.exp(joint - total[:, None])
         self._scenes += 1
-        sums = [precision[0] - np.eye(len(precision[0])), along[0], squares[0]]
+        sums = [precision[0] - np.eye(len(precision[0])), projections[0], squares[0]]
         if self._sums:
-            sums = [before + more for before, more in zip(self._sums, sums, strict=True)]
+            sums = [before + added for before, added in zip(self._sums, sums, strict=True)]
         self._sums = sums
         self._refused |= self.result.refused
 
@@ -336,7 +337,7 @@ class ViewTest:
             faults=self._faults,
             odds=odds,
             alike=alike,
-            ever=self._refused,
+            refused_before=self._refused,
         )
 
     @property
@@ -345,17 +346,20 @@ class ViewTest:
         """Logarithm of the likelihood of all counts if every scene were the same sound one."""
         from scipy.special import logsumexp
 
-        precision, along, squares = self._sums
-        logs = _log_densities(precision + np.eye(len(precision)), along, squares)
+        precision, projections, squares = self._sums
+        logs = _log_densities(precision + np.eye(len(precision)), projections, squares)
         return float(logsumexp(logs + np.log(self._shares)))
 
 
-def _log_densities(precision: np.ndarray, along: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Logarithms (..., C) of normal densities, from what scenes change (..., d, d) and (..., C, d).
+def _log_densities(
+    precision: np.ndarray, projections: np.ndarray, squares: np.ndarray
+) -> np.ndarray:
+    """Logarithms (..., C) of normal densities of counts, by Woodbury's identity.
 
-    The covariance is that of the noise, 1 a readout, and of the axes: Woodbury's identity.
+    The covariance is that of the noise, 1 a readout, and of d axes. Shapes: precision (..., d, d)
+    of the axes; projections (..., C, d) of the residuals on them; squared residuals (..., C).
     """
     factor = np.linalg.cholesky(precision)
-    solved = np.linalg.solve(factor, along.swapaxes(-1, -2))
+    solved = np.linalg.solve(factor, projections.swapaxes(-1, -2))
     half = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
     return np.asarray(-(squares - (solved**2).sum(axis=-2)) / 2 - half[..., None])

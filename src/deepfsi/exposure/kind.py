@@ -23,7 +23,7 @@ from deepfsi.designfile.design_file import Temperatures
 from deepfsi.jobs.exposures import ConditionedEntry, Entry
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
-from deepfsi.physics.noise import NoiseFunction, noise_of, to_training_light
+from deepfsi.physics.noise import NoiseFunction, click_rescaling, noise_of
 from deepfsi.physics.scanner import Scanner
 
 Use = Literal["masks", "frames", "graph", "page", "comparison", "ideal observer"]
@@ -64,7 +64,7 @@ class ExposureKind(ABC):
     summed_reflectance: float  # s, the training scenes' mean summed reflectance; λ = Φ x / s
     shares: Tensor  # (k,), share of the budget counted for each feature, in the training mean
     detection: Detection  # detectors on parts of the device, and what is read of two rails
-    makes_masks: ClassVar[bool] = False  # whether each mask is made from the counts so far
+    makes_masks: ClassVar[bool] = False  # whether counts so far make the next mask
     comparable: ClassVar[bool] = True  # whether counts can be tested against the training's
     refusals: ClassVar[dict[Use, str]] = {}  # uses that the kind refuses, with the reason
 
@@ -122,7 +122,7 @@ class Clicks(NamedTuple):
 class MaskExposure(ExposureKind):
     """Exposure with masks that are known before; each is shown once, for its dwell.
 
-    Training and design file make it of its entry, in one way: `Entry.restored_by` names the class.
+    Training and design file both make it from its entry: `Entry.restored_by` names the class.
     """
 
     entry: Entry  # of the design file's header
@@ -175,8 +175,8 @@ class MaskExposure(ExposureKind):
     @property
     def counts_shape(self) -> tuple[int, ...]:
         """Shape ([2,] m [, D]) of an exposure's counts."""
-        several = (self.detection.count,) if self.detection.count > 1 else ()
-        return ((2,) if self.rails.count == 2 else ()) + (self.count, *several)
+        detectors = (self.detection.count,) if self.detection.count > 1 else ()
+        return ((2,) if self.rails.count == 2 else ()) + (self.count, *detectors)
 
     @property
     def part_axis(self) -> tuple[int, ...]:
@@ -228,9 +228,9 @@ class MaskExposure(ExposureKind):
         return scanner.rates(scenes.to(self.device) / self.summed_reflectance)
 
     def placed(self, rates: Tensor, generator: torch.Generator | None) -> Tensor:
-        """Expected counts (..., rails, m · D) of exposures of `rates`, each where its scene is.
+        """Expected counts (..., rails, m · D) of exposures, for scenes that move.
 
-        Without a generator, in the mean over the places of scenes that move.
+        The generator draws where each scene is; without one, the mean over its places is returned.
         """
         return rates
 
@@ -242,6 +242,7 @@ class MaskExposure(ExposureKind):
         def expose(photons: float, generator: torch.Generator) -> tuple[Answer, CountedLight]:
             counts = scanner.read(self.placed(rates, generator) * photons, generator)
             if self.clicks is not None:
+                # clicks are over the training's budget: the next line divides by this one
                 counts = counts * (photons / self.clicks.photons)
             answer = network(self.detection.features(counts) / photons, photons)
             arriving = photons * self.placed(rates, None)
@@ -257,10 +258,10 @@ class MaskExposure(ExposureKind):
 
         Clicks are not in proportion to the light: theirs are over the training's budget.
         """
-        every = counts.flatten(-2) if self.detection.count > 1 else counts
-        every = every if self.rails.count == 2 else every.unsqueeze(-2)
+        by_rail = counts.flatten(-2) if self.detection.count > 1 else counts
+        by_rail = by_rail if self.rails.count == 2 else by_rail.unsqueeze(-2)
         scale = photons if self.clicks is None else self.clicks.photons
-        return self.detection.features(every) / scale
+        return self.detection.features(by_rail) / scale
 
     @property
     def input_count(self) -> int:
@@ -268,10 +269,10 @@ class MaskExposure(ExposureKind):
         return self.count * self.detection.width(self.rails.count)
 
     def inputs(self, features: Tensor, photons: Tensor | float) -> Tensor:
-        """Inputs of the classifier, of features (..., k) over the budget, at a budget of each."""
+        """Inputs of the classifier from features (..., k) over the budget, and budgets (..., 1)."""
         if self.clicks is not None:
             trained = self.clicks.photons
-            gain, offset = to_training_light(
+            gain, offset = click_rescaling(
                 photons / trained,
                 self.mean * trained,
                 self.shares * trained / prod(self.part_axis),
@@ -285,7 +286,7 @@ class MaskExposure(ExposureKind):
 class ConditionedExposure(MaskExposure):
     """Exposure of fixed dwells for a range of budgets, which its classifier must know.
 
-    Two inputs more are the logarithm of the budget, -1 to 1 over a range of e² or more, and 1,
+    It has two more inputs: the logarithm of the budget, -1 to 1 over a range of e² or more, and 1,
     which designs of earlier versions read as the share of masks shown.
     """
 
@@ -293,7 +294,7 @@ class ConditionedExposure(MaskExposure):
 
     @property
     def input_count(self) -> int:
-        """Number of the classifier's inputs, two more than of the whole sequence's features."""
+        """Number of the classifier's inputs: features of all masks, and two more."""
         return self.entry.masks * self.entry.width + 2
 
     def inputs(self, features: Tensor, photons: Tensor | float) -> Tensor:
@@ -316,22 +317,24 @@ def with_budget(scaled: Tensor, ratio: Tensor, span: float) -> Tensor:
     return torch.cat([scaled, level.expand_as(column), torch.ones_like(column)], dim=-1)
 
 
-def temperatures_at(fitted: Temperatures, place: Tensor | int, photons: Tensor | float) -> Tensor:
-    """Temperatures (..., 1) at places among the stops, from 0, and at budgets (..., 1)."""
+def temperatures_at(fitted: Temperatures, stop: Tensor | int, photons: Tensor | float) -> Tensor:
+    """Temperatures (..., 1) at stops (..., 1) or (), from 0, and at budgets (..., 1)."""
     if not isinstance(photons, Tensor):
         photons = torch.tensor([photons], dtype=torch.double)
     start = np.log(fitted.budgets[0])
     step = np.log(fitted.budgets[1] / fitted.budgets[0])
     level = (photons.log() - start) / step
     logs = torch.from_numpy(fitted.logs).to(level)
-    rows = _hats(torch.as_tensor(place).to(level), len(logs)) @ logs
+    rows = _hats(torch.as_tensor(stop).to(level), len(logs)) @ logs
     log = (rows * _hats(level, logs.shape[1])).sum(dim=-1, keepdim=True)
     # Features are divided by the budget: in less light their noise grows as 1 / Φ, and logits do
     return (log - level.clamp(max=0) * step).exp()
 
 
-def _hats(place: Tensor, count: int) -> Tensor:
-    """Weights (..., count) of linear interpolation between equidistant values; ends stay."""
-    # place (..., 1) or ()
-    away = place.clamp(0, count - 1) - torch.arange(count).to(place)
-    return (1 - away.abs()).relu()
+def _hats(position: Tensor, count: int) -> Tensor:
+    """Weights (..., count) of linear interpolation at positions (..., 1) or () between 0, 1, 2, ….
+
+    Beyond the ends the value of the end holds.
+    """
+    distance = position.clamp(0, count - 1) - torch.arange(count).to(position)
+    return (1 - distance.abs()).relu()

@@ -56,8 +56,8 @@ class JobGroup:
 
     training_set: TrainingSet
     jobs: Sequence[Job]  # jobs of one seed are neighbours
-    matrix: np.ndarray | None = None  # (m, N), a user's own, for ``design="custom"``
-    masks: FixedMasks | LearnedMasks | None = None  # that were learned before, of a control group
+    matrix: np.ndarray | None = None  # (m, N), the user's, for ``design="custom"``
+    masks: FixedMasks | LearnedMasks | None = None  # of a control group, learned before
 
     def training(self) -> "ExposureTraining":
         """Masks of the jobs before their training, by the class that their exposure names."""
@@ -67,22 +67,21 @@ class JobGroup:
 def _noise_of(group: JobGroup) -> TrainingNoise:
     """Noise that jobs train under."""
     job = group.jobs[0]
-    own = job.camera.noise if job.training.noise is None else job.training.noise
-    setting = job.noise if isinstance(own, str) else own
-    noises = [noise_of(each.camera, setting) for each in group.jobs]
+    noise = job.camera.noise if job.training.noise is None else job.training.noise
+    setting = job.noise if isinstance(noise, str) else noise
+    noises = [noise_of(job.camera, setting) for job in group.jobs]
     noises[0].check(learning=job.facts.learned)
-    gains = [each.photons / group.training_set.summed_reflectance for each in group.jobs]
-    seeds = [each.seed for each in group.jobs]
+    gains = [job.photons / group.training_set.summed_reflectance for job in group.jobs]
+    seeds = [job.seed for job in group.jobs]
     return TrainingNoise.of(noises, gains, seeds, group.training_set.device)
 
 
 FeatureStatistics = tuple[Tensor, Tensor, Tensor]
-"""Mean and deviation (R, k) of features in units of the scene, over scenes and noise; mean light.
-"""
+"""Mean and deviation (R, k) of features over scenes and noise, and mean light (R, k)."""
 
 
 class ExposureTraining(ABC):
-    """Masks of R jobs side by side in a training, and what classifiers get of a step's scenes."""
+    """Masks of R jobs in a training side by side, and the classifiers' inputs in each step."""
 
     masks: FixedMasks | LearnedMasks  # R replicas, or one that all jobs share
     entries: Sequence[Entry]  # header entry of each job's exposure
@@ -151,7 +150,7 @@ class ExposureTraining(ABC):
         elif self.job.facts.scaled:
             rails = self._matrices().unsqueeze(1)
         else:
-            rails = torch.stack([self.law.fit(each, rails_kind) for each in self._matrices()])
+            rails = torch.stack([self.law.fit(matrix, rails_kind) for matrix in self._matrices()])
         rails = self.law.quantise(rails, self.levels) if self.levels else rails
         return FixedMasks(rails).to(self.scenes.device)
 
@@ -159,7 +158,7 @@ class ExposureTraining(ABC):
         """Centred scenes and their mean (n + 1, P), and masks, both arranged by detectors."""
         pixels = self.scenes.pixels(self.camera.light)
         masks = self.masks
-        if not self.learns:  # they see every pixel
+        if not self.learns:  # masks of a named design are lit at pixels that never vary, too
             pixels = torch.ones_like(pixels)
             masks = FixedMasks(self.detection.arrange(masks().stacked))
         kind = product_dtype(self.job, self.scenes.device)
@@ -176,11 +175,11 @@ class ExposureTraining(ABC):
         arranged = self.masks().map(detection.arrange)
         read = detection.readouts(arranged)
         masks = detection.read_of(arranged)
-        middle = detection.arrange(scenes.mean(dim=0))
+        mean_scene = detection.arrange(scenes.mean(dim=0))
         mean, light = (
-            project(middle, sums, detection.count) for sums in (masks.difference, masks.total)
+            project(mean_scene, rails, detection.count) for rails in (masks.difference, masks.total)
         )
-        if not noise.kind.unbiased:  # what it draws is taken
+        if not noise.kind.unbiased:  # its mean is not the rate: draws give both moments
             products = (
                 project_rails(detection.arrange(x), masks, detection.count)
                 for x in scenes.split(CHUNK)
@@ -208,7 +207,7 @@ class ExposureTraining(ABC):
         s = self.training_set.summed_reflectance
         mean, std, light = statistics
         rails = self.masks().stacked
-        made = []
+        exposures = []
         for job, entry in enumerate(self.entries):
             exposure = resolve_name(entry.restored_by)(
                 entry=entry,
@@ -223,15 +222,15 @@ class ExposureTraining(ABC):
                 weights=self.weights[job],
                 clicks=Clicks.of(self.job.camera, self.jobs[job].photons),
             )
-            made.append(exposure)
-        return made
+            exposures.append(exposure)
+        return exposures
 
     def _matrices(self) -> Tensor:
         """Matrices (R or 1, m, N) that masks are fitted to or start from."""
         return torch.stack([self._matrix(seed) for seed in matrix_seeds(self.jobs)])
 
     def _matrix(self, seed: int) -> Tensor:
-        """Matrix (m, N) of a seed; a single rail takes the first lit frames of a design."""
+        """Matrix (m, N) of a seed; a single rail takes the first lit frames of its design."""
         # Learned masks of two arms that are both read start from these frames, too, and the other
         # arm from what they leave: so they begin where one arm does (0.848 on MNIST's validation
         # images at 1e4 photons and 24 masks; 0.838 from the signed matrix, whose zeros are half
@@ -262,9 +261,8 @@ def matrix_seeds(jobs: Sequence[Job]) -> list[int]:
     return seeds if drawn and len(set(seeds)) > 1 else seeds[:1]
 
 
-def standardise(features: Tensor, scale: Scale) -> Tensor:
-    """Divide centred features by the standard deviation of their batch."""
-    # features (B, R, m)
+def standardise_batch(features: Tensor, scale: Scale) -> Tensor:
+    """Divide centred features (B, R, m) by the standard deviation of their batch."""
     if scale == "each":
         columns = functional.batch_norm(
             features.flatten(1), None, None, training=True, eps=LEAST_POWER
@@ -281,16 +279,16 @@ def deviation(power: Tensor, scale: Scale) -> Tensor:
     return torch.where(power > 0, power, 1.0).sqrt()
 
 
-def moments(parts: Iterable[Tensor]) -> tuple[Tensor, Tensor]:
-    """Mean and variance (R, k) of features (n_i, R, k) in parts, summed in float64."""
+def moments(batches: Iterable[Tensor]) -> tuple[Tensor, Tensor]:
+    """Mean and variance (R, k) of batches of features (n_i, R, k), summed in float64."""
     count = 0
     sums = []
-    for part in parts:
-        wide = part.double()
-        count += len(part)
+    for batch in batches:
+        wide = batch.double()
+        count += len(batch)
         sums.append(torch.stack([wide.sum(dim=0), wide.square().sum(dim=0)]))
     mean, square = torch.stack(sums).sum(dim=0) / count
-    return mean.to(part), (square - mean.square()).clamp(min=0).to(part)
+    return mean.to(batch), (square - mean.square()).clamp(min=0).to(batch)
 
 
 class _FixedTraining(ExposureTraining):
@@ -306,7 +304,7 @@ class _FixedTraining(ExposureTraining):
         detection = self.detection
         arranged = self.masks().map(detection.arrange)
         masks = detection.read_of(arranged)
-        if not noise.kind.of_light:
+        if not noise.kind.depends_on_light:
             masks = Rails(masks.difference)  # spares the product with the total
         products = [
             project_rails(detection.arrange(x), masks, detection.count)
@@ -318,14 +316,14 @@ class _FixedTraining(ExposureTraining):
         del products  # as large as both
         self.mean, self.std, _ = self.statistics(means=self.means)
         self.read = detection.readouts(arranged)
-        self.totals = totals if noise.kind.of_light else None
+        self.totals = totals if noise.kind.depends_on_light else None
         if noise.kind.draws_rails:
             return
         # Products are standardised here, not in each step. Replicas that share products have
         # deviations of their own: the products have that of the first, a factor gives the others'
         replicas = self.means.shape[1]
-        self.alone = replicas == len(self.std)
-        self.ratio = self.std[:replicas] / self.std
+        self.own_products = replicas == len(self.std)
+        self.std_ratio = self.std[:replicas] / self.std
         if self.totals is None:
             self.gain = noise.variance(self.mean, self.mean, self.read).sqrt() / self.std
         else:
@@ -349,9 +347,9 @@ class _FixedTraining(ExposureTraining):
         gain = stream.of_jobs(self.gain)
         if self.totals is not None:
             normal = normal * stream.products(self.totals)
-            if self.alone:
+            if self.own_products:
                 return mean.add_(normal)
-        scaled = mean if self.alone else mean * stream.of_jobs(self.ratio)
+        scaled = mean if self.own_products else mean * stream.of_jobs(self.std_ratio)
         return torch.addcmul(scaled, normal, gain)
 
 
@@ -365,24 +363,24 @@ class _LearnedTraining(ExposureTraining):
         self.masks = self.learned_masks()
 
     def prepare(self) -> None:
-        """Take the centred scenes, and masks that are not too bright where few counts are asked."""
+        """Take the centred scenes, and dim masks that would count too much."""
         self.x, _ = self.centred()
         if self.job.training.counts is not None:
             self._dim(self.job.training.counts)
 
     def inputs(self, draws: Draws) -> Tensor:
         """Features (B, R, k), standardised in their batch."""
-        features, light = self.noise.learn(self.x, self.masks, self.detection, draws)
+        features, light = self.noise.learned_features(self.x, self.masks, self.detection, draws)
         if self.job.training.counts is not None:
             pairs = zip(draws.streams, light, strict=True)
             self.counts = torch.cat([stream.noise.expected(*pair) for stream, pair in pairs])
-        return standardise(features, self.scale)
+        return standardise_batch(features, self.scale)
 
     def _dim(self, counts: float) -> None:
         """Dim masks before their training, if they would count too much."""
         masks = self.masks
         detection = self.detection
-        # scenes are centred, and the last row of x is their mean
+        # the last row of x is the mean of the centred scenes: with it they are bright again
         scenes = (self.x[: min(CHUNK, len(self.training_set.labels))] + self.x[-1:]).float()
 
         def counted() -> Tensor:
@@ -393,15 +391,16 @@ class _LearnedTraining(ExposureTraining):
             bright = counted()
             rails = masks()
             readouts = rails.count * rails.masks * detection.count
-            most = float(self.noise.kind.mean(torch.tensor(torch.inf)))  # if it is limited
+            # a detector that clicks has at most one count a gate; others have no limit
+            largest = float(self.noise.kind.mean(torch.tensor(torch.inf)))
             bright_start = self.job.training.start_counts * counts
             # nine tenths of the gates click at most
-            goal = max(counts, min(bright_start, 0.9 * most * readouts))
+            goal = max(counts, min(bright_start, 0.9 * largest * readouts))
             low = torch.full_like(bright, -20.0)
             high = torch.zeros_like(bright)
-            whole = {name: each.clone() for name, each in masks.state_dict().items()}
+            start = {name: tensor.clone() for name, tensor in masks.state_dict().items()}
             for _ in range(30):  # bisection of the logarithm of the factor
-                masks.load_state_dict(whole)
+                masks.load_state_dict(start)
                 middle = (low + high) / 2
                 masks.dim(middle.exp())
                 over = counted() > goal
@@ -414,10 +413,10 @@ def fixed_training(group: JobGroup) -> ExposureTraining:
     return (_LearnedTraining if group.jobs[0].facts.learned else _FixedTraining)(group)
 
 
-def standardised(features: Tensor, scale: Scale) -> Tensor:
-    """Standardise features (B, R, k) in their batch; `standardise` rounds differently."""
-    over = (0,) if scale == "each" else (0, 2)
-    power = features.square().sum(dim=over, keepdim=True)
+def standardise_by_power(features: Tensor, scale: Scale) -> Tensor:
+    """Standardise features (B, R, k) in their batch; `standardise_batch` rounds differently."""
+    axes = (0,) if scale == "each" else (0, 2)
+    power = features.square().sum(dim=axes, keepdim=True)
     power = power / (features.numel() // power.numel())
     return features / power.clamp(min=LEAST_POWER).sqrt()
 
@@ -444,23 +443,24 @@ class ConditionedTraining(ExposureTraining):
         """Features and conditioning inputs (B, R, k + 2)."""
         rails = self.arranged()
         masks = self.detection.read_of(rails).combined
-        parts = self.detection.count
+        detectors = self.detection.count
         used = self.law.used(rails.stacked)[..., -1:]
         features = []
         ratios = []
         for stream in draws.streams:
             # a factor 1 whose gradient is only rounding: it keeps the bits of earlier trainings
-            whole = stream.of_jobs(used / used).T.unsqueeze(-1)
-            ratio = stream.budgets(self.span) / whole
-            normal = stream.normal(masks.shape[-2] * parts) * stream.noise.unit / ratio.sqrt()
+            one = stream.of_jobs(used / used).T.unsqueeze(-1)
+            ratio = stream.budgets(self.span) / one
+            normal = stream.normal(masks.shape[-2] * detectors) * stream.noise.unit / ratio.sqrt()
             x = self.x.index_select(0, stream.with_mean)
             of_seed = stream.of_jobs(masks, -3)
-            features.append(ml_gauss_features(x, of_seed, normal, False, parts=parts))
+            features.append(ml_gauss_features(x, of_seed, normal, False, detectors=detectors))
             ratios.append(ratio.expand(*features[-1].shape[:2], 1))
-        scaled = standardised(side_by_side(features), self.scale)
+        scaled = standardise_by_power(side_by_side(features), self.scale)
         return with_budget(scaled, side_by_side(ratios), self.span)
 
     def finish(self) -> list[MaskExposure]:
         """Masks of each job, with the statistics of the mean over their budgets, too."""
+        # mean of 1 / ratio over ratios span**u, u uniform in [0, 1]: noise falls as 1 / Φ
         factor = (1 - 1 / self.span) / math.log(self.span)
         return self.trained(self.statistics(factor))

@@ -47,7 +47,7 @@ class Values:
 
     @classmethod
     def of(cls, data: Dataset) -> "Values | None":
-        """Those of the training scenes of a data set; None where scenes have classes."""
+        """Values of the training scenes of a data set; None if scenes have classes."""
         if not data.values:
             return None
         y = torch.from_numpy(data.y_train)
@@ -63,7 +63,7 @@ class Values:
         return cls(names, mean, std)
 
     def estimated(self, outputs: Tensor) -> Tensor:
-        """Values (..., q) of answers of a network, in their own units."""
+        """Values (..., q) in their own units, from outputs of a network."""
         return self.mean + self.std * outputs
 
     def to(self, device: str | torch.device) -> Self:
@@ -82,7 +82,7 @@ class TrainingSet:
         self.summed_reflectance = summed_reflectance(data.x_train)
         self.values = Values.of(data)
         self.labels = self.truth_of(data.y_train)
-        # a cluster shares arrays read-only
+        # a cluster shares arrays read-only, and torch warns of them: `W` copies them
         scenes = torch.from_numpy(np.require(data.x_train, requirements="W"))
         self.full = scenes.to(self.device)
         self.matrices = {} if matrices is None else matrices
@@ -121,15 +121,15 @@ class TrainingSet:
 
     def pixels(self, light: LightLawName) -> Tensor:
         """Which pixels (N,) learned masks may light."""
-        # The light of one that never varies is noise and no information, so it stays dark unless
-        # others share what it does not get
+        # The light of a pixel that never varies is noise and no information: masks leave it dark,
+        # except under a law that lights all pixels
         return torch.ones_like(self.varying) if LIGHT_LAWS[light].lights_all else self.varying
 
     def centred(self, pixels: Tensor, kind: torch.dtype, detection: Detection) -> Tensor:
         """Pixels (N,) of the training scenes, less their mean, and the mean as the last row."""
-        # The products of the last row with the masks, added to those of a scene, give the scene's
-        # own; centred, little is lost in bfloat16. Exactly 0 where a pixel never varies, so that it
-        # moves no mask through rounding. Arranged by the detectors that see them
+        # A mask's product with a scene is the sum of its products with this row and the last one.
+        # Centred scenes lose little in bfloat16. A pixel that never varies is exactly 0, so that it
+        # moves no mask through rounding
         key = (kind, bool(pixels.all()), detection.key)
         if key not in self._centred:
             mean = torch.where(self.varying, self.full.mean(dim=0), self.full[0])
@@ -146,15 +146,17 @@ class TrainingSet:
         return len(self.labels) / (present * sizes.clamp(min=1))
 
     def prepare(self, name: str) -> None:
-        """Compute what the trainings of a design share, so that processes need not each do it."""
+        """Compute the matrix that the trainings of a design share, once for all processes."""
         if DESIGNS[name].is_made_at_once(self.data.pixels):
             self.matrix(name, 1, 0)
 
     def matrix(
         self, name: str, masks: int, seed: int, detectors: DetectorMap = ONE_DETECTOR
     ) -> np.ndarray:
-        """Sensing matrix of a fixed design; principal components are computed once for all m."""
-        # Parameters as for `sensing_matrix`
+        """Sensing matrix of a fixed design; principal components are computed once for all m.
+
+        Parameters as for `sensing_matrix`.
+        """
         check_count(name, masks, self.data, detectors)
         _, most = count_allowed(name, self.data, detectors)
         facts = DESIGNS[name]
@@ -195,7 +197,7 @@ def network_dtype(job: Job, device: torch.device) -> torch.dtype:
 
 
 def _rounded(job: Job, device: torch.device) -> torch.dtype:
-    """Type whose rounding stays under the readout noise, unless one was asked for."""
+    """Type whose rounding stays under the readout noise, or the type that the job asks for."""
     # See `BFLOAT16_COUNTS`. Read noise of σ counts stands in for √count under gaussian noise
     if job.training.precision != "auto":
         return getattr(torch, job.training.precision)

@@ -25,7 +25,7 @@ from deepfsi.camera.names import RailsKind, Readout
 
 @dataclass(frozen=True, eq=False)
 class Rails:
-    """Rails of masks (..., m, N), leading axes replicas, as their difference and total."""
+    """Rails of masks (..., m, N), as their difference and total; leading axes are replicas."""
 
     difference: Tensor  # (..., m, N)
     _total: Tensor | None = None
@@ -52,7 +52,7 @@ class Rails:
 
     @property
     def kind(self) -> RailsKind:
-        """Name of the kind."""
+        """``"single"`` or ``"dual"``."""
         return "single" if self._total is None else "dual"
 
     @property
@@ -153,7 +153,7 @@ class Detection:
         return self.count * (rails if self.readout == "both" else 1)
 
     def read_of(self, rails: Rails) -> Rails:
-        """Masks with one feature each: for `both`, one rail with M⁺ and M⁻ of each in turn."""
+        """Masks with one feature each: `both` has M⁺ and M⁻ of each mask in turn, on one rail."""
         if self.readout == "difference" or rails.count == 1:
             return rails
         return Rails(rails.stacked.transpose(-3, -2).flatten(-3, -2))
@@ -187,8 +187,9 @@ class Detection:
         time, frame = (tensor.repeat_interleave(self.count, dim=-1) for tensor in (time, frame))
         if self.readout == "difference" or rails.count == 1:
             return Readouts(active, time, frame)
-        one = [self._mask_by_mask(tensor.movedim(0, -2)) for tensor in (active, time, frame)]
-        return Readouts(*(torch.stack([tensor, torch.zeros_like(tensor)]) for tensor in one))
+        single = [self._mask_by_mask(tensor.movedim(0, -2)) for tensor in (active, time, frame)]
+        # each feature is then one rail, and its second is not read out
+        return Readouts(*(torch.stack([tensor, torch.zeros_like(tensor)]) for tensor in single))
 
 
 class Readouts(NamedTuple):

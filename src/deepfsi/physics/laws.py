@@ -36,9 +36,9 @@ Weights = Mapping[str, Tensor]
 class LightLaw(ABC):
     """Limit on the light that rails (..., 2 or 1, m, N) may use."""
 
-    name: ClassVar[LightLawName]  # by which a camera names it
+    name: ClassVar[LightLawName]  # the `light` of a camera
     disjoint: ClassVar[bool] = True  # no pixel is lit on both rails: learned masks' total is |M|
-    dwells: ClassVar[dict[RailsKind, int]] = {"dual": 0, "single": 0}  # that each mask learns
+    dwells: ClassVar[dict[RailsKind, int]] = {"dual": 0, "single": 0}  # learned by each mask
 
     def rails(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Rails (..., 2 or 1, m, N) whose difference is a matrix (..., m, N).
@@ -81,6 +81,7 @@ class LightLaw(ABC):
         have patterns, which begin at nine tenths of their peaks, and dwells, which begin equal.
         """
         *replicas, masks, _ = start.shape
+        # at a peak atanh is infinite and tanh has no gradient; logit is infinite at 0
         pattern = 0.9 * start / frame_peaks(start.abs())
         free = torch.atanh(pattern) if kind == "dual" else torch.logit(pattern.clamp(min=0.05))
         weights: dict[str, Tensor] = {"weight": nn.Parameter(free)}
@@ -107,9 +108,9 @@ class LightLaw(ABC):
         weight.copy_(torch.atanh(pattern) if kind == "dual" else torch.logit(pattern, eps=1e-6))
 
     def check(self, rails: Tensor) -> Tensor:
-        """Return rails (2 or 1, m, N) that are finite, not negative and within the law.
+        """Return rails (2 or 1, m, N), or raise `InputError` if they break the law.
 
-        Else raise `InputError`.
+        They must also be finite and 0 or more.
         """
         check_light_law(self.name, "dual" if len(rails) == 2 else "single")
         if not bool(((rails >= 0) & (rails <= 1e30)).all()):  # more has infinite sums in float32
@@ -141,27 +142,27 @@ class _Column(LightLaw):
     name: ClassVar[LightLawName] = "column"
 
     @staticmethod
-    def most(sums: Tensor) -> Tensor:
+    def limited_light(sums: Tensor) -> Tensor:
         """Quantity (..., 1) that the law limits, from column sums (..., N): the largest."""
         return sums.amax(dim=-1, keepdim=True)
 
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Scale all masks by one factor, up to the limit."""
-        parts = self.rails(matrix, kind)
-        return parts / self.most(parts.sum(dim=(0, 1))).clamp(min=DARK)
+        rails = self.rails(matrix, kind)
+        return rails / self.limited_light(rails.sum(dim=(0, 1))).clamp(min=DARK)
 
     def used(self, rails: Tensor) -> Tensor:
         """Limited quantity of the first k masks."""
-        return self.most(rails.sum(dim=-3).cumsum(dim=-2))[..., 0]
+        return self.limited_light(rails.sum(dim=-3).cumsum(dim=-2))[..., 0]
 
     def quantise(self, rails: Tensor, levels: int) -> Tensor:
-        """Grey levels of each frame; all frames are dimmed where rounding breaks the law."""
+        """Grey levels of each frame; all frames are dimmed if rounding breaks the law."""
         shown = super().quantise(rails, levels)
-        return shown / self.most(shown.sum(dim=(-3, -2), keepdim=True)).clamp(min=1)
+        return shown / self.limited_light(shown.sum(dim=(-3, -2), keepdim=True)).clamp(min=1)
 
     def weights(self, start: Tensor, kind: RailsKind) -> dict[str, Tensor]:
-        """The fitted start in units of its rms, and this unit."""
-        light = self.most(start.abs().sum(dim=-2, keepdim=True))
+        """The fitted start in units of its rms, and this unit, a buffer that does not learn."""
+        light = self.limited_light(start.abs().sum(dim=-2, keepdim=True))
         if not bool(light.all()):
             raise InputError("a start is 0 everywhere: give masks that pass light")
         fitted = start / light
@@ -171,17 +172,17 @@ class _Column(LightLaw):
     def matrix(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Tensor:
         """Each pixel's column, divided by its limited light where that exceeds 1."""
         unit = weights["unit"]
-        light = self.limited(weights["weight"].abs().sum(dim=-2, keepdim=True))
+        light = self.light_by_pixel(weights["weight"].abs().sum(dim=-2, keepdim=True))
         matrix = weights["weight"] * (unit / (light * unit).clamp(min=1))
         return matrix if kind == "dual" else matrix.abs()
 
     @staticmethod
-    def limited(sums: Tensor) -> Tensor:
-        """Light (..., N or 1) of each pixel that may not exceed 1, from column sums (..., N)."""
+    def light_by_pixel(sums: Tensor) -> Tensor:
+        """Light (..., N or 1) that may not exceed 1 at each pixel, from column sums (..., N)."""
         return sums
 
     def dim(self, weights: Weights, kind: RailsKind, factor: Tensor) -> None:
-        """Take a smaller unit."""
+        """Make the unit smaller."""
         weights["unit"].mul_(factor[:, None, None])
 
 
@@ -196,8 +197,8 @@ class _EqualDwell(LightLaw):
 
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Divide each frame by its peak and by F."""
-        parts = self.rails(matrix, kind)
-        return parts / (frame_peaks(parts) * max(len(frames(parts)), 1))
+        rails = self.rails(matrix, kind)
+        return rails / (frame_peaks(rails) * max(len(frames(rails)), 1))
 
     def excess(self, rails: Tensor) -> float:
         """F max M± − 1."""
@@ -227,8 +228,8 @@ class _FreeDwell(LightLaw):
 
     def fit(self, matrix: Tensor, kind: RailsKind = "dual") -> Tensor:
         """Scale all masks by 1 / Σ peaks."""
-        parts = self.rails(matrix, kind)
-        return parts / parts.amax(dim=-1).sum().clamp(min=DARK)
+        rails = self.rails(matrix, kind)
+        return rails / rails.amax(dim=-1).sum().clamp(min=DARK)
 
     def used(self, rails: Tensor) -> Tensor:
         """Σ peaks of the first k masks."""
@@ -291,7 +292,8 @@ class _TwoArm(LightLaw):
     def project(self, weights: Weights, kind: RailsKind, shortest: float = 0.0) -> Rails:
         """Rails whose total is the times of the masks."""
         matrix = self.matrix(weights, kind, shortest)
-        # Taken again: the gradient of each use goes through the softmax by itself
+        # Computed again, not shared: one softmax would add both gradients first, and round
+        # differently
         times = _softmax_dwells(weights["dwell"], shortest)[..., 0, :, None]
         return Rails(matrix, times.expand_as(matrix))
 
@@ -306,11 +308,11 @@ class _Dose(_Column):
     name = "dose"
 
     @staticmethod
-    def most(sums: Tensor) -> Tensor:
+    def limited_light(sums: Tensor) -> Tensor:
         """The mean of the sums of columns."""
         return sums.mean(dim=-1, keepdim=True)
 
-    limited = most
+    light_by_pixel = limited_light
 
 
 def light_law(name: str) -> LightLaw:
@@ -328,13 +330,13 @@ def signed_parts(matrix: Tensor) -> Tensor:
 
 def frames(rails: Tensor) -> Tensor:
     """Frames (F, N) of rails (2 or 1, m, N): every rail that is not dark, mask by mask."""
-    every = rails.transpose(0, 1).flatten(0, 1)
-    return every[every.amax(dim=-1) > 0]
+    by_mask = rails.transpose(0, 1).flatten(0, 1)
+    return by_mask[by_mask.amax(dim=-1) > 0]
 
 
-def frame_peaks(parts: Tensor) -> Tensor:
-    """Largest entry of each frame (..., m, 1), 1 where it is dark."""
-    largest = parts.amax(dim=-1, keepdim=True)
+def frame_peaks(rails: Tensor) -> Tensor:
+    """Largest entry (..., m, 1) of each frame (..., m, N), 1 where the frame is dark."""
+    largest = rails.amax(dim=-1, keepdim=True)
     return torch.where(largest > 0, largest, 1.0)
 
 
@@ -353,9 +355,9 @@ def _softmax_dwells(dwell: Tensor, shortest: float, pattern: Tensor | None = Non
     """Share (..., 1 or 2, m) of the exposure that each frame gets.
 
     A mirror is ON for its frame's dwell times its peak: 0, or at least `shortest`. Dwells rounded
-    to this have the gradient of the softmax, so that a dark frame can come back.
+    to this have the gradient of the softmax, so that a dark frame can come back. Without patterns
+    (..., m, N) each peak is 1.
     """
-    # without patterns (..., m, N) each peak is 1
     shares = dwell.flatten(-2).softmax(dim=-1)
     if not shortest:
         return shares.view_as(dwell)
@@ -365,7 +367,7 @@ def _softmax_dwells(dwell: Tensor, shortest: float, pattern: Tensor | None = Non
             ends = [pattern.amax(dim=-1), -pattern.amin(dim=-1)][: dwell.shape[-2]]
             peaks = torch.cat(ends, dim=-1).clamp(min=0)
         shown = share_out(shares * peaks, shortest) / torch.where(peaks > 0, peaks, 1.0)
-    return through(shares, shown).view_as(dwell)
+    return straight_through(shares, shown).view_as(dwell)
 
 
 def share_out(dwell: Tensor, shortest: float) -> Tensor:
@@ -378,13 +380,14 @@ def share_out(dwell: Tensor, shortest: float) -> Tensor:
     order = dwell.argsort(dim=-1, descending=True, stable=True)
     longest_first = dwell.gather(-1, order)
     total = dwell.sum(-1)[..., None]
+    # rounding must not turn off a frame of exactly the shortest dwell
     enough = longest_first * total >= shortest * (1 - 1e-6) * longest_first.cumsum(-1)
     count = enough.sum(-1)[..., None].clip(min=1)
     shown = dwell * (order.argsort() < count)
     return shown * (total / shown.sum(-1)[..., None])
 
 
-def through(continuous: Tensor, shown: Tensor) -> Tensor:
+def straight_through(continuous: Tensor, shown: Tensor) -> Tensor:
     """The second tensor, exactly, with the gradient of the first (straight through)."""
     return shown + (continuous - continuous.detach())
 
@@ -444,7 +447,7 @@ class LearnedMasks(nn.Module):
         if rails == "single" and bool((start < 0).any()):
             raise InputError("a start of a single rail has negative entries: give 0 or more")
         self.law = light_law(light)
-        self.rails = rails
+        self.rails_kind = rails
         self.levels = levels
         self.shortest = shortest
         for name, tensor in self.law.weights(start, rails).items():
@@ -455,27 +458,27 @@ class LearnedMasks(nn.Module):
 
     def forward(self) -> Rails:
         """Rails of the masks, (..., m, N)."""
-        rails = self.law.project(self._weights, self.rails, self.shortest)
+        rails = self.law.project(self._weights, self.rails_kind, self.shortest)
         if not self.levels:
             return rails
         with torch.no_grad():
             shown = Rails.of(self.law.quantise(rails.stacked, self.levels))
-        return rails.map(through, shown)
+        return rails.map(straight_through, shown)
 
     def matrix(self) -> Tensor:
         """Difference (..., m, N) of the rails, before rounding to grey levels."""
-        return self.law.matrix(self._weights, self.rails, self.shortest)
+        return self.law.matrix(self._weights, self.rails_kind, self.shortest)
 
     def dim(self, factor: Tensor) -> None:
         """Dim the masks by factors (R,) up to 1."""
         with torch.no_grad():
-            self.law.dim(self._weights, self.rails, factor)
+            self.law.dim(self._weights, self.rails_kind, factor)
 
     @property
     def disjoint(self) -> bool:
         """True if the total is |M| and has its gradient."""
-        # Each pixel is then on one of two rails, and nothing rounds
-        return self.rails == "dual" and self.law.disjoint and not self.levels
+        # Each pixel is then lit on one of two rails alone, and no grey level rounds it
+        return self.rails_kind == "dual" and self.law.disjoint and not self.levels
 
     @property
     def _weights(self) -> dict[str, Tensor]:

@@ -55,13 +55,13 @@ class Noise(ABC):
     """
 
     fluctuation: float = field(default=0.0, kw_only=True)  # σ, relative to the mean light
-    name: ClassVar[str]  # as a camera names it; a user's noise has its import path
+    name: ClassVar[str]  # the `noise` of a camera; a user's noise has its import path
     one_draw: ClassVar[bool] = False  # one normal number for each feature of steady light
     light_free: ClassVar[bool] = False  # its draws of steady light do not depend on the light
     # Whether the mean count is the rate. Then `gradient` gives counts the gradient of their mean
     # and variance; draws of a biased noise bring their own
     unbiased: ClassVar[bool] = True
-    numbers: ClassVar[tuple[str, ...]] = ()  # in which trainings side by side may differ
+    numbers: ClassVar[tuple[str, ...]] = ()  # fields that may differ in trainings side by side
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -79,7 +79,7 @@ class Noise(ABC):
         return bool(self.fluctuation) or not self.one_draw
 
     @property
-    def of_light(self) -> bool:
+    def depends_on_light(self) -> bool:
         """Whether draws depend on the light."""
         return bool(self.fluctuation) or not self.light_free
 
@@ -103,9 +103,9 @@ class Noise(ABC):
         """Counts of rails; one frame has one brightness, rails that are not read out count 0."""
         if self.fluctuation:
             shape = rates.movedim(rails, -2).shape
-            every = rates.new_empty(*shape[:-2], 2 * shape[-1])  # room for each frame
+            frames = rates.new_empty(*shape[:-2], 2 * shape[-1])  # room for each frame
             frame = read.frame.movedim(rails, -2).expand(shape).flatten(-2)
-            light = self.brightness(every, random).gather(-1, frame)
+            light = self.brightness(frames, random).gather(-1, frame)
             rates = rates * light.unflatten(-1, shape[-2:]).movedim(-2, rails)
         if not self.unbiased:
             rates = torch.where(read.active, rates, 1.0)  # the slope of a root at 0 is infinite
@@ -124,10 +124,10 @@ class Noise(ABC):
         steady = self.steady_variance(light)
         if not self.fluctuation:
             return steady
-        apart = (light.total.square() + light.mean.square()) / 2
-        at_once = light.read.frame[0] == light.read.frame[-1]
-        bright = torch.where(at_once, light.mean.square(), apart)
-        return steady + self.fluctuation**2 * light.gain * bright
+        two_frames = (light.total.square() + light.mean.square()) / 2  # r⁺² + r⁻²
+        one_frame = light.read.frame[0] == light.read.frame[-1]
+        squares = torch.where(one_frame, light.mean.square(), two_frames)
+        return steady + self.fluctuation**2 * light.gain * squares
 
     def steady_variance(self, light: Expectation) -> Tensor:
         """Variance (..., k) under steady light; for photons it is the total."""
@@ -151,18 +151,17 @@ class Noise(ABC):
         return  # all of the package pass
 
     def of_jobs(self, jobs: int | slice) -> Self:
-        """Noise of some of the trainings side by side."""
-        own = {name: getattr(self, name)[jobs] for name in self.numbers}
-        return replace(self, **own)
+        """Noise of one or several of the trainings side by side."""
+        return replace(self, **{name: getattr(self, name)[jobs] for name in self.numbers})
 
     @classmethod
     def side_by_side(cls, noises: Sequence[Self], device: torch.device) -> Self:
         """One noise with the numbers (R, 1) of R trainings that differ in these alone."""
-        every: dict[str, Any] = {
+        numbers: dict[str, Any] = {
             name: torch.tensor([getattr(noise, name) for noise in noises], device=device)[:, None]
             for name in cls.numbers
         }
-        return replace(noises[0], **every)
+        return replace(noises[0], **numbers)
 
 
 @dataclass(frozen=True)
@@ -225,6 +224,7 @@ class _MlGauss(Noise):
 
     def deviation(self, light: Expectation) -> Tensor:
         """√(r⁺ + r⁻)."""
+        # The base's formula would round differently
         return root(light.total) * torch.as_tensor(light.gain).rsqrt()
 
 
@@ -281,7 +281,7 @@ class _CameraNoise(Noise):
         return self.dark * time
 
     def steady_variance(self, light: Expectation) -> Tensor:
-        """R + d + σ² of each rail that is read out."""
+        """Sum of r + d + σ² over the rails that are read out."""
         dark = self.dark_counts(light.read.time.sum(dim=0))
         read_noise = self.sigma**2 * light.read.lit.to(light.total.dtype)
         return (light.total * light.gain + dark + read_noise) / light.gain
@@ -306,15 +306,17 @@ class Click(Noise):
         # With the mean G p and the variance G p (1 − p) this gradient is
         # f′(k) [k / p + (G − k) / (1 − p)] / 2, the trapezoid rule for the exact one,
         # ∂ E f / ∂p = G E[f(k + 1) − f(k)] over G − 1 gates: no error if f is at most quadratic
-        chance = -torch.expm1(-rates / self.gates)
-        fixed = chance.detach()
+        p = -torch.expm1(-rates / self.gates)
+        fixed = p.detach()
         if self.gates == 1:
-            even = torch.rand(fixed.shape, generator=random, device=fixed.device, dtype=fixed.dtype)
-            counts = (even < fixed).to(fixed.dtype)
+            uniform = torch.rand(
+                fixed.shape, generator=random, device=fixed.device, dtype=fixed.dtype
+            )
+            counts = (uniform < fixed).to(fixed.dtype)
         else:
             counts = torch.binomial(torch.full_like(fixed, self.gates), fixed, random)
-        mean = self.gates * chance
-        return attach_gradient(counts, mean, mean * (1 - chance))
+        mean = self.gates * p
+        return attach_gradient(counts, mean, mean * (1 - p))
 
     def mean(self, rates: Tensor) -> Tensor:
         """G p."""
@@ -322,7 +324,7 @@ class Click(Noise):
 
     def steady_variance(self, light: Expectation) -> Tensor:
         """Sum of G p (1 − p) over the rails."""
-        rails = [light.total + light.mean, light.total - light.mean]
+        rails = [light.total + light.mean, light.total - light.mean]  # 2 r⁺ and 2 r⁻
         rates = (light.gain / 2 * rail for rail in rails)
         plus, minus = (self.mean(rate) * torch.exp(-rate / self.gates) for rate in rates)
         return (plus + minus) / light.gain
@@ -336,7 +338,7 @@ class _CustomNoise(Noise):
     """
 
     function: NoiseFunction  # counts of expected counts (..., m), drawn with a generator
-    path: str = ""  # import path by which it was given, if it was
+    path: str = ""  # its import path, if the user gave one
     unbiased = False
 
     @property
@@ -346,7 +348,7 @@ class _CustomNoise(Noise):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The fluctuation: a camera has no field for others."""
+        """The fluctuation, the one setting that a camera keeps."""
         return {"fluctuation": self.fluctuation}
 
     def draw(self, rates: Tensor, random: Random = None, dark: Tensor | float = 0.0) -> Tensor:
@@ -385,12 +387,10 @@ def make_noise(setting: str | NoiseFunction, /, **numbers: Any) -> Noise:
     elif ":" in check_noise(setting):
         noise = _CustomNoise(load_plugin(setting), setting)
     else:
-        known = {
-            each.name: each for each in (_NoNoise, Gaussian, Poisson, _MlGauss, _CameraNoise, Click)
-        }
-        made = known[setting]
-        names = {each.name for each in fields(made)}
-        noise = made(**{name: one for name, one in numbers.items() if name in names})
+        classes = _NoNoise, Gaussian, Poisson, _MlGauss, _CameraNoise, Click
+        kind = {kind.name: kind for kind in classes}[setting]
+        names = {field.name for field in fields(kind)}
+        noise = kind(**{name: number for name, number in numbers.items() if name in names})
     sigma = numbers.get("sigma", 0.0)
     if not 0 <= sigma < math.inf:
         raise InputError(f"sigma = {sigma!r} of read noise is not allowed: give 0 or more")
@@ -421,8 +421,8 @@ def attach_gradient(counts: Tensor, mean: Tensor, total: Tensor) -> Tensor:
     # mean is E[f′(k) + f′(k + 1)] / 2: the trapezoid rule for the exact
     # ∂ E f / ∂r = E[f(k + 1) − f(k)] = E ∫₀¹ f′(k + t) dt
     fixed = total.detach()
-    pull = torch.where(fixed > 0, (counts - mean.detach()) / (2 * fixed), 0.0)
-    return counts + (mean - mean.detach()) + pull * (total - fixed)
+    slope = torch.where(fixed > 0, (counts - mean.detach()) / (2 * fixed), 0.0)  # ∂(√L ε) / ∂L
+    return counts + (mean - mean.detach()) + slope * (total - fixed)
 
 
 def root(rate: Tensor) -> Tensor:
@@ -450,7 +450,7 @@ def normal(like: Tensor, random: Random) -> Tensor:
     return torch.randn(like.shape, generator=random, device=like.device, dtype=like.dtype)
 
 
-def to_training_light(
+def click_rescaling(
     ratio: Tensor | float, mean: Tensor, photons: Tensor, gates: int
 ) -> tuple[Tensor, Tensor]:
     """Gain and offset (..., k) that turn clicks into clicks at the light of the training.
@@ -467,20 +467,20 @@ def to_training_light(
     `ratio` (..., 1) is q; `mean` (k,) and `photons` (k,) are clicks and photons, averaged over
     training scenes.
     """
-    both = photons / gates
-    apart = 2 * torch.asinh(mean / gates * (both / 2).exp() / 2)
-    rates = [((both + sign * apart) / 2).clamp(min=0) for sign in (1, -1)]
+    total = photons / gates  # S
+    difference = 2 * torch.asinh(mean / gates * (total / 2).exp() / 2)
+    rates = [((total + sign * difference) / 2).clamp(min=0) for sign in (1, -1)]
 
     def moments(q: Tensor | float) -> tuple[Tensor, Tensor]:
-        parts = [q * rate for rate in rates]
+        plus_rate, minus_rate = light = [q * rate for rate in rates]
         # 1 - e^(-x) to all digits, in functions that ONNX has
-        halves = [(part / 2).tanh() for part in parts]
+        halves = [(rate / 2).tanh() for rate in light]
         plus, minus = (2 * half / (1 + half) for half in halves)
-        noise = plus * (-parts[0]).exp() + minus * (-parts[1]).exp()
+        noise = plus * (-plus_rate).exp() + minus * (-minus_rate).exp()
         return gates * (plus - minus), noise.clamp(min=1e-30)  # dark readouts have none
 
-    trained, noise = moments(1.0)
-    now, noise_now = moments(ratio)
-    # where nearly all gates click, or none, clicks tell nothing
-    gain = (noise / noise_now).sqrt().clamp(max=100.0)
-    return gain, trained - now * gain
+    trained_mean, trained_noise = moments(1.0)
+    mean_now, noise_now = moments(ratio)
+    # where nearly all gates click, or none, clicks tell nothing, and a gain would blow up rounding
+    gain = (trained_noise / noise_now).sqrt().clamp(max=100.0)
+    return gain, trained_mean - mean_now * gain

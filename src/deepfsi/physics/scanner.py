@@ -76,7 +76,7 @@ class Scanner(nn.Module):
         """
         noise = self.noise
         seen = self.detection
-        rails: Rails = self.masks()  # once a step: learned masks compute them from their weights
+        rails: Rails = self.masks()  # once: learned masks compute them from their weights
         arranged = rails.map(seen.arrange)
         read = seen.readouts(arranged)
         if noise.draws_rails:
@@ -85,7 +85,7 @@ class Scanner(nn.Module):
             light = Expectation(seen.features(rates), seen.totals(rates), read)
             return noise.gradient(counts, light)
         masks = seen.read_of(arranged)
-        if not noise.of_light:
+        if not noise.depends_on_light:
             masks = Rails(masks.difference)  # spares the product with the total
         mean, total = project_rails(self._light(photons, rails), masks, seen.count)
         return mean + noise.deviation(Expectation(mean, total, read)) * normal(mean, generator)
@@ -99,10 +99,10 @@ class Scanner(nn.Module):
         return self.read(self.rates(photons), generator)
 
     def rates(self, photons: Tensor, rails: Rails | None = None) -> Tensor:
-        """Expected counts of each rail; shapes as `counts`. Rails that are known save time."""
-        known = rails or self.masks()
-        frames = self.detection.arrange(known.stacked)
-        return project(self._light(photons, known), frames, self.detection.count)
+        """Expected counts of each rail; shapes as `counts`. Known rails save time."""
+        rails = rails or self.masks()
+        frames = self.detection.arrange(rails.stacked)
+        return project(self._light(photons, rails), frames, self.detection.count)
 
     def read(
         self, rates: Tensor, generator: torch.Generator | None = None, rails: Rails | None = None
@@ -119,8 +119,9 @@ class Scanner(nn.Module):
     def _readouts(self, count: int, rails: Rails) -> Readouts:
         """Readouts (..., rails, m · D): which rails are read out, and for how long."""
         arranged = rails.map(self.detection.arrange)
-        every = Detection(count=self.detection.count).readouts(arranged)
-        read = Readouts(*(tensor.movedim(0, -2)[..., :count, :] for tensor in every))
+        # as differences, whatever the network reads: counts are rail by rail
+        both = Detection(count=self.detection.count).readouts(arranged)
+        read = Readouts(*(tensor.movedim(0, -2)[..., :count, :] for tensor in both))
         return read._replace(time=read.time.detach())
 
     def _light(self, photons: Tensor, rails: Rails) -> Tensor:
@@ -137,27 +138,27 @@ class Scanner(nn.Module):
         return self.detection.arrange(photons)
 
 
-def project(photons: Tensor, masks: Tensor, parts: int = 1) -> Tensor:
-    """Product of scenes (..., N) with masks (*lead, m, N): (..., *lead, m · parts).
+def project(photons: Tensor, masks: Tensor, detectors: int = 1) -> Tensor:
+    """Product of scenes (..., N) with masks (*lead, m, N): (..., *lead, m · detectors).
 
     It is computed in the type of the scenes and returned in the wider of the two types.
     """
     low = masks.flatten(0, -2).to(photons.dtype)
-    if parts == 1:
+    if detectors == 1:
         product = photons @ low.T
     else:
-        pieces = (tensor.unflatten(-1, (parts, -1)) for tensor in (photons, low))
+        pieces = (tensor.unflatten(-1, (detectors, -1)) for tensor in (photons, low))
         product = torch.einsum("...dp,kdp->...kd", *pieces).flatten(-2)
     wider = torch.promote_types(photons.dtype, masks.dtype)
-    return product.to(wider).unflatten(-1, (*masks.shape[:-2], masks.shape[-2] * parts))
+    return product.to(wider).unflatten(-1, (*masks.shape[:-2], masks.shape[-2] * detectors))
 
 
-def project_rails(photons: Tensor, rails: Rails, parts: int = 1) -> tuple[Tensor, Tensor]:
+def project_rails(photons: Tensor, rails: Rails, detectors: int = 1) -> tuple[Tensor, Tensor]:
     """Products of scenes with difference and total; a single rail has one product for both."""
     if rails.count == 1:
-        mean = project(photons, rails.difference, parts)
+        mean = project(photons, rails.difference, detectors)
         return mean, mean
     low = rails.map(lambda masks: masks.to(photons.dtype)).combined
     wider = torch.promote_types(photons.dtype, rails.difference.dtype)
-    mean, counts = project(photons, low, parts).to(wider).unbind(-rails.difference.ndim)
+    mean, counts = project(photons, low, detectors).to(wider).unbind(-rails.difference.ndim)
     return mean, counts

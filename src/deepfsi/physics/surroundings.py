@@ -11,7 +11,7 @@ from deepfsi.base.errors import InputError
 
 @contextmanager
 def library_defaults(grad: bool | None = None) -> Iterator[None]:
-    """Context, or decorator, in which what a user set in torch changes no result."""
+    """Context, or decorator, in which a user's settings of torch change no result."""
     with ExitStack() as stack:
         recorded = torch.is_grad_enabled() if grad is None else grad
         if torch.is_inference_mode_enabled():
@@ -29,16 +29,16 @@ def library_defaults(grad: bool | None = None) -> Iterator[None]:
         yield
 
 
-def torch_device(given: Any) -> torch.device:
+def torch_device(name: Any) -> torch.device:
     """Device that torch computes on."""
     gpus = torch.cuda.device_count() if torch.cuda.is_available() else 0
-    if given == "auto":
+    if name == "auto":
         return torch.device("cuda" if gpus else "cpu")
     try:
-        device = torch.device(given)
+        device = torch.device(name)
     except (RuntimeError, TypeError):
         raise InputError(
-            f"unknown device {str(given)!r}: choose auto, cpu, cuda, cuda:1 or mps"
+            f"unknown device {str(name)!r}: choose auto, cpu, cuda, cuda:1 or mps"
         ) from None
     if device.type == "cuda" and (device.index or 0) < gpus:
         return device

@@ -50,7 +50,7 @@ class TrainingNoise:
         return cls(type(noises[0]).side_by_side(noises, device), gain, generators)
 
     def of_jobs(self, jobs: slice) -> "TrainingNoise":
-        """Noise of some of the trainings, with the same generators."""
+        """Noise of a slice of the trainings, with the same generators."""
         return replace(
             self,
             kind=self.kind.of_jobs(jobs),
@@ -67,30 +67,29 @@ class TrainingNoise:
 
     def counted(self, mean: Tensor, total: Tensor, read: Readouts) -> Tensor:
         """Features (B, R, k) from counts of two rails."""
-        # readouts are the same for all B scenes, or each scene has its own
-        whole = [tensor if tensor.ndim == 4 else tensor.unsqueeze(1) for tensor in read]
+        # readouts are the same for all B scenes, or each scene has its own: (2, 1 or B, R or 1, k)
+        by_scene = [tensor if tensor.ndim == 4 else tensor.unsqueeze(1) for tensor in read]
         counts = []
         with torch.set_grad_enabled(not self.kind.unbiased and torch.is_grad_enabled()):
             rates = self._rates(mean, total)
             for job, kind in enumerate(self._kinds):
-                own = Readouts(*(tensor[:, :, job % tensor.shape[2]] for tensor in whole))
-                dark = kind.dark_counts(own.time)
-                counts.append(
-                    kind.sample(rates[:, :, job], own, dark, self.generators[job], rails=0)
-                )
+                of_job = Readouts(*(tensor[:, :, job % tensor.shape[2]] for tensor in by_scene))
+                dark = kind.dark_counts(of_job.time)
+                generator = self.generators[job]
+                counts.append(kind.sample(rates[:, :, job], of_job, dark, generator, rails=0))
             plus, minus = torch.stack(counts, dim=2)
         light = Expectation(mean, total, read, self.gain)
         return self.kind.gradient((plus - minus) / self.gain, light)
 
-    def learn(
+    def learned_features(
         self, scenes: Tensor, masks: LearnedMasks, detection: Detection, draws: "Draws"
     ) -> tuple[Tensor, list[tuple[Tensor, Tensor]]]:
         """Centred features (B, R, k) of a step's scenes behind learned masks, and their light.
 
-        Scenes (n + 1, N) are centred and arranged; their mean is the last row. The light is, for
-        each seed, the products x D and x S (B, R_i, k); a noise that does not count has none.
+        Scenes (n + 1, N) are centred and arranged; their mean is the last row. For each seed the
+        light holds the products x D and x S (B, R_i, k); it is empty unless rails are drawn.
         """
-        parts = detection.count
+        detectors = detection.count
         features: list[Tensor] = []
         light: list[tuple[Tensor, Tensor]] = []
         if self.kind.draws_rails:
@@ -99,22 +98,24 @@ class TrainingNoise:
             frames = detection.read_of(rails)
             for seed in draws.streams:
                 x = scenes.index_select(0, seed.with_mean)
-                mean, total = project_rails(x, frames.map(seed.of_jobs), parts)
+                mean, total = project_rails(x, frames.map(seed.of_jobs), detectors)
                 light.append((mean[:-1] + mean[-1], total[:-1] + total[-1]))
                 counts = seed.noise.counted(*light[-1], seed.readouts(read))
                 # the mean of a biased noise is not the rate: its batch centres it
                 middle = mean[-1] if self.kind.unbiased else counts.mean(dim=0)
                 features.append(counts - middle)
-        elif self.kind.of_light:
+        elif self.kind.depends_on_light:
             # Two disjoint rails are one signed matrix, whose total is its absolute value: half of
             # the memory, and a backward pass by hand
             disjoint = masks.disjoint and detection.readout != "both"
             signed = masks.matrix() if disjoint else detection.read_of(masks()).combined
             for seed in draws.streams:
                 x = scenes.index_select(0, seed.with_mean)
-                epsilon = seed.normal(signed.shape[-2] * parts) * seed.noise.unit
+                epsilon = seed.normal(signed.shape[-2] * detectors) * seed.noise.unit
                 of_seed = seed.of_jobs(signed, -3)
-                features.append(ml_gauss_features(x, of_seed, epsilon, disjoint, parts=parts))
+                features.append(
+                    ml_gauss_features(x, of_seed, epsilon, disjoint, detectors=detectors)
+                )
         else:
             rails = masks()
             with torch.no_grad():
@@ -122,7 +123,7 @@ class TrainingNoise:
             difference = detection.read_of(rails).difference
             for seed in draws.streams:
                 x = scenes.index_select(0, seed.rows)
-                mean = project(x, seed.of_jobs(difference), parts)
+                mean = project(x, seed.of_jobs(difference), detectors)
                 features.append(seed.noise.features(mean, mean, seed.readouts(read), seed.normal))
         return side_by_side(features), light
 
@@ -144,7 +145,7 @@ class SeedStream:
 
     order: Tensor  # (steps, B), indices of an epoch's scenes
     rows: Tensor  # (B,), indices of a step's scenes
-    with_mean: Tensor  # (B + 1,), the same, and n, the index of the mean scene
+    with_mean: Tensor  # (B + 1,), `rows`, then n, the index of the mean scene
 
     def __init__(
         self, seed: int, replicas: slice, noise: TrainingNoise, labels: Tensor, batch: int
@@ -159,9 +160,9 @@ class SeedStream:
         """Draw the order of an epoch's scenes."""
         count = len(self._labels)
         order = torch.randperm(count, generator=self.generator, device=self._labels.device)
-        self.follow(order[: count // self.batch * self.batch].view(-1, self.batch))
+        self.set_order(order[: count // self.batch * self.batch].view(-1, self.batch))
 
-    def follow(self, rows: Tensor) -> None:
+    def set_order(self, rows: Tensor) -> None:
         """Take an epoch's scenes in the order of indices (steps, B)."""
         self.order = rows.to(self._labels.device)
         self._with_mean = functional.pad(self.order, (0, 1), value=len(self._labels))
@@ -191,20 +192,20 @@ class SeedStream:
         """Tensor (B, 1, …) repeated for all jobs, (B, R, …)."""
         return shared.expand(-1, self.replicas.stop - self.replicas.start, *shared.shape[2:])
 
-    def of_jobs(self, every: Tensor, axis: int = 0) -> Tensor:
+    def of_jobs(self, tensor: Tensor, axis: int = 0) -> Tensor:
         """Slice of a tensor for these jobs; its axis has all jobs, or 1 shared entry."""
         count = self.replicas.stop - self.replicas.start
-        if every.shape[axis] in (1, count):
-            return every
-        return every.narrow(axis, self.replicas.start, count)
+        if tensor.shape[axis] in (1, count):
+            return tensor
+        return tensor.narrow(axis, self.replicas.start, count)
 
-    def readouts(self, every: Readouts) -> Readouts:
+    def readouts(self, read: Readouts) -> Readouts:
         """Readouts (2, R_i or 1, m) of these jobs, from all (2, R or 1, m)."""
-        return Readouts(*(self.of_jobs(one, 1) for one in every))
+        return Readouts(*(self.of_jobs(tensor, 1) for tensor in read))
 
-    def products(self, every: Tensor) -> Tensor:
+    def products(self, products: Tensor) -> Tensor:
         """Products (B, R_i or 1, m) of a step and these jobs, from all (n, R or 1, m)."""
-        return self.of_jobs(every, 1).index_select(0, self.rows)
+        return self.of_jobs(products, 1).index_select(0, self.rows)
 
 
 class Draws:
@@ -234,21 +235,21 @@ class Draws:
         return side_by_side([stream.gather(step) for stream in self.streams])
 
 
-def side_by_side(parts: list[Tensor]) -> Tensor:
+def side_by_side(by_seed: list[Tensor]) -> Tensor:
     """Join replicas (B, R_i, …) of several seeds: (B, R, …)."""
-    return torch.cat(parts, dim=1) if len(parts) > 1 else parts[0]
+    return torch.cat(by_seed, dim=1) if len(by_seed) > 1 else by_seed[0]
 
 
 def ml_gauss_features(
-    scenes: Tensor, masks: Tensor, epsilon: Tensor, disjoint: bool, parts: int = 1
+    scenes: Tensor, masks: Tensor, epsilon: Tensor, disjoint: bool, detectors: int = 1
 ) -> Tensor:
     """Features (B, *lead, k) of centred scenes under MLGauss noise, in a step of training.
 
     They are x_c D + √(x S) ε, where x̄ is the mean scene and x_c = x − x̄: the features of `Scanner`
-    less the constant x̄ D. Scenes (B + 1, N) are x_c, then x̄; masks (*lead, m, N) or
+    less the constant x̄ D. Shapes: scenes (B + 1, N), x_c and then x̄; masks (*lead, m, N) or
     (2, *lead, m, N); ε (B, *lead, k).
     """
-    form = disjoint, parts
+    form = disjoint, detectors
     return _MlGaussFeatures.apply(scenes, masks, epsilon, form)  # type: ignore[no-untyped-call]
 
 
@@ -259,12 +260,12 @@ class _MlGaussFeatures(torch.autograd.Function):
     def forward(
         ctx: Any, scenes: Tensor, masks: Tensor, epsilon: Tensor, form: tuple[bool, int]
     ) -> Tensor:
-        ctx.signed, ctx.parts = form
+        ctx.signed, ctx.detectors = form
         low = masks.to(scenes.dtype)
         if ctx.signed:
             ctx.sign = low.sgn()
             low = torch.stack([low, low.abs()])
-        products = project(scenes, low, ctx.parts).to(epsilon.dtype)
+        products = project(scenes, low, ctx.detectors).to(epsilon.dtype)
         single = products.ndim == epsilon.ndim
         mean, counts = (products, products) if single else products.unbind(1)
         deviation = (counts[:-1] + counts[-1]).clamp_(min=0).sqrt_()
@@ -283,10 +284,13 @@ class _MlGaussFeatures(torch.autograd.Function):
         counts[:-1] += by_counts
         counts[-1] = by_counts.sum(dim=0)
         low = back.flatten(1).to(scenes.dtype)
-        if ctx.parts == 1:
+        if ctx.detectors == 1:
             product = (low.T @ scenes).view(ctx.shape)
         else:
-            pieces = low.unflatten(-1, (-1, ctx.parts)), scenes.unflatten(-1, (ctx.parts, -1))
+            pieces = (
+                low.unflatten(-1, (-1, ctx.detectors)),
+                scenes.unflatten(-1, (ctx.detectors, -1)),
+            )
             product = torch.einsum("bkd,bdp->kdp", *pieces).reshape(ctx.shape)
         if ctx.signed:
             product = torch.addcmul(product[0], product[1], ctx.sign)

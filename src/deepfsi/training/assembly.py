@@ -95,6 +95,7 @@ def design_of(
         image_shape=scenes.image_shape,
         detection=detection,
         summed_reflectance=s,
+        # the network was trained on counts: these statistics give it counts again
         mean=torch.zeros(read, device=device),
         std=torch.full((read,), 1 / budget, device=device),
         shares=counts / s,
@@ -123,11 +124,11 @@ def designs_of(exposure: ExposureTraining, classifiers: Sequence[nn.Module]) -> 
         Design(
             name=job.design,
             classes=training_set.data.classes,
-            exposure=own,
+            exposure=of_job,
             classifier=classifier,
             values=training_set.values,
         )
-        for job, own, classifier in zip(exposure.jobs, trained, classifiers, strict=True)
+        for job, of_job, classifier in zip(exposure.jobs, trained, classifiers, strict=True)
     ]
 
 
@@ -135,7 +136,7 @@ def _copy(classifier: nn.Module, features: int, classes: int) -> OwnClassifier:
     """Copy of a user's module with its import path."""
     if not isinstance(classifier, OwnClassifier):
         return make_custom(classifier, {}, features, classes)
-    own = make_custom(classifier.loaded, {}, features, classes)
-    own.factory = classifier.factory
-    own.arguments = classifier.arguments
-    return own
+    copied = make_custom(classifier.loaded, {}, features, classes)
+    copied.factory = classifier.factory
+    copied.arguments = classifier.arguments
+    return copied

@@ -57,12 +57,12 @@ def characterise(
     designs: Sequence[Design],
     left_out: Sequence[tuple[Dataset, Sequence[Design]]] = (),
 ) -> None:
-    """Give trained designs what simulated exposures tell: distribution, view, temperatures."""
+    """Give trained designs their distribution, scene model and temperatures, from simulation."""
     if designs[0].exposure.comparable and designs[0].camera.clicks is None:
         _model_counts(training_set, designs)
-    for place, (job, design) in enumerate(zip(jobs, designs, strict=True)):
+    for index, (job, design) in enumerate(zip(jobs, designs, strict=True)):
         if design.classes:
-            folds = [(fold, several[place]) for fold, several in left_out]
+            folds = [(fold, of_jobs[index]) for fold, of_jobs in left_out]
             design.temperatures, test = find_temperatures(design, job, training_set.data, folds)
             if test is not None:
                 design.info["left_out"] = asdict(test)
@@ -73,23 +73,25 @@ def find_temperatures(
 ) -> tuple[Temperatures, LeftOutTest | None]:
     """Temperatures of a trained design, and their test.
 
-    They come from scenes that the data holds out; else from folds; else from training scenes, which
-    allow no test.
+    They are fitted to held-out scenes; without these to folds; without folds to training scenes,
+    and then there is no test.
     """
     budgets = calibration_budgets(job.photons, job.exposure.highest(job.photons))
     held = data.held_out > 0
     if left_out and not held:
-        parts = [Labelled(made, job.camera, fold.x_test, fold.y_test) for fold, made in left_out]
-        # about 1000 exposures in all
+        exposed = [
+            Labelled(trained, job.camera, fold.x_test, fold.y_test) for fold, trained in left_out
+        ]
+        # enough for about 1000 exposures in all
         draws = max(1, 1000 // sum(len(fold.x_test) for fold, _ in left_out))
-        scenes = CalibrationScenes.of(parts, job.seed, draws, DOUBT)
+        scenes = CalibrationScenes.of(exposed, job.seed, draws, DOUBT)
     else:
         x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
         readouts = prod(design.counts_shape) * prod(design.mask_exposure.part_axis)
         rows = sample_scenes(len(x), readouts, job.seed)
-        part = Labelled(design, job.camera, x[rows], labels[rows])
+        scene_set = Labelled(design, job.camera, x[rows], labels[rows])
         doubt = DOUBT if held and len(x) < LEFT_OUT else 0.0
-        scenes = CalibrationScenes.of([part], job.seed, doubt=doubt)
+        scenes = CalibrationScenes.of([scene_set], job.seed, doubt=doubt)
     fitted = fit_temperatures(scenes, budgets, trained_on=not (left_out or held))
     if not (left_out or held):
         return fitted, None
@@ -97,7 +99,7 @@ def find_temperatures(
 
 
 def _model_counts(training_set: TrainingSet, designs: Sequence[Design]) -> None:
-    """Give designs the models that counts of a run are tested against."""
+    """Give designs the models for tests of a run's counts."""
     first = designs[0]
     x = training_set.full
     labels = training_set.data.groups
@@ -129,30 +131,32 @@ def fold_answers(
 ) -> LeftOutAnswers:
     """Answers to the scenes of folds, each by a prior made without its fold.
 
-    To remove a scene from a finished prior would not do: the components of a small set still tell
-    its class.
+    It is not enough to remove a scene from a finished prior: the components of a small set still
+    tell its class.
     """
-    parts = []
+    answers = []
     for fold in folds:
         settings = training.settings
         if settings.clusters is not None:
             smallest = int(np.bincount(fold.y_train, minlength=len(fold.classes)).min())
-            most = min(settings.clusters, max(1, smallest // 2))
-            settings = settings.model_copy(update={"clusters": most})
+            # a class needs as many different scenes as clusters
+            clusters = min(settings.clusters, max(1, smallest // 2))
+            settings = settings.model_copy(update={"clusters": clusters})
         scenes = LeftOutScenes(torch.from_numpy(fold.x_test), torch.from_numpy(fold.y_test), None)
-        parts.append(AdaptiveTraining(fold, settings).measured(job, dictionary, scenes)[1])
-    odds = torch.cat([part.odds for part in parts], dim=2)
-    return LeftOutAnswers(parts[0].budgets, odds, torch.cat([part.labels for part in parts]))
+        answers.append(AdaptiveTraining(fold, settings).measured(job, dictionary, scenes)[1])
+    odds = torch.cat([of_fold.odds for of_fold in answers], dim=2)
+    labels = torch.cat([of_fold.labels for of_fold in answers])
+    return LeftOutAnswers(answers[0].budgets, odds, labels)
 
 
 def calibrate_posterior(
-    made: AdaptiveExposure, answers: LeftOutAnswers, data: Dataset, job: Job
+    exposure: AdaptiveExposure, answers: LeftOutAnswers, data: Dataset, job: Job
 ) -> tuple[AdaptiveExposure, dict[str, Any]]:
     """The exposure with calibrated probabilities, and their test.
 
     Each step and budget with answers has its own temperature.
     """
-    shares = made.prior.class_shares.double().numpy()
+    shares = exposure.prior.class_shares.double().numpy()
     looks = answers.odds.shape[1]
     budgets = answers.budgets.tolist()
 
@@ -163,13 +167,13 @@ def calibrate_posterior(
     scenes = CalibrationScenes(labels, odds, looks, base=np.log(shares), doubt=DOUBT)
     fitted = fit_temperatures(scenes, answers.budgets, trained_on=False)
     # beyond the measured light, the temperatures of its ends hold
-    logs = np.pad(fitted.logs, ((0, made.count - looks), (1, 1)), mode="edge")
+    logs = np.pad(fitted.logs, ((0, exposure.count - looks), (1, 1)), mode="edge")
     ends = job.photons / CALIBRATION_REACH, job.photons * CALIBRATION_REACH
     temperatures = Temperatures(logs, np.array([ends[0], *answers.budgets, ends[1]]))
     test = measure_left_out(scenes, temperatures, job.photons, _guess(data))
-    prior = copy(made.prior)
+    prior = copy(exposure.prior)  # other jobs share it, and have temperatures of their own
     prior.temperatures = temperatures
-    return replace(made, prior=prior), asdict(test)
+    return replace(exposure, prior=prior), asdict(test)
 
 
 def folds_of(data: Dataset) -> list[Dataset]:
@@ -191,7 +195,7 @@ def folds_of(data: Dataset) -> list[Dataset]:
 
 
 def _without(data: Dataset, rows: np.ndarray) -> Dataset:
-    """Data whose test part is some of the training scenes."""
+    """Data whose test part is the given rows of the training scenes."""
     kept = np.setdiff1d(np.arange(len(data.x_train)), rows)
     return replace(
         data,
@@ -258,10 +262,10 @@ def detector_shares(
     spread = []
     for label in np.unique(labels):
         of_class = light[labels == label]
-        whole = of_class.sum(axis=1, keepdims=True)
-        if not whole.mean() > 0:
+        total = of_class.sum(axis=1, keepdims=True)
+        if not total.mean() > 0:
             return None
-        share = of_class.sum(axis=0) / whole.sum()
+        share = of_class.sum(axis=0) / total.sum()
         shares.append(share.tolist())
-        spread.append(((of_class - share * whole) / whole.mean()).std(axis=0))
+        spread.append(((of_class - share * total) / total.mean()).std(axis=0))
     return {"shares": shares, "spread": np.max(spread, axis=0).tolist()}

@@ -35,7 +35,7 @@ CHECKPOINT_SECONDS = 120.0
 """Seconds between two writes."""
 
 DIGEST = 32
-"""Bytes of the SHA-256 of all that follows them in the file."""
+"""Bytes of the SHA-256 at the start of a file, of the rest of it."""
 
 
 @dataclass
@@ -89,7 +89,7 @@ class LoopState:
             self.total = self.step
             return
         for stream, order in zip(self.draws.streams, state["orders"], strict=True):
-            stream.follow(order)
+            stream.set_order(order)
         self.optimiser.load_state_dict(state["optimiser"])
         self.schedule.load_state_dict(state["schedule"])
 

@@ -50,7 +50,7 @@ class EpochWatch:
     history: list[Epoch] = field(default_factory=list)  # of the last loop
 
     def for_fold(self) -> "EpochWatch":
-        """Watch of a fold: it takes as many epochs and tells nobody."""
+        """Watch of a fold: it takes as many epochs and calls no callback."""
         return EpochWatch(most=tuple(self.lengths) if self.callback else ())
 
 

@@ -149,9 +149,9 @@ def learn_job(
     training_set = TrainingSet(data, device)
     state = Checkpoint.of(checkpoint, training_set, [job], matrix)
     with progress_bar(report, f"{job.design}, {job.masks} masks") as bar:
-        [made] = train(training_set, [job], matrix, bar, state, callback)
+        [design] = train(training_set, [job], matrix, bar, state, callback)
     state.remove()
-    return made
+    return design
 
 
 @library_defaults(grad=True)
@@ -174,17 +174,17 @@ def train(
     if jobs[0].facts.adaptive:
         return _adaptive_designs(training_set, jobs, report)
     folds = [] if training_set.data.held_out else folds_of(training_set.data)
-    own, *others = report.split(1 + len(folds))
+    of_all, *of_folds = report.split(1 + len(folds))
     epochs = EpochWatch(callback)
     group = JobGroup(training_set, jobs, matrix)
-    designs = _designs(group, own, checkpoint=checkpoint, epochs=epochs)
+    designs = _designs(group, of_all, checkpoint=checkpoint, epochs=epochs)
     for job, design in zip(jobs, designs, strict=True):
         design.info = provenance(job, training_set.data, training_set.device)
         if callback is not None:
             design.info["history"] = [asdict(epoch) for epoch in epochs.history]
         design.training_scenes = training_set.hashes
     left_out = []
-    for fold, span in zip(folds, others, strict=True):
+    for fold, span in zip(folds, of_folds, strict=True):
         group = JobGroup(training_set.of(fold), jobs, matrix)
         without = _designs(group, span, checkpoint=checkpoint, epochs=epochs.for_fold())
         left_out.append((fold, without))
@@ -201,7 +201,7 @@ def train(
 
 
 def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
-    """Key that jobs trained together share: all settings but budget, sigma and seed."""
+    """Key that jobs trained together share: all settings except budget, sigma and seed."""
     # a user's module may draw from torch's global generator: train such jobs one by one
     alone = job.training.is_custom or not job.exposure.side_by_side
     apart: Any = set() if alone else {"photons": True, "seed": True, "camera": {"sigma"}}
@@ -263,24 +263,25 @@ def _adaptive_designs(
     designs: list[Design] = []
     for job, span in zip(jobs, report.split(len(jobs)), strict=True):
         info = provenance(job, data, torch.device("cpu"))
-        made, answers = training.make(job, span)
+        exposure, answers = training.make(job, span)
         if folds:
-            answers = fold_answers(folds, training, job, made.dictionary)
-        longest = training.longest(made, job, span.between(0.5, 1)) if settings.cap > 1 else None
+            answers = fold_answers(folds, training, job, exposure.dictionary)
+        rest = span.between(0.5, 1)
+        longest = training.longest(exposure, job, rest) if settings.cap > 1 else None
         if longest and not folds:
-            # temperatures are of answers where exposures end, and these end by probabilities: first
-            # by those that are not calibrated
-            answers = longest.ended(longest.shared(made))
-        made, info["left_out"] = calibrate_posterior(made, answers, data, job)
+            # temperatures come from answers at the ends of exposures, which probabilities set: here
+            # probabilities without temperatures
+            answers = longest.ended(longest.shared(exposure))
+        exposure, info["left_out"] = calibrate_posterior(exposure, answers, data, job)
         if longest:
-            made = longest.shared(made)  # the same light, now by calibrated probabilities
-            info["stopping"] = {"threshold": made.settings.until, "photons": job.photons}
+            exposure = longest.shared(exposure)  # the same light, now by calibrated probabilities
+            info["stopping"] = {"threshold": exposure.settings.until, "photons": job.photons}
         info["seconds"] = (time.perf_counter() - began) / (len(designs) + 1)
         designs.append(
             Design(
                 name=job.design,
                 classes=data.classes,
-                exposure=made,
+                exposure=exposure,
                 info=info,
                 training_scenes=training_set.hashes,
             )
@@ -311,17 +312,17 @@ def memory_for(device: torch.device) -> float:
 def footprint(training_set: TrainingSet, jobs: Sequence[Job]) -> float:
     """Upper bound in bytes on the tensors of jobs that train together, scenes included."""
     job = jobs[0]
-    scene = training_set.full.shape[1]
+    pixels = training_set.full.shape[1]
     count = len(training_set.labels)
     replicas = len(jobs)
     masks = replicas * job.masks
     batch = batch_of(job.training, count)
     levels = job.optics.mask_levels(training_set.data.image_shape)
-    # masks: weights, gradients, moments, stages and products; rounded masks add theirs
+    # of a mask: weights, gradients, moments, stages and products; grey levels add their stages
     copies = 16 + (10 if levels else 0)
-    learned = copies * masks * scene if job.mask_job().facts.learned else 0
-    own = replicas if job.facts.learned_under else len(matrix_seeds(jobs))
-    products_of_all = 0 if job.facts.learned else 5 * own * count * job.masks
+    learned = copies * masks * pixels if job.mask_job().facts.learned else 0
+    matrices = replicas if job.facts.learned_under else len(matrix_seeds(jobs))
+    products_of_all = 0 if job.facts.learned else 5 * matrices * count * job.masks
     # features and hidden units
     step = 12 * batch * (masks + replicas * sum(job.training.hidden))
     return 3 * training_set.full.nbytes + 4.0 * (learned + products_of_all + step)

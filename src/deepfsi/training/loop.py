@@ -56,7 +56,7 @@ def optimise(
         groups.append(_parameter_group(exposure.masks, settings.mask_lr))
     optimiser = torch.optim.AdamW(groups, fused=True)
     rates = [group["lr"] for group in groups]
-    schedule = OneCycleLR(optimiser, rates, total_steps=total)  # which peaks at these
+    schedule = OneCycleLR(optimiser, rates, total_steps=total)  # each rate is a peak
     modules = [classify, *([exposure.masks] if exposure.learns else [])]
     generators = exposure.noise.generators + _generators(settings, classifiers, device)
     state = LoopState(
@@ -124,7 +124,7 @@ def _generators(
     if settings.is_custom:
         generators.append(torch.default_generator)
         if device.type == "cuda":
-            index = torch.empty(0, device=device).device.index  # that "cuda" alone lacks
+            index = torch.empty(0, device=device).device.index  # "cuda" alone has none
             generators.append(torch.cuda.default_generators[index])
     return generators
 
@@ -136,27 +136,28 @@ def _classifiers(exposure: ExposureTraining) -> list[Classifier]:
     inputs = exposure.input_count
     classes = exposure.training_set.data.answers
     if settings.is_custom:
-        made = make_custom(
+        network = make_custom(
             settings.classifier,
             settings.classifier_arguments,
             inputs,
             classes,
             seed=exposure.job.seed,
         )
-        if not any(weight.requires_grad for weight in made.parameters()):
+        if not any(weight.requires_grad for weight in network.parameters()):
             raise InputError("the classifier has no parameter that learns: give another module")
-        return [made.to(device).train()]
-    seeds = [torch.Generator(device).manual_seed(job.seed) for job in exposure.jobs]
-    network = find_network(settings.classifier)
+        return [network.to(device).train()]
+    generators = [torch.Generator(device).manual_seed(job.seed) for job in exposure.jobs]
+    kind = find_network(settings.classifier)
     sizes = inputs, classes, exposure.parts
-    return [network.of_settings(settings, *sizes, seed) for seed in seeds]
+    return [kind.of_settings(settings, *sizes, generator) for generator in generators]
 
 
 @contextmanager
 def _threads(elements: int) -> Iterator[None]:
     """Use one thread for small steps, in which several would wait for one another."""
     threads = torch.get_num_threads()
-    torch.set_num_threads(threads if elements >= 2**15 else 1)  # torch's own limit
+    # torch's GRAIN_SIZE: it splits no smaller loop
+    torch.set_num_threads(threads if elements >= 2**15 else 1)
     try:
         yield
     finally:

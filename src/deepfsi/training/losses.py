@@ -41,7 +41,7 @@ def find_loss(settings: Training, training_set: TrainingSet, rows: bool) -> Scen
 def _cross_entropy(
     logits: Tensor, labels: Tensor, weights: Tensor | None = None, rows: bool = True
 ) -> Tensor:
-    """Cross entropy (n,) of logits (n, C) and classes (n,), weighted by (C,) if given."""
+    """Cross entropy (n,) of logits (n, C) and classes (n,), with weights (C,) of the classes."""
     # Sums over few classes are many times faster along a leading axis, but round differently
     if rows:
         return functional.cross_entropy(logits, labels, weights, reduction="none")
@@ -81,17 +81,17 @@ class CountsCost:
         return self.weight * (ratio - 1).clamp(min=0)
 
 
-def _checked(own: Callable[[Tensor, Tensor], Any]) -> SceneLoss:
+def _checked(custom: Callable[[Tensor, Tensor], Any]) -> SceneLoss:
     """A user's loss, whose faults become one-line errors."""
 
     def loss(outputs: Tensor, truth: Tensor) -> Tensor:
-        found = own(outputs, truth)
-        shape = tuple(found.shape) if isinstance(found, Tensor) else type(found).__name__
-        if shape != (len(outputs),) or not found.requires_grad:
+        losses = custom(outputs, truth)
+        shape = tuple(losses.shape) if isinstance(losses, Tensor) else type(losses).__name__
+        if shape != (len(outputs),) or not losses.requires_grad:
             raise InputError(
                 f"the loss gives {shape} of {len(outputs)} scenes, or no gradient: give "
                 "loss(outputs, truth), a tensor of a number a scene that follows the outputs"
             )
-        return found
+        return losses
 
     return loss
