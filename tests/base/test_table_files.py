@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from contextlib import nullcontext
 
 import numpy as np
 import polars as pl
@@ -82,13 +83,23 @@ def test_whole_numbers_are_exact_to_64_bits(tmp_path, kind):
         (np.array([[2.0**53 + 2, 1]]), "in floating point up to 2.53"),
         (np.array([[0.5, 1]]), "holds 0.5: give whole numbers"),
         (np.array([[np.inf, 1]]), "holds inf: give numbers"),
-        (np.array([[2**63, 1]], np.uint64), "holds 9.22337"),
+        (np.array([[2**63, 1]], np.uint64), "holds 9223372036854775808"),
+        (np.array([[2**24 + 2, 1]], np.float32), "of 32 bits 2.24"),
     ],
 )
 def test_whole_numbers_that_may_be_rounded_are_refused(tmp_path, values, said):
     np.save(tmp_path / "t.npy", values)
     with pytest.raises(InputError, match=said):
         read_whole_numbers(tmp_path / "t.npy", lambda names, width: range(width))
+
+
+@pytest.mark.parametrize(("number", "exact"), [("1.2345e+07", False), ("1.2345678e+07", True)])
+def test_whole_numbers_of_too_few_digits_are_refused(tmp_path, number, exact):
+    """As MATLAB's dlmwrite and "%g" write them."""
+    (tmp_path / "t.txt").write_text(f"1 2\n{number} 2\n")
+    with nullcontext() if exact else pytest.raises(InputError, match="with all their digits"):
+        found = read_whole_numbers(tmp_path / "t.txt", lambda names, width: range(width))
+        assert found.tolist() == [[1, 2], [12345678, 2]]
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from dataset_samples import X, Y, not_loaded, numbers, refused
 
 from deepfsi.datasets import arrays
@@ -214,3 +215,12 @@ def test_values_stay_values():
 @pytest.mark.parametrize("y", [Y[:, None], Y[None], [f"{k} " for k in Y], Y.astype(">u2")])
 def test_vectors_of_labels_are_read_as_matlab_has_them(y):
     assert from_arrays(X, y).hash == from_arrays(X, Y).hash
+
+
+def test_tensors_of_a_network_are_arrays():
+    """They need gradients, are bfloat16 or sparse; one without values is refused."""
+    x, y = torch.rand(60, 8, 8), np.arange(60) % 2
+    for scenes in (x.requires_grad_(), x.bfloat16(), x.detach().flatten(1).to_sparse()):
+        assert len(from_arrays(scenes, y).x_train) == 48
+    with pytest.raises(InputError, match="x is no array"):
+        from_arrays(x.to("meta"), y)

@@ -75,13 +75,17 @@ def read_whole_numbers(
         _check_numbers(path, column.to_frame(), floats[:, None])
         integers = None if column.dtype.is_float() else column.cast(pl.Int64, strict=False)
         if integers is None or integers.null_count():
-            # Beyond 2^53 floating point may have rounded them
-            wrong = floats[(floats != np.rint(floats)) | (np.abs(floats) > 2.0**53)]
-            if wrong.size:
+            # Beyond that floating point may have rounded them, and a text of fewer digits has
+            exact = 2.0**24 if column.dtype == pl.Float32 else 2.0**53
+            wrong = (floats != np.rint(floats)) | (np.abs(floats) > exact)
+            if column.dtype == pl.String:
+                digits = column.str.extract(r"^[+-]?([\d.]*)e", 1).str.count_matches(r"\d")
+                wrong |= np.abs(floats) >= 10.0 ** digits.fill_null(99).to_numpy()
+            if wrong.any():
                 raise InputError(
-                    f"{path}, column {column.name}, holds {wrong[0]:.17g}: give whole numbers "
-                    "such as times counted in ps, in floating point up to 2^53, else as integers "
-                    "of 64 bits"
+                    f"{path}, column {column.name}, holds {column[int(wrong.argmax())]}: give whole "
+                    "numbers such as times counted in ps with all their digits, in floating point "
+                    "up to 2^53 (of 32 bits 2^24), else as integers of 64 bits"
                 )
             integers = pl.Series(floats.astype(np.int64))
         out[:, index] = integers.to_numpy()

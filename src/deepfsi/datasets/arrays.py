@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deepfsi.base.arrays import read_npz
-from deepfsi.base.errors import InputError
+from deepfsi.base.errors import InputError, one_line
 from deepfsi.base.tables import normal_name
 from deepfsi.datasets.dataset import Dataset, Ends, Labels, Origin, Reflectance, Truth
 from deepfsi.datasets.levels import AnyArray, ValueRange, measure_levels, reflectance
@@ -163,13 +163,25 @@ def split_arrays(
     return replace(data, white=levels.white if levels.chosen else None, drawn=drawn)
 
 
+def _array(given: Any, what: str) -> AnyArray:
+    """Array of what NumPy reads, or of a tensor of torch."""
+    try:
+        if hasattr(given, "detach"):  # it may need gradients, be sparse or on another device
+            given = given.detach().cpu().to_dense()
+            if given.element_size() == 2 and given.is_floating_point():
+                given = given.float()  # NumPy has no bfloat16
+        return np.asarray(given)
+    except (TypeError, ValueError, NotImplementedError) as error:
+        raise InputError(f"{what} is no array ({one_line(str(error))}): give numbers") from None
+
+
 def _answers(
     arrays: Sequence[npt.ArrayLike], scenes: Sequence[Reflectance], name: str
 ) -> npt.NDArray[Any]:
     """Labels (n, 1) or values (n, q) of the training scenes, then of the test scenes."""
     answers = []
     for array, x in zip(arrays, scenes, strict=True):
-        y = np.asarray(array)
+        y = _array(array, f"{name}: y")
         # pandas keeps strings as objects
         if y.dtype == object and all(isinstance(label, str) for label in y.flat):
             y = y.astype(str)
@@ -246,7 +258,7 @@ def _scenes(
     """Reflectances (n, H, W) or (n, N) of arrays, a sentence on the changes, and levels."""
     read: dict[str, AnyArray] = {}
     for array, what in zip(arrays, (f"{name}: x", f"{name}: x_test"), strict=False):
-        scenes = np.asarray(array)
+        scenes = _array(array, what)
         if scenes.ndim not in (2, 3) or scenes.size == 0:
             raise InputError(
                 f"{what} has shape {scenes.shape}; give (n, H, W) for images, (n, N) for spectra, "
