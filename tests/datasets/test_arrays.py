@@ -7,6 +7,7 @@ import pytest
 import torch
 from dataset_samples import X, Y, not_loaded, numbers, refused
 
+from deepfsi.base.errors import InputError
 from deepfsi.datasets import arrays
 from deepfsi.datasets.arrays import from_arrays
 from deepfsi.datasets.load import load_dataset

@@ -83,9 +83,9 @@ def read_whole_numbers(
                 wrong |= np.abs(floats) >= 10.0 ** digits.fill_null(99).to_numpy()
             if wrong.any():
                 raise InputError(
-                    f"{path}, column {column.name}, holds {column[int(wrong.argmax())]}: give whole "
-                    "numbers such as times counted in ps with all their digits, in floating point "
-                    "up to 2^53 (of 32 bits 2^24), else as integers of 64 bits"
+                    f"{path}, column {column.name}, holds {column[int(wrong.argmax())]}: give "
+                    "whole numbers such as times counted in ps with all their digits, in floating "
+                    "point up to 2^53 (of 32 bits 2^24), else as integers of 64 bits"
                 )
             integers = pl.Series(floats.astype(np.int64))
         out[:, index] = integers.to_numpy()
