@@ -39,7 +39,8 @@ def information(counts: Tensor, members: Tensor, unknown: Tensor | None = None) 
     Shapes: expected counts (b, P, Q, S) of Q readouts of S scenes; weights (b, S, C) of scenes in
     classes, with the sum 1; `unknown` (b, P, Q, Q), the covariance that scenes near these add.
     """
-    scale = 2 * (counts + 3 / 8).sqrt()  # on it photon noise has the variance 1
+    # on this scale photon noise has the variance 1
+    scale = 2 * (counts + 3 / 8).sqrt()
     weights = members.sum(dim=-1)[:, None, None]  # (b, 1, 1, S)
     scale = scale - (scale * weights).sum(dim=-1, keepdim=True)
     sums = (scale.flatten(1, 2) @ members).unflatten(1, counts.shape[1:3])  # (b, P, Q, C)
@@ -49,8 +50,8 @@ def information(counts: Tensor, members: Tensor, unknown: Tensor | None = None) 
     noise = torch.eye(counts.shape[2], dtype=counts.dtype, device=counts.device)
     if unknown is not None:
         noise = noise + unknown
-    if counts.shape[2] == 1:
-        within = (total - between).clamp(min=0) + noise  # one readout needs no determinant
+    if counts.shape[2] == 1:  # one readout needs no determinant
+        within = (total - between).clamp(min=0) + noise
         return (between / within).log1p()[..., 0, 0] / 2
     return (torch.logdet(total + noise) - torch.logdet(total - between + noise)) / 2
 

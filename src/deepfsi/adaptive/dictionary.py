@@ -193,8 +193,8 @@ class DictionaryPosterior(AdaptivePosterior):
             first + int(self._odds(logs, part).argmax()) for logs in self.log_weights.numpy()
         ]
         # a slice of one takes a fifth of the time of an index
-        one = len(indices) == 1
-        return self.dictionary.masks[slice(indices[0], indices[0] + 1) if one else indices]
+        single = len(indices) == 1
+        return self.dictionary.masks[slice(indices[0], indices[0] + 1) if single else indices]
 
     def update(self, masks: Tensor, counts: Tensor, share: float) -> None:
         """Take in counts (b, 1) behind masks (b, N); all looks take the share of the tables."""

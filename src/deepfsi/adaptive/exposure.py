@@ -36,14 +36,7 @@ from deepfsi.base.registry import installed
 from deepfsi.camera.camera import Camera
 from deepfsi.datasets.dataset import Dataset
 from deepfsi.designfile.design_file import MASKS_ARE_MADE, AdaptiveHeader
-from deepfsi.exposure.kind import (
-    Answer,
-    CountedLight,
-    ExposureKind,
-    Exposures,
-    Network,
-    Use,
-)
+from deepfsi.exposure.kind import Answer, CountedLight, ExposureKind, Exposures, Network, Use
 from deepfsi.jobs.exposures import AdaptiveMasks
 from deepfsi.jobs.job import Job
 from deepfsi.physics.detection import Detection

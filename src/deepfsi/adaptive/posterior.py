@@ -144,7 +144,7 @@ class ScenePrior:
         sizes = np.bincount(labels, members, minlength=self.classes)
         if not SceneModel.are_enough(sizes):
             return None
-        scenes = self.coefficients.numpy().astype(float)
+        scenes = self.coefficients.double().numpy()
         centres = np.stack([
             np.average(scenes[labels == k], axis=0, weights=members[labels == k])
             for k in range(self.classes)
@@ -154,11 +154,11 @@ class ScenePrior:
         identity = np.eye(scenes.shape[1])
         if members.max() > 1:  # scenes lie about the centres that stand for them
             residuals = np.concatenate([residuals, identity])
-        mean = self.mean.numpy().astype(float)
-        components = self.components.numpy().astype(float)
+        components = self.components.double().numpy()
         # fewer scenes than components leave the square singular
         square = np.linalg.cholesky(residuals.T @ residuals + 1e-9 * identity).T @ components
-        return SceneModel.of(mean + centres @ components, square, sizes / sizes.sum())
+        means = self.mean.double().numpy() + centres @ components
+        return SceneModel.of(means, square, sizes / sizes.sum())
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
@@ -246,7 +246,8 @@ class ScenePrior:
             if len(scenes) < 2 or not len(rows):
                 continue
             distances = torch.cdist(scenes[rows], scenes)
-            distances[torch.arange(len(rows)), rows] = torch.inf  # a scene is not its own neighbour
+            # a scene is not its own neighbour
+            distances[torch.arange(len(rows)), rows] = torch.inf
             differences.append(scenes[rows] - scenes[distances.argmin(dim=1)])
         return torch.cat(differences)
 
@@ -538,10 +539,9 @@ class AdaptivePosterior:
         """Sums (b, C, d) over each class of coefficients times probabilities of its scenes."""
         if self._class_sums is None:
             sizes = self.prior.sizes
-            by_class = zip(
-                self.weights.split(sizes, 1), self.prior.coefficients.split(sizes), strict=True
-            )
-            sums = [weights @ coefficients for weights, coefficients in by_class]
+            weights = self.weights.split(sizes, 1)
+            scenes = self.prior.coefficients.split(sizes)
+            sums = [w @ x for w, x in zip(weights, scenes, strict=True)]
             self._class_sums = torch.stack(sums, dim=1)
         return self._class_sums
 

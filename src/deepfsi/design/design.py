@@ -88,10 +88,10 @@ class Design:
         budget = self.info.get("job", {}).get("photons")
         trained = f", learned at {budget:g} photons" if budget else ""
         answers = ", ".join(self.values.names) if self.values else f"{len(self.classes)} classes"
-        parts = [f"<Design {self.name}: {self.exposure.title}"]
+        words = [f"<Design {self.name}: {self.exposure.title}"]
         if self.classifier is not None:
-            parts.append(getattr(self.classifier, "title", type(self.classifier).__name__))
-        return f"{', '.join([*parts, answers])}{trained}>"
+            words.append(getattr(self.classifier, "title", type(self.classifier).__name__))
+        return f"{', '.join([*words, answers])}{trained}>"
 
     # What it shows
 
@@ -139,7 +139,7 @@ class Design:
 
     @property
     def camera(self) -> Camera:
-        """The camera that it was trained for, as the file keeps it."""
+        """The camera of the training, as the file keeps it."""
         camera = trained_camera(self.info)
         if camera is None:
             raise InputError("this design does not say its camera: train it again")
@@ -155,9 +155,9 @@ class Design:
 
     @library_defaults()
     def exposures(self, scenes: Tensor, camera: Camera) -> Exposures:
-        """Exposures of scenes (n, N) by a camera: answers and light at a budget, at each call.
+        """Exposures of scenes (n, N) by a camera: a function from a budget to answers and light.
 
-        Raises `InputError` where it cannot be tested under the noise of the camera.
+        Raises `InputError` if the design cannot be tested under the camera's noise.
         """
         return self.exposure.exposures(scenes, camera, self.answer)
 
@@ -187,11 +187,11 @@ class Design:
             )
         scanner = exposure.scanner(noise_of(camera))
         generator = torch.Generator(exposure.device).manual_seed(seed)
-        parts = []
-        for some in scenes.split(EXPOSED_AT_ONCE):
-            rates = exposure.placed(exposure.rates(scanner, some), generator)
-            parts.append(scanner.read(rates * budget, generator))
-        counts = torch.cat(parts)
+        batches = []
+        for batch in scenes.split(EXPOSED_AT_ONCE):
+            rates = exposure.placed(exposure.rates(scanner, batch), generator)
+            batches.append(scanner.read(rates * budget, generator))
+        counts = torch.cat(batches)
         return counts.view(*lead, *exposure.part_axis, *self.counts_shape).cpu().numpy()
 
     def _scenes(self, x: Any) -> tuple[Tensor, tuple[int, ...]]:
@@ -214,7 +214,7 @@ class Design:
 
     @library_defaults()
     def answer(self, features: Tensor, photons: Tensor | float) -> Answer:
-        """Answer to features (..., k) over the budget, at a budget of each exposure (...)."""
+        """Answer to features (..., k) over the budget, at budgets (..., 1) or one for all."""
         exposure = self.mask_exposure
         assert self.classifier is not None
         logits = self.classifier(exposure.inputs(features, photons))
@@ -278,7 +278,7 @@ class Design:
         """Test whether the counts of exposures, each of another scene, look like the training's.
 
         Sum exposures of a scene first: their counts, photons and background. Raises `InputError`
-        if the design has no `distribution`, as it had less than 100 training scenes or 50 of a
+        if the design has no `distribution`: it had fewer than 100 training scenes, or 50 of a
         class.
 
         Parameters
@@ -311,7 +311,7 @@ class Design:
         self.exposure = self.exposure.to(device)
         self.classifier = self.classifier and self.classifier.to(device)
         self.values = self.values and self.values.to(device)
-        return self  # its distribution stays: counts are tested where they arrive
+        return self  # the distribution holds NumPy arrays, and stays
 
     def quantised(self, levels: int) -> "Design":
         """The design as a device with these grey levels shows it, dark included (paper: 769).
@@ -332,11 +332,12 @@ class Design:
                 f"the patterns pass {dimmed:.3g} of the design's light, and clicks are not in "
                 "proportion to it: learn a design under a light law of the device"
             )
-        own = tuple(self.rails.stacked.shape)
-        if (rails.shape, image_shape) != (own, self.image_shape):
+        shape = tuple(self.rails.stacked.shape)
+        if (rails.shape, image_shape) != (shape, self.image_shape):
             raise InputError(
                 f"patterns of shape {rails.shape} and cells {image_shape} are not of this design, "
-                f"of shape {own} and cells {self.image_shape}: export it with `deepfsi dmd export`"
+                f"of shape {shape} and cells {self.image_shape}: export it with `deepfsi dmd "
+                "export`"
             )
         realised = Rails.of(torch.from_numpy(rails).to(self.rails.difference))
         return replace(
@@ -386,8 +387,8 @@ class Design:
         if isinstance(network, OwnClassifier) and (trust or classifier is not None):
             inputs = design.mask_exposure.input_count
             answers = len(design.values.names if design.values else design.classes)
-            given = classifier or network.factory
-            design.classifier = with_code(network, given, inputs, answers)
+            code = classifier or network.factory
+            design.classifier = with_code(network, code, inputs, answers)
         return design.to(device)
 
 
@@ -411,12 +412,12 @@ def load_design(
 
 
 def _check_readouts(
-    counts: Any, photons: Any, wanted: tuple[int, ...], parts: tuple[int, ...] = ()
+    counts: Any, photons: Any, readouts: tuple[int, ...], parts: tuple[int, ...] = ()
 ) -> tuple[Tensor, Tensor]:
-    """Counts (..., *parts, *wanted) and budgets (..., 1), checked."""
+    """Counts (..., *parts, *readouts) and budgets (..., 1), checked."""
     arrays = [np.asarray(values, np.float32).copy() for values in (counts, photons)]
     read, budget = map(torch.from_numpy, arrays)
-    shape = (*parts, *wanted)
+    shape = (*parts, *readouts)
     if tuple(read.shape[-len(shape) :]) != shape:
         raise InputError(
             f"counts of shape {tuple(read.shape)} do not fit this design: give (..., "
@@ -426,4 +427,4 @@ def _check_readouts(
         raise InputError("counts must be finite, and photons finite and above 0")
     if budget.ndim:
         budget = budget.reshape(*budget.shape, *(1 for _ in parts))
-    return read, budget.expand(read.shape[: -len(wanted)]).unsqueeze(-1)
+    return read, budget.expand(read.shape[: -len(readouts)]).unsqueeze(-1)

@@ -1,4 +1,4 @@
-"""A design and its file: what the file keeps of a design, and a design of a file."""
+"""From a design to its file, and back."""
 
 from importlib.metadata import version
 from math import prod
@@ -72,14 +72,14 @@ def file_of(design: "Design") -> DesignFile:
             for owner, state in tensors.items()
             for name, tensor in state.items()
         }
-        parts = {
+        models = {
             "distribution": design.distribution,
             "scenes": design.scene_model,
             "temperatures": design.temperatures,
         }
-        for owner, part in parts.items():
-            if part is not None:  # its fields are arrays
-                arrays |= {f"{owner}.{name}": array for name, array in vars(part).items()}
+        for owner, model in models.items():
+            if model is not None:  # its fields are arrays
+                arrays |= {f"{owner}.{name}": array for name, array in vars(model).items()}
     if design.training_scenes is not None:
         arrays |= {SCENE_HASHES: design.training_scenes}
     return DesignFile(header, arrays)
@@ -114,7 +114,7 @@ def _mask_fields(file: DesignFile, header: MaskHeader) -> dict[str, Any]:
     light_law(header.light).check(rails.stacked)
     statistics = {name: torch.from_numpy(file.arrays[name]) for name in STATISTICS}
     features = rails.masks * detection.width(rails.count)
-    alike = {each.shape for each in statistics.values()} == {(features,)}
+    alike = {tensor.shape for tensor in statistics.values()} == {(features,)}
     if not alike or not bool((statistics["std"] > 0).all()):
         raise ValueError("statistics are not those of the masks")
     camera = trained_camera(header.info)
@@ -160,7 +160,7 @@ def _classifier(file: DesignFile, header: MaskHeader, inputs: int) -> nn.Module:
         return OwnClassifier(None, sizes.factory, sizes.arguments, weights)
     classes = len(header.classes or header.values)
     further = sizes.model_dump(exclude={"kind"})
-    with torch.device("meta"):  # what the sizes ask for is compared before it takes memory
+    with torch.device("meta"):  # takes no memory before the sizes of the file's tensors are checked
         network = find_network(sizes.kind)(inputs=inputs, classes=classes, **further)
     network.load_state_dict(weights, assign=True)
     return network.eval()

@@ -1,9 +1,9 @@
-"""Networks that read counts: a perceptron, networks side by side, and a module of a user's own.
+"""Networks that read counts: a perceptron, networks side by side, and a user's module.
 
-A user's is any module from features (batch, inputs) to logits (batch, C). It is given as a module,
-as a factory that makes one of the number of its inputs and classes, or as the import path of a
-factory, ``"module:name"``. A design file holds its weights and that path, never code; `Design.load`
-imports it only where the user says so.
+A user's module maps features (batch, inputs) to logits (batch, C). The user gives the module, a
+factory that makes it from the numbers of inputs and classes, or the import path of a factory,
+``"module:name"``. A design file holds the weights and this path, never code; `Design.load` imports
+it only if the user says so.
 """
 
 import copy
@@ -27,12 +27,12 @@ class Classifier(nn.Module, ABC):
     """A classifier that a design file can hold."""
 
     stackable: ClassVar[bool] = False  # whether several learn faster on a GPU with weights stacked
-    generator: torch.Generator | None = None  # that it draws from in a training
+    generator: torch.Generator | None = None  # of its draws in a training
 
     @property
     @abstractmethod
     def header(self) -> dict[str, Any]:
-        """Entry of the file's header: kind, and parameters but inputs and classes."""
+        """Entry of the file's header: kind, and parameters except inputs and classes."""
 
     @property
     @abstractmethod
@@ -97,7 +97,7 @@ class Mlp(Classifier):
 
     @property
     def header(self) -> dict[str, Any]:
-        """Entry of a design file's header: kind, and parameters but inputs and classes."""
+        """Entry of a design file's header: kind, and parameters except inputs and classes."""
         return {"kind": "mlp", "hidden": self.hidden, "dropout": self.dropout}
 
     @property
@@ -117,7 +117,7 @@ class Mlp(Classifier):
         return last(h)
 
     def kept(self, h: Tensor) -> Tensor:
-        """Draw what dropout multiplies hidden units with: 0, or 1 / (1 − dropout)."""
+        """Draw the factors of hidden units in dropout: 0, or 1 / (1 − dropout)."""
         # torch's own dropout takes no generator, and draws one random word a unit where 16 bits do
         words = torch.empty(-(-h.numel() // 4), dtype=torch.int64, device=h.device)
         words.random_(-(2**63), None, generator=self.generator)
@@ -164,24 +164,24 @@ class Replicas(nn.Module):
             return self.networks[0](features.squeeze(1)).unsqueeze(1)
         if not self.stacked:
             pairs = zip(self.networks, features.unbind(1), strict=True)
-            return torch.stack([network(own) for network, own in pairs], dim=1)
+            return torch.stack([network(inputs) for network, inputs in pairs], dim=1)
         h = features.transpose(0, 1)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             h = torch.baddbmm(bias, h, weight)
             if self.networks[0].dropout:
                 drawn = zip(self.networks, h, strict=True)
-                h = h * torch.stack([network.kept(own) for network, own in drawn])
+                h = h * torch.stack([network.kept(units) for network, units in drawn])
             h = h.relu()
         return torch.baddbmm(self.biases[-1], h, self.weights[-1]).transpose(0, 1)
 
     def hand_back(self) -> None:
         """Give the networks what they have learned."""
         with torch.no_grad():
-            for place, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
                 for network, w, b in zip(self.networks, weight, bias, strict=True):
-                    own_weight, own_bias = network.layers[place].parameters()
-                    own_weight.copy_(w.T)
-                    own_bias.copy_(b[0])
+                    to_weight, to_bias = network.layers[layer].parameters()
+                    to_weight.copy_(w.T)
+                    to_bias.copy_(b[0])
 
 
 Factory = Callable[..., nn.Module]
@@ -255,17 +255,17 @@ class OwnClassifier(Classifier):
 
     def forward(self, features: Tensor) -> Tensor:
         """Logits (..., C) of features (..., inputs)."""
-        # A module of a user's own may take rows alone
+        # A user's module may take rows alone
         rows = features if features.ndim == 2 else features.reshape(-1, features.shape[-1])
         logits = self.loaded(rows)
         return logits.reshape(*features.shape[:-1], logits.shape[-1])
 
 
 def make_custom(
-    given: Given, arguments: Mapping[str, Any], inputs: int, classes: int, seed: int = 0
+    code: Given, arguments: Mapping[str, Any], inputs: int, classes: int, seed: int = 0
 ) -> OwnClassifier:
     """Classifier with these numbers of inputs and classes, tried on zeros."""
-    factory = load_plugin(given) if isinstance(given, str) else given
+    factory = load_plugin(code) if isinstance(code, str) else code
     with seeded(seed):
         try:
             if isinstance(factory, nn.Module):
@@ -280,31 +280,31 @@ def make_custom(
             if tuple(tried.shape) != (3, classes):
                 raise ValueError(f"it makes logits of shape {tuple(tried.shape)} of 3 exposures")
         except (Exception, SystemExit) as error:
-            told = " ".join(str(error).split())
+            reason = " ".join(str(error).split()) or type(error).__name__
             raise InputError(
-                f"the classifier cannot be used: {told or type(error).__name__}; give a module "
+                f"the classifier cannot be used: {reason}; give a module "
                 f"from (batch, {inputs}) features to (batch, {classes}) logits, or a factory of it"
             ) from error
-    name = part_name(given)
+    name = part_name(code)
     return OwnClassifier(module, "" if name == UNNAMED_PLUGIN else name, arguments)
 
 
-def with_code(known: OwnClassifier, given: Given, inputs: int, classes: int) -> OwnClassifier:
-    """A classifier of a file made by the user's code, with the weights that it has."""
-    arguments = {} if isinstance(given, nn.Module) else known.arguments
-    made = make_custom(given, arguments, inputs, classes)
+def with_code(stored: OwnClassifier, code: Given, inputs: int, classes: int) -> OwnClassifier:
+    """The classifier of a file, made by the user's code, with the weights of the file."""
+    arguments = {} if isinstance(code, nn.Module) else stored.arguments
+    network = make_custom(code, arguments, inputs, classes)
     try:
-        made.loaded.load_state_dict(known.weights)
+        network.loaded.load_state_dict(stored.weights)
     except (RuntimeError, TypeError) as error:
-        told = " ".join(str(error).split())
-        raise InputError(f"the classifier is not the one of this design: {told}") from None
-    return made.eval()
+        reason = " ".join(str(error).split())
+        raise InputError(f"the classifier is not the one of this design: {reason}") from None
+    return network.eval()
 
 
 @contextmanager
 def seeded(seed: int) -> Iterator[None]:
     """Seed torch's global generators, and put their state back at the end."""
-    # A module of a user's own draws its weights and its dropout there
+    # A user's module draws its weights and its dropout from these
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         yield

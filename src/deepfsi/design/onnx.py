@@ -1,6 +1,6 @@
 """A design as an ONNX graph: counts and budget in, class probabilities out, no torch needed.
 
-Torch traces the design itself, and the graph is compared with it before it is given.
+Torch traces the design itself; answers of graph and design are compared before it is returned.
 """
 
 import copy
@@ -67,21 +67,21 @@ def to_onnx(design: Design) -> bytes:
                 dynamic_axes={name: {0: "batch"} for name in [*inputs, OUTPUT]},
             )
     except Exception as error:
-        told = " ".join(str(error).split())[:200]
-        raise InputError(f"the classifier cannot be exported, torch says: {told}") from error
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"the classifier cannot be exported, torch says: {reason}") from error
     model = onnx.load_from_string(written.getvalue())
-    about = {
+    metadata = {
         "schema": 1,  # of inputs, output and metadata
         "name": design.name,
         "image_shape": design.image_shape,
         "classes": design.classes,
     }
-    onnx.helper.set_model_props(model, {key: json.dumps(one) for key, one in about.items()})
+    onnx.helper.set_model_props(model, {key: json.dumps(value) for key, value in metadata.items()})
     model.producer_name = "deepfsi"
     model.producer_version = version("deepfsi")
     onnx.checker.check_model(model, full_check=True)
     content = model.SerializeToString(deterministic=True)
-    # a trace follows one path only: what it gives is compared, for one exposure and for several
+    # a trace follows one path through the code: compare its answers, for one exposure and for many
     session = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"])
     generator = torch.Generator().manual_seed(0)
     for batch in (*[1] * 8, 7):
@@ -89,9 +89,9 @@ def to_onnx(design: Design) -> bytes:
         scaled = 1 + torch.randn(batch, *shape, generator=generator)
         light = photons.view(-1, *[1] * len(shape)) * design.exposure.shares.mean().cpu()
         counts = scaled.relu() * light
-        wanted = graph(counts, photons).numpy()
-        [given] = session.run(None, {"counts": counts.numpy(), "photons": photons.numpy()})
-        if given.shape != wanted.shape or np.abs(given - wanted).max() > 1e-3:
+        expected = graph(counts, photons).numpy()
+        [answers] = session.run(None, {"counts": counts.numpy(), "photons": photons.numpy()})
+        if answers.shape != expected.shape or np.abs(answers - expected).max() > 1e-3:
             raise InputError(
                 "the classifier's ONNX graph does not give what the classifier does: write its "
                 "forward without conditions on values or on the size of the batch"

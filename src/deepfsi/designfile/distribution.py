@@ -240,12 +240,12 @@ class ReadoutDistribution:
         p_values, of_worst_class = self._p_values(model, single)
         alike = self._alike(model, single)
         # Fisher's sum is of independent scenes: alike ones are tested together alone
-        apart = 1.0 if alike < REFUSED else _fisher(of_worst_class)
+        one_by_one = 1.0 if alike < REFUSED else _fisher(of_worst_class)
         joint = float(self._p_values(model, together)[1][0])
         return ConsistencyResult(
             exposures=p_values.reshape(exposures),
             # the smaller of two p-values, doubled (Bonferroni)
-            whole=min(1.0, 2 * min(apart, joint)),
+            whole=min(1.0, 2 * min(one_by_one, joint)),
             alike=alike,
             brightness=float(single.counts.sum() / (photons_behind @ model.share * model.total)),
         )

@@ -443,7 +443,7 @@ class ConditionedTraining(ExposureTraining):
         """Features and conditioning inputs (B, R, k + 2)."""
         rails = self.arranged()
         masks = self.detection.read_of(rails).combined
-        detectors = self.detection.count
+        count = self.detection.count
         used = self.law.used(rails.stacked)[..., -1:]
         features = []
         ratios = []
@@ -451,10 +451,10 @@ class ConditionedTraining(ExposureTraining):
             # a factor 1 whose gradient is only rounding: it keeps the bits of earlier trainings
             one = stream.of_jobs(used / used).T.unsqueeze(-1)
             ratio = stream.budgets(self.span) / one
-            normal = stream.normal(masks.shape[-2] * detectors) * stream.noise.unit / ratio.sqrt()
+            normal = stream.normal(masks.shape[-2] * count) * stream.noise.unit / ratio.sqrt()
             x = self.x.index_select(0, stream.with_mean)
             of_seed = stream.of_jobs(masks, -3)
-            features.append(ml_gauss_features(x, of_seed, normal, False, detectors=detectors))
+            features.append(ml_gauss_features(x, of_seed, normal, False, detectors=count))
             ratios.append(ratio.expand(*features[-1].shape[:2], 1))
         scaled = standardise_by_power(side_by_side(features), self.scale)
         return with_budget(scaled, side_by_side(ratios), self.span)

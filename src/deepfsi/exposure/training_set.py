@@ -160,10 +160,10 @@ class TrainingSet:
         check_count(name, masks, self.data, detectors)
         _, most = count_allowed(name, self.data, detectors)
         facts = DESIGNS[name]
-        whole = most if facts.is_made_at_once(most) else masks
-        key = (name, whole, seed if facts.seeded else 0, detectors.cells)
+        count = most if facts.is_made_at_once(most) else masks
+        key = (name, count, seed if facts.seeded else 0, detectors.cells)
         if key not in self.matrices:
-            self.matrices[key] = sensing_matrix(name, whole, self.data, seed, detectors=detectors)
+            self.matrices[key] = sensing_matrix(name, count, self.data, seed, detectors=detectors)
         return self.matrices[key][:masks]
 
 

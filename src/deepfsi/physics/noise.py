@@ -309,10 +309,8 @@ class Click(Noise):
         p = -torch.expm1(-rates / self.gates)
         fixed = p.detach()
         if self.gates == 1:
-            uniform = torch.rand(
-                fixed.shape, generator=random, device=fixed.device, dtype=fixed.dtype
-            )
-            counts = (uniform < fixed).to(fixed.dtype)
+            draw = torch.rand(fixed.shape, generator=random, device=fixed.device, dtype=fixed.dtype)
+            counts = (draw < fixed).to(fixed.dtype)
         else:
             counts = torch.binomial(torch.full_like(fixed, self.gates), fixed, random)
         mean = self.gates * p

@@ -89,7 +89,7 @@ class TrainingNoise:
         Scenes (n + 1, N) are centred and arranged; their mean is the last row. For each seed the
         light holds the products x D and x S (B, R_i, k); it is empty unless rails are drawn.
         """
-        detectors = detection.count
+        count = detection.count
         features: list[Tensor] = []
         light: list[tuple[Tensor, Tensor]] = []
         if self.kind.draws_rails:
@@ -98,12 +98,12 @@ class TrainingNoise:
             frames = detection.read_of(rails)
             for seed in draws.streams:
                 x = scenes.index_select(0, seed.with_mean)
-                mean, total = project_rails(x, frames.map(seed.of_jobs), detectors)
+                mean, total = project_rails(x, frames.map(seed.of_jobs), count)
                 light.append((mean[:-1] + mean[-1], total[:-1] + total[-1]))
                 counts = seed.noise.counted(*light[-1], seed.readouts(read))
                 # the mean of a biased noise is not the rate: its batch centres it
-                middle = mean[-1] if self.kind.unbiased else counts.mean(dim=0)
-                features.append(counts - middle)
+                centre = mean[-1] if self.kind.unbiased else counts.mean(dim=0)
+                features.append(counts - centre)
         elif self.kind.depends_on_light:
             # Two disjoint rails are one signed matrix, whose total is its absolute value: half of
             # the memory, and a backward pass by hand
@@ -111,11 +111,9 @@ class TrainingNoise:
             signed = masks.matrix() if disjoint else detection.read_of(masks()).combined
             for seed in draws.streams:
                 x = scenes.index_select(0, seed.with_mean)
-                epsilon = seed.normal(signed.shape[-2] * detectors) * seed.noise.unit
+                epsilon = seed.normal(signed.shape[-2] * count) * seed.noise.unit
                 of_seed = seed.of_jobs(signed, -3)
-                features.append(
-                    ml_gauss_features(x, of_seed, epsilon, disjoint, detectors=detectors)
-                )
+                features.append(ml_gauss_features(x, of_seed, epsilon, disjoint, detectors=count))
         else:
             rails = masks()
             with torch.no_grad():
@@ -123,7 +121,7 @@ class TrainingNoise:
             difference = detection.read_of(rails).difference
             for seed in draws.streams:
                 x = scenes.index_select(0, seed.rows)
-                mean = project(x, seed.of_jobs(difference), detectors)
+                mean = project(x, seed.of_jobs(difference), count)
                 features.append(seed.noise.features(mean, mean, seed.readouts(read), seed.normal))
         return side_by_side(features), light
 

@@ -79,12 +79,12 @@ def find_temperatures(
     budgets = calibration_budgets(job.photons, job.exposure.highest(job.photons))
     held = data.held_out > 0
     if left_out and not held:
-        exposed = [
+        sets = [
             Labelled(trained, job.camera, fold.x_test, fold.y_test) for fold, trained in left_out
         ]
         # enough for about 1000 exposures in all
         draws = max(1, 1000 // sum(len(fold.x_test) for fold, _ in left_out))
-        scenes = CalibrationScenes.of(exposed, job.seed, draws, DOUBT)
+        scenes = CalibrationScenes.of(sets, job.seed, draws, DOUBT)
     else:
         x, labels = (data.x_test, data.y_test) if held else (data.x_train, data.y_train)
         readouts = prod(design.counts_shape) * prod(design.mask_exposure.part_axis)

@@ -189,11 +189,7 @@ NO_CHECKPOINT = Checkpoint()
 """Keeps nothing."""
 
 
-def _key(
-    training_set: TrainingSet,
-    jobs: Sequence[Job],
-    matrix: np.ndarray | None,
-) -> str:
+def _key(training_set: TrainingSet, jobs: Sequence[Job], matrix: np.ndarray | None) -> str:
     """Hash of everything that the bits of a training depend on."""
     names = custom_parts(jobs[0])
     if UNNAMED_PLUGIN in names:

@@ -204,9 +204,9 @@ def companions(job: Job, device: torch.device) -> tuple[Any, ...]:
     """Key that jobs trained together share: all settings except budget, sigma and seed."""
     # a user's module may draw from torch's global generator: train such jobs one by one
     alone = job.training.is_custom or not job.exposure.side_by_side
-    apart: Any = set() if alone else {"photons": True, "seed": True, "camera": {"sigma"}}
+    varying: Any = set() if alone else {"photons": True, "seed": True, "camera": {"sigma"}}
     types = product_dtype(job.mask_job(), device), network_dtype(job, device)
-    return (job.model_dump_json(exclude=apart), types)
+    return (job.model_dump_json(exclude=varying), types)
 
 
 def _designs(
