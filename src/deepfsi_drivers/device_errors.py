@@ -1,4 +1,4 @@
-"""Ways of drivers to find a maker's library, to say what a device refused, and to let go of it."""
+"""Shared by drivers: import a maker's library, report refusals, let go of a device."""
 
 import contextlib
 import importlib
@@ -9,7 +9,7 @@ from deepfsi.base.errors import InputError
 
 
 def import_library(device: str, package: str, *modules: str) -> Any:
-    """First module of a maker's library that is there; `package` is what pip installs."""
+    """First installed module of a maker's library; pip installs it as `package`."""
     for module in modules:
         try:
             return importlib.import_module(module)
@@ -24,7 +24,7 @@ def import_library(device: str, package: str, *modules: str) -> Any:
 def refusals(
     device: str, doing: str, *, reason: Callable[[Exception], str | None]
 ) -> Iterator[None]:
-    """Say in one line what a device refused; `reason` is None for what is no refusal of it."""
+    """Raise refusals of a device in one line; `reason` is None for other errors."""
     try:
         yield
     except InputError:
@@ -42,7 +42,7 @@ def refusals(
 def let_go(
     kind: type[BaseException] | None, halt: Callable[[], None], close: Callable[[], None]
 ) -> None:
-    """Halt and close a device; what went wrong before goes before what goes wrong here."""
+    """Halt and close a device; an earlier error hides errors of this."""
     quiet = contextlib.suppress(InputError) if kind else contextlib.nullcontext()
     with quiet, contextlib.ExitStack() as stack:
         stack.callback(close)

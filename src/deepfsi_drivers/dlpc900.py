@@ -225,7 +225,7 @@ class Dlpc900Projector:
         """Return when the pass has ended; Ctrl-C is heard meanwhile."""
         link = self._link
         with _refusals("show patterns"):
-            # It may say that it stands before the first pattern is shown
+            # A status read before the first pattern may already say that nothing runs
             while (
                 time.monotonic() < self._due or link.read(_CommandCode.MAIN_STATUS) & _Status.RUNS
             ):
@@ -255,7 +255,7 @@ def _healthy(link: _Link) -> int:
 
 
 def _for_board(patterns: Patterns, device: Device) -> Manifest:
-    """Manifest of a folder for the device of a board, or `InputError` for what it cannot show."""
+    """Manifest of a folder for the device of a board; `InputError` if it cannot be shown."""
     manifest = patterns.manifest
     exported = manifest.device
     if (exported.columns, exported.rows) != (device.columns, device.rows):
@@ -285,7 +285,7 @@ def _table(manifest: Manifest) -> Iterator[bytes]:
 def _encoded(
     patterns: Patterns, manifest: Manifest, controllers: int, report: Progress
 ) -> list[tuple[bytes, ...]]:
-    """Pictures of a folder, each in as many halves, left first, as a board has controllers."""
+    """Encoded pictures of a folder; two controllers have halves, the left one first."""
     total = len(manifest.frames)
     width = manifest.device.columns // controllers
     out = []

@@ -1,4 +1,4 @@
-"""Photon counters over a PTU file that is read as it grows: what is counted is what it holds.
+"""Photon counters over a PTU file that is read as it grows, so that counts are those of the file.
 
 `FollowedCounter` follows a file that a counter's own software writes. So any PicoQuant counter
 streams, as long as its software writes records at once and does not hold them back: look at how
@@ -37,7 +37,7 @@ APPEARS_S = 60.0
 class FollowedCounter(AbstractContextManager["FollowedCounter"]):
     """Streaming counter over a file, or a named pipe, that other software writes.
 
-    Someone who begins and ends its recordings may be asked to.
+    `ask` is called with a request to begin or end the recording.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class FollowedCounter(AbstractContextManager["FollowedCounter"]):
 
 
 class TappedCounter(FollowedCounter, ABC):
-    """Streaming counter of a device that hands events over, which a thread takes all the while."""
+    """Streaming counter of a device that hands events over to a thread."""
 
     def __init__(self, inputs: tuple[int, ...], marker_bit: int) -> None:
         super().__init__(inputs, marker_bit)
@@ -174,7 +174,7 @@ class TappedCounter(FollowedCounter, ABC):
     def _read(
         self, writer: PtuWriter, take: Callable[[PtuWriter], None], ending: threading.Event
     ) -> None:
-        """Write all events until the end; the other side gets errors."""
+        """Write all events until the end; the next call raises errors."""
         try:
             while not ending.wait(TAP_POLL_S):
                 take(writer)
@@ -185,11 +185,11 @@ class TappedCounter(FollowedCounter, ABC):
 
     @abstractmethod
     def _begin(self, path: Path, stack: ExitStack) -> tuple[float, Callable[[PtuWriter], None]]:
-        """Begin a recording, which the stack ends: its tick, s, and what writes new events."""
+        """Begin a recording that the stack ends; give its tick, s, and a writer of new events."""
 
     @abstractmethod
     def _finish(self) -> None:
-        """Wait until all events of what has come can be taken."""
+        """Wait until all events so far can be taken."""
 
     @abstractmethod
     def _free(self) -> None:

@@ -1,4 +1,4 @@
-"""Swabian Instruments Time Taggers through the vendor's library: a channel is the trigger's.
+"""Swabian Instruments Time Taggers through the vendor's library; one channel is the trigger.
 
 **Untested on hardware.** It was written from the vendor's package, version 2.22.6, and manual, and
 is tested against a fake of them. In the manual

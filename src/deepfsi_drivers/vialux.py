@@ -288,8 +288,7 @@ class VialuxLooks(_Board):
             self._alp.SeqPut(self._rows(packed[None]).ravel(), sequence, frame, 1)
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
-        """Show a list of frames when the last list has ended; may return before its end."""
-        # frames (F,); dwells_s (F,)
+        """Show frames (F,) for dwells (F,) when the last list has ended; may return early."""
         picture_us, repeats = self._plan(dwells_s)
         indices = np.repeat(frames, repeats)
         (sequence,) = self._sequences
@@ -308,7 +307,7 @@ class VialuxLooks(_Board):
             self._alp.Run(sequence, loop=False)
 
     def _plan(self, dwells_s: np.ndarray) -> tuple[int, np.ndarray]:
-        """Picture time, µs, and the repeats of each frame that hold it long enough."""
+        """Picture time, µs, and repeats (F,) that hold each frame long enough."""
         wanted_us = dwells_s * 1e6
         picture_us = max(self._shortest_us, int(wanted_us.sum() // self._entries))
         while (repeats := _repeats(wanted_us, picture_us)).sum() > self._entries >= len(repeats):
@@ -331,7 +330,7 @@ class VialuxLooks(_Board):
 
 
 def _repeats(wanted_us: np.ndarray, picture_us: float) -> np.ndarray:
-    """Number of pictures of a length that last at least as long as wanted."""
+    """Number of pictures (F,) that together last as long as wanted or longer."""
     return np.maximum(np.ceil(np.round(wanted_us / picture_us, 9)), 1).astype(np.int64)
 
 

@@ -61,7 +61,7 @@ class ScenePath:
         return self.jitter > 0 or self.speed_jitter > 0
 
     def every_shift(self, pattern: Tensor) -> Tensor:
-        """Matrix (..., K, N) of a pattern (..., H, P) at every whole shift."""
+        """Windows (..., K, N) of a pattern (..., H, P), one at every whole shift."""
         width = self.shape[1]
         windows = functional.pad(pattern, (width, width)).unfold(-1, width, 1)
         return windows.movedim(-2, -3).flatten(-2)
@@ -69,7 +69,7 @@ class ScenePath:
     def edges(
         self, shape: Sequence[int], generator: torch.Generator | None, device: torch.device
     ) -> Tensor:
-        """Places (*shape, T + 1) of the ends of bins among the shifts, drawn with the jitter."""
+        """Shifts (*shape, T + 1) at the ends of bins, drawn with the jitter."""
         time = torch.arange(self.bins + 1, device=device) - self.bins / 2
         middle = (self.shifts - 1) / 2
         if not self.moves:
@@ -81,7 +81,7 @@ class ScenePath:
 
     def means(self, correlation: Tensor, edges: Tensor) -> Tensor:
         """Means (..., T) of C over each bin, of its values (..., K) at whole shifts."""
-        # its integral is a sum of trapezoids to the shift below, and a part of the next one
+        # the integral of C: trapezoids up to the shift below, and a fraction of the next one
         *_, shifts = correlation.shape
         lead = torch.broadcast_shapes(correlation.shape[:-1], edges.shape[:-1])
         between = (correlation[..., 1:] + correlation[..., :-1]) / 2

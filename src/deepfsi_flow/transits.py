@@ -1,14 +1,14 @@
 """Classes of scenes that pass a pattern, from a photon file without markers.
 
-A window as long as a transit slides over the record, and a transit is where it holds k photons or
-more. Of background alone, Poisson events of rate b, it holds N photons with the mean μ = b L. N
-rises to k where a photon arrives while N = k − 1, and arrivals see N as it is at any time. So a
-record of the time D has
+A window of the length L of a transit slides over the record; a transit is where it holds k photons
+or more. Background alone, Poisson events of rate b, fills it with N photons, μ = b L in the mean. N
+rises to k when a photon arrives while N = k − 1, and arrivals see the distribution of N at any time.
+So a record of the time D has in the mean
 
     b D P(N = k − 1) + P(N ≥ k)
 
-rises to k in the mean, overlapping windows and all, the last term for a record that begins so. That
-bounds the chance of any false alarm, and k is the least that keeps it below what is asked for.
+rises to k, overlapping windows included; the last term is for a record that begins in one. This
+bounds the probability of any false alarm, and k is the least that keeps it below the allowed one.
 """
 
 import csv
@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # they import torch, which those who look for no transits do 
     from deepfsi_flow.exposure import PassingExposure
 
 FINE = 8
-"""Steps of a bin in which the place of a transit is sought."""
+"""Steps of a bin in which the start of a transit is sought."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def find_threshold(background: float, window: float, duration: float, allowed: f
 
 
 def find_transits(times: np.ndarray, window: float, level: int) -> np.ndarray:
-    """Starts (n,) of the windows that hold most photons, of each transit in rising times."""
+    """Starts (n,) of transits in rising times: of each, the window that holds most photons."""
     low = np.searchsorted(times, times - window, side="right")
     bright = np.flatnonzero(np.arange(len(times)) - low + 1 >= level)
     starts: list[float] = []
@@ -104,7 +104,7 @@ def find_background(times: np.ndarray, window: float, duration: float, allowed: 
 
 
 def _joined(starts: np.ndarray, stops: np.ndarray, duration: float) -> np.ndarray:
-    """Spans (m, 2) that cover some that rise and may overlap, within a record."""
+    """Disjoint spans (m, 2) that cover spans which rise and may overlap, within a record."""
     starts = starts.clip(0, duration)
     stops = stops.clip(0, duration)
     if not len(starts):
@@ -138,7 +138,7 @@ def align_transits(
 
 
 def count_bins(times: np.ndarray, starts: np.ndarray, bin_s: float, bins: int) -> np.ndarray:
-    """Photons (n, T) in the bins of transits that begin at some times."""
+    """Photons (n, T) in the bins of transits, from their starts (n,)."""
     edges = starts[:, None] + bin_s * np.arange(bins + 1)
     return np.diff(np.searchsorted(times, edges), axis=1)
 

@@ -61,7 +61,7 @@ Levels = Annotated[int, Field(ge=0, le=2**24), AfterValidator(_levels)]
 
 
 def _detectors(setting: Any) -> str | tuple[int, ...]:
-    """Field of a camera: a name, bands as text, or the detector of each pixel, or its .npy file."""
+    """Name or bands as text, or the detector of each pixel, also from a .npy file."""
     name = str(setting).lower() if isinstance(setting, str | int) else ""
     if re.fullmatch(r"[1-9]\d*(x[1-9]\d*)?", name):
         return name
@@ -92,7 +92,7 @@ OF_NOISES = {
     "gates": "gates",
     "fluctuation": "light that fluctuates",
 }
-"""Fields that not every noise has, in words; `NoiseFacts` says which has them."""
+"""Fields that some noises lack (see `NoiseFacts`), in words."""
 
 
 class Camera(UserModel):
@@ -246,7 +246,7 @@ class Camera(UserModel):
 
     @classmethod
     def load(cls, source: "CameraSource" = None, **settings: Any) -> "Camera":
-        """Camera of a source, by default the preset `dmd`, with single settings in their place.
+        """Camera of a source, by default the preset `dmd`, with `settings` replaced.
 
         A source is a name of `PRESETS`, a file ending in ``.toml``, fields, or a camera.
         """
@@ -282,7 +282,7 @@ class Camera(UserModel):
 
     @classmethod
     def restored(cls, fields: Mapping[str, Any]) -> "Camera":
-        """Camera of a file that holds all fields: those that follow from others do so again."""
+        """Camera of a file that holds all fields; fields that follow from others do so again."""
         if "stretch" not in fields:  # of a version that knew no other cells than stretched ones
             fields = {**fields, "stretch": fields.get("device") is not None}
         stored = cls.model_validate(fields)

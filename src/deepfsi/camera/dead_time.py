@@ -1,4 +1,4 @@
-"""Dead time of a counter: how much light arrived, of what was registered.
+"""Dead time of a counter: arrivals from registered counts.
 
 After an arrival the counter is blind for the dead time τ. At a steady rate n of arrivals, and with
 y = n τ, it registers
@@ -39,8 +39,8 @@ class DeadTime(StrictModel):
     @property
     def most_registered(self) -> float:
         """Highest rate of counts that is corrected, counts/s."""
-        # arrivals in a dead time: with more, one that is wrong by a tenth makes the light wrong by
-        # more than a tenth
+        # arrivals in a dead time: beyond, an error of a tenth in the dead time makes more than a
+        # tenth in the light
         most = 0.5 if self.paralysable else 1.0
         lost = np.exp(-most) if self.paralysable else 1 / (1 + most)
         return float(most * lost / self.seconds) if self.seconds else np.inf

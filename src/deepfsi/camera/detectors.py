@@ -1,4 +1,4 @@
-"""Detectors on parts of the device: which of them sees each cell of a mask."""
+"""Detectors on parts of the device: the detector of each cell of a mask."""
 
 import math
 from collections.abc import Sequence
@@ -62,7 +62,7 @@ ONE_DETECTOR = DetectorMap(count=1)
 
 
 def _divided(name: str, image_shape: tuple[int, ...]) -> np.ndarray:
-    """Detector of each pixel (N,) where each side is divided as evenly as it can be."""
+    """Detector of each pixel (N,), with each side divided as evenly as possible."""
     if name == "1x1":
         return np.zeros(math.prod(image_shape), dtype=np.int64)
     numbers = [int(number) for number in name.split("x")]

@@ -1,4 +1,4 @@
-"""Micromirror devices: geometry, limits of their controllers, and where the numbers are from.
+"""Micromirror devices: geometry, and limits of their controllers.
 
 `devices.toml` beside this file holds the devices that have a name.
 """
@@ -75,8 +75,8 @@ class Device(UserModel):
         return self.controller in ("dlpc900", "dlpc350", "dlpc347x")
 
     def whole_us(self, least_us: float) -> int:
-        """Shortest picture time of the device that is no shorter than one, µs."""
-        # Rounded to 1e-6 µs first: floating point adds less
+        """Shortest picture time of the device, µs, of at least `least_us`."""
+        # Rounded to 1e-6 µs first: a rounding error must not cost a step
         steps = math.ceil(round(max(least_us, self.shortest_us), 6) / self.step_us)
         return steps * self.step_us
 

@@ -1,9 +1,9 @@
 """Cells of a mask on the mirrors of a device.
 
 On a diamond lattice mirrors are squares that stand on a corner: a row is half a diagonal below the
-one above it, and odd rows lie half a diagonal to the right. A cell is then as many columns and
-whole pairs of rows: its mirrors are those whose centres lie in a rectangle that is as wide as its
-columns, and all cells have mirrors at the same places in theirs.
+one above it, and odd rows lie half a diagonal to the right. A cell is then a number of columns and
+of pairs of rows: the mirrors with centres in a rectangle as wide as its columns. So all cells have
+mirrors at the same places.
 """
 
 import math
@@ -102,8 +102,7 @@ class DmdGrid:
     def lattice_shape(self) -> tuple[int, int]:
         """Rows and columns of the square lattice that holds the mirrors' centres.
 
-        On a diamond lattice every second of its places has a mirror; they are half a diagonal
-        apart.
+        For a diamond lattice its points are half a diagonal apart, and every second has a mirror.
         """
         columns = self.across * self.width
         return self.down * self.height, 2 * columns if self.diamond else columns
@@ -167,7 +166,7 @@ def find_grid(
 
 
 def _find_region(device: Device, region: Region | None) -> tuple[int, int, int, int]:
-    """Columns and rows of a region, and those before it; of the whole device where it is None."""
+    """Columns and rows of a region, and its left and top; None is the whole device."""
     if region is None:
         return device.columns, device.rows, 0, 0
     columns, rows, *first = map(int, re.findall(r"\d+", region))

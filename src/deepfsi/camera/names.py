@@ -1,7 +1,6 @@
 """Names of light laws, noises, rails and readouts, and the facts of laws and noises.
 
-Who needs to know something of a law or a noise asks its facts: `LIGHT_LAWS` and `NOISES` are the
-only places that tell one name from another.
+Other modules ask facts, never names: only `LIGHT_LAWS` and `NOISES` tell one name from another.
 """
 
 import re
@@ -130,7 +129,7 @@ NOISES: dict[str, NoiseFacts] = {
 
 
 def find_noise(noise: Any) -> NoiseFacts:
-    """Facts of a noise by name; of a user's noise only the name is known."""
+    """Facts of a noise by its name or function; a user's noise has only a name."""
     name = noise_name(noise)
     return NOISES.get(name) or NoiseFacts(f"{name} noise")
 

@@ -54,7 +54,7 @@ def evaluate(
     draws : int
         Noise draws of each scene (1 is enough without noise).
     seed : int
-        Of the noise.
+        Seed of the noise.
     report : Progress, optional
         Receives the progress. Default: a bar if a terminal is attached.
     **settings
@@ -112,7 +112,7 @@ Expose = Callable[[torch.Generator, float], Exposed]
 
 
 def _answering(design: Design, camera: Camera, x: Tensor) -> Expose:
-    """Rule that exposes scenes (b, N) and answers their classes, or their values."""
+    """Function that exposes scenes (b, N), and answers with their classes or values."""
     expose = design.exposures(x, camera)
 
     def answer_once(generator: torch.Generator, budget: float) -> Exposed:
@@ -125,7 +125,7 @@ def _answering(design: Design, camera: Camera, x: Tensor) -> Expose:
 
 
 def camera_for(design: Design, camera: CameraSource = None, **settings: Any) -> Camera:
-    """Camera of a test: the design's if none is given."""
+    """Camera of a test; default: the design's."""
     base = design.camera if camera is None else Camera.load(camera)
     if "noise" not in settings and camera is None and base.noise_name not in get_args(NoiseName):
         raise InputError(
@@ -148,7 +148,8 @@ def expose_scenes(
     kind: type[Answers],
     report: Progress,
 ) -> list[Any]:
-    """Answers to the test scenes at each budget; masks count `shares` (m,) of it."""
+    """Answers to the test scenes at each budget, of which masks count `shares` (m,)."""
+    # a stream for each budget: no result depends on the other budgets
     generators = [torch.Generator(shares.device).manual_seed(seed) for _ in budgets]
     outputs: list[list[list[np.ndarray]]] = [[] for _ in budgets]
     light = np.zeros((len(budgets), 3))  # counts, photons, and light of exposures that stop

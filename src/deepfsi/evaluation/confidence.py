@@ -2,12 +2,12 @@
 
 A network is often too confident, and far too confident of counts that it was not trained for: at a
 hundredth of its budget each photon is a hundred times as large among its inputs. A temperature τ
-divides its logits, which moves no class past another. It is fitted by the log loss of scenes with
-known classes and exact counts, over budgets and over the numbers of masks or looks after which an
-exposure is classified.
+divides its logits, which keeps the order of classes. It is fitted by the log loss of scenes with
+known classes and exact counts, for budgets, and for the masks or looks after which an exposure is
+classified.
 
-The test of counts against those of the training is calibrated by simulated exposures of scenes that
-its model has not seen.
+The test that compares counts with the training's is calibrated by simulated exposures of scenes
+that its model has not seen.
 """
 
 from collections.abc import Callable, Sequence
@@ -72,7 +72,7 @@ class CalibrationScenes:
         return cls(labels, logits, draws=draws, doubt=doubt)
 
     def losses(self, logits: np.ndarray, temperature: float) -> np.ndarray:
-        """−ln of the probability (E,) of the true classes, of `logits` (E, C) of some stop."""
+        """−ln of the probability (E,) of the true classes, from `logits` (E, C) of one stop."""
         logs = log_softmax(logits.astype(float) / temperature + self.base, axis=1)
         return -logs[np.arange(len(logs)), self.labels]
 
@@ -98,8 +98,8 @@ def fit_temperatures(
 ) -> Temperatures:
     """Temperatures of a design at budgets (B,), by exposures of scenes of known classes.
 
-    A network may be surer of scenes that it was trained on than it is right on others. So by these
-    it becomes less sure only, never surer than it is.
+    A network may be surer of scenes of its training than it is right on others. So scenes that it
+    was trained on may only make it less sure.
     """
     stops = scenes.stops
     # at eight numbers of masks or looks, at most
@@ -153,7 +153,7 @@ def draw_logits(
 
 
 def _fit(logits: np.ndarray, scenes: CalibrationScenes) -> float:
-    """Log τ that gives logits (E, C) of calibration scenes the least log loss."""
+    """Log τ of the least log loss of logits (E, C) of calibration scenes."""
     below = logits.astype(float)  # less the largest logit of each exposure
     below -= below.max(axis=1, keepdims=True)
     lost = float(-below[np.arange(len(below)), scenes.labels].mean())
@@ -175,7 +175,7 @@ MOST_SCENES = 4096
 
 
 def sample_scenes(count: int, readouts: int, seed: int = 0) -> np.ndarray:
-    """Places of the training scenes, of `count`, that are looked at."""
+    """Indices of the training scenes that are looked at, of `count`."""
     most = min(max(2**21 // readouts, 512), MOST_SCENES)
     return np.random.default_rng(seed).permutation(count)[:most]
 
@@ -189,9 +189,9 @@ def find_distribution(
     """
     all_rates = rates.double().cpu().numpy()
     rng = np.random.default_rng([0, 12])
-    # each calibrated with the covariance of the others
+    # each fold is calibrated with the covariance of the others
     folds = np.array_split(rng.permutation(len(all_rates)), 4)
-    # what the scenes of one fold alone light cannot be compared with those of the others
+    # a readout that scenes of one fold alone light cannot be compared with the other folds
     lit = np.sum([(all_rates[fold] > 0).any(axis=0) for fold in folds], axis=0) > 1
     sizes = np.bincount(labels, minlength=classes)
     # the tail of a class, to which a power law is fitted, is a fifth of its scenes
@@ -255,7 +255,7 @@ def _calibrate(
 def _tail(logs: np.ndarray) -> np.ndarray:
     """Logarithms (..., chances) that values (..., n) exceed with each of `TAIL_CHANCES`."""
     chances = np.array(TAIL_CHANCES)
-    # scenes to which the power law is fitted, at least
+    # the power law is fitted to ten scenes or more
     tail = chances[chances * logs.shape[-1] >= 10].min()
     bulk = np.moveaxis(np.quantile(logs, 1 - chances, axis=-1), 0, -1)
     start = bulk[..., chances == tail]

@@ -1,9 +1,9 @@
 """Ideal observer of counts: posterior of the class with the training scenes as prior.
 
-It takes the scene for one of the training scenes, each as likely as another. The log-likelihood of
+The scene is taken for one of the training scenes, each as likely as another. The log-likelihood of
 Poisson counts y under a scene k with rates r_k is Σ y ln r_k − r_k, up to a constant; scenes of a
-class add their likelihoods. No network is trained, so its accuracy tells whether a network or the
-masks that it reads are at fault.
+class add their likelihoods. No network is trained: its accuracy tells whether a low accuracy is the
+fault of a network or of the masks.
 """
 
 from collections.abc import Sequence
@@ -36,9 +36,9 @@ from deepfsi.physics.surroundings import library_defaults
 class IdealObserver:
     """Posterior of the class of Poisson counts, with given scenes as prior.
 
-    Rates (n, ...) are for a budget of one photon, of scenes of classes `labels` (n,), 0 .. C-1.
-    Where no scene can give the counts, as rates are 0, those scenes remain that have the fewest
-    impossible ones: the limit of a vanishing background.
+    Rates (n, ...) of scenes are for a budget of one photon, their classes `labels` (n,) 0 .. C-1.
+    Rates of 0 make counts impossible. If all scenes do, those with the fewest impossible counts
+    remain, as in the limit of a vanishing background.
     """
 
     def __init__(self, rates: Tensor, labels: Tensor, classes: int) -> None:
@@ -86,10 +86,10 @@ def ideal_observer(
 ) -> list[Result]:
     """Accuracy of the ideal observer under photon noise, a `Result` for each budget.
 
-    Prior are the training scenes of the data, and its test scenes are exposed. Compare it with
-    `evaluate`: a network that is far below it can be improved; if it is low itself, the masks are
-    at fault. It bounds what can be told of scenes that are among the training scenes; of new ones,
-    and much light, a network may tell more.
+    The training scenes of the data are the prior, and its test scenes are exposed. Compare it with
+    `evaluate`: a network far below it can be improved; if it is low itself, the masks are at fault.
+    It is a bound for scenes of the training set only. Of new scenes in much light a network may
+    tell more.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def ideal_observer(
     draws : int
         Noise draws of each scene.
     seed : int
-        Of the noise.
+        Seed of the noise.
     report : Progress, optional
         Receives the progress. Default: a bar if a terminal is attached.
 

@@ -1,6 +1,6 @@
-"""Answers under noise, and their measures, a table: what each is, and where it is shown.
+"""Answers under noise, and the table of their measures.
 
-A new measure is one entry. Results of tests, records of trials, tables of commands, points of
+A new measure is one entry: results of tests, records of trials, tables of commands, points of
 comparisons and their pages take it from here.
 """
 
@@ -55,7 +55,7 @@ class Answers:
 
     @property
     def terms(self) -> dict[str, np.ndarray]:
-        """Numbers (n,) of the scenes whose means are measures, by their names in records."""
+        """Numbers (n,) of scenes, by their names in records; means over scenes are measures."""
         return {}
 
     def by_scene(self, values: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""A design as JSON for a page that plays it: what the page needs to expose a scene and classify it.
+"""A design as JSON for a page that exposes scenes and classifies them.
 
-Of adaptive masks a page knows some of the training scenes, and its answers and accuracy are those
-of a design that knows no others.
+A page of adaptive masks holds a subset of the training scenes. Its answers and accuracy are those
+of a design with this subset as prior.
 
 Arrays are float32: first all lowest bytes, then the next ones, since the highest bytes of weights
 are much alike and shrink when deflated; then base64. Scenes have 16 bits, coefficients of a prior
@@ -131,7 +131,7 @@ def _pack(values: np.ndarray) -> dict[str, Any]:
 
 
 def _networks(design: Design) -> dict[str, Any]:
-    """Masks that are known, and the network that reads their counts."""
+    """Fixed masks, and the network that reads their counts."""
     network = design.classifier
     assert isinstance(network, Mlp)
     # Of two rails the difference M⁺ − M⁻ is kept, and their sum where it is not |M|
@@ -164,7 +164,7 @@ def _networks(design: Design) -> dict[str, Any]:
 
 
 def _posterior(design: Design, full_design: Design) -> dict[str, Any]:
-    """Looks of adaptive masks as a page plays them, and which scenes of the whole design it has."""
+    """Looks of adaptive masks for a page, and how many of the design's scenes it has."""
     exposure = design.prior_exposure
     prior = exposure.prior
     optics = exposure.optics_at(1.0)
@@ -202,7 +202,7 @@ def _temperatures(fitted: Temperatures | None) -> dict[str, Any] | None:
 
 
 def _scenes(data: Dataset, seed: int) -> dict[str, Any]:
-    """Test scenes as levels of the range that training scenes have, of each class in turn."""
+    """Test scenes, of each class in turn, as levels of the range of training scenes."""
     low = float(data.x_train.min())
     high = float(data.x_train.max())
     rng = np.random.default_rng(seed)

@@ -1,9 +1,8 @@
 """Calibrations fitted to pictures of spots, of uniform white and of uniform black.
 
-The centre of a spot that is smaller than a cell is biased. So centres only give a first homography,
-and the spots that agree on it. Then each picture is compared with what the view would show of its
-spot, light averaged over the cells: all share one homography and one blur, and each has its own
-brightness.
+Spots smaller than a cell have biased centres. So centres give only a first homography, and the
+spots that agree on it. Then pictures are fitted with images of their spots, light averaged over the
+cells: all share one homography and one blur, and each spot has its own brightness.
 """
 
 import math
@@ -84,7 +83,7 @@ def fit_calibration(
 
 
 def calibrate(shown: Display, run: Recording, counts: Counts) -> Calibration:
-    """Calibrate from a run of spots, a white and a black picture, of those that were shown."""
+    """Calibrate from a run of spots, and of a white and a black picture if it has them."""
     names = [scene.name for scene in run.acquisition.scenes]
     unknown = sorted(set(names) - set(shown.names))
     if unknown:
@@ -115,17 +114,20 @@ def calibrate(shown: Display, run: Recording, counts: Counts) -> Calibration:
 
 
 def _find_spots(pictures: np.ndarray, clear: float = 6.0) -> np.ndarray:
-    """Places (n, 2) of the spots in pictures (n, down, across), NaN where none is seen."""
-    # (across, down) in the unit square
+    """Centres (n, 2) of the spots in pictures (n, down, across), NaN if no spot is seen.
+
+    Centres are (across, down) in the unit square.
+    """
     from scipy import ndimage
 
     down, across = np.indices(pictures.shape[1:])
     out = np.full((len(pictures), 2), np.nan)
     for index, picture in enumerate(pictures):
         smooth = ndimage.gaussian_filter(picture - np.median(picture), 1.0, mode="constant")
+        # the median deviation, as a standard deviation of Gaussian noise
         noise = 1.4826 * np.median(np.abs(smooth - np.median(smooth)))
         top = np.unravel_index(smooth.argmax(), smooth.shape)
-        # A spot is seen where its peak is that many standard deviations of the noise
+        # A spot is seen if its peak is above `clear` standard deviations of the noise
         if smooth[top] > clear * noise:
             near = np.hypot(down - top[0], across - top[1]) < 2.5
             spot = np.array(ndimage.center_of_mass((picture - np.median(picture)).clip(0) * near))
@@ -136,7 +138,7 @@ def _find_spots(pictures: np.ndarray, clear: float = 6.0) -> np.ndarray:
 def find_homography(
     display: np.ndarray, device: np.ndarray, cells: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Homography (3, 3) of spots (n, 2) in unit squares, and which of them (n,) it rests on."""
+    """Homography (3, 3) of spots (n, 2) in unit squares, and indices of those that agree."""
     from skimage import measure, transform
 
     seen = np.flatnonzero(np.isfinite(display + device).all(axis=1))
@@ -176,8 +178,8 @@ def _find_flat(
     blur: tuple[float, float],
 ) -> np.ndarray:
     """Flat field (down, across) of a picture of uniform white, over its largest value."""
-    # A quadratic of the place, so that the noise of the picture's cells does not become part of the
-    # view: it follows what a lens does, but no dust
+    # A quadratic over the device keeps the noise of single cells out of the view. It follows a
+    # lens, but no dust
     view = geometry_matrix(image_shape, white.shape, homography, blur)
     filled = view.sum(axis=1).reshape(white.shape)
     lit = filled > 0.5
@@ -195,7 +197,7 @@ def _find_flat(
 
 
 class DisplayedScenes:
-    """Displayed scenes, and what cells see of them through a view (8 of its homography, blur)."""
+    """Displayed scenes, and their images through views (9,): 8 of a homography, and a blur."""
 
     def __init__(self, scenes: np.ndarray, grid: DmdGrid) -> None:
         self.grid = grid
@@ -211,6 +213,7 @@ class DisplayedScenes:
             points = (pixels[:, None] + inside).reshape(-1, 2) / shape
             self.points.append(points[:, ::-1])
             self.light.append(scene[tuple(pixels.T)].repeat(len(inside)))
+        # standard deviation of light spread evenly over a point
         self.spacing = self.cells / (shape * fine * np.sqrt(12))
 
     def images(self, view: np.ndarray) -> np.ndarray:
@@ -252,13 +255,13 @@ def _fit_view(
         xtol=1e-6,
         ftol=1e-6,
     )
-    # Bright cells are noisier: this covariance takes no noise for equal to another's
+    # Bright cells are noisier: this covariance does not assume equal noise in all cells
     inverse = np.linalg.pinv(fit.jac)
     return fit.x, (inverse * fit.fun**2) @ inverse.T
 
 
 def _corner_error(spots: DisplayedScenes, view: np.ndarray, covariance: np.ndarray) -> float:
-    """Standard error, cells, of the place on the device of the display's worst corner."""
+    """Standard error, cells, of a corner of the display on the device: the worst of four."""
     worst = 0.0
     for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
         point = np.array([*corner, 1.0])
@@ -294,6 +297,7 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
     else:
         axes = [hadamard(1 << (side - 1).bit_length())[:, :side] for side in cells]
         masks = np.kron(*axes)
+        # the first mask is all ones and has one frame, the others have two
         rails = np.stack([masks > 0, masks < 0]) / (2 * len(masks) - 1)
     detector_map = DetectorMap(count=detectors) if detectors > 1 else None
     return DesignRails(rails, "equal-dwell", cells, float(math.prod(cells)), detectors=detector_map)
@@ -302,7 +306,7 @@ def scan_rails(name: str, cells: tuple[int, int], detectors: int = 1) -> DesignR
 def find_gains(white: Path) -> tuple[float, ...]:
     """Efficiency of each detector over their mean, from a counted run of a uniform white scene.
 
-    It is what each counts in all masks together, over what its cells of the masks send it.
+    Each is the detector's counts in all masks, over the light that its cells send.
     """
     run = Recording.read(white)
     counts = run.read_counts().check_photons(white)
@@ -326,7 +330,7 @@ def find_gains(white: Path) -> tuple[float, ...]:
     signal = counts.signal().sum(axis=(0, 1), where=usable)
     variance = counts.variance.sum(axis=(0, 1), where=usable)
     lit = np.stack([rails[..., cells == label].sum(axis=-1) for label in range(count)], axis=-1)
-    # Two arms count one rail each, one arm counts all rails: (arms, D)
+    # (arms, D): two arms count one rail each, one arm counts all rails
     shape = (manifest.arms, -1, count)
     counted, noise, sent = (values.reshape(shape).sum(axis=1) for values in (signal, variance, lit))
     if not (np.sqrt(noise) < 0.01 * counted).all():
@@ -341,7 +345,7 @@ def find_gains(white: Path) -> tuple[float, ...]:
 def reconstruct(run: Recording, counts: Counts) -> np.ndarray:
     """Least-squares pictures (S, *shape) of the scenes of a run, from mean counts less background.
 
-    Among equal pictures the smallest norm wins. Scenes without a valid exposure are NaN.
+    Of equally good pictures the one of least norm is taken. Scenes without valid exposures are NaN.
     """
     from scipy.linalg import lstsq
 
@@ -360,7 +364,7 @@ def reconstruct(run: Recording, counts: Counts) -> np.ndarray:
         mean = mean.sum(axis=-1)
     read = counts.lengths_s > 0
     out = np.full((len(valid), patterns.on.shape[1]), np.nan)
-    # Least singular value that a picture is made from, of the sensing matrix's largest
+    # `cond`: least singular value in use, of the largest; smaller ones amplify noise
     solution = lstsq(patterns.rails[read], mean[:, read].T, cond=1e-3)[0].T
     out[valid] = solution * (patterns.manifest.summed_reflectance / budget)
     return out.reshape(len(valid), *patterns.manifest.image_shape)

@@ -1,7 +1,7 @@
 """From counts to classes: the counts of a run, or of a table of any counter.
 
-Counts of an exposure, less the dark counts, and its budget go to the classifier of the design as it
-was shown. Before, all counts together are tested for what the design was trained for.
+The classifier of the design, as it was shown, takes the counts of an exposure less the dark counts,
+and its budget. Before that, all counts together are compared with those of the training.
 """
 
 import os
@@ -277,6 +277,7 @@ def _test(
     consistency = test.compare(sums[seen], light[seen], noise[seen])
     rails = design.rails.stacked.cpu().numpy().astype(float)
     two_arms = LIGHT_LAWS[design.mask_exposure.light].arms == 2
+    # rails of one arm are seen by one detector in turn, two arms have one each
     arms = np.arange(len(rails))[:, None] * two_arms
     view = None
     for scene in seen.tolist():

@@ -1,4 +1,4 @@
-"""The one test of counts, of recorded and live runs, tables and pictures.
+"""The test of counts, shared by recorded and live runs, tables and pictures.
 
 It asks three questions. Was there enough light? Do the counts look like those of the training? Does
 the camera see scenes as the training did?
@@ -39,7 +39,7 @@ class CountTest:
         return None if model is None or clicks else ViewTest(model, design.image_shape)
 
     def find_dim(self, budgets: np.ndarray, first: int = 0) -> list[Fault]:
-        """Faults of scenes, from the first on, with far less light (S,) than the training had."""
+        """Faults of scenes, from `first`, whose budgets (S,) are far below the training's."""
         if self._trained is None:
             return []
         return [
@@ -55,14 +55,14 @@ class CountTest:
     def compare(
         self, counts: np.ndarray, photons: np.ndarray, noise: np.ndarray
     ) -> ConsistencyResult | None:
-        """Compare the counts (S, rails, m[, D]) of scenes with the training's, if that is known."""
+        """Compare counts (S, rails, m[, D]) with the training's; None if the design lacks them."""
         design = self._design
         if design.distribution is None:
             return None
         return design.consistency(design.readouts(counts), photons, design.readouts(noise))
 
     def find_unlike(self, scene: int, scenes: int, p_value: float, misfit: str) -> list[Fault]:
-        """Faults of a scene of a live run, whose misfit has this chance in a sound run."""
+        """Faults of a scene of a live run, by the p-value of its misfit."""
         from scipy.special import bdtrc
 
         self._unsure.append(p_value < UNSURE)
@@ -91,10 +91,10 @@ class CountTest:
         noise: np.ndarray,
         arms: np.ndarray,
     ) -> ViewResult | None:
-        """Take in a scene, and say how the camera sees all so far; None if that is not tested.
+        """Add a scene, and give the view of the camera on all so far; None if it is not tested.
 
-        Reflectances of masks (..., N) at budgets that go with them, counts less the dark ones and
-        their variance beyond Poisson's (..., D), and the arm (...) that counts.
+        `masks` (..., N) are reflectances, `photons` their budgets, `counts` (..., D) are without
+        the dark ones, `noise` (..., D) is their variance beyond Poisson's, `arms` (...) count them.
         """
         if self._view is None:
             return None

@@ -1,7 +1,7 @@
-"""Data as a design knows them: those that it is tested on, and pictures as it sees them.
+"""Data for a design: test data, pictures prepared as in its training, and scenes of a camera.
 
-Where they are not what the design was trained on, that is noted. Scenes that a camera is shown are
-pictures of a display, or a list of names. Through a calibrated camera the cells of a mask see
+Notes say how data differ from the training's. A camera looks at pictures of a display, or at scenes
+of a list of names. Through a calibrated camera the cells of a mask see
 
     x' = flat · average over each cell of (blurred image of x),
 
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 def open_design(
     path: Path, patterns: Patterns | None = None, *, trust: bool = False, static: bool = False
 ) -> "Design":
-    """Open a design file, or what its patterns realise; `static` refuses adaptive masks."""
+    """Open a design file, or the design as patterns realise it; `static` refuses adaptive masks."""
     with require_extras():
         from deepfsi.design.design import load_design
 
@@ -61,7 +61,7 @@ def open_design(
 
 
 def shown_design(path: Path, manifest: Manifest) -> Path:
-    """Design file, or that in a folder of patterns; `InputError` if other patterns were shown."""
+    """Design file, also of a folder of patterns; `InputError` if it is not that of the manifest."""
     file = path / Patterns.DESIGN if path.is_dir() else path
     exported = manifest.design_sha256
     if (exported or manifest.looks) and hash_file(file) != exported:
@@ -78,7 +78,7 @@ def data_of(
     size: tuple[int, int] | None = None,
     view: Path | None = None,
 ) -> tuple[Dataset, tuple[str, ...]]:
-    """Data to test a design on, by default its training's, and notes on what differs from it."""
+    """Test data of a design, by default from its training, and notes on how they differ."""
     training = trained_on(design.info)
     known = training.origin if training else None
     stated = {"size": size, "view": absolute_source(view) if view else None}
@@ -131,7 +131,7 @@ def _load(origin: Origin) -> Dataset:
 def design_scenes(
     info: Mapping[str, Any], image_shape: tuple[int, ...], pictures: Path | np.ndarray
 ) -> "Display":
-    """Pictures as a design with that provenance sees them, prepared as the data that it knows."""
+    """Pictures prepared as the training data of a design with this provenance, and its view."""
     known = trained_on(info)
     origin = known.origin if known else None
     if isinstance(pictures, Path):
@@ -163,8 +163,8 @@ def design_scenes(
 def shown_scenes(source: Path, patterns: Patterns) -> tuple["Display", tuple[Scene, ...]]:
     """Pictures that are shown, and their scenes: names, classes of the folders and hashes.
 
-    The design of the patterns gives their white where their type has none, and the hashes, which
-    are of the pictures as it sees them.
+    The design of the patterns gives the white of pictures whose type has none. Hashes are of the
+    pictures as this design sees them.
     """
     design = None
     if patterns.manifest.design_sha256 is not None and patterns.folder is not None:
@@ -221,7 +221,7 @@ def camera_view(
 
 
 def view_dataset(data: Dataset, calibration: Calibration, folder: Path | None = None) -> Dataset:
-    """Data set of images as a camera sees them; it has an origin if its calibration is a file's."""
+    """Data set of images as a camera sees them; its origin is known if `folder` is given."""
     origin = None
     if folder is not None and data.origin is not None:
         origin = data.origin.model_copy(update={"view": str(folder.absolute())})
@@ -246,8 +246,8 @@ def geometry_matrix(
     """Matrix (down * across, h * w) of geometry and blur: cell averages over points.
 
     Each point sees one pixel, or nothing beside the display. `homography` (3, 3) leads from the
-    display to the device, in unit squares; `blur` is a standard deviation down and across, in the
-    device's.
+    display to the device, in unit squares; `blur` is a standard deviation (down, across) in the
+    unit square of the device.
     """
     # The average over a cell of the blurred image is separable, so it is applied to the points'
     # pixels one axis after the other
@@ -296,7 +296,7 @@ def _axis_average(cells: int, blur: float, fine: int) -> tuple["sparse.csr_array
 
 
 def camera_of(source: Path, settings: Mapping[str, Any] = MappingProxyType({})) -> Camera:
-    """Camera of a design, with other settings; the preset `dmd` where none is known."""
+    """Camera of a design with `settings` replaced; the preset `dmd` if the design has none."""
     folders = (source, source / "patterns") if source.is_dir() else ()
     files = (folder / Patterns.DESIGN for folder in folders)
     file = next((file for file in files if file.is_file()), source)

@@ -1,8 +1,8 @@
 """Devices of a run: protocols of projector and counter, and virtual ones.
 
-Projector and counter are context managers that let go of their device on every way out, Ctrl-C
-included. Virtual devices do not wait: each step sets their clock on by the time that it takes. They
-write photons and markers to a PTU file, and read counts from it while it grows.
+Projector and counter are context managers that always let go of their device, on Ctrl-C, too.
+Virtual devices do not wait: each step sets their clock on by its duration. They write photons and
+markers to a PTU file, and read counts from it while it grows.
 """
 
 import math
@@ -50,9 +50,9 @@ class StreamingProjector(_Projector, Protocol):
         """Number of pictures (F,) that show each frame, and seconds (F,) of a picture."""
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
-        """Show frames, places (F,) in the folder, after the last list; may return before the end.
+        """Show frames, indices (F,) in the folder, after the last list; may return early.
 
-        Each is held for its seconds (F,) at least, settling included, the last until the next list.
+        Each is held for its seconds (F,) or longer with settling, the last until the next list.
         """
 
 
@@ -70,7 +70,7 @@ class StreamingCounter(AbstractContextManager["StreamingCounter"], Protocol):
     """Photon-counting electronics that count frame by frame while they record.
 
     Entering takes hold of the device; leaving stops the recording and lets go of the device.
-    The file that is recorded holds what was counted.
+    Counts are of the photons in the recorded file.
     """
 
     def start(self, path: Path) -> None:
@@ -160,7 +160,7 @@ class VirtualBench(AbstractContextManager["VirtualBench"]):
         self._rates[self._scene, frame] = self._frame_rates(self._scene, packed)
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
-        """Show frames; the clock is then where their counts have come and are decided upon."""
+        """Show frames, and set the clock to the time at which their counts are decided upon."""
         self.now_s += self.latencies["command"]
         self._hold(round(self.now_s / DETECTOR_TICK_S))
         durations = np.rint(dwells_s / DETECTOR_TICK_S).astype(np.int64)

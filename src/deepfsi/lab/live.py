@@ -103,11 +103,11 @@ class LiveRun:
             )
 
     def steps(self, folder: Path, setup: Setup) -> Generator[Decision]:
-        """Show, count and decide with devices, which are let go of at the end.
+        """Show, count and decide with devices, and let go of them at the end.
 
-        Gives each decision as it falls; the last one of a scene has its answer. Scenes that are
-        finished are kept in `folder`, which is new, whenever the run is stopped: their lines are in
-        `shown.jsonl` before their last decision is given.
+        Yields each decision; the last one of a scene has its answer. Finished scenes stay in
+        `folder`, which is new, whenever the run is stopped: a scene's line is in `shown.jsonl`
+        before its last decision is yielded.
         """
         from deepfsi.lab.observer import SceneObserver
 
@@ -152,8 +152,7 @@ class LiveRun:
 
 
 def _margin_ns(gate_ns: np.ndarray | float) -> Any:
-    """Time by which pictures outlast their gates, ns."""
-    # Share of its gate by which a picture outlasts it at least, so that clocks may differ
+    """Time by which pictures outlast their gates, ns: clocks may differ by a share of it."""
     return np.maximum(MARGIN_NS, 2e-4 * gate_ns)
 
 
@@ -185,7 +184,7 @@ class _DeviceFrames:
         self._counted = _CountedFrames(setup.counter, manifest.inputs)
 
     def count(self, asked: FrameList) -> np.ndarray:
-        """Counts (F, inputs) of the frames of a list, which are shown."""
+        """Show the frames of a list, and give their counts (F, inputs)."""
         projector = self._setup.projector
         if asked.masks is not None:
             manifest = self._manifest
@@ -214,7 +213,7 @@ class _DeviceFrames:
         return counts
 
     def _pictures_s(self, asked: FrameList) -> np.ndarray:
-        """Times for which frames, and the all-OFF one after them, are held, whole µs in seconds."""
+        """Picture times (F + 1,) of frames and the all-OFF one after them, whole µs in seconds."""
         device = self._manifest.device
         us = (asked.gate_ns + _margin_ns(asked.gate_ns)) * 1e-3 + device.settle_us
         if asked.look < 0:
@@ -223,9 +222,9 @@ class _DeviceFrames:
 
 
 class _CountedFrames:
-    """Counts of frames as a counter gives them, list after list.
+    """Counts of a counter, list after list.
 
-    The frame after a list's own, which ends the last gate, is left out: its count may come late.
+    The all-OFF frame after a list ends the last gate; its count may come late, and is left out.
     """
 
     def __init__(self, counter: StreamingCounter, inputs: int) -> None:
@@ -234,7 +233,7 @@ class _CountedFrames:
         self._late = 0  # frames of earlier lists whose counts are still to come
 
     def take(self, wanted: int, limit_s: float, since: str = "") -> np.ndarray:
-        """Counts (F, inputs) of the next frames; `since` says in a fault when the time begins."""
+        """Counts (F, inputs) of the next frames; `since` completes the message of a timeout."""
         until = time.monotonic() + limit_s
         blocks = [np.zeros((0, self._inputs), np.int64)]
         count = -self._late
@@ -254,7 +253,7 @@ class _CountedFrames:
 
 
 def _light_text(counts: np.ndarray, times: np.ndarray, manifest: Manifest) -> str:
-    """Light of a pass, by counts (F, inputs) of its frames but the last, and their times (F,)."""
+    """Words for the light of a pass: counts (F, inputs) and times (F,) lack its last frame."""
     arm = counts[:, manifest.on_inputs].sum(axis=1)
     (on, off), (on_s, off_s) = ((values[0] + values[-1], values[OFF]) for values in (arm, times))
     # All-ON frames are brighter than the all-OFF one by no more than chance
@@ -270,7 +269,7 @@ def record_run(
     setup: Setup,
     report: Progress | None = None,
 ) -> Generator[str]:
-    """Show and record scene after scene; says the light of each when its pass has ended."""
+    """Show and record scene after scene; yields words for the light of each pass."""
     acquisition.check_fixed(folder)
     manifest = patterns.manifest
     room = manifest.picture_s - acquisition.settle_s

@@ -1,16 +1,16 @@
-"""Decisions of a live run, from counts alone: the class of each scene, and what to show next.
+"""Decisions of a live run, from counts alone: the class of each scene, and the next mask.
 
-Each scene begins and ends with an all-ON and an all-OFF frame. Without light its first all-ON frame
-is no brighter than the all-OFF ones, and it gets no class. All-ON frames of all lit scenes since
-the lamp changed give the budget, since scenes differ in brightness; all-OFF frames that agree give
-the dark counts. After the last look `LightMonitor` tests the scene's light as it does for recorded
-scenes, and the counts are compared with the training. A scene that fails has faults and no class.
+Each scene begins and ends with an all-ON and an all-OFF frame. A scene whose first all-ON frame is
+no brighter than the all-OFF ones is dark, and gets no class. Scenes differ in brightness, so all-ON
+frames of all lit scenes since the lamp changed give the budget; all-OFF frames that agree give the
+dark counts. After the last look `LightMonitor` tests the light as in recorded scenes, and the
+counts are compared with the training. A scene that fails has faults and no class.
 
 Each mask is chosen by the posterior of the counts so far, and loaded before its look. A device
 holds the masks of a dictionary from the start.
 
-Counts are corrected for dead time frame by frame. An all-ON frame beyond the rate up to which the
-correction is sure ends the run; a short gate beyond it, by chance, is corrected as at that rate.
+Counts are corrected for dead time frame by frame, up to a highest rate. An all-ON frame beyond it
+ends the run; a short gate beyond it, by chance, is corrected as at that rate.
 """
 
 import os
@@ -38,7 +38,7 @@ from deepfsi.patterns.rails import DesignRails
 from deepfsi.physics.surroundings import library_defaults
 
 SCENE_ENDS = -1
-"""Number, in place of a look's, of the lists of frames that begin and end each scene."""
+"""`look` of the lists of frames that begin and end each scene."""
 
 
 class SceneObserver:
@@ -115,7 +115,7 @@ class SceneObserver:
 
     @library_defaults(grad=False)
     def _next_frames(self, look: int) -> FrameList:
-        """Frame of the mask that tells most of the class, as far as it is known."""
+        """Frame of the mask that tells most of the class, by the posterior so far."""
         share = self._exposure.settings.shares[look]
         mask = self._posterior.next_masks(share, self._generator)
         self._masks.append(mask)
@@ -141,7 +141,7 @@ class SceneObserver:
         return self._posterior.probabilities[0].double().numpy()
 
     def _arrivals(self, count: Callable[[FrameList], np.ndarray], asked: FrameList) -> Arrivals:
-        """Photons that arrived in the gates of a list, of those that were counted."""
+        """Arrivals in the gates of a list, as corrected from its counts."""
         counts = count(asked)
         frames = tuple(self._manifest.frames[index] for index in asked.frames)
         gate_s = asked.gate_ns * 1e-9
@@ -153,7 +153,7 @@ class SceneObserver:
         return Arrivals(frames, counts * factors.arrivals, counts * factors.variance, gate_s)
 
     def _see(self, photons: float, arrivals: list[Arrivals]) -> ViewResult | None:
-        """How the camera sees the scenes so far, with the one that ends."""
+        """View of the camera on all scenes so far, this one included."""
         arms = np.arange(self._manifest.arms)
         lit = torch.cat(self._masks).double().numpy()
         gates_ns = np.array(self._gates_ns)[:, None]
@@ -202,7 +202,7 @@ def _scene_ends(manifest: Manifest, settle_s: float) -> FrameList:
 
 
 def _alike(one: LookOptics, other: LookOptics) -> bool:
-    """True if budgets, and the dark counts beside them, differ by less than is known of them."""
+    """True if budgets, and dark counts, differ by less than their own errors."""
     # All-ON frames tell a budget no better than 2 %: they differ with the brightness of scenes
     most = 0.02 * one.photons
     close = abs(other.photons - one.photons) <= most

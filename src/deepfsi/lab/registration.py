@@ -46,7 +46,7 @@ WELL = {
     "across": (0.0, 0.02, " of the region's width"),
     "blur": (0.0, 0.5, " cells (standard deviation)"),
 }
-"""Numbers of a place that is well, by how much each may differ, and its unit.
+"""Numbers of a target that lies well, the largest departure of each, and its unit.
 
 On validation digits (20 masks at 1e5 photons; MNIST, 16 masks at 1e4) each of the first four costs
 1 to 4 points of accuracy where it differs so, and twice as much 3 to 15.
@@ -80,7 +80,7 @@ class _ReferenceFit:
 
     @property
     def departures(self) -> list[str]:
-        """What lies otherwise than the masks do."""
+        """Names of the numbers by which scenes lie otherwise than the masks."""
         names = ["orientation"] if self.layout != self.exported else []
         for name, (usual, most, _) in WELL.items():
             # Blur is known less than the rest
@@ -116,7 +116,7 @@ class _ReferenceFit:
 
 
 def _doubt(p_value: float, clear: float, errors: dict[str, float]) -> str | None:
-    """Reason to doubt a fit, by its misfit's chance and how clear its orientation is."""
+    """Reason to doubt a fit, by the p-value of its misfit and the lead of its orientation."""
     if p_value < 1e-6:
         return (
             "no place of the reference explains these counts: show it alone, on black, and give "

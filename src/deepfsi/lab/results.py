@@ -30,7 +30,7 @@ MARGIN_NS = 2000
 """Time by which a picture outlasts its gate at least, so that markers may be off, ns."""
 
 OFF = 1
-"""Place of the all-OFF frame among the frames of a manifest, after the all-ON one."""
+"""Index of the all-OFF frame in a manifest, after the all-ON one."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class FrameList:
     """Frames that are shown one after another, and counted."""
 
     look: int  # from 0
-    frames: np.ndarray  # places among the frames of the manifest
+    frames: np.ndarray  # indices of frames of the manifest
     gate_ns: np.ndarray  # for how long each is counted
     masks: np.ndarray | None = None  # of frames that are loaded before
 
@@ -63,7 +63,7 @@ class LoggedList(StrictModel):
     """A list of frames as it was shown."""
 
     look: int = Field(ge=-1, le=1023)  # From 0; -1 for those that begin and end a scene
-    frames: tuple[int, ...]  # Places among the frames of the manifest
+    frames: tuple[int, ...]  # Indices of frames of the manifest
     gate_ns: tuple[int, ...]  # For how long each was counted
     # Markers that each gave, and at the end those of the all-OFF frame that was shown while the
     # next list was chosen
@@ -103,7 +103,7 @@ class LoggedScene(StrictModel):
 
 def read_log(folder: Path) -> tuple[LoggedScene, ...]:
     """Finished scenes of a live run; `InputError` if there are none or they do not follow."""
-    # A last line that is not whole is that of a run that was killed, and is left out
+    # A run that was killed may leave an unfinished last line, which is dropped
     path = folder / LOG
     lines = read_regular(path, 2**31, "give a run of `camera live`").split(b"\n")[:-1]
     with as_input_error(f"{path} is damaged and", "run `deepfsi camera live` again"):

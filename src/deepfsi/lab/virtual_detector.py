@@ -27,7 +27,7 @@ EVENTS_AT_ONCE = 2**19
 """Mean number of events in a chunk."""
 
 LARGEST_JITTER = 8.0
-"""Most standard deviations of jitter, so that events can be sorted; more are brought to it."""
+"""Largest jitter, standard deviations: a bound lets events be sorted; larger is clipped."""
 
 
 class Detector(StrictModel):
@@ -79,8 +79,7 @@ class Stream:
         return int(np.ceil(LARGEST_JITTER * self.detector.jitter_s / DETECTOR_TICK_S))
 
     def events(self, start: int, durations: np.ndarray, rates: np.ndarray) -> np.ndarray:
-        """Events that follow from the arrivals of a chunk."""
-        # durations, rates (p,)
+        """Events (n,) of a chunk: arrivals at rates (p,), each for a duration (p,)."""
         times = self._register(start + arrivals(durations, rates, self.rng))
         detector = self.detector
         rng = self.rng
@@ -106,8 +105,7 @@ class Stream:
 
 
 def arrivals(durations: np.ndarray, rates: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Poisson arrivals at rates that are steady in pieces."""
-    # durations, rates (p,)
+    """Poisson arrivals (n,) at rates (p,), each steady for its duration (p,)."""
     ends = np.cumsum(durations, dtype=np.float64)
     expected = np.cumsum(rates * (durations * DETECTOR_TICK_S))
     count = rng.poisson(expected[-1])

@@ -3,9 +3,9 @@
     scene -> perspective -> blur -> vignetting -> mirrors -> detectors (`detector`) -> file
 
 Places are (across, down) in two unit squares: the displayed image, and the area of the device that
-the cells of a mask fill. A display has a given brightness, so that a larger or shifted image leaves
-the light on a mirror that still sees it as it is. A stop hides the mirrors beyond the cells. One
-arm sees the mirrors that are ON; on two arms a second detector sees the others.
+the cells of a mask fill. A display has a fixed brightness: a mirror that sees it gets as much light
+if the image is larger or shifted. A stop hides the mirrors beyond the cells. One arm sees the
+mirrors that are ON; a second arm sees those that are OFF.
 
 It shares no code with `physics.noise` and the scanner, so that each checks the other: with the
 ideal camera a gate's counts are Poisson, with the scanner's mean.
@@ -152,7 +152,7 @@ def irradiance(
 def _find_pixels(
     camera: VirtualCamera, down: np.ndarray, across: np.ndarray, shape: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel of a scene that each place (down, across) sees, and where it sees the scene."""
+    """Pixel of a scene seen at each point (down, across) of the device, and whether one is."""
     back = np.linalg.inv(np.array(camera.view))
     x, y, depth = (row[0] * across + row[1] * down[:, None] + row[2] for row in back)
     ahead = depth * np.sign(back[2] @ [0.5, 0.5, 1.0]) > 0  # of the camera, not behind it
@@ -265,7 +265,7 @@ def record_scenes(
 ) -> Acquisition:
     """Write the folder, new, of a recording in which the virtual camera looks at scenes in turn.
 
-    The acquisition has its camera, flux and seed; that of the folder is given back.
+    `acquisition` has the camera, flux and seed. Returns the acquisition of the folder.
     """
     camera = VirtualCamera.model_validate(acquisition.camera)
     manifest = patterns.manifest
@@ -321,7 +321,7 @@ class EventRecorder:
             report(self.end / last)
 
     def write(self, end: int) -> None:
-        """Write the events before a tick; none that is drawn later may lie before it."""
+        """Write the events before a tick, before which no later draw may lie."""
         times = np.concatenate(self._times)
         order = np.argsort(times, kind="stable")
         times = times[order]
