@@ -123,7 +123,7 @@ def run(
     rng = np.random.default_rng(seed)
     took = len(x) * 50e-3  # a little more than such a run takes
     outs = rng.uniform(0, took, case.blackouts)
-    setup = VirtualBench(rates, camera, LATENCIES, (0,), seed=seed, frame_rates=made)
+    setup = VirtualBench(rates, camera, LATENCIES, (0,), seed=seed, rates_of=made)
     setup.recorder = Dimmed(camera, np.random.default_rng(seed), (0,))
     edges = np.maximum.accumulate((np.sort(outs)[:, None] + [0, BLACKOUT_S]).ravel())
     setup.recorder.edges = np.rint(edges / DETECTOR_TICK_S).astype(np.int64)

@@ -86,15 +86,15 @@ class ScenePath:
         lead = torch.broadcast_shapes(correlation.shape[:-1], edges.shape[:-1])
         between = (correlation[..., 1:] + correlation[..., :-1]) / 2
         summed = functional.pad(between.cumsum(dim=-1), (1, 0))
-        position = edges.clamp(0, shifts - 1)
-        low = position.floor().clamp(max=shifts - 2)
-        fraction = position - low
+        shift = edges.clamp(0, shifts - 1)
+        low = shift.floor().clamp(max=shifts - 2)
+        beyond = shift - low
         index = low.long().expand(*lead, -1)
-        lower, upper, sums_below = (
+        lower, upper, total = (
             sums.expand(*lead, -1).gather(-1, index + step)
             for sums, step in ((correlation, 0), (correlation, 1), (summed, 0))
         )
-        integral = sums_below + fraction * lower + fraction.square() / 2 * (upper - lower)
+        integral = total + beyond * lower + beyond.square() / 2 * (upper - lower)
         return (integral.diff(dim=-1) / edges.diff(dim=-1)).clamp(min=0)  # of rounding
 
     def matrix(self, pattern: Tensor) -> Tensor:
@@ -291,12 +291,12 @@ class PassingTraining(ExposureTraining):
 
         def features(stream: SeedStream) -> Tensor:
             if shifts is None:
-                correlation = stream.products(self.products)
+                seen = stream.products(self.products)
             else:
                 x = self.scenes.full.index_select(0, stream.rows)
-                correlation = project(x, stream.of_jobs(shifts, -3))
-            edges = self.transit.edges((len(correlation), 1), stream.generator, correlation.device)
-            expected = self.transit.means(correlation, edges) / self.transit.bins
+                seen = project(x, stream.of_jobs(shifts, -3))
+            edges = self.transit.edges((len(seen), 1), stream.generator, seen.device)
+            expected = self.transit.means(seen, edges) / self.transit.bins
             if expected.shape[1] == 1:
                 expected = stream.repeated(expected)
             return stream.noise.features(expected, expected, self.read, stream.normal)

@@ -2,8 +2,8 @@
 
 A window of the length L of a transit slides over the record; a transit is where it holds k photons
 or more. Background alone, Poisson events of rate b, fills it with N photons, μ = b L in the mean. N
-rises to k when a photon arrives while N = k − 1, and arrivals see the distribution of N at any time.
-So a record of the time D has in the mean
+rises to k when a photon comes while N = k − 1; arrivals see the distribution of N at any time. So a
+record of the time D has in the mean
 
     b D P(N = k − 1) + P(N ≥ k)
 
@@ -130,8 +130,8 @@ def align_transits(
         origin = start - cells // 2 * step
         inside = times[np.searchsorted(times, origin) :]
         inside = inside[: np.searchsorted(inside, origin + 2 * cells * step)]
-        histogram = np.bincount(((inside - origin) / step).astype(int), minlength=2 * cells)
-        score = np.correlate(histogram[: 2 * cells].astype(float), weight, "valid")
+        counts = np.bincount(((inside - origin) / step).astype(int), minlength=2 * cells)
+        score = np.correlate(counts[: 2 * cells].astype(float), weight, "valid")
         best = np.flatnonzero(score == score.max())
         aligned.append(origin + step * float(best.mean()))
     return np.array(aligned)

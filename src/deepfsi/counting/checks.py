@@ -99,11 +99,11 @@ class PassLight:
         """Faults of passes, which are then not sound; a dark pass has no other fault."""
         tested = self.sound.copy()
         dark = list(self._find_dark())
-        dark_scenes = {fault.scene for fault in dark}
-        lit_faults = [*self._find_brighter(level), *self._find_drift(level)]
-        for fault in (*dark, *lit_faults):
+        unlit = {fault.scene for fault in dark}
+        further = [*self._find_brighter(level), *self._find_drift(level)]
+        for fault in (*dark, *further):
             self.sound[self.curve.scenes == fault.scene] = False
-        faults = dark + [fault for fault in lit_faults if fault.scene not in dark_scenes]
+        faults = dark + [fault for fault in further if fault.scene not in unlit]
         return faults + _find_restless_lamp(self.curve.scenes, tested, self.sound)
 
     def _find_dark(self) -> Iterator[Fault]:
@@ -134,6 +134,7 @@ class PassLight:
         brighter = p_values * photons.size <= level
         brighter[:, [*curve.bright, *curve.dark]] = False
         for index in np.flatnonzero(brighter.any(axis=1)).tolist():
+            # rates relative to the all-ON frames; `max` guards against none of their photons
             scale = on_s[index] / max(on[index], 1)
             rates = photons[index] / np.where(seconds[index] > 0, seconds[index], np.inf) * scale
             frame = int(np.argmax(np.where(brighter[index], rates, 0)))
@@ -336,6 +337,7 @@ def _nearest_mixture(
     from scipy.optimize import linprog
 
     count = classes.shape[1]
+    # minimise t with |mixture − share| <= t · allowed, over weights that sum to 1
     slack = -np.concatenate([allowed, allowed])[:, None]
     solution = linprog(
         np.append(np.zeros(count), 1.0),
@@ -368,6 +370,7 @@ class LightMonitor:
         self._manifest = manifest
         self._arm_inputs = [inputs[first : first + count] for first in range(0, len(inputs), count)]
         curves = len(self._arm_inputs) * (1 + count if count > 1 else 1)
+        # scenes share the level from the start: their number is known before their light
         self._level = FALSE_ALARMS / curves / CHECKS / scenes
         self._sentinels: list[Arrivals] = []  # of each scene, its all-ON and all-OFF frames
         self._lit: list[bool] = []
@@ -416,6 +419,7 @@ class LightMonitor:
         curves = light_curves(Arrivals.stack([scene]), np.array([last]), self._arm_inputs)
         lights = []
         for curve, so_far in zip(curves, self._backgrounds, strict=True):
+            # dark counts pooled over the scenes so far are better known than this scene's
             dark = Background(so_far.photons[-1:], so_far.seconds[-1:], [slice(0, 1)])
             lights.append(PassLight.of(curve, dark, self._level))
         faults = _find_faults(lights, self._level)

@@ -145,6 +145,7 @@ class Counts:
             raise InputError(f"{path} has no array {missing}: {again}") from None
         if provenance.acquisition != acquisition:
             raise InputError(f"{path} is of another acquisition than acquisition.json: {again}")
+        # counts may be read where the photon file, which is large, was left behind
         if photons.is_file() and hash_file(photons) != provenance.photons_sha256:
             raise InputError(f"{path} is of another {photons.name} than the one beside it: {again}")
         return counts

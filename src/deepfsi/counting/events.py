@@ -83,13 +83,13 @@ class PtuWriter:
         # Overflow records before an event that needs them
         overflows = times >> GENERIC_T2.time_bits
         steps = np.diff(overflows, prepend=self._overflows)
-        late = np.flatnonzero(steps)
+        late = np.flatnonzero(steps)  # events whose time needs overflows first
         most = 127  # overflows of one record: ptufile 2026.2 multiplies them in 32 bits
         copies = -(-steps[late] // most)
         counts = np.full(int(copies.sum()), most)
         counts[np.cumsum(copies) - 1] = steps[late] - (copies - 1) * most
-        overflow_words = 1 << 31 | 63 << GENERIC_T2.shift | counts
-        words = np.insert(words, np.repeat(late, copies), overflow_words)
+        records = 1 << 31 | 63 << GENERIC_T2.shift | counts
+        words = np.insert(words, np.repeat(late, copies), records)
 
         self.write_records(words)
         self._latest = int(times[-1])

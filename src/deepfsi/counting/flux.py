@@ -101,7 +101,7 @@ def light_curves(
     for arm, inputs in enumerate(arm_inputs):
         first = arm * len(inputs)
         photons, seconds = _as_poisson(arrivals, slice(first, first + len(inputs)))
-        arm_curve = LightCurve(
+        curve = LightCurve(
             photons,
             seconds,
             scenes,
@@ -110,12 +110,12 @@ def light_curves(
             frames=arrivals.frames,
             name=f" on input {name_inputs(inputs)}" if len(arm_inputs) > 1 else "",
         )
-        arms.append(arm_curve)
+        arms.append(curve)
         for column, number in enumerate(inputs if len(inputs) > 1 else (), first):
             photons, seconds = _as_poisson(arrivals, slice(column, column + 1))
             name = f" on input {number + 1}"
             detectors.append(
-                replace(arm_curve, photons=photons, seconds=seconds, name=name, sees_part=True)
+                replace(curve, photons=photons, seconds=seconds, name=name, sees_part=True)
             )
     return arms + detectors
 
@@ -154,6 +154,7 @@ def excess_p_value(
     which = (photons > 0) & (seconds > 0) & (base_s > 0)
     open_s = (ratio * seconds)[which]
     share = open_s / (open_s + base_s[which])
+    # given the sum, at least `photons` of a binomial; `EXCESS` widens it for afterpulses
     out[which] = betainc(photons[which] / EXCESS, base[which] / EXCESS + 1, share)
     return out
 
@@ -187,6 +188,7 @@ def _find_segments(passes: np.ndarray, allowed: AllowedRatio, level: float) -> l
             segments.append(slice(start, stop))
             continue
         edges = [0, *cut, stop - start]
+        # the segment and both rests are searched again: several changes are found one by one
         todo += [(start + a, start + b) for a, b in pairwise(edges) if b > a]
     return sorted(segments, key=lambda segment: int(segment.start))
 
@@ -194,12 +196,13 @@ def _find_segments(passes: np.ndarray, allowed: AllowedRatio, level: float) -> l
 def _find_cut(sums: np.ndarray, allowed: AllowedRatio, level: float) -> tuple[int, int] | None:
     """Start and stop of the segment that stands out most from the rest; None if none does."""
     passes = sums.shape[1] - 1
-    if passes < 2:
+    if passes < 2:  # a single pass has no rest to differ from
         return None
     edges = np.arange(1, passes)
     starts = [np.zeros_like(edges)]
     stops = [edges]
     length = 1
+    # lengths double, so that candidates grow as P log P; `_refine` then moves both ends
     while length <= passes // 2:
         first = np.arange(1, passes - length)
         starts.append(first)
@@ -209,6 +212,7 @@ def _find_cut(sums: np.ndarray, allowed: AllowedRatio, level: float) -> tuple[in
     stop = np.concatenate(stops)
     clearness, p_values = _compare(sums, start, stop, allowed)
     best = int(np.argmax(clearness))
+    # all candidate segments share the level (Bonferroni)
     if p_values[best] * len(start) > level:
         return None
     return _refine(sums, (int(start[best]), int(stop[best])), allowed)
@@ -328,6 +332,7 @@ class Flux:
         if not used.any():  # light was seen behind masks alone
             return cls(np.full(len(used), np.nan))
         rate = background.rate
+        # variance of a Poisson rate n / T, as rate² / n
         error = rate**2 / np.maximum(background.photons, 1)
         counts = (on - rate * on_s)[used]
         noise = on[used] + error[used] * on_s[used] ** 2
@@ -340,6 +345,7 @@ class Flux:
             if line is not None:
                 rates = np.interp(np.arange(len(used)), lit, line)
                 return cls(rates, trend=line[-1] / line[0])
+        # unused passes take the level of the segment before them
         starts = [0, *(int(lit[segment.start]) for segment in segments[1:]), len(used)]
         lengths = np.diff(starts)
         scenes = curve.scenes[lit]

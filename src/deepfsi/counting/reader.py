@@ -249,7 +249,7 @@ class WindowCounter:
 
     def take(self) -> np.ndarray:
         """Counts of the windows that ended since the last call, int64 (windows, inputs)."""
-        windows = self._done // 2
+        windows = self._done // 2  # a window is settled when both its edges are
         before = self._before[: 2 * windows]
         self._edges = self._edges[2 * windows :]
         self._before = self._before[2 * windows :]

@@ -111,6 +111,7 @@ class FrameCounter:
         if gates.pictures_s is not None and len(gates):
             ticks = gates.pictures_s / tick_s
             pictures = np.rint(ticks)
+            # the clock and the device may differ as in recordings (`windows`)
             tolerances = MOST_RATE * ticks + MOST_EXTRA * ticks.min() + slack
         columns = np.stack([offsets, lengths, gates.markers, pictures, tolerances]).astype(np.int64)
         for number, times in enumerate(columns.T.tolist()):

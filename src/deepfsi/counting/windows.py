@@ -155,6 +155,7 @@ class FrameStarts:
                 f"they are of {passes} whole passes, and there are {scenes} scenes: record again, "
                 "or keep the scenes that were recorded in acquisition.json"
             )
+        # the last frame of a pass has no marker at its end
         drifts = np.ptp(starts, axis=1) / np.cumsum(planned)[-2] - 1
         return cls(starts, pictures, drift=float(np.median(drifts)))
 
@@ -173,6 +174,7 @@ class FrameStarts:
         opens_s = self.starts_s[:, windows.frame] + windows.offset_s
         edges_s = np.stack([opens_s, opens_s + windows.length_s]).reshape(2, -1)
         begins, ends = np.rint(edges_s / tick_s).astype(np.int64)
+        # starts must rise, as counting wants: none may come after a later one
         begins = np.minimum(np.minimum.accumulate(begins[::-1])[::-1], ends.max(initial=0))
         ends[:-1] = np.minimum(ends[:-1], begins[1:])
         photons = count_windows(source, begins, ends, inputs, progress=progress)
@@ -186,7 +188,7 @@ def _follows(starts: np.ndarray, pictures: np.ndarray, tolerance: float) -> bool
     """True if markers (P, F) of passes come when the schedule says."""
     schedule = np.cumsum(pictures)[:-1]
     span = starts[:, -1] - starts[:, 0]
-    rate = span / schedule[-1]
+    rate = span / schedule[-1]  # clocks may differ: steps are compared at the rate of their pass
     steps = np.diff(np.append(0.0, schedule))
     off = np.abs(np.diff(starts) - steps * rate[:, None]).max(initial=0)
     drift = np.abs(span - schedule[-1]).max(initial=0) - MOST_DRIFT * schedule[-1]

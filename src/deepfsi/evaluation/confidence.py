@@ -57,18 +57,18 @@ class CalibrationScenes:
 
     @classmethod
     def of(
-        cls, sets: Sequence[Labelled], seed: int, draws: int = 1, doubt: float = 0.0
+        cls, groups: Sequence[Labelled], seed: int, draws: int = 1, doubt: float = 0.0
     ) -> "CalibrationScenes":
         """Scenes that designs answer after a whole exposure."""
 
         def logits(photons: float, stop: int) -> np.ndarray:
             drawn = [
-                draw_logits(labelled.design, labelled.camera, labelled.x, photons, draws, seed)
-                for labelled in sets
+                draw_logits(group.design, group.camera, group.x, photons, draws, seed)
+                for group in groups
             ]
             return np.concatenate(drawn)
 
-        labels = np.concatenate([labelled.labels.repeat(draws) for labelled in sets])
+        labels = np.concatenate([group.labels.repeat(draws) for group in groups])
         return cls(labels, logits, draws=draws, doubt=doubt)
 
     def losses(self, logits: np.ndarray, temperature: float) -> np.ndarray:
@@ -155,7 +155,7 @@ def draw_logits(
 def _fit(logits: np.ndarray, scenes: CalibrationScenes) -> float:
     """Log τ of the least log loss of logits (E, C) of calibration scenes."""
     below = logits.astype(float)  # less the largest logit of each exposure
-    below -= below.max(axis=1, keepdims=True)
+    below -= below.max(axis=1, keepdims=True)  # so that no exponential overflows
     lost = float(-below[np.arange(len(below)), scenes.labels].mean())
     if scenes.doubt:
         share = scenes.doubt / (scenes.doubt + len(below) / scenes.draws)
@@ -240,8 +240,8 @@ def _calibrate(
         read = exposed(float(expected[0]))
         seen = ReadoutCounts(read, expected, np.zeros_like(read))
         statistics = np.empty((2, len(rates)))
-        for fold, fold_model in zip(folds, models, strict=True):
-            statistics[:, fold] = fold_model.statistics(seen.rows(fold))
+        for fold, other in zip(folds, models, strict=True):
+            statistics[:, fold] = other.statistics(seen.rows(fold))
         for values, (first, second) in zip(likeness, couples, strict=True):
             values[row] = model.likeness(seen.rows(first), seen.rows(second))
         levels.append(statistics)

@@ -43,6 +43,7 @@ class IdealObserver:
 
     def __init__(self, rates: Tensor, labels: Tensor, classes: int) -> None:
         self._sizes = torch.bincount(labels, minlength=classes).tolist()
+        # sorted by class, as `sum_by_class` takes them
         rates = rates.flatten(1)[labels.argsort().to(rates.device)]
         self._lit = rates.amax(dim=0) > 0
         rates = rates[:, self._lit]

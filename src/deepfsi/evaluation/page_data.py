@@ -54,9 +54,9 @@ def playable(
         budgets = sorted({*SLIDER_BUDGETS[::2], *inside})
         rows = np.random.default_rng(seed).permutation(len(fresh.x_test))[:TESTED]
         tested = replace(fresh, x_test=fresh.x_test[rows], y_test=fresh.y_test[rows])
-        full_design = design
-        design = of_page(full_design, seed)
-        optics = _posterior(design, full_design)
+        full = design
+        design = of_page(full, seed)
+        optics = _posterior(design, full)
     else:
         budgets = sorted({*SLIDER_BUDGETS, *inside})
         optics = _networks(design)
@@ -163,7 +163,7 @@ def _networks(design: Design) -> dict[str, Any]:
     }
 
 
-def _posterior(design: Design, full_design: Design) -> dict[str, Any]:
+def _posterior(design: Design, full: Design) -> dict[str, Any]:
     """Looks of adaptive masks for a page, and how many of the design's scenes it has."""
     exposure = design.prior_exposure
     prior = exposure.prior
@@ -184,7 +184,7 @@ def _posterior(design: Design, full_design: Design) -> dict[str, Any]:
         },
         "known": {
             "scenes": len(prior),
-            "of": len(full_design.prior_exposure.prior),
+            "of": len(full.prior_exposure.prior),
             "centres": exposure.settings.clusters is not None,
         },
     }

@@ -182,13 +182,14 @@ def _find_flat(
     # lens, but no dust
     view = geometry_matrix(image_shape, white.shape, homography, blur)
     filled = view.sum(axis=1).reshape(white.shape)
-    lit = filled > 0.5
+    lit = filled > 0.5  # cells that the display fills by more than half
     if not (lit.any() and white[lit].mean() > 0):
         raise InputError(
             "the picture of the white scene is dark, or the camera does not look at the display: "
             "take it again with a longer exposure"
         )
     down, across = (2 * (np.arange(n) + 0.5) / n - 1 for n in white.shape)
+    # powers (down, across) of a full quadratic, six terms
     terms = [(i, degree - i) for degree in range(3) for i in range(degree + 1)]
     basis = np.stack([np.outer(down**i, across**j) for i, j in terms])
     weights, *_ = np.linalg.lstsq((basis * filled)[:, lit].T, white[lit], rcond=None)
@@ -228,8 +229,8 @@ class DisplayedScenes:
             shares = []  # of each point's light, (points, cells), down and across
             for axis, position in enumerate((y / scale, x / scale)):
                 edges = np.arange(self.cells[axis] + 1)
-                distances = edges - (position * self.cells[axis])[:, None]
-                shares.append(np.diff(special.ndtr(distances / width[axis]), axis=1))
+                offsets = edges - (position * self.cells[axis])[:, None]
+                shares.append(np.diff(special.ndtr(offsets / width[axis]), axis=1))
             image[:] = (shares[0] * light[:, None]).T @ shares[1]
         return out
 
@@ -244,6 +245,7 @@ def _fit_view(
         images = spots.images(view)
         power = (images**2).sum(axis=(1, 2))
         match = (images * pictures).sum(axis=(1, 2))
+        # the least-squares brightness of each spot; negative light does not exist
         brightness = match.clip(0) / np.maximum(power, 1e-12)
         return (pictures - brightness[:, None, None] * images).ravel()
 
@@ -311,6 +313,7 @@ def find_gains(white: Path) -> tuple[float, ...]:
     run = Recording.read(white)
     counts = run.read_counts().check_photons(white)
     manifest = run.manifest
+    # unequal gains are what this run is recorded for
     spoilt = [fault.kind in SPOILING and fault.kind != "gain" for fault in counts.faults]
     if counts.gains or any(spoilt):
         raise InputError(

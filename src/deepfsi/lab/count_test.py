@@ -101,6 +101,7 @@ class CountTest:
         detection = self._design.exposure.detection
         cells = 0 if detection.labels is None else detection.labels.cpu().numpy()
         detectors = np.arange(detection.count)
+        # (D, N): cells of each detector; one detector sees all
         sees = np.equal.outer(detectors, cells)
         gain = np.asarray(photons / self._design.summed_reflectance)[..., None, None]
         seen = gain * (masks[..., None, :] * sees)

@@ -89,8 +89,8 @@ def data_of(
     elif name is None:
         raise InputError(f"{NO_ORIGIN}: give the data to test it on, `data`")
     else:
-        inherited = {"rescale", "view", *({"size", "white"} & set(find_source(name).options))}
-        kept = {option: getattr(known, option) for option in inherited} if known else {}
+        names = {"rescale", "view", *({"size", "white"} & set(find_source(name).options))}
+        kept = {option: getattr(known, option) for option in names} if known else {}
         asked = Origin(data=name).model_copy(update=kept | stated)
     try:
         loaded = _load(asked)
@@ -210,6 +210,7 @@ def camera_view(
     if not view.nnz:
         raise InputError("no cell looks at the display: calibrate the camera again")
     flat = np.array(calibration.flat)
+    # a flat field has as many cells as its calibration, interpolated to those of the masks
     finer = np.divide(cells_shape, flat.shape)
     flat = ndimage.zoom(flat, finer, order=1, mode="nearest", grid_mode=True)
     view = sparse.csr_array(sparse.diags_array(flat.ravel()) @ view).astype(np.float32)

@@ -124,14 +124,14 @@ class VirtualBench(AbstractContextManager["VirtualBench"]):
         marker_bit: int = FRAME_MARKER,
         *,
         seed: int = 0,
-        frame_rates: Callable[[int, np.ndarray], np.ndarray] | None = None,
+        rates_of: Callable[[int, np.ndarray], np.ndarray] | None = None,
     ) -> None:
         self.latencies = latencies
         # Time on the counter's clock before the first list, seconds
         self.now_s = 1e-3
         self.recorder = EventRecorder(camera, np.random.default_rng(seed), inputs)
         self._bit = marker_bit
-        self._frame_rates = frame_rates
+        self._rates_of = rates_of
         self._rates = rates
         self._scene = 0
         self._frame = 1
@@ -150,14 +150,15 @@ class VirtualBench(AbstractContextManager["VirtualBench"]):
     def display(self, scene: int) -> None:
         """Show a scene on the display."""
         self.now_s += self.latencies["display"]
+        # light of the old scene is recorded until the new one has settled
         self._hold(round(self.now_s / DETECTOR_TICK_S))
         self._scene = scene
 
     def replace(self, frame: int, packed: np.ndarray) -> None:
         """Replace a frame that is not shown."""
-        assert self._frame_rates is not None
+        assert self._rates_of is not None
         self.now_s += self.latencies["load"]
-        self._rates[self._scene, frame] = self._frame_rates(self._scene, packed)
+        self._rates[self._scene, frame] = self._rates_of(self._scene, packed)
 
     def show(self, frames: np.ndarray, dwells_s: np.ndarray) -> None:
         """Show frames, and set the clock to the time at which their counts are decided upon."""
@@ -170,8 +171,8 @@ class VirtualBench(AbstractContextManager["VirtualBench"]):
         self._frame = int(frames[-1])
         # What came before the last frame's marker is handed over with it, in its block
         block = self.latencies["block"]
-        handed_over_s = math.ceil(float(marks[-1]) * DETECTOR_TICK_S / block) * block
-        self.now_s = handed_over_s + self.latencies["transfer"] + self.latencies["decision"]
+        block_end_s = math.ceil(float(marks[-1]) * DETECTOR_TICK_S / block) * block
+        self.now_s = block_end_s + self.latencies["transfer"] + self.latencies["decision"]
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """One picture for each frame, of its time."""
@@ -190,8 +191,8 @@ class VirtualBench(AbstractContextManager["VirtualBench"]):
 
     def _hold(self, end: int) -> None:
         """Go on showing the last frame until a tick, unless it is past."""
-        ticks_left = max(end - self.recorder.end, 0)
-        self.recorder.see(np.array([ticks_left]), self._rates[self._scene, [self._frame]])
+        ticks = max(end - self.recorder.end, 0)
+        self.recorder.see(np.array([ticks]), self._rates[self._scene, [self._frame]])
 
     def start(self, path: Path) -> None:
         """Begin to record into a new file."""
@@ -246,6 +247,6 @@ def virtual_setup(
         acquisition.inputs,
         acquisition.marker_bit,
         seed=acquisition.seed or 0,
-        frame_rates=lambda scene, packed: light(scene).rates([packed])[0, 0],
+        rates_of=lambda scene, packed: light(scene).rates([packed])[0, 0],
     )
     return Setup(bench, bench, bench.display, clock=lambda: bench.now_s, latencies=latencies)

@@ -130,8 +130,8 @@ class LiveRun:
                 frames.lists = []
                 first_marker = frames.markers
                 start_s = setup.clock()
-                for observed in observer.observe(number, frames.count):
-                    decision = replace(observed, clock_s=setup.clock() - start_s)
+                for step in observer.observe(number, frames.count):
+                    decision = replace(step, clock_s=setup.clock() - start_s)
                     if not decision.final:
                         yield decision
                 logged = LoggedScene(
@@ -216,9 +216,9 @@ class _DeviceFrames:
         """Picture times (F + 1,) of frames and the all-OFF one after them, whole µs in seconds."""
         device = self._manifest.device
         us = (asked.gate_ns + _margin_ns(asked.gate_ns)) * 1e-3 + device.settle_us
-        if asked.look < 0:
+        if asked.look < 0:  # all-ON and all-OFF frames last as exported
             us = np.array([self._manifest.frames[index].picture_us for index in asked.frames])
-        return np.array([device.whole_us(least_us) for least_us in (*us.tolist(), 0.0)]) * 1e-6
+        return np.array([device.whole_us(time_us) for time_us in (*us.tolist(), 0.0)]) * 1e-6
 
 
 class _CountedFrames:
@@ -248,6 +248,7 @@ class _CountedFrames:
             counts = self._counter.counts_since_marker(left)
             blocks.append(counts[max(-count, 0) :])
             count += len(counts)
+        # the all-OFF frame's count is still due, or came already
         self._late = wanted + 1 - count
         return np.concatenate(blocks)[:wanted]
 
@@ -298,5 +299,6 @@ def record_run(
                 yield f"{scene.name}: {_light_text(counts, gates.lengths_s[:-1], manifest)}"
             setup.counter.stop()
         finally:
+            # a run that is stopped keeps its finished scenes
             if 0 < done < len(acquisition.scenes):
                 prepared.keep_first(done)

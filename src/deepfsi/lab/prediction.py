@@ -113,6 +113,7 @@ def predict(
             if not (budgets := trained_budgets(design.info)):
                 raise InputError("this design does not say its training's light: give `photons`")
             low, high = budgets
+            # a budget outside the training's would be answered beyond what was learned
             photons = tested.budget if tested.budget and low <= tested.budget <= high else low
         budget = check_budget(photons)
         shown = design_scenes(design.info, design.image_shape, source)

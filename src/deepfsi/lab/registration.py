@@ -204,8 +204,8 @@ def _fit_place(
             image = _image(scene, exported, layout, place)
             light = masks @ np.stack([image, np.ones_like(image)], axis=1) / noise[:, None]
             size = np.maximum(np.linalg.norm(light, axis=0), 1e-300)
-            brightness, _ = optimize.nnls(light / size, counts / noise)
-            return np.asarray(counts / noise - (light / size) @ brightness)
+            weights, _ = optimize.nnls(light / size, counts / noise)
+            return np.asarray(counts / noise - (light / size) @ weights)
 
         # The two best starts of each orientation are followed
         for start in sorted(starts, key=lambda place: float((misfit(place) ** 2).sum()))[:2]:
@@ -222,15 +222,17 @@ def _fit_place(
             fits.append((2 * step.cost, layout, step))
     fits.sort(key=lambda fit: fit[0])
     cost, layout, best = fits[0]
-    other_costs = [fit[0] for fit in fits if fit[1] != layout]
+    rivals = [fit[0] for fit in fits if fit[1] != layout]
+    # the second number of a place is its rotation
     degrees = np.array([1.0, np.degrees(1.0), 1.0, 1.0, 1.0])
     spread = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac))) * degrees
     errors = dict(zip(WELL, spread.tolist(), strict=True))
+    # 7 unknowns: five of the place, and the light of target and surroundings
     p_value = float(chi2.sf(cost, max(len(counts) - 7, 1)))
     return _ReferenceFit(
         exported=exported,
         layout=layout,
         place=dict(zip(WELL, (best.x * degrees).tolist(), strict=True)),
         errors=errors,
-        doubt=_doubt(p_value, min(other_costs) - cost, errors),
+        doubt=_doubt(p_value, min(rivals) - cost, errors),
     )

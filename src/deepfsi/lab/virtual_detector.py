@@ -58,6 +58,7 @@ def divide(durations: np.ndarray, rates: np.ndarray) -> Iterator[tuple[np.ndarra
     index = np.arange(len(source)) - np.repeat(np.cumsum(counts) - counts, counts)
     short, rest = np.divmod(durations, counts)
     lengths = short[source] + (index < rest[source])
+    # pieces are gathered into chunks of about `EVENTS_AT_ONCE` events
     load = np.cumsum((expected / counts)[source]) // EVENTS_AT_ONCE
     edges = np.flatnonzero(np.diff(load)) + 1
     for first, last in zip(np.r_[0, edges], np.r_[edges, len(source)], strict=True):
@@ -71,7 +72,7 @@ class Stream:
         self.detector = detector
         self.rng = rng
         self._dead = round(detector.dead_time_s / DETECTOR_TICK_S)
-        self._last = -self._dead - 1
+        self._last = -self._dead - 1  # not blind at the first arrival
 
     @property
     def reach(self) -> int:
@@ -109,6 +110,7 @@ def arrivals(durations: np.ndarray, rates: np.ndarray, rng: np.random.Generator)
     ends = np.cumsum(durations, dtype=np.float64)
     expected = np.cumsum(rates * (durations * DETECTOR_TICK_S))
     count = rng.poisson(expected[-1])
+    # waits over their sum are order statistics of uniform times: sorted without a sort
     waits = np.cumsum(rng.standard_exponential(count + 1))
     reached = waits[:-1] * (expected[-1] / waits[-1])
     times = np.interp(reached, np.r_[0, expected], np.r_[0, ends]).astype(np.int64)

@@ -343,11 +343,11 @@ def write_photons(
     report: Progress = SILENT,
 ) -> None:
     """Write the photons and markers of a pass for each scene, at rates (S, F, inputs)."""
-    counter_inputs = range(rates.shape[2]) if inputs is None else inputs
+    numbers = range(rates.shape[2]) if inputs is None else inputs
     picture = np.array([frame.picture_us for frame in manifest.frames], dtype=np.int64)
     durations = np.tile(picture * round(1e-6 / DETECTOR_TICK_S), len(rates))
     marks = np.cumsum(durations) - durations
-    recorder = EventRecorder(camera, rng, counter_inputs)
+    recorder = EventRecorder(camera, rng, numbers)
     recorder.add(marks, -FRAME_MARKER)
     with PtuWriter(path, tick_s=DETECTOR_TICK_S) as recorder.writer:
         recorder.see(durations, rates.reshape(len(durations), -1), report)

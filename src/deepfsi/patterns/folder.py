@@ -158,6 +158,7 @@ class Patterns:
                 f"{counts} was changed after it was written: export the patterns again, or copy it "
                 "from the patterns that were shown"
             )
+        # a small manifest can ask for rails far larger than its files
         numbers = manifest.rails * manifest.masks * on.shape[1]
         check_unpacked(numbers, on.nbytes, f"the masks of {path}", AGAIN)
         return cls(manifest, on, Path(folder))

@@ -109,6 +109,7 @@ class DesignRails:
         on = np.empty((rails * masks, pixels), dtype=np.uint32)
         for mask in range(masks):
             for rail, peak, level in self._levels(mask, mirrors):
+                # a dark rail has no frame
                 if peak > mirrors * SMALLEST_STEP:
                     on[len(mask_rails)] = np.rint(level)
                     mask_rails.append((mask, rail))
@@ -120,6 +121,7 @@ class DesignRails:
         rails = self.rails[:, mask].astype(np.float64)
         if self.two_arm:
             time = rails.sum(axis=0)
+            # pixels that no arm lights divide by 1, not by 0
             yield "both", time.max(), rails[0] / np.where(time > 0, time, 1.0) * mirrors
             return
         names: tuple[Rail, Rail] = ("plus", "minus")
