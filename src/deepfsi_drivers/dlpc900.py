@@ -56,7 +56,7 @@ class _Usb:
 
 
 class _CommandCode:
-    """Commands, and what they are sent with."""
+    """Commands, and the data that some of them carry."""
 
     ERROR_CODE = 0x0100
     HARDWARE = 0x0206
@@ -100,13 +100,13 @@ class _Link:
         self._sequence = 0
 
     def write(self, command: int, data: bytes, reply: bool = True) -> None:
-        """Send a command; with a reply, wait for it and raise what it refuses."""
+        """Send a command; with `reply`, wait for the answer and raise a refusal."""
         self._send(_Usb.REPLY if reply else 0, command, data)
         if reply:
             self._answer(command)
 
     def read(self, command: int) -> int:
-        """First byte of what a command reads."""
+        """First byte of the answer to a read command."""
         self._send(_Usb.READ | _Usb.REPLY, command)
         answer = self._answer(command)
         if not answer:
@@ -114,7 +114,7 @@ class _Link:
         return answer[0]
 
     def check(self, command: int) -> None:
-        """Raise what the last command refused, if it did."""
+        """Raise `InputError` if the board refused the last command."""
         if code := self.read(_CommandCode.ERROR_CODE):
             raise InputError(
                 f"the DLPC900 refused command 0x{command:04X} with error {code}: see Read Error "
@@ -306,6 +306,7 @@ def _load(link: _Link, pictures: list[tuple[bytes, ...]], report: Progress) -> N
             link.write(begin, index.to_bytes(2, "little") + len(content).to_bytes(4, "little"))
             for offset in range(0, len(content), _Usb.PACKET_BYTES):
                 packet = content[offset : offset + _Usb.PACKET_BYTES]
+                # TI's program asks for no answer to these
                 link.write(fill, len(packet).to_bytes(2, "little") + packet, reply=False)
                 sent += len(packet)
                 report(sent / total)
@@ -348,7 +349,7 @@ def encode_picture(picture: np.ndarray) -> bytes:
 
 
 def _encode_line(line: np.ndarray, pixels: np.ndarray, above: np.ndarray) -> bytes:
-    """Runs of a line (columns, 3): pixels as those above, one that repeats, or any."""
+    """Encode a line (columns, 3) in runs: pixels as above, one that repeats, or any pixels."""
     changes = (above[1:] != above[:-1]) | ~above[1:] & (pixels[1:] != pixels[:-1])
     starts = np.flatnonzero(np.append(True, changes))
     single = (np.diff(np.append(starts, len(pixels))) == 1) & ~above[starts]

@@ -147,6 +147,7 @@ class TappedCounter(FollowedCounter, ABC):
             ending = threading.Event()
             thread = threading.Thread(target=self._read, args=(writer, take, ending), daemon=True)
             thread.start()
+            # undone in reverse: the thread ends before its file is closed
             stack.callback(thread.join)
             stack.callback(ending.set)
             self._recording = stack.pop_all()

@@ -95,7 +95,7 @@ class SnapiCounter(TappedCounter):
 
     @staticmethod
     def _accept(done: object, doing: str) -> None:
-        """Raise `InputError` where snAPI says that something was not done."""
+        """Raise `InputError` if snAPI reports a failure."""
         if not done:
             raise InputError(
                 f"the PicoQuant device cannot {doing}: see snAPI's log, and check that it is on, "

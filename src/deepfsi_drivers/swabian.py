@@ -35,7 +35,7 @@ MOST_TAGS = 2**22
 """Tags that may wait for the thread."""
 
 ERROR = 1
-"""Type of a tag of an error; those above tell of tags that were lost, and 0 is a signal's."""
+"""Type of a tag of an error; larger types tell of lost tags, and 0 is a signal."""
 
 
 class TaggerSettings(UserModel):
@@ -105,6 +105,7 @@ class TaggerCounter(TappedCounter):
                 return
             types = block.getEventTypes()
             lost = np.flatnonzero(types)
+            # events before the loss are kept
             sound = int(lost[0]) if len(lost) else block.size
             times = block.getTimestamps()
             if first is None:

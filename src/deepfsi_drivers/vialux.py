@@ -43,7 +43,7 @@ FRAMES_OF_9BIT = 512
 """Frames that entries of 9 bits can name; more need entries of 18."""
 
 LONGEST_LIST = 4096
-"""Entries of a frame list at most: those of ALP4lib's structure."""
+"""Largest number of entries of a frame list, as ALP4lib's structure has them."""
 
 ROW_BYTES = {1024: 128, 1920: 256}
 """Bytes of a row of packed mirrors by its length, as alp.h has them; other rows go unpacked."""
@@ -136,7 +136,7 @@ class _Board(ABC):
             raise
 
     def halt(self) -> None:
-        """Stop at once, and take what waits from the queue."""
+        """Stop at once, and empty the queue."""
         with _refusals("be halted"), contextlib.ExitStack() as stack:
             stack.callback(self._alp.Halt)
             self._alp.ProjControl(Alp.RESET_QUEUE, Alp.DEFAULT)
@@ -276,7 +276,7 @@ class VialuxLooks(_Board):
     _shortest_us = _picture_us = _frames = _entries = 0
 
     def pictures(self, dwells_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Number of pictures as which each frame is shown, and each one's time, seconds."""
+        """Number of pictures (F,) that show each frame, and seconds (F,) of a picture."""
         picture_us, repeats = self._plan(dwells_s)
         return repeats, np.full(len(repeats), picture_us * 1e-6)
 
@@ -310,6 +310,7 @@ class VialuxLooks(_Board):
         """Picture time, µs, and repeats (F,) that hold each frame long enough."""
         wanted_us = dwells_s * 1e6
         picture_us = max(self._shortest_us, int(wanted_us.sum() // self._entries))
+        # ceilings may need more entries than planned: pictures become 1 % longer until they fit
         while (repeats := _repeats(wanted_us, picture_us)).sum() > self._entries >= len(repeats):
             picture_us = max(picture_us + 1, picture_us * 101 // 100)
         if repeats.sum() > self._entries:
@@ -331,6 +332,7 @@ class VialuxLooks(_Board):
 
 def _repeats(wanted_us: np.ndarray, picture_us: float) -> np.ndarray:
     """Number of pictures (F,) that together last as long as wanted or longer."""
+    # rounded first: an error of floating point must not cost a picture
     return np.maximum(np.ceil(np.round(wanted_us / picture_us, 9)), 1).astype(np.int64)
 
 

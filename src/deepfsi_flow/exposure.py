@@ -80,7 +80,7 @@ class ScenePath:
         return middle + self.jitter * draws[0] + speed * time
 
     def means(self, correlation: Tensor, edges: Tensor) -> Tensor:
-        """Means (..., T) of C over each bin, of its values (..., K) at whole shifts."""
+        """Means (..., T) of C over each bin, from its values (..., K) at whole shifts."""
         # the integral of C: trapezoids up to the shift below, and a fraction of the next one
         *_, shifts = correlation.shape
         lead = torch.broadcast_shapes(correlation.shape[:-1], edges.shape[:-1])
@@ -224,7 +224,7 @@ class PassingExposure(MaskExposure):
         return project(photons, shifts).unsqueeze(-2) / self.transit.bins
 
     def placed(self, rates: Tensor, generator: torch.Generator | None) -> Tensor:
-        """Expected counts (..., 1, T) of exposures, each at a place of its own, or in the mean."""
+        """Expected counts (..., 1, T) of exposures, each along its own path, or in the mean."""
         if generator is None:
             return rates @ self._mean_bins.to(rates)
         edges = self.transit.edges(rates.shape[:-1], generator, rates.device)
@@ -232,12 +232,13 @@ class PassingExposure(MaskExposure):
 
     @cached_property
     def _mean_bins(self) -> Tensor:
-        """Share (K, T) that each shift has in each bin, in the mean over places."""
+        """Share (K, T) of each shift in each bin, in the mean over paths."""
         device = self.device
         generator = torch.Generator(device)
         unit_rates = torch.eye(self.transit.shifts, device=device).unsqueeze(1)
         # Transits whose mean is taken for expected counts of all
         count = 1024 if self.transit.moves else 1
+        # a fixed seed: the mean is the same wherever it is taken
         edges = self.transit.edges((count,), generator.manual_seed(0), device)
         return self.transit.means(unit_rates, edges).mean(dim=1)
 
@@ -247,7 +248,7 @@ class PassingExposure(MaskExposure):
 
 
 class PassingTraining(ExposureTraining):
-    """A pattern of each seed, and bins of scenes that pass it, at other places in each step."""
+    """A pattern of each seed, and bins of scenes that pass it, along other paths in each step."""
 
     masks: FixedPattern | LearnedPattern
 
@@ -333,6 +334,7 @@ class PassingTraining(ExposureTraining):
         mean, power = moments(drawn())
         counts = torch.stack(light).sum(dim=0) / len(scenes)
         if noise.kind.unbiased:
+            # unbiased noise adds its variance, so that none was drawn
             power = power + noise.variance(counts, counts, read)
         std = deviation(power, self.scale)
         light_of_jobs = counts.expand_as(std)

@@ -64,7 +64,7 @@ def find_threshold(background: float, window: float, duration: float, allowed: f
 
 
 def find_transits(times: np.ndarray, window: float, level: int) -> np.ndarray:
-    """Starts (n,) of transits in rising times: of each, the window that holds most photons."""
+    """Starts (n,) of transits in rising times, each of its window with most photons."""
     low = np.searchsorted(times, times - window, side="right")
     bright = np.flatnonzero(np.arange(len(times)) - low + 1 >= level)
     starts: list[float] = []
@@ -132,6 +132,7 @@ def align_transits(
         inside = inside[: np.searchsorted(inside, origin + 2 * cells * step)]
         counts = np.bincount(((inside - origin) / step).astype(int), minlength=2 * cells)
         score = np.correlate(counts[: 2 * cells].astype(float), weight, "valid")
+        # photons do not tell steps of equal score apart: their middle is taken
         best = np.flatnonzero(score == score.max())
         aligned.append(origin + step * float(best.mean()))
     return np.array(aligned)
@@ -169,7 +170,7 @@ class ClassifiedTransits:
         return content | {"transits": [vars(transit) for transit in self.transits]}
 
     def lines(self) -> Iterator[str | Table]:
-        """Say each transit, and what a transit is here."""
+        """Say each transit, and the threshold that makes one."""
         rows = [
             (
                 f"{transit.start_s:.6g}",

@@ -307,7 +307,7 @@ class Camera(UserModel):
 
     @property
     def shortest_share(self) -> float:
-        """Shortest dwell of a frame that is shown, a share of the exposure."""
+        """Shortest dwell of a frame, as a share of the exposure."""
         return self.shortest_dwell / self.exposure_s
 
     @property
@@ -317,7 +317,7 @@ class Camera(UserModel):
 
     @property
     def budget(self) -> float | None:
-        """Budget Φ of an exposure of the mean scene, counts; None where no flux is known."""
+        """Budget Φ of an exposure of the mean scene, counts; None without a flux."""
         return None if self.flux is None else self.flux * self.exposure_s
 
     @property
@@ -354,7 +354,7 @@ class Camera(UserModel):
         return find_grid(self.device, mask_shape, self.layout).mirrors + 1
 
     def detector_map(self, image_shape: tuple[int, ...]) -> DetectorMap:
-        """Which detector sees each pixel of scenes of a shape."""
+        """Detector of each pixel of scenes of a shape."""
         return DetectorMap.of(self.detectors, image_shape)
 
     @property

@@ -22,7 +22,7 @@ from pydantic import Field
 from deepfsi.base.models import StrictModel
 
 LONGEST_DEAD_TIME_S = 1e-5
-"""Longest dead time that is corrected for, seconds: a gate must hold many of them."""
+"""Longest dead time with a correction, seconds: a gate must hold many of them."""
 
 
 class DeadTime(StrictModel):
@@ -38,7 +38,7 @@ class DeadTime(StrictModel):
 
     @property
     def most_registered(self) -> float:
-        """Highest rate of counts that is corrected, counts/s."""
+        """Highest rate with a correction, counts/s."""
         # arrivals in a dead time: beyond, an error of a tenth in the dead time makes more than a
         # tenth in the light
         most = 0.5 if self.paralysable else 1.0

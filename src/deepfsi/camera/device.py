@@ -15,7 +15,7 @@ from deepfsi.base.errors import InputError, closest_choice
 from deepfsi.base.models import Count, Positive, UserModel
 
 LONGEST_PICTURE_US = 10**9
-"""Longest picture time that is exported, microseconds."""
+"""Longest picture time of an export, microseconds."""
 
 BIT_PLANES = 24
 """Bit-planes of a picture of 24 bits a pixel."""
@@ -71,7 +71,7 @@ class Device(UserModel):
 
     @property
     def packed(self) -> bool:
-        """True where the controller takes 24 frames as the bit-planes of a picture."""
+        """True if the controller takes 24 frames as the bit-planes of a picture."""
         return self.controller in ("dlpc900", "dlpc350", "dlpc347x")
 
     def whole_us(self, least_us: float) -> int:

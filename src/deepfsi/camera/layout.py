@@ -55,7 +55,7 @@ class DmdLayout(StrictModel):
         return (cos * side, -sin), (sin * side, cos)
 
     def orientations(self) -> "tuple[DmdLayout, ...]":
-        """The layout in each of the eight orientations, that as exported first."""
+        """The layout in each of the eight orientations, the exported one first."""
         return tuple(
             self.model_copy(update={"flip": flip, "rotate": turn})
             for flip in (False, True)

@@ -30,7 +30,7 @@ SummedReflectance = Annotated[float, Field(ge=1e-6, allow_inf_nan=False)]
 
 @dataclass(frozen=True)
 class LightLawFacts:
-    """Facts of a light law, whatever its masks are."""
+    """Facts of a light law, true for all masks."""
 
     optics: str  # a phrase for the optics that realise it
     in_turn: bool = True
@@ -70,7 +70,7 @@ LIGHT_LAWS: dict[str, LightLawFacts] = {
 
 
 def check_light_law(light: str, rails: str) -> None:
-    """Raise `InputError` unless a light law exists and can be had with these rails."""
+    """Raise `InputError` unless a light law exists and allows these rails."""
     check_choice("light law", light, LIGHT_LAWS)
     check_choice("rails", rails, get_args(RailsKind))
     if LIGHT_LAWS[light].arms == 2 and rails == "single":
@@ -82,7 +82,7 @@ def check_light_law(light: str, rails: str) -> None:
 
 @dataclass(frozen=True)
 class NoiseFacts:
-    """Facts of a noise, whatever it is drawn of."""
+    """Facts of a noise, true for all rates."""
 
     title: str  # name for headings and sentences
     shot: bool = False  # whether mean and variance grow with the light as for photons
@@ -99,7 +99,7 @@ class NoiseFacts:
 
     @property
     def read_noise_alone(self) -> bool:
-        """True if it is read noise, whatever the light."""
+        """True if it is read noise alone, independent of the light."""
         return self.read_noise and not self.shot
 
     @property

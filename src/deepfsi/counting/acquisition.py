@@ -52,7 +52,7 @@ class LiveSettings(StrictModel):
 
 
 class Acquisition(StrictModel):
-    """Settings of a recording: one pass over the patterns for each scene, one after another."""
+    """Settings of a recording: one pass over the patterns for each scene, in turn."""
 
     schema_version: Literal[1] = 1
     # In the order of their passes
@@ -102,6 +102,7 @@ class Acquisition(StrictModel):
             longest = manifest.longest_exposure_s(settle + manifest.usual_tolerance_s)
             exposure = max(longest, 0) / (repeats or 1)
         with as_input_error():
+            # one repeat until the gates are known
             planned = cls(scenes=scenes, exposure_s=exposure, settle_s=settle, repeats=1, **fields)
         gates = planned.gates(manifest, exposure, repeats=repeats)
         return planned.model_copy(update={"repeats": gates.repeats})

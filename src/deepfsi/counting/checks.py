@@ -243,7 +243,7 @@ class Light:
 
 
 def check_light(arrivals: Arrivals, manifest: Manifest, inputs: Sequence[int]) -> Light:
-    """Check the light of a recording, all passes together: one of each scene."""
+    """Check the light of a recording, all passes together; each scene has one pass."""
     count = manifest.detector_count
     scenes = np.arange(len(arrivals.photons))
     arm_inputs = [tuple(inputs[first : first + count]) for first in range(0, len(inputs), count)]

@@ -39,7 +39,7 @@ from deepfsi.patterns.manifest import Frame, Manifest
 
 @dataclass(frozen=True)
 class Counts:
-    """Photon counts of each readout; the axis D is there only of several detectors."""
+    """Photon counts of each readout; a single detector has no axis D."""
 
     counts: np.ndarray  # registered counts, int64, or those of a table
     arrivals: np.ndarray
@@ -87,7 +87,7 @@ class Counts:
 
     @property
     def spoilt(self) -> np.ndarray:
-        """Scenes (S,), bool, whose counts have no meaning: the light was not what it should be."""
+        """Scenes (S,), bool, whose counts a fault of the light has made meaningless."""
         out = np.zeros(len(self.valid), bool)
         for fault in self.faults:
             if fault.kind in SPOILING:
@@ -104,7 +104,7 @@ class Counts:
         return self
 
     def check_budget(self, source: str) -> None:
-        """Raise `InputError` where the counts do not tell the flux of any scene."""
+        """Raise `InputError` if the counts tell the flux of no scene."""
         if not np.isfinite(self.flux).any():
             raise InputError(
                 f"{source} does not tell its budget: all-ON frames leave less than 25 gates "
@@ -176,7 +176,7 @@ class Corrections:
 
     @classmethod
     def of(cls, dead_time: DeadTime, manifest: Manifest, gains: tuple[float, ...] = ()) -> Self:
-        """Corrections on the inputs of a manifest; no gains are equal ones, else one for each."""
+        """Corrections on the inputs of a manifest, with a gain for each; default: equal gains."""
         if gains and len(gains) != manifest.inputs:
             raise InputError(
                 f"the flat field is of {len(gains)} detectors, and these patterns are for "
@@ -195,7 +195,7 @@ class Corrections:
     def check(
         self, rates: np.ndarray, frames: Sequence[Frame], inputs: Sequence[int], name: str
     ) -> None:
-        """Raise `InputError` where the counter is too near its saturation, rates (S, F, inputs)."""
+        """Raise `InputError` if rates (S, F, inputs) are too near the saturation of the counter."""
         most = self.dead_time.most_registered
         if not (rates > most).any():
             return
@@ -209,10 +209,10 @@ class Corrections:
 
 ALL_ON = [0, -2]
 ALL_OFF = [1, -1]
-"""Frames at the ends of a pass that are all ON, and those that are all OFF."""
+"""Indices in a pass of the frames that are all ON, and of those that are all OFF."""
 
 ENDS = [0, 1, -2, -1]
-"""Frames of a pass that are all ON, all OFF, all ON and all OFF."""
+"""Indices of the sentinels of a pass: all ON, all OFF, all ON, all OFF."""
 
 
 def light_of_clicks(

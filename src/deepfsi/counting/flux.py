@@ -25,16 +25,16 @@ FALSE_ALARMS = 1e-3
 """Largest chance of any fault of the light in a sound acquisition."""
 
 EXCESS = 1.1
-"""Largest variance of sound counts over Poisson's: what afterpulses of up to 5 % add."""
+"""Largest variance of sound counts over Poisson's, as afterpulses of up to 5 % make it."""
 
 CERTAIN_SIGMAS = 6.0
 """Standard errors beyond which something is certain."""
 
 HARMLESS = 0.05
-"""Change of a light that is left alone, as a share of it."""
+"""Largest change of a light without a fault, as a share of it."""
 
 HARMLESS_DARK = 0.02
-"""Change of the background that is left alone, as a share of the light with all mirrors ON."""
+"""Largest change of the background without a fault, as a share of the light with all mirrors ON."""
 
 SPREAD_SIGMAS = 5.0
 """Standard deviations by which scenes of one class may differ from their mean."""
@@ -45,7 +45,7 @@ AllowedRatio = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Arrivals:
-    """Photons that arrived in frames, as estimated from those that were counted."""
+    """Photons that arrived in frames, as estimated from counts."""
 
     ARRAYS: ClassVar = ("photons", "variance", "seconds")
 
@@ -234,7 +234,7 @@ def _refine(sums: np.ndarray, cut: tuple[int, int], allowed: AllowedRatio) -> tu
 def _compare(
     sums: np.ndarray, start: np.ndarray, stop: np.ndarray, allowed: AllowedRatio
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Difference of each segment from the rest in standard errors, and the chance of it."""
+    """Difference of each segment from the rest in standard errors, and its p-value."""
     passes = sums.shape[1] - 1
     inner = sums[:, stop] - sums[:, start]
     outer = sums[:, -1:] - sums[:, :1] - inner

@@ -22,7 +22,7 @@ RECORDS_AT_ONCE = 2**15
 """Records decoded at once: they and their times stay in the processor's cache."""
 
 LATEST_TICK = 2**61
-"""Latest time that is read, ticks."""
+"""Latest time that can be read, ticks."""
 
 EARLIEST_TICK = -(2**62)
 """A time before all others, ticks."""
@@ -33,7 +33,7 @@ LONGEST_HEADER = 2**22
 """Largest number of bytes of a header, or of one tag."""
 
 TICKS_S = (1e-15, 1.0)
-"""Shortest and longest tick that is believed, seconds."""
+"""Shortest and longest credible tick, seconds."""
 
 # Float8Array, two strings, BinaryBlob
 _SIZED_TAGS = (0x2001FFFF, 0x4001FFFF, 0x4002FFFF, 0xFFFFFFFF)
@@ -98,14 +98,14 @@ class Header:
 
     @property
     def records(self) -> int:
-        """Records to read: those claimed, or those that are there if fewer or unclaimed."""
+        """Records to read: as claimed, or as the file holds if it has fewer or claims none."""
         # More records than any file has
         most = 2**61 if self.size is None else (self.size - self.offset) // 4
         return min(self.claimed, most) if self.claimed > 0 else most
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Reasons why the recording may be incomplete: none if the file holds what is claimed."""
+        """Reasons why the recording may be incomplete; none if all claimed records are there."""
         if self.size is None:
             return ()
         body = self.size - self.offset
@@ -221,7 +221,7 @@ class Decoder:
         self._reached = 0
 
     def decode(self, words: np.ndarray) -> Decoded:
-        """Decode records, uint32 (n,), that follow those before, up to the first damaged one."""
+        """Decode the next records, uint32 (n,), up to the first damaged one."""
         kind = self._kind
         photon = words < np.uint32(kind.first + kind.inputs << kind.shift)
         if kind.first:

@@ -86,7 +86,7 @@ class Recording:
 
     @classmethod
     def read(cls, folder: str | os.PathLike[str]) -> Self:
-        """Settings and patterns of a recording, or `InputError` where they do not fit."""
+        """Settings and patterns of a recording; `InputError` if they do not fit."""
         path = Path(folder) / "acquisition.json"
         prepare = "make the folder with `deepfsi camera import` or `simulate`"
         content = read_text(path, 2**24, prepare)
@@ -172,7 +172,7 @@ class Recording:
         return counts
 
     def _dead_time(self, stated: DeadTime | None) -> DeadTime:
-        """Dead time that is corrected: the one stated, that of the calibration, or none."""
+        """Dead time to correct: the stated one, else the calibration's, else none."""
         calibration = self.folder / "calibration"
         if stated is None and (calibration / "calibration.json").is_file():
             stated = Calibration.load(calibration).dead_time
@@ -235,7 +235,7 @@ class Recording:
 
 
 def _span(values: np.ndarray) -> str:
-    """Least and largest of the numbers among some."""
+    """Least and largest of the values that are numbers."""
     if np.isnan(values).all():
         return "unknown"
     ends = [count_text(end) for end in (np.nanmin(values), np.nanmax(values))]
@@ -287,7 +287,7 @@ def _check_lit(recording: Recording, lit: np.ndarray) -> None:
 def _count_photons(
     recording: Recording, gates: GatePlan, windowed: WindowCounts, corrections: Corrections
 ) -> dict[str, Any]:
-    """Photons of each readout, and what arrived: fields of the counts."""
+    """Fields of the counts: photons of each readout, and arrivals."""
     manifest = recording.manifest
     inputs = recording.acquisition.inputs
     photons, spent = windowed.per_frame()

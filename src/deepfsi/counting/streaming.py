@@ -135,7 +135,7 @@ class FrameCounter:
 
     @property
     def _followed(self) -> bool:
-        """True if the frame that is shown is not the last of its list."""
+        """True if the shown frame is not the last of its list."""
         return bool(self._due) and self._due[0].follows
 
     def _begin(self, time: int) -> tuple[int, int] | None:

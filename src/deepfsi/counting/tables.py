@@ -54,7 +54,7 @@ class TableSettings(UserModel):
 
 
 def column_names(manifest: Manifest) -> list[str]:
-    """Names of the values of an exposure: frame by frame, and in each frame input by input."""
+    """Names of the values of an exposure, frame by frame, and input by input in a frame."""
     # `on`, `off`, then `mask0` (of a single rail, or two arms) or `mask0+` and `mask0-`, last `on2`
     # and `off2`; of several inputs `mask0+/1`, `mask0+/2` and so on
     names: list[str] = []
@@ -86,6 +86,7 @@ def count_table(
     values = _arrange(table, manifest, name)
     with_ends = values.shape[1] == len(manifest.frames)
     if not with_ends:
+        # zeros for the sentinels, so that frames keep their indices
         values = np.pad(values, ((0, 0), (2, 2), (0, 0)))
     _check_values(values, settings, name)
     seconds = np.asarray(manifest.picture_s - settings.settle_s)  # of each frame (F,)
@@ -108,6 +109,7 @@ def count_table(
         dark = np.full_like(light.dark_rate, settings.background / exposure_s)
         flux = light.flux
         if with_ends:
+            # the flux is beyond the measured background, and shall be beyond the stated one
             flux = flux + (light.dark_rate - dark)[:, manifest.on_inputs].sum(axis=1)
         light = replace(light, flux=flux, dark_rate=dark)
     if settings.photons is None and not (light.flux > 0).any():
@@ -150,7 +152,7 @@ def count_table(
 def _correct(
     values: np.ndarray, seconds: np.ndarray, manifest: Manifest, settings: TableSettings, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Arrivals in all frames, and their variance, each (E, F, inputs)."""
+    """Arrivals (E, F, inputs) in all frames, and their variance (E, F, inputs)."""
     if settings.clicks is not None:
         return values, values * (1 - values / settings.clicks)
     if settings.analogue:
@@ -228,7 +230,7 @@ def _find_light(
     manifest: Manifest,
     settings: TableSettings,
 ) -> Light:
-    """Light of each scene, from the all-ON and all-OFF frames of its exposures; scene_of (E,)."""
+    """Light of each scene, from the all-ON and all-OFF frames of exposures of `scene_of` (E,)."""
     scenes = int(scene_of[-1]) + 1
     arm = manifest.on_inputs
     if settings.clicks is not None:

@@ -95,13 +95,13 @@ class WindowCounts:
 
 
 MOST_DRIFT = 2e-4
-"""Largest difference of two clocks' rates, of those planned or of those measured."""
+"""Largest relative difference of two clocks, as planned or as measured."""
 
 MOST_RATE = 0.02
-"""Most that all frames may be longer or shorter than planned, as a share of each."""
+"""Largest share by which all frames may be longer or shorter than planned."""
 
 MOST_EXTRA = 0.2
-"""Most that may be added to each frame, as a share of the shortest."""
+"""Largest time that may be added to each frame, as a share of the shortest."""
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ def _as_measured(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> n
 
 
 def _first_departure(times: np.ndarray, pictures: np.ndarray, tolerance: float) -> str:
-    """Name the place where markers leave the schedule."""
+    """Words for the first marker that leaves the schedule."""
     scene, frame = np.divmod(np.arange(len(times) - 1), len(pictures))
     planned = pictures[frame]
     steps = np.diff(times)

@@ -120,6 +120,7 @@ def measure_left_out(
     last = scenes.stops - 1
     logits = scenes.logits(photons, last)
     losses = scenes.losses(logits, float(temperatures_at(temperatures, last, photons)))
+    # a class without training scenes would cost infinitely much
     guessed = -np.log(guess.clip(min=1e-6))[scenes.labels]
     # exposures of one scene are no scenes of their own
     gains = (losses - guessed).reshape(-1, scenes.draws).mean(axis=1)
@@ -158,6 +159,7 @@ def _fit(logits: np.ndarray, scenes: CalibrationScenes) -> float:
     below -= below.max(axis=1, keepdims=True)  # so that no exponential overflows
     lost = float(-below[np.arange(len(below)), scenes.labels].mean())
     if scenes.doubt:
+        # scenes of doubt have all classes alike: a mean logit stands for that of the true class
         share = scenes.doubt / (scenes.doubt + len(below) / scenes.draws)
         lost += share * (float(-below.mean()) - lost)
 
@@ -228,7 +230,7 @@ def _calibrate(
     folds: list[np.ndarray],
     exposed: Callable[[float], np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Tails (2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of them."""
+    """Tails (2, 2, counts, chances) of scenes (n, R), and (counts, chances) of pairs of scenes."""
     # Each scene is compared with the model of the other folds
     members = [np.flatnonzero(labels == k) for k in np.unique(labels)]
     couples = [scenes[: len(scenes) // 2 * 2].reshape(2, -1) for scenes in members]
@@ -259,5 +261,6 @@ def _tail(logs: np.ndarray) -> np.ndarray:
     tail = chances[chances * logs.shape[-1] >= 10].min()
     bulk = np.moveaxis(np.quantile(logs, 1 - chances, axis=-1), 0, -1)
     start = bulk[..., chances == tail]
+    # Hill: mean excess of the logarithms over the start of the tail
     beyond = np.where(logs > start, logs - start, 0).mean(axis=-1, keepdims=True) / tail
     return np.where(chances >= tail, bulk, start + beyond * np.log(tail / chances))

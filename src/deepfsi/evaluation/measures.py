@@ -35,7 +35,7 @@ def confidence_error(confidence: np.ndarray, right: np.ndarray) -> float:
 
 
 MOST_DRAWS = 10_000
-"""Noise draws of each scene in one test: enough for any interval, and an end in sight."""
+"""Largest number of noise draws of each scene in one test."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,7 +85,7 @@ class ClassAnswers(Answers):
 
     @property
     def rates(self) -> list[float | None]:
-        """Accuracy of each class; None where the test has no scene of it."""
+        """Accuracy of each class; None if the test has no scene of it."""
         rows = enumerate(self.confusion)
         return [float(row[k] / row.sum()) if row.any() else None for k, row in rows]
 
@@ -97,7 +97,7 @@ class ClassAnswers(Answers):
 
     @property
     def terms(self) -> dict[str, np.ndarray]:
-        """Share (n,) of the draws of each scene that are answered right."""
+        """Share (n,) of right answers among the draws of each scene."""
         right = self.by_scene(self.classes == self.true)
         return {"accuracy": right.mean(axis=1, dtype=float)}
 
@@ -116,7 +116,7 @@ class ValueAnswers(Answers):
 
     @cached_property
     def losses(self) -> np.ndarray:
-        """`squares` over the variance of the values; NaN of one that is alike in all scenes."""
+        """`squares` over the variance of the values; NaN for a value equal in all scenes."""
         variance = self.truth.var(axis=0, dtype=np.float64)
         variance[variance == 0] = np.nan
         return self.squares / variance
@@ -148,7 +148,7 @@ class Measure:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """Names of the measure and of the ends of its interval, where it has one."""
+        """Names of the measure, and of the ends of its interval if it has one."""
         return (self.key, *self.ends) if self.interval else (self.key,)
 
     def values(self, answers: Answers, terms: dict[str, np.ndarray]) -> list[float | None]:

@@ -33,7 +33,7 @@ SLIDER_BUDGETS = tuple(float(f"{10**power:.3g}") for power in np.arange(1, 7.1, 
 """Budgets at which the accuracy is measured, the whole range of the page's slider."""
 
 SCENES = 30
-"""Test scenes in the page, of each class as many as can be."""
+"""Test scenes in the page, as evenly from the classes as they allow."""
 
 TESTED = 300
 """Test scenes by which the accuracy of adaptive masks is measured, at most: a look takes a ms."""
@@ -51,6 +51,7 @@ def playable(
     trained = trained_budgets(design.info)
     inside = [budget for budget in trained if SLIDER_BUDGETS[0] <= budget <= SLIDER_BUDGETS[-1]]
     if design.exposure.makes_masks:
+        # half of the budgets, as looks take time (`TESTED`)
         budgets = sorted({*SLIDER_BUDGETS[::2], *inside})
         rows = np.random.default_rng(seed).permutation(len(fresh.x_test))[:TESTED]
         tested = replace(fresh, x_test=fresh.x_test[rows], y_test=fresh.y_test[rows])
@@ -92,7 +93,7 @@ def playable(
 
 
 def of_page(design: Design, seed: int = 0) -> Design:
-    """The design as a page plays it, with some of its scenes."""
+    """The design as a page plays it, with a subset of its scenes."""
     exposure = design.prior_exposure
     count = 10**6 // len(exposure.prior.components)  # a million coefficients of 8 bits
     return replace(design, exposure=replace(exposure, prior=exposure.prior.subset(count, seed)))
@@ -191,7 +192,7 @@ def _posterior(design: Design, full: Design) -> dict[str, Any]:
 
 
 def _temperatures(fitted: Temperatures | None) -> dict[str, Any] | None:
-    """Calibration of the probabilities, and the lowest light that is not too little."""
+    """Calibration of the probabilities, and the lowest sufficient light."""
     if fitted is None:
         return None
     return {

@@ -1,4 +1,4 @@
-"""Results of tests: how good the answers of a design at one budget are, and what light it took."""
+"""Results of tests: how good the answers of a design at one budget are, and their light."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
@@ -43,7 +43,7 @@ class _AnswerTest:
         return [measure for measure in MEASURES.values() if measure.of is cls.kind]
 
     def score(self, key: str) -> float | None:
-        """A measure by its key; None where the answers do not have it."""
+        """A measure by its key; None if the answers do not have it."""
         return self.further.get(key, getattr(self, key, None))
 
     def as_dict(self) -> dict[str, Any]:

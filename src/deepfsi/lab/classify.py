@@ -266,7 +266,7 @@ NOT_VIEWED = (
 def _test(
     design: "Design", test: CountTest, counts: Counts, budgets: np.ndarray, usable: np.ndarray
 ) -> tuple[ConsistencyResult | None, ViewResult | None]:
-    """Verdicts on the counts of usable exposures (S, R), summed over those of a scene."""
+    """Verdicts on counts, summed over the usable exposures (S, R) of each scene."""
     # The tests take scenes for independent, which exposures of one scene are not
     exposures = counts.expand_to_counts(usable)
     number = exposures.sum(axis=1)

@@ -57,7 +57,7 @@ class StreamingProjector(_Projector, Protocol):
 
 
 class PassProjector(_Projector, Protocol):
-    """Device that shows passes; each frame begins with a marker, and has the manifest's time."""
+    """Device that shows passes; frames begin with a marker, and have the times of the manifest."""
 
     def run(self) -> None:
         """Start one pass; may return before its end."""
@@ -190,7 +190,7 @@ class VirtualBench(AbstractContextManager["VirtualBench"]):
         self.now_s = self.recorder.end * DETECTOR_TICK_S
 
     def _hold(self, end: int) -> None:
-        """Go on showing the last frame until a tick, unless it is past."""
+        """Go on showing the last frame until a tick; past ticks do nothing."""
         ticks = max(end - self.recorder.end, 0)
         self.recorder.see(np.array([ticks]), self._rates[self._scene, [self._frame]])
 

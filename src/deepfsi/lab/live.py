@@ -157,7 +157,7 @@ def _margin_ns(gate_ns: np.ndarray | float) -> Any:
 
 
 def _shortest_gate(manifest: Manifest, looks_s: np.ndarray) -> int:
-    """Shortest gate of a run, ns; `InputError` where the device cannot show the looks (K,)."""
+    """Shortest gate of a run, ns; `InputError` if the device cannot show the looks (K,)."""
     device = manifest.device
     shortest_ns = device.shortest_us * 1000 - round(device.settle_us * 1000) - MARGIN_NS
     shortest_ns = max(shortest_ns, 1)

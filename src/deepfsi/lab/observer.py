@@ -128,7 +128,7 @@ class SceneObserver:
 
     @library_defaults(grad=False)
     def _take(self, arrivals: Arrivals) -> np.ndarray:
-        """Probabilities (C,) of the classes, from the photons of a look and those before."""
+        """Probabilities (C,) of the classes, from the photons of this look and earlier ones."""
         counts = torch.from_numpy(arrivals.photons).float()
         mask = self._masks[-1]
         share = self._gates_ns[-1] / self._exposure_ns
@@ -178,6 +178,7 @@ class SceneObserver:
         misfit = self._misfit
         if self._log_weights:
             # The misfit takes longer than a decision by tables: once, after all looks
+            # each look is an exposure of its own here, with the weights before it
             before = AdaptivePosterior(self._exposure.prior, looks, self._optics)
             before.log_weights = torch.cat(self._log_weights)
             share = self._exposure.settings.shares[0]

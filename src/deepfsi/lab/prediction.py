@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # it imports torch, which those who predict nothing do withou
 
 @dataclass(frozen=True, kw_only=True)
 class Predictions(ClassifiedRun):
-    """Classes of pictures, each from one exposure that was simulated."""
+    """Classes of pictures, each from one simulated exposure."""
 
     photons: float
     noise: str

@@ -72,7 +72,7 @@ class LoggedList(StrictModel):
 
 
 class LoggedScene(StrictModel):
-    """A scene as it was shown, and what was decided."""
+    """A scene as it was shown, and the decision on it."""
 
     scene: WholeNumber  # From 0
     first_marker: WholeNumber  # Markers before those of this scene
@@ -191,7 +191,7 @@ class ClassifiedRun:
         )
 
     def lines(self) -> Iterator[str | Table]:
-        """Say the class of each scene, what is wrong with it, and how many are right."""
+        """Say the class of each scene, its faults, and how many answers are right."""
         rows = [scene.cells() for scene in self.scenes]
         heads = [head for head in rows[0] if any(row[head] for row in rows)]
         yield Table(self.title, heads, [[row[head] for head in heads] for row in rows])
@@ -201,7 +201,7 @@ class ClassifiedRun:
         yield from self.summary()
 
     def summary(self) -> Iterator[str]:
-        """Say what the tests of the counts found, and how many answers are right."""
+        """Say the results of the tests of counts, and how many answers are right."""
         yield from self.remarks
         unclassified = sum(scene.predicted is None for scene in self.scenes)
         if unclassified:

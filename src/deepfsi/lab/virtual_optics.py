@@ -78,7 +78,7 @@ class VirtualCamera(Detector):
         )
 
     def fluctuate(self, rates: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Arrivals/s (p, inputs) of pictures with a level each; dark counts are steady."""
+        """Arrivals/s (p, inputs) of pictures, each with a random level; dark counts are steady."""
         if not self.fluctuation:
             return rates
         # Log-normal, with the mean 1
@@ -164,7 +164,7 @@ def _find_pixels(
 
 
 def _mirrors_of_arm(manifest: Manifest) -> list[np.ndarray | slice]:
-    """Mirrors of a device, in a row, that each detector of an arm sees."""
+    """Mirrors that each detector of an arm sees, as indices of the flattened device."""
     if manifest.detectors is None:
         return [slice(None)]
     if manifest.detectors.labels is None:
@@ -180,7 +180,7 @@ def _mirrors_of_arm(manifest: Manifest) -> list[np.ndarray | slice]:
 
 
 class MirrorLight:
-    """Light of scenes on the mirrors, and what a frame sends of it to the detectors."""
+    """Light of scenes on the mirrors, and its part that frames send to the detectors."""
 
     def __init__(
         self, manifest: Manifest, scenes: np.ndarray, camera: VirtualCamera, flux: float
@@ -213,6 +213,7 @@ class MirrorLight:
                 seen = on[:, mirrors] if arm == 0 else 1 - on[:, mirrors]
                 photons = (seen @ light.T).astype(np.float64) * self._flux
                 out.append(photons + (seen @ self._inside[mirrors])[:, None] * self._stray)
+        # from (inputs, F, S)
         return np.stack(out).transpose(2, 1, 0) * self._gains + self._camera.dark
 
 
@@ -242,7 +243,7 @@ def arrival_rates(
 
 
 def check_scenes(scenes: np.ndarray, manifest: Manifest, flux: float) -> np.ndarray:
-    """Images (S, h, w) of scenes, or `InputError` where they or their flux cannot be simulated."""
+    """Images (S, h, w) of scenes; `InputError` if they or their flux cannot be simulated."""
     # No counter takes more, and each photon takes memory
     if not 0 <= flux <= 1e10:
         raise InputError(f"a flux of {flux!r} is not allowed: give 0 to 1e10 photons/s")

@@ -107,6 +107,7 @@ class Patterns:
         total = len(manifest.frames)
         hashes: list[str] = []
 
+        # hashes are taken while frames are written, so that frames are made once
         def hashed() -> Iterator[np.ndarray]:
             for frame in self.frames():
                 hashes.append(sha256(frame.data).hexdigest())
@@ -215,7 +216,7 @@ class Patterns:
         return self.rails, self.manifest.image_shape, self.manifest.dimmed
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON types only: what is shown, and for how long."""
+        """JSON types only: the frames, and their times."""
         manifest = self.manifest
         device = manifest.device
         times = [frame.picture_us for frame in manifest.frames]
@@ -236,7 +237,7 @@ class Patterns:
         }
 
     def lines(self) -> Iterator[str]:
-        """Say what is shown, and for how long."""
+        """Say the frames, and their times."""
         manifest = self.manifest
         device = manifest.device
         grid = manifest.grid
@@ -296,19 +297,20 @@ def _times_us(
         return pictures, sentinel
     total = len(shares) + SENTINELS
     together = device.packed_frames(total)
-    video_us = max(*pictures, sentinel, -(-device.video_us // together))
-    if video_us > device.longest_us:
+    # a video frame holds `together` pictures, and lasts its shortest time or longer
+    picture_us = max(*pictures, sentinel, -(-device.video_us // together))
+    if picture_us > device.longest_us:
         raise InputError(
-            f"{total} frames, {together} in each picture of the video, would last {video_us} µs "
+            f"{total} frames, {together} in each picture of the video, would last {picture_us} µs "
             f"each, and {device.name} shows {device.longest_us} at most: give a shorter "
             f"--exposure, or masks that make with {SENTINELS} sentinels a multiple of more "
             "frames"
         )
-    return [video_us] * len(pictures), video_us
+    return [picture_us] * len(pictures), picture_us
 
 
 def _table(manifest: Manifest) -> str:
-    """How the frames are shown, for those who load them: the content of patterns.csv."""
+    """Content of patterns.csv, which tells other programs how to show the frames."""
     device = manifest.device
     # A controller of the DLPC347x family turns all mirrors OFF between frames, for the time in
     # which they settle; the others change from frame to frame

@@ -38,6 +38,7 @@ def make_frames(on: Iterable[np.ndarray], device: Device, grid: DmdGrid) -> Iter
     """Make packed frames of mirrors ON in each cell (N,), one at a time."""
     order = order_mirrors(grid.height, grid.width)[None, :, None, :]
     for counts in on:
+        # the first `counts` mirrors in the order of a cell are ON
         yield _pack(order < counts[grid.pixels][:, None, :, None], device, grid)
 
 
@@ -55,7 +56,7 @@ def _pack(lit: np.ndarray, device: Device, grid: DmdGrid) -> np.ndarray:
 
 
 def unpack(frame: np.ndarray, device: Device) -> np.ndarray:
-    """Mirrors, bool (rows, columns), True where a packed frame (rows, bytes of a row) has a 1."""
+    """Mirrors, bool (rows, columns), of a packed frame (rows, bytes of a row): True for a 1."""
     return np.unpackbits(frame, axis=1, count=device.columns).view(np.bool_)
 
 

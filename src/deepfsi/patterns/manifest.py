@@ -214,7 +214,7 @@ class Manifest(StrictModel):
 
     @property
     def two_arm(self) -> bool:
-        """True where a second detector sees the mirrors that are OFF."""
+        """True if a second detector sees the mirrors that are OFF."""
         return any(frame.rail == "both" for frame in self.frames)
 
     @property
@@ -229,7 +229,7 @@ class Manifest(StrictModel):
 
     @property
     def inputs(self) -> int:
-        """Inputs of a counter that are needed, one for each detector of each arm."""
+        """Number of counter inputs: one for each detector of each arm."""
         return self.arms * self.detector_count
 
     @property
@@ -260,14 +260,14 @@ class Manifest(StrictModel):
         return out.reshape(*out.shape[:-1], *self.detector_axis)
 
     def lengths_by_readout(self, lengths_s: np.ndarray) -> np.ndarray:
-        """For how long each readout is counted (rails, m), from the gates of masks' frames (f,)."""
+        """Length (rails, m) of the gate of each readout, from those of masks' frames (f,)."""
         out = np.zeros((self.rails, self.masks))
         rail, mask, column, _ = self.readout_table
         out[rail, mask] = lengths_s[column]
         return out
 
     def by_rail(self, inputs: np.ndarray) -> np.ndarray:
-        """Numbers (..., rails[, D]) of the inputs that read each rail, from all inputs."""
+        """Numbers (..., rails[, D]) of each rail, from numbers (..., inputs) of inputs."""
         # One arm reads both rails, of two each its own
         split = inputs.reshape(*inputs.shape[:-1], -1, self.detector_count)
         wide: Any = (*inputs.shape[:-1], self.rails, self.detector_count)

@@ -86,11 +86,11 @@ class DesignRails:
 
     @property
     def two_arm(self) -> bool:
-        """True where a second detector sees the mirrors that are OFF."""
+        """True if a second detector sees the mirrors that are OFF."""
         return LIGHT_LAWS[self.light].arms == 2
 
     def picture_s(self, device: Device, exposure_s: float | None) -> float:
-        """Mean picture time of a frame, seconds: what an exposure takes, or 1 ms without one."""
+        """Mean picture time of a frame, seconds, for an exposure; 1 ms without one."""
         if exposure_s is None:
             return 1e-3
         if self.looks is not None:
