@@ -1,6 +1,7 @@
 """Classes of runs and tables in Python: those of the command line, and what is refused."""
 
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,27 @@ def test_scenes_with_too_little_light_get_no_class_and_others_do(lab, tmp_path, 
         assert "budget" in {fault.kind for fault in scene.faults}
     forced = deepfsi.classify_table(lab / "frames", table, settings, force=True)
     assert [scene.predicted is None for scene in forced.scenes][2:] == [dark > 0, dark > 0, True]
+
+
+@pytest.mark.parametrize("light", [1.0, 2e-4])
+def test_a_row_of_photon_counts_that_is_there_twice_has_no_class(lab, tmp_path, light):
+    """Where chance repeats a row, as in hardly any light, it is no fault; nor are voltages."""
+    manifest = Patterns.read(lab / "frames").manifest
+    x = read_display(lab / "images").x[[0, 1, 1, 2, 0]]
+    rates = arrival_rates(Patterns.read(lab / "frames"), x, CAMERAS["ideal"], 1e7)[..., 0]
+    gate_s = np.full(len(manifest.frames), 10e-3 / len(manifest.mask_frames))
+    gate_s[manifest.mask_frames] = manifest.shares * 10e-3
+    rows = np.random.default_rng(0).poisson(light * rates * gate_s)
+    rows[4] = rows[0]
+    rows = rows[:, manifest.mask_frames]
+    np.save(tmp_path / "table.npy", rows)
+    classify = partial(deepfsi.classify_table, lab / "frames", tmp_path / "table.npy")
+    found = classify(TableSettings(photons=light * 1e5), force=True)
+    repeated = [any(fault.kind == "repeated" for fault in scene.faults) for scene in found.scenes]
+    assert repeated == ([True, False, False, False, True] if light == 1 else 5 * [False])
+    np.save(tmp_path / "table.npy", 0.37 * rows)
+    found = classify(TableSettings(photons=light * 1e5, gain=1 / 0.37), force=True)
+    assert not any(fault.kind == "repeated" for fault in found.faults)
 
 
 @pytest.fixture(scope="module")

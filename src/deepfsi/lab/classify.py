@@ -219,7 +219,7 @@ def _classify_counts(
     budgets = np.where(lit, stated, 1.0)
     test = CountTest(design)
     dim = [] if force else test.find_dim(stated)
-    counts = replace(counts, faults=(*dim, *counts.faults))
+    counts = replace(counts, faults=(*dim, *test.find_repeated(counts), *counts.faults))
     usable = counts.valid & (lit & ~counts.spoilt)[:, None]  # (S, R)
     if not usable.any():
         forced = "; `force` classifies them all the same" if dim else ""

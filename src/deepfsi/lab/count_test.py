@@ -12,8 +12,9 @@ import numpy as np
 
 from deepfsi.camera.light import TOO_DIM
 from deepfsi.counting.checks import Fault
+from deepfsi.counting.counts import Counts
 from deepfsi.designfile.distribution import REFUSED, UNSURE, ConsistencyResult
-from deepfsi.designfile.view_test import SceneReadouts, ViewResult, ViewTest
+from deepfsi.designfile.view_test import FALSE_ALARM, SceneReadouts, ViewResult, ViewTest
 
 if TYPE_CHECKING:  # it imports torch, which the command line loads late
     from deepfsi.design.design import Design
@@ -51,6 +52,23 @@ class CountTest:
             )
             for scene in np.flatnonzero(budgets * TOO_DIM < self._trained).tolist()
         ]
+
+    @staticmethod
+    def find_repeated(counts: Counts) -> list[Fault]:
+        """Faults of scenes with the photon counts of another exposure, as a sound run has not."""
+        from scipy.special import gammaln, xlogy
+
+        rows = counts.counts.reshape(counts.valid.size, -1).astype(float)
+        if counts.gates is not None or (rows % 1).any():  # a converter's values may repeat
+            return []
+        # No light makes counts k likelier than its own mean k does: k^k exp(-k) / k!
+        likeliest = (xlogy(rows, rows) - rows - gammaln(rows + 1)).sum(axis=1)
+        _, first, times = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
+        pairs = len(rows) ** 2 / 2
+        repeated = (times[first] > 1) & (likeliest < np.log(FALSE_ALARM / pairs))
+        detail = "its counts are those of another exposure: look at what wrote them"
+        scenes = np.unique(np.flatnonzero(repeated) // counts.valid.shape[1])
+        return [Fault(kind="repeated", scene=scene, detail=detail) for scene in scenes.tolist()]
 
     def compare(
         self, counts: np.ndarray, photons: np.ndarray, noise: np.ndarray
