@@ -74,7 +74,7 @@ def test_law_the_place_of_a_scene_is_found_with_stray_light(tmp_path, layout, pl
     wanted = place.get("scale", 1.0), place.get("turn", 0.0), down, across
     numbers = zip(WELL, wanted, (0.003, 0.2, 0.003, 0.003), strict=False)
     for name, number, floor in numbers:
-        assert abs(fit.place[name] - number) < 5 * fit.errors[name] + floor
+        assert abs(fit.pose[name] - number) < 5 * fit.errors[name] + floor
 
 
 def test_little_light_is_said_to_be_too_little(tmp_path):
@@ -108,7 +108,7 @@ def test_law_the_blur_of_the_target_is_found_and_refused_beyond_half_a_cell(tmp_
     camera = VirtualCamera(blur=cells * np.sqrt(shown.manifest.grid.mirrors))
     fit = found(tmp_path, camera, flux=1e9)
     assert fit.doubt is None
-    assert abs(fit.place["blur"] - cells) < 5 * fit.errors["blur"] + 0.1
+    assert abs(fit.pose["blur"] - cells) < 5 * fit.errors["blur"] + 0.1
     assert fit.fits == (cells < 0.5)
     if cells > 0.5:
         assert fit.departures == ["blur"]

@@ -196,8 +196,8 @@ def check_data(design: Design, data: Dataset) -> None:
         )
     values = design.values.names if design.values else ()
     if data.values != values or data.classes != design.classes:
-        found, wanted = (
+        held, wanted = (
             ", ".join((names or classes)[:12])
             for names, classes in ((data.values, data.classes), (values, design.classes))
         )
-        raise InputError(f"{data.name} has {found}, and the design answers {wanted}: use such data")
+        raise InputError(f"{data.name} has {held}, and the design answers {wanted}: use such data")

@@ -72,8 +72,8 @@ def classify_run(
     Examples
     --------
     >>> import deepfsi
-    >>> found = deepfsi.classify_run("small-dmd.safetensors", "run_0001")  # doctest: +SKIP
-    >>> [scene.predicted for scene in found.scenes]  # doctest: +SKIP
+    >>> run = deepfsi.classify_run("small-dmd.safetensors", "run_0001")  # doctest: +SKIP
+    >>> [scene.predicted for scene in run.scenes]  # doctest: +SKIP
     ['0', '1']
     """
     path = Path(folder)
@@ -159,8 +159,8 @@ def classify_table(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file, table = design.save(f"{folder}/one.safetensors"), f"{folder}/counts.npy"
     ...     numpy.save(table, numpy.random.default_rng(0).poisson(1e4 * rates[:, 0].detach()))
-    ...     found = deepfsi.classify_table(file, table, TableSettings(photons=1e4))
-    >>> len(found.scenes), found.scenes[0].photons
+    ...     run = deepfsi.classify_table(file, table, TableSettings(photons=1e4))
+    >>> len(run.scenes), run.scenes[0].photons
     (5, 10000.0)
     """
     patterns = Patterns.read(design) if Path(design).is_dir() else None

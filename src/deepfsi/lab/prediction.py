@@ -90,8 +90,8 @@ def predict(
     >>> design = deepfsi.learn("digits", photons=1e4, masks=10, training=few)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     written = write_display(deepfsi.load_dataset("digits"), folder, per_class=1)
-    ...     found = deepfsi.predict(design, folder, photons=1e4)
-    >>> found.scenes[3].label, len(found.scenes)
+    ...     answers = deepfsi.predict(design, folder, photons=1e4)
+    >>> answers.scenes[3].label, len(answers.scenes)
     ('3', 10)
     """
     import torch

@@ -74,7 +74,7 @@ class _ReferenceFit:
 
     exported: DmdLayout
     layout: DmdLayout  # that masks need to lie on the device as scenes do
-    place: dict[str, float]  # numbers of `WELL`, beyond the orientation
+    pose: dict[str, float]  # numbers of `WELL`, beyond the orientation
     errors: dict[str, float]  # standard errors of these
     doubt: str | None  # reason why what was found is not certain
 
@@ -85,7 +85,7 @@ class _ReferenceFit:
         for name, (usual, most, _) in WELL.items():
             # Blur is known less than the rest
             sure = 2.0 * self.errors[name] if name == "blur" else 0.0
-            if abs(self.place[name] - usual) - sure > most:
+            if abs(self.pose[name] - usual) - sure > most:
                 names.append(name)
         return names
 
@@ -101,7 +101,7 @@ class _ReferenceFit:
             name: layout.model_dump(include={"flip", "rotate"}) for name, layout in layouts.items()
         }
         verdict = {"fits": self.fits, "doubt": self.doubt, "departures": self.departures}
-        return {**verdict, "orientation": turns, "place": self.place, "errors": self.errors}
+        return {**verdict, "orientation": turns, "place": self.pose, "errors": self.errors}
 
     def lines(self) -> Iterator[str]:
         """Say how scenes lie, and whether as the masks do."""
@@ -110,7 +110,7 @@ class _ReferenceFit:
         yield f"orientation: {'as exported' if self.layout == self.exported else turned}"
         for name, (_, _, unit) in WELL.items():
             far = ": too far" if name in self.departures else ""
-            yield f"{name}: {self.place[name]:.3f} ± {self.errors[name]:.3f}{unit}{far}"
+            yield f"{name}: {self.pose[name]:.3f} ± {self.errors[name]:.3f}{unit}{far}"
         fits = "the scenes lie as the masks do" if self.fits else "the scenes do not fit the masks"
         yield self.doubt or fits
 
@@ -131,10 +131,10 @@ def _doubt(p_value: float, clear: float, errors: dict[str, float]) -> str | None
 
 
 def _image(
-    scene: DisplayedScenes, exported: DmdLayout, layout: DmdLayout, place: np.ndarray
+    scene: DisplayedScenes, exported: DmdLayout, layout: DmdLayout, pose: np.ndarray
 ) -> np.ndarray:
     """Light of a mask's pixels (N,) from scale, rotation, shifts and blur of a displayed scene."""
-    scale, turn, down, across, blur = place
+    scale, turn, down, across, blur = pose
     grid = scene.grid
     wide = grid.across * grid.aspect / grid.down
     sides = [1.0, wide] if exported.rotate in (90, 270) else [wide, 1.0]
@@ -199,16 +199,16 @@ def _fit_place(
     for done, layout in enumerate(orientations):
         report(done / len(orientations))
 
-        def misfit(place: np.ndarray, layout: DmdLayout = layout) -> np.ndarray:
+        def misfit(pose: np.ndarray, layout: DmdLayout = layout) -> np.ndarray:
             # Left of the counts over their noise by the target's light, and light spread evenly
-            image = _image(scene, exported, layout, place)
+            image = _image(scene, exported, layout, pose)
             light = masks @ np.stack([image, np.ones_like(image)], axis=1) / noise[:, None]
             size = np.maximum(np.linalg.norm(light, axis=0), 1e-300)
             weights, _ = optimize.nnls(light / size, counts / noise)
             return np.asarray(counts / noise - (light / size) @ weights)
 
         # The two best starts of each orientation are followed
-        for start in sorted(starts, key=lambda place: float((misfit(place) ** 2).sum()))[:2]:
+        for start in sorted(starts, key=lambda pose: float((misfit(pose) ** 2).sum()))[:2]:
             limits = [0.2, -0.8, -0.6, -0.6, 0.0], [4.0, 0.8, 0.6, 0.6, 2.0]
             step = optimize.least_squares(
                 misfit,
@@ -232,7 +232,7 @@ def _fit_place(
     return _ReferenceFit(
         exported=exported,
         layout=layout,
-        place=dict(zip(WELL, (best.x * degrees).tolist(), strict=True)),
+        pose=dict(zip(WELL, (best.x * degrees).tolist(), strict=True)),
         errors=errors,
         doubt=_doubt(p_value, min(rivals) - cost, errors),
     )
