@@ -80,9 +80,8 @@ def count_table(
             "`read_noise`"
         )
     if settings.clicks is not None:
-        refuse_photon_settings(
-            settings.background, settings.gain, settings.read_noise, dead_time or None
-        )
+        stated = settings.background, settings.gain, settings.read_noise, dead_time or None
+        refuse_photon_settings(*stated)
     values = _arrange(table, manifest, name)
     with_ends = values.shape[1] == len(manifest.frames)
     if not with_ends:

@@ -210,7 +210,7 @@ def camera_view(
     if not view.nnz:
         raise InputError("no cell looks at the display: calibrate the camera again")
     flat = np.array(calibration.flat)
-    # a flat field has as many cells as its calibration, interpolated to those of the masks
+    # a flat field has the cells of its calibration, and is interpolated to those of the masks
     finer = np.divide(cells_shape, flat.shape)
     flat = ndimage.zoom(flat, finer, order=1, mode="nearest", grid_mode=True)
     view = sparse.csr_array(sparse.diags_array(flat.ravel()) @ view).astype(np.float32)

@@ -223,11 +223,11 @@ def _fit_place(
     fits.sort(key=lambda fit: fit[0])
     cost, layout, best = fits[0]
     rivals = [fit[0] for fit in fits if fit[1] != layout]
-    # the second number of a place is its rotation
+    # the second number of a pose is its rotation
     degrees = np.array([1.0, np.degrees(1.0), 1.0, 1.0, 1.0])
     spread = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac))) * degrees
     errors = dict(zip(WELL, spread.tolist(), strict=True))
-    # 7 unknowns: five of the place, and the light of target and surroundings
+    # 7 unknowns: five of the pose, and the light of target and surroundings
     p_value = float(chi2.sf(cost, max(len(counts) - 7, 1)))
     return _ReferenceFit(
         exported=exported,
