@@ -7,7 +7,8 @@ from typing import NoReturn
 
 def main() -> NoReturn:
     """Run the command line, with Ctrl-C handled from the first moment."""
-    if sys.platform != "win32":  # what stops waits until its handler is there: imports take it ill
+    # Signals wait until their handler is there: within an import they do harm
+    if sys.platform != "win32":
         usual = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     from deepfsi.base.interrupts import STOPPED_EXIT_CODE, end_process, install_handler
 

@@ -108,6 +108,7 @@ def _read(source: str | Path) -> "tuple[Path, tuple[str, ...], pl.DataFrame]":
             frame = pl.read_parquet(path)
         names = tuple(frame.columns)
     else:
+        # A vector is one exposure; MATLAB's arrays have two dimensions or more
         dimensions = (2,) if suffix == ".mat" else (1, 2)
         values = read_array(path, dimensions, variable, usual="counts")
         if values.ndim not in dimensions:

@@ -30,7 +30,7 @@ def _entries() -> dict[str, dict[str, tuple[str, str]]]:
 
 @click.pass_context
 def _print_help(ctx: click.Context) -> None:
-    """Print the help of a group that is given without a command."""
+    """Print the help of a group that stands without a command."""
     if ctx.invoked_subcommand is None:
         print(ctx.get_help())
 
@@ -67,7 +67,8 @@ class Group(click.Group):
         target, summary = self.entries[cmd_name]
         if not target:
             return Group(cmd_name, summary, cmd_name)
-        gc.disable()  # what imports make stays: to look through it takes a seventh of their time
+        # Objects of imports stay: to look through them would take a seventh of their time
+        gc.disable()
         try:
             from deepfsi.cli.command import ClickCommand  # slow: pydantic
 
@@ -115,11 +116,12 @@ def run_command_line() -> NoReturn:
         context = getattr(error, "ctx", None)
         _fail(f"{words.rstrip('.')}; see `{context.command_path} --help`" if context else words)
     except ValueError as error:
-        if not isinstance(error.__cause__, KeyboardInterrupt):  # what pydantic makes of Ctrl-C
+        if not isinstance(error.__cause__, KeyboardInterrupt):  # pydantic wraps Ctrl-C
             raise
         code = STOPPED_EXIT_CODE
     except OSError as error:
-        with contextlib.suppress(OSError):  # or Python flushes again at its end, and exits with 120
+        # Else Python flushes again at its end, and exits with 120
+        with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         _fail(f"{error.filename or 'cannot write the output'}: {error.strerror or error}")
     if code == STOPPED_EXIT_CODE:

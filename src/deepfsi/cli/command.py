@@ -33,7 +33,7 @@ FORMS: dict[Any, str] = {
     float: "number",
     Path: "path",
 }
-"""Form of a value by the function that reads it, or by its type; others are text."""
+"""Form of a value in the help, by the function that reads it or by its type; else text."""
 
 
 class Command(StrictModel):
@@ -46,7 +46,7 @@ class Command(StrictModel):
         """Do the work."""
 
     def explicit(self, fields: Iterable[str]) -> dict[str, Any]:
-        """Those of these fields that stand on the command line, by name."""
+        """Values of the named fields that stand on the command line."""
         return {name: getattr(self, name) for name in fields if name in self.model_fields_set}
 
 
@@ -68,24 +68,25 @@ class ClickCommand(click.Command):
         for field_name, field in command.model_fields.items():
             source = _metadata(field, OptionsOf)
             if source is None:
-                each = _parameter(field.alias or field_name, field, field.is_required())
-                named = isinstance(each, click.Option)
-                self.headings["Options" if named else "Arguments"].append(each)
+                parameter = _parameter(field.alias or field_name, field, field.is_required())
+                named = isinstance(parameter, click.Option)
+                self.headings["Options" if named else "Arguments"].append(parameter)
                 continue
             for key, (heading, _, of_model) in source.fields.items():
                 axis = source.axes and key not in ("camera", "hidden")
-                each = _parameter(key, of_model, False, axis=axis, default=heading != "Camera")
-                self.headings.setdefault(heading, []).append(each)
+                # Without an option a setting is that of the chosen camera
+                option = _parameter(key, of_model, False, axis=axis, default=heading != "Camera")
+                self.headings.setdefault(heading, []).append(option)
         as_json = click.Option(["--json"], is_flag=True, help="print JSON and nothing else")
         self.headings["Options"].append(as_json)
-        params = [each for group in self.headings.values() for each in group]
+        params = [parameter for group in self.headings.values() for parameter in group]
         words = inspect.cleandoc(command.__doc__ or "")
         super().__init__(name, params=params, help=f"{summary}\n\n{words}")
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write arguments and options under their headings."""
         for heading, group in self.headings.items():
-            if rows := [row for each in group if (row := each.get_help_record(ctx))]:
+            if rows := [row for param in group if (row := param.get_help_record(ctx))]:
                 with formatter.section(heading):
                     formatter.write_dl(rows)
 
@@ -97,8 +98,8 @@ class ClickCommand(click.Command):
             raise InputError(self._with_options(str(error))) from error
 
     def _with_options(self, text: str) -> str:
-        """A text with its settings as options: `size` is --size."""
-        settings = {*JOB_OPTIONS, *Camera.model_fields, *(each.name for each in self.params)}
+        """A text whose settings are written as options: `size` as --size."""
+        settings = {*JOB_OPTIONS, *Camera.model_fields, *(param.name for param in self.params)}
 
         def option(named: re.Match[str]) -> str:
             setting, value = named.groups("")
@@ -110,12 +111,13 @@ class ClickCommand(click.Command):
         return re.sub(r'`([a-z_]+)(?:=("[^"`]*"|\d+))?`', option, text)
 
     def _run(self, ctx: click.Context) -> None:
-        """Read the settings, check what is written to, run, and print what was found."""
-        given = {
+        """Read the settings, check outputs, run, and print the outcome."""
+        # Options that do not stand on the command line are left to the defaults of the model
+        texts = {
             name: value for name, value in ctx.params.items() if value not in (None, False, ())
         }
-        terminal = Terminal(given.pop("json", False))
-        settings = self._read(given)
+        terminal = Terminal(texts.pop("json", False))
+        settings = self._read(texts)
         for name, field in self.command.model_fields.items():
             output = _metadata(field, Output)
             path = getattr(settings, name)
@@ -123,7 +125,7 @@ class ClickCommand(click.Command):
                 output.check(path, getattr(settings, "force", False))
         try:
             outcome = settings.run(terminal)
-        except KeyboardInterrupt:  # of which `click` would make an empty line
+        except KeyboardInterrupt:  # `click` would print an empty line
             ctx.exit(STOPPED_EXIT_CODE)
         terminal.write(outcome, ctx.command_path.partition(" ")[2].replace(" ", "."))
         if outcome.refusal:
@@ -131,22 +133,22 @@ class ClickCommand(click.Command):
         if outcome.failed:
             ctx.exit(1)
 
-    def _read(self, given: dict[str, Any]) -> Command:
-        """Settings of texts, or `InputError` that names every option that cannot be read."""
+    def _read(self, texts: dict[str, Any]) -> Command:
+        """Settings of texts; `InputError` names all options that cannot be read."""
         for name, field in self.command.model_fields.items():
             if source := _metadata(field, OptionsOf):
-                given[name] = {key: given.pop(key) for key in source.fields if key in given}
-        names = {each.name: each.opts[0] for each in self.params}
+                texts[name] = {key: texts.pop(key) for key in source.fields if key in texts}
+        names = {param.name: param.opts[0] for param in self.params}
 
         def name_of(fault: ErrorDetails) -> str:
             error = fault.get("ctx", {}).get("error")
-            if isinstance(error, InputError):  # which says all
+            if isinstance(error, InputError):  # it names its setting
                 return ""
             name = names[str(fault["loc"][0])]
             return f"{name}: " if error else f"{name} {shlex.quote(str(fault['input']))}: "
 
         try:
-            return self.command.model_validate(given)
+            return self.command.model_validate(texts)
         except ValidationError as error:
             raise InputError("; ".join(field_errors(error, name_of))) from None
 
@@ -156,15 +158,15 @@ def _option_name(setting: str) -> str:
 
 
 def _metadata(field: FieldInfo, kind: type) -> Any:
-    """What is declared of a field in a class of its own, if anything."""
-    return next((each for each in field.metadata if isinstance(each, kind)), None)
+    """Metadata of a field of that class, if it has any."""
+    return next((entry for entry in field.metadata if isinstance(entry, kind)), None)
 
 
 def _parameter(
     key: str, field: FieldInfo, required: bool, *, axis: bool = False, default: bool = True
 ) -> click.Parameter:
-    """Parser of the text of a field, which the model reads; what its help says."""
-    form, several = _form(field.annotation, tuple(field.metadata))
+    """Argument or option of a field; its text is read by the model."""
+    form, repeated = _form(field.annotation, tuple(field.metadata))
     words = str(field.description)
     extra = field.json_schema_extra
     if isinstance(extra, dict):
@@ -179,29 +181,29 @@ def _parameter(
     return click.Option(
         [key, _option_name(key), *(["-o"] if key == "out" else [])],
         is_flag=None if form else True,
-        multiple=several,
+        multiple=repeated,
         required=required,
-        metavar=f"<{form}{',…' * axis}{' …' * several}>" if form else None,
+        metavar=f"<{form}{',…' * axis}{' …' * repeated}>" if form else None,
         help=words,
         type=str if form else bool,
     )
 
 
 def _form(annotation: Any, metadata: tuple[Any, ...]) -> tuple[str, bool]:
-    """Form of a value, empty of a flag: ``number``, ``dual|single``; and if it may be repeated."""
-    parts = get_args(annotation)
+    """Form of a value, such as ``dual|single`` (empty: a flag), and whether it may be repeated."""
+    types = get_args(annotation)
     kind = get_origin(annotation)
     if kind is Annotated:
-        return _form(parts[0], (*metadata, *parts[1:]))
+        return _form(types[0], (*metadata, *types[1:]))
     if kind in (Union, UnionType):
-        return _form(parts[0], metadata)  # None is last
-    readers = [each.func for each in metadata if isinstance(each, BeforeValidator)]
+        return _form(types[0], metadata)  # None is last
+    readers = [entry.func for entry in metadata if isinstance(entry, BeforeValidator)]
     form = next((FORMS[reader] for reader in readers if reader in FORMS), "")
     if form:
         return form, False
     if kind is Literal:
-        return "|".join(map(str, parts)), False
+        return "|".join(map(str, types)), False
     if kind is tuple:
-        item, _ = _form(parts[0], ())
+        item, _ = _form(types[0], ())
         return (f"{item},…", False) if readers else (item, True)
     return ("" if annotation is bool else FORMS.get(annotation, "text")), False

@@ -54,8 +54,9 @@ class LearnDesign(Command):
         from deepfsi.physics.noise import noise_of
         from deepfsi.training.learning import learn_job
 
-        noise_of(job.camera)  # of the test: what it cannot be is said before the training
+        noise_of(job.camera)  # refuses a noise of the test before the training
         checkpoint = self.out.with_name(f"{self.out.name}.checkpoint")
+        # --force trains anew
         if self.force:
             checkpoint.unlink(missing_ok=True)
         with terminal.progress(f"{job.design}, {job.masks} masks") as report:
@@ -69,11 +70,12 @@ class LearnDesign(Command):
             )
         lowest = design.info["job"]["photons"]
         design.save(self.out)
+        # Both ends of a range, or the one budget
         budgets = list(dict.fromkeys((lowest, job.exposure.highest(lowest))))
         draws = 1 if job.facts.adaptive else 3  # a look at one scene takes a millisecond
         with terminal.progress("test") as report:
             results = evaluate(design, scenes, budgets, draws=draws, report=report)
-        lit = min(sum(light > 0 for light in each.photons_per_mask) for each in results)
+        lit = min(sum(light > 0 for light in test.photons_per_mask) for test in results)
         return Outcome(
             {
                 "design": str(self.out),
@@ -93,7 +95,7 @@ class LearnDesign(Command):
 
 
 def _job_settings(options: Mapping[str, str]) -> dict[str, Any]:
-    """Fields of the job of options; a range of budgets is LOW:HIGH."""
+    """Fields of a job from its options; LOW:HIGH is a range of budgets."""
     tables: dict[str, dict[str, Any]] = {heading: {} for heading, _, _ in JOB_OPTIONS.values()}
     for option, text in options.items():
         heading, name, _ = JOB_OPTIONS[option]
@@ -111,9 +113,10 @@ def _job_settings(options: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _remarks(design: "Design", results: list[Result], lit: int) -> Iterator[str]:
-    """Say what may be done better of a new design with `lit` masks."""
+    """Advice on a new design; `lit` of its masks have light."""
     masks = len(results[0].photons_per_mask)
-    if lit < masks and not design.exposure.makes_masks:  # which may end before
+    # Adaptive exposures may end before their last mask
+    if lit < masks and not design.exposure.makes_masks:
         yield f"masks: {lit_text(masks, lit)}; give a longer --exposure, or --masks {lit}"
     left_out = design.info.get("left_out")
     if left_out and left_out["guesses"]:

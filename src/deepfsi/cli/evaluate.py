@@ -91,7 +91,7 @@ class PredictClasses(Command):
             import polars
             from polars import selectors
 
-            # a spreadsheet would take a name such as =1+1 for a formula
+            # A spreadsheet would take a name such as =1+1 for a formula
             plain = selectors.string().str.replace(r"^[=+@-]", "'$0")
             table = polars.DataFrame(content["pictures"], infer_schema_length=None)
             table = table.with_columns(plain)
@@ -104,18 +104,18 @@ class PredictClasses(Command):
 
 
 def data_lines(data: "Dataset | Data", notes: Sequence[str] = ()) -> list[str]:
-    """Say in one line what was done to the scenes of a data set, and notes on it."""
+    """Lines on the preprocessing of a data set, and notes on it."""
     return [f"data: {data.name}. {data.preprocessing}", *(f"note: {note}" for note in notes)]
 
 
 def with_classes(design: "Design", result: Result | Estimates) -> dict[str, Any]:
-    """A test as JSON, with the classes that its lists are of."""
+    """A test as JSON types, with the classes that its lists follow."""
     return {"classes": design.classes, **result.as_dict()}
 
 
 def evaluation_lines(
     design: "Design", results: Sequence[Result | Estimates], noise: str
 ) -> Iterator[str | Table]:
-    """Say how a design tests."""
+    """Lines and tables on the tests of a design."""
     title = f"{design.name}, {design.exposure.title}, {noise} noise"
     return results_lines(results, title=title, classes=design.classes)

@@ -1,7 +1,7 @@
 """Settings of commands: how one is declared, the kinds that many have, and their checks.
 
-A setting is a field of a model: its type is what is read of a text, its words are in `--help`.
-Settings that have a model in a lower room are not written again: `OptionsOf` takes them from there.
+A setting is a field of a model: its type says how its text is read, its words are in `--help`.
+Settings of a model in a lower room are not declared again: `OptionsOf` takes them from there.
 """
 
 import re
@@ -28,9 +28,9 @@ from deepfsi.jobs.job import Job
 from deepfsi.jobs.training import Training
 
 
-def option(words: str, default: Any = None, **more: Any) -> Any:
+def option(words: str, default: Any = None, **keywords: Any) -> Any:
     """Field of an option; one whose default is ``...`` must be given."""
-    return Field(default, description=words, **more)
+    return Field(default, description=words, **keywords)
 
 
 def argument(words: str, metavar: str = "", default: Any = ...) -> Any:
@@ -40,7 +40,7 @@ def argument(words: str, metavar: str = "", default: Any = ...) -> Any:
 
 @dataclass(frozen=True)
 class OptionsOf:
-    """Options made from fields of models, for a command's `dict` of those that were given."""
+    """Options made from fields of models; a command gets those that were set as a `dict`."""
 
     fields: Mapping[str, tuple[str, str, FieldInfo]]  # by name: heading, name in its table, field
     axes: bool = False  # True if each takes several values
@@ -53,13 +53,13 @@ _TABLES: tuple[tuple[str, type[BaseModel], tuple[str, ...]], ...] = (
     ("Training", Training, ("epochs", "batch", "mask_lr", "hidden", "counts", "clusters")),
     ("Exposure", SharedLight, ("cap",)),
 )
-# `--device` is where torch computes. The rarer settings a camera's file gives, a recipe or Python
+# `--device` is where torch computes. Rarer settings are in a camera's file, a recipe or Python
 JOB_OPTIONS = {
     "dmd" if name == "device" else name: (heading, name, model.model_fields[name])
     for heading, model, names in _TABLES
     for name in names
 }
-"""Options of a job by name: heading, which is the setting's table of a job, and its field there."""
+"""Options of a job by name: heading (its table in the job), name there, and field."""
 
 
 def job_options(*, axes: bool = False, leave: Iterable[str] = ()) -> OptionsOf:
@@ -78,10 +78,10 @@ class Output:
     """Where a command writes, checked before its work."""
 
     endings: tuple[str, ...] = ()
-    new: bool = False  # True of a folder that may not be there, or is empty
+    new: bool = False  # True for a folder that must be missing or empty
 
     def check(self, path: Path, force: bool) -> None:
-        """Raise `InputError` unless this can be written there; `force` lets it replace a file."""
+        """Raise `InputError` if the path cannot be written; `force` allows to replace a file."""
         if self.new and path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise InputError(f"{path} exists already: give a new folder")
         if self.endings:
@@ -91,10 +91,11 @@ class Output:
                     f"{path} exists already: give another name, or --force to replace it"
                 )
         folder = path.parent if self.endings or self.new else path
-        there = next(each for each in (folder, *folder.parents) if each.exists())
+        existing = next(path for path in (folder, *folder.parents) if path.exists())
         try:
-            with tempfile.TemporaryFile(dir=there) as file:
-                file.write(bytes(2**20))  # a file may be made where nothing can be written into it
+            # A full disk may take a file, but no bytes
+            with tempfile.TemporaryFile(dir=existing) as file:
+                file.write(bytes(2**20))
         except OSError as error:
             raise InputError(
                 f"cannot write to {path}: {error.strerror}; give another place"
@@ -102,13 +103,13 @@ class Output:
 
 
 def split_commas(text: str) -> list[str]:
-    """Parts of a text between commas; `ValueError` if one is empty."""
-    parts = [part.strip() for part in text.split(",")]
-    if not all(parts):
+    """Values in a text between commas; `ValueError` if one is empty."""
+    values = [value.strip() for value in text.split(",")]
+    if not all(values):
         raise ValueError(
             f"{text!r} has an empty place: give one value or more, separated by commas"
         )
-    return parts
+    return values
 
 
 def height_width(text: str) -> tuple[int, int]:

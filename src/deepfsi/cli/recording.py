@@ -29,7 +29,7 @@ from deepfsi.patterns.folder import Patterns
 def _planned(
     command: Command, patterns: Patterns, scenes: tuple[Scene, ...], **settings: Any
 ) -> Acquisition:
-    """Acquisition of the patterns, as the options of a command have it."""
+    """Acquisition of the patterns by the options of a command."""
     settings |= command.explicit(("inputs", "marker_bit", "settle_s", "repeats"))
     return Acquisition.plan(patterns.manifest, scenes, **settings)
 
@@ -56,7 +56,7 @@ class _Run(Command):
     seed: WholeNumber = fields.option("seed: the same one repeats the run exactly", 0)
 
     def of_virtual(self, camera: Camera) -> dict[str, Any]:
-        """Settings of an acquisition with the virtual camera, which needs light."""
+        """Settings of an acquisition with the virtual camera; `InputError` without light."""
         if camera.flux is None:
             raise InputError(
                 "a virtual camera needs its light: give `flux`, such as 1e6, or a camera"
@@ -100,12 +100,12 @@ class _DeviceRun(_Run):
     marker_bit: fields.MarkerBit = None
 
     def open_projector(self, role: str) -> Any:
-        """Real projector, or None of virtual devices; `InputError` where options do not fit."""
-        for kind, part, text in (
+        """Real projector, or None for virtual devices; `InputError` if options do not fit."""
+        for option, kind, text in (
             ("projector", role, self.projector),
             ("counter", "counter", self.counter),
         ):
-            check_choice(kind, text.partition(",")[0], ("virtual", *installed().parts[part]))
+            check_choice(option, text.partition(",")[0], ("virtual", *installed().parts[kind]))
         is_virtual = self.projector == "virtual"
         if is_virtual != (self.counter == "virtual"):
             raise InputError("virtual and real devices do not go together: give both, or neither")
@@ -125,7 +125,7 @@ class _DeviceRun(_Run):
         terminal: Terminal,
         decision_s: float | None = None,
     ) -> Setup:
-        """Devices of a run; to real ones someone shows the scenes, whose names are asked for."""
+        """Devices of a run. With real ones a person is asked to show each scene."""
         if images is not None and projector is None:
             with terminal.progress("light of the scenes") as report:
                 return virtual_setup(patterns, images.x, acquisition, report, decision_s)
@@ -191,12 +191,12 @@ class RunLive(_DeviceRun):
             raise InputError("an exposure needs a time: give `exposure`, such as 10ms, or a camera")
         patterns = Patterns.read(self.patterns)
         images, scenes = shown_scenes(self.scene, patterns)
-        others = self.explicit(("inputs", "marker_bit")) | {"flux": camera.flux}
+        wiring = self.explicit(("inputs", "marker_bit")) | {"flux": camera.flux}
         if dead_time := camera.counter_dead_time:
-            others["dead_time"] = dead_time
+            wiring["dead_time"] = dead_time
         if projector is None:
-            others |= self.of_virtual(camera)
-        run = LiveRun(patterns, scenes, exposure_s, until=self.until, **others)
+            wiring |= self.of_virtual(camera)
+        run = LiveRun(patterns, scenes, exposure_s, until=self.until, **wiring)
         setup = self.setup(projector, patterns, images, run.settings, terminal, run.decision_s)
         answered = []
         view = None
@@ -208,8 +208,8 @@ class RunLive(_DeviceRun):
                     terminal.say(_words(step.answer))
                     for fault in step.faults:
                         terminal.say(f"  {fault.words()}")
-        if all(each.predicted is None for each in answered):
-            first = next(fault for each in answered for fault in each.faults)
+        if all(answer.predicted is None for answer in answered):
+            first = next(fault for answer in answered for fault in answer.faults)
             raise InputError(f"no scene of {self.out} has a class: {first.words()}")
         answers = ClassifiedRun(
             title="a live run",

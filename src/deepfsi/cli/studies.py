@@ -35,7 +35,7 @@ class _Study(Command):
     workers: fields.WorkerCount = None
     device: fields.TorchDevice = "auto"
 
-    def study(self, terminal: Terminal, recipe: Recipe, scenes: Dataset, **others: Any) -> Outcome:
+    def study(self, terminal: Terminal, recipe: Recipe, scenes: Dataset, **options: Any) -> Outcome:
         """Train; write the results and their page."""
         from deepfsi.report.comparison_page import (
             comparison_lines,
@@ -53,11 +53,12 @@ class _Study(Command):
                 device=self.device,
                 workers=self.workers,
                 report=report,
-                **others,
+                **options,
             )
         write_results(self.out / "results.json", results)
         page = write_report(self.out)
         notes = [scenes_text(results.data)]
+        # Values of single images would make JSON long
         content = results.as_dict()
         for point in content["points"]:
             point.pop("terms", None)
@@ -133,11 +134,11 @@ def _shipped_recipes() -> dict[str, Traversable]:
     folders = [files("deepfsi") / "sweeps" / "recipes"]
     if find_spec("deepfsi_paper") is not None:
         folders.append(files("deepfsi_paper") / "recipes")
-    return {Path(each.name).stem: each for folder in folders for each in folder.iterdir()}
+    return {Path(file.name).stem: file for folder in folders for file in folder.iterdir()}
 
 
 def read_recipe(source: str) -> dict[str, Any]:
-    """Settings of a recipe with that name, or of a file; ``./mnist`` is a file of that name."""
+    """Settings of a recipe by its name, or of a file; ``./mnist`` is a file."""
     recipes = _shipped_recipes()
     path = Path(source)
     if source not in recipes and not path.exists():
@@ -151,7 +152,7 @@ def read_recipe(source: str) -> dict[str, Any]:
 
 
 def _recipe_settings(options: Mapping[str, str]) -> dict[str, Any]:
-    """Settings of the recipe that options of a job ask for, each an axis."""
+    """Settings of a recipe from options of a job, each an axis."""
     settings: dict[str, Any] = {"camera": {}, "training": {}, "exposure": {}}
     for option, text in options.items():
         if option == "camera":

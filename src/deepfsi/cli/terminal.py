@@ -19,9 +19,9 @@ class Outcome:
     """Result of a command: as a dict for scripts, and in lines for a reader."""
 
     content: Mapping[str, Any]  # JSON types
-    lines: Iterable[str | Table] = ()  # where there are none, the content says itself
-    failed: bool = False  # True if something that was checked is not as it should be: exit code 1
-    refusal: str = ""
+    lines: Iterable[str | Table] = ()  # without any, the content is printed
+    failed: bool = False  # True if a check failed: exit code 1
+    refusal: str = ""  # an error to end with after the content: exit code 2
 
 
 class Terminal:
@@ -54,7 +54,7 @@ class Terminal:
             raise InputError("nobody is there to show the scenes: run this in a terminal")
 
     def write(self, outcome: Outcome, command: str) -> None:
-        """Print what a command found, as JSON with its schema first: "deepfsi.camera.count/1"."""
+        """Print an outcome; JSON has its schema first, such as "deepfsi.camera.count/1"."""
         self.say(
             *outcome.lines
             or (
@@ -64,7 +64,8 @@ class Terminal:
             )
         )
         if self.as_json:
-            first = {"schema": f"deepfsi.{command}/1"}  # raised where a field changes or goes
+            # The number rises when a field changes or goes
+            first = {"schema": f"deepfsi.{command}/1"}
             # Letters beyond ASCII are escaped: bytes of a path may be no UTF-8
             print(json.dumps({**first, **outcome.content, **first}, indent=1))
 
@@ -81,7 +82,7 @@ def print_table(content: Table) -> None:
     for number, head in enumerate(content.heads):
         grid.add_column(head, justify="right" if number else "left", overflow="fold")
     for row in content.rows:
-        grid.add_row(*map(one_line, row))  # a name of a file may hold commands to a terminal
+        grid.add_row(*map(one_line, row))  # names of files may hold terminal commands
     console = Console(markup=False, emoji=False, highlight=False)
     if not console.is_terminal:  # a file or a pipe has no width
         unbounded = console.options.update(max_width=sys.maxsize)

@@ -147,6 +147,7 @@ class Dataset:
     def hash(self) -> str:
         """SHA-256 in hex over the arrays, their shapes and the names of classes or values."""
         arrays = (self.x_train, self.y_train, self.x_test, self.y_test)
+        # Other scenes may have the same bytes in another shape
         shapes = [array.shape for array in arrays]
         words = json.dumps([shapes, self.image_shape, self.classes or self.values])
         digest = hashlib.sha256(words.encode())

@@ -51,7 +51,7 @@ def load_pictures(options: Origin) -> Dataset:
         name = path.stem
         train, labels, values = _read_list(path)
     else:
-        name = path.resolve().name
+        name = path.resolve().name  # also of the folder `.`
         train, *test = list_pictures(path)
         if options.images is not None and not test:
             raise InputError(
@@ -98,6 +98,7 @@ def _read_list(path: Path) -> tuple[list[Path], npt.NDArray[Any], Sequence[str] 
     if unsure or any(cells.null_count().row(0)) or cells[:, 0].is_duplicated().any():
         raise InputError(f"{path} does not name each image in one whole line: {advice}")
     folder = path.with_suffix("") if path.with_suffix("").is_dir() else path.parent
+    # Lists of Windows separate folders by backslashes
     images = [folder / name.replace("\\", "/") for name in cells[:, 0]]
     if cells.width == 2 and not (numbers and cells[:, 1].str.contains(r"\.").any()):
         return images, cells[:, 1].to_numpy(), None
@@ -111,9 +112,9 @@ def is_image(name: str) -> bool:
 
 
 def _names_text(names: Sequence[str | Path]) -> str:
-    """Twenty of many names, for a message."""
-    more = f" and {len(names) - 20} more" if len(names) > 20 else ""
-    return ", ".join(readable_name(str(name)) for name in names[:20]) + more
+    """Names for a message, twenty of them at most."""
+    rest = f" and {len(names) - 20} more" if len(names) > 20 else ""
+    return ", ".join(readable_name(str(name)) for name in names[:20]) + rest
 
 
 def class_name(path: Path) -> str:
@@ -208,6 +209,7 @@ def _read(path: Path) -> tuple[npt.NDArray[Any], bool]:
     content = read_regular(path, 2**28, "replace or remove it")
     try:
         with warnings.catch_warnings():
+            # Pillow itself only warns of huge images
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(content), formats=formats) as image:
                 pixels = image.width * image.height

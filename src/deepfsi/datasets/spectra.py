@@ -141,6 +141,7 @@ class SpectralImage:
         np.clip(x, 0, 1, out=x)
         y = np.searchsorted(self.present, self.labels.ravel()).astype(np.int64)
         train, test = (np.flatnonzero(mask) for mask in self.parts(split, seed))
+        # The last training scenes must be a fair sample to validate on
         train = np.random.default_rng(seed).permutation(train)
         scaled = "" if (low, high) == (0, 1) else f" mapped from [{low:g}, {high:g}] to [0, 1]"
         dark = "" if x.shape[1] == lit else f", padded with darkness to {x.shape[1]}"

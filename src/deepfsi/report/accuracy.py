@@ -17,7 +17,7 @@ from deepfsi.report.style import photons_text
 from deepfsi.sweeps.results import Results
 
 Measured: TypeAlias = Any
-"""Accuracy of a design with its interval: a `Point`, or what has its names, as other cameras do."""
+"""Accuracy of a design with its interval: a `Point`, or an object with its attributes."""
 
 DESIGN_AND_OPTICS = ("design", "light", "rails", "detectors")
 """Fields that tell series apart in every comparison, the design first."""
@@ -37,7 +37,7 @@ class Series:
 
     @classmethod
     def of(cls, results: Results, points: Iterable[Measured] | None = None) -> "Series":
-        """Series of some points of a comparison; None for all."""
+        """Series of points of a comparison, by default all of them."""
         return cls(results.points if points is None else points, series_axes(results))
 
     def key(self, point: Measured) -> SeriesKey:
@@ -45,10 +45,11 @@ class Series:
         return tuple(str(getattr(point, axis)) for axis in self.axes)
 
     def name(self, point: Measured, field: str = "title") -> str:
-        """Name of a point's series: the design's, and other axes where these tell two apart."""
+        """Name of a point's series: the design, and the axes that tell its series apart."""
         key = self.key(point)
         kin = [other for other in self.groups if other[0] == key[0]]
-        shares = shares_light(self.groups[key][0])  # their variant says so
+        # Its variant says that the budget is a mean
+        shares = shares_light(self.groups[key][0])
         apart = [
             _axis_text(axis, getattr(self.groups[key][0], axis))
             for index, axis in enumerate(self.axes)
@@ -58,7 +59,7 @@ class Series:
         return " ".join(filter(None, [getattr(self.groups[key][0], field), *apart]))
 
     def figure_names(self) -> dict[SeriesKey, str]:
-        """Name of each series in a figure: written out, or short where one would be too long."""
+        """Names of series in a figure: titles, or labels where one title would be too long."""
         firsts = {key: members[0] for key, members in self.groups.items()}
         names = {key: self.name(point) for key, point in firsts.items()}
         if max(map(len, names.values())) <= 32:  # letters beside a panel
@@ -67,13 +68,14 @@ class Series:
 
 
 def series_axes(results: Results) -> tuple[str, ...]:
-    """Fields that tell series apart, of those in which points differ beside noise and budget."""
+    """Fields, beside noise and budget, that tell the series of a comparison apart."""
     points = results.points
     apart = [axis for axis in ("variant", "levels") if len({getattr(p, axis) for p in points}) > 1]
     if "variant" not in apart and any(map(shares_light, points)):
         apart.append("variant")
     if any(p.trained_at != p.photons for p in points):
         apart.append("trained_at")
+    # Where one noise of the test has several of the training
     pairs = {(p.noise, p.trained_under) for p in points}
     if len(pairs) > len({noise for noise, _ in pairs}):
         apart.append("trained_under")
@@ -86,12 +88,12 @@ def series_axes(results: Results) -> tuple[str, ...]:
 
 
 def shares_light(point: Measured) -> bool:
-    """True of exposures that stop when a class is sure, so that their budget is a mean."""
+    """True for exposures that end when a class is certain: their budget is a mean."""
     return "mean_light" in getattr(point, "further", {})
 
 
 def _axis_text(axis: str, value: Any) -> str:
-    """Value of a field as a name of a series has it."""
+    """Value of a field, as the name of a series writes it."""
     if axis == "levels":
         return f"{value} levels" if value else "continuous"
     if axis == "trained_at":
@@ -157,13 +159,14 @@ def accuracy_axes(
     chance: float,
     top: float = 1.0,
 ) -> None:
-    """Draw accuracies over a quantity, one line for each series, named at its right."""
+    """Draw accuracies over a quantity, a line for each series, named at the right."""
     series = Series(points, axes)
     groups = series.groups
     names = series.figure_names()
     values = [across(point) for members in groups.values() for point in members]
     decades = max(1.0, math.log10(max(values) / min(values)))
-    apart = 10 ** (0.004 * decades)  # between series, whose bars at one budget overlap otherwise
+    # Between series, whose bars at one budget would overlap
+    apart = 10 ** (0.004 * decades)
     lines: list[tuple[float, Any]] = []
     for index, (key, members) in enumerate(groups.items()):
         variant = sum(other[0] == key[0] for other in list(groups)[:index])
@@ -176,6 +179,7 @@ def accuracy_axes(
         drawn = ax.errorbar(
             x,
             y,
+            # matplotlib refuses negative bars, which rounding may give
             yerr=np.clip(bars, 0, None),
             label=names[key],
             linestyle=(0, (1 + variant,) * 2) if variant else style.DESIGN_LINES.get(design, "-"),
@@ -196,6 +200,6 @@ def accuracy_axes(
     ax.set_ylabel(style.ACCURACY_AXIS)
     ax.grid(axis="y")
     ax.xaxis.set_minor_locator(NullLocator())
-    # in the order in which the lines end
+    # In the order in which the lines end at the right
     handles = [drawn for _, drawn in sorted(lines, key=itemgetter(0), reverse=True)]
     ax.legend(handles=[*handles, guessing], loc="upper left", bbox_to_anchor=(1, 1), frameon=False)

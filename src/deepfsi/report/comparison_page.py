@@ -27,7 +27,7 @@ from deepfsi.report.style import Figures, photons_text
 from deepfsi.sweeps.results import Data, Point, Results, accuracy_difference, read_results
 
 MASKS_SHOWN = 12
-"""Masks of a design that the page shows at most."""
+"""Largest number of masks of a design that the page shows."""
 
 PagePart = dict[str, Any]
 """Part of a page by the names that its template uses."""
@@ -71,7 +71,7 @@ def _page_text(results: Results, designs: Path, figures: Figures) -> str:
 
 
 def _mean_light_text(points: Iterable[Point]) -> str | None:
-    """Say how much light exposures took that may end early; None if none may."""
+    """Sentence on the light that exposures took, if some may end early."""
     taken = [point.further["mean_light"] for point in points if shares_light(point)]
     if not taken:
         return None
@@ -83,7 +83,7 @@ def _mean_light_text(points: Iterable[Point]) -> str | None:
 
 
 def scenes_text(data: Data) -> str:
-    """Say on which scenes designs were trained and tested."""
+    """Sentence on the scenes that designs were trained and tested on."""
     words = f"trained on {data.train} scenes, tested on {data.test}"
     if data.folds > 1:
         words = (
@@ -106,11 +106,12 @@ def _chosen(results: Results, noise: str) -> list[Point]:
 def _mask_panels(
     points: Iterable[Point], photons: float, designs: Path, figures: Figures
 ) -> Iterator[PagePart]:
-    """Masks of each learned design at a budget, of its first trial, where its file is there."""
+    """Masks of the first trial of each learned design at a budget, if its file is there."""
     # Files hold masks before they are quantised for a test
     learned = [p for p in points if p.learned and p.photons == photons and not p.levels]
-    files = [(p, designs / f"{p.keys[0]}.safetensors") for p in learned]
-    for number, (point, path) in enumerate((each for each in files if each[1].is_file()), start=1):
+    paths = [(p, designs / f"{p.keys[0]}.safetensors") for p in learned]
+    files = [(point, path) for point, path in paths if path.is_file()]
+    for number, (point, path) in enumerate(files, start=1):
         design = DesignFile.read(path, ("rails",))
         header = design.mask_header
         shape = header.exposure.mask_shape(header.image_shape)
@@ -148,27 +149,27 @@ def _count_panels(results: Results, figures: Figures) -> Iterator[PagePart]:
 def _best_table(results: Results, noise: str) -> PagePart:
     """Chosen mask counts under a noise: a row for each series, a column for each budget.
 
-    The leaders of a budget are the first of the ranking, and all that it is not told apart from on
-    the same test images.
+    The leaders of a budget are the first of the ranking, and all designs that the same test images
+    do not tell apart from it.
     """
     points = _chosen(results, noise)
     series = Series.of(results, points)
     budgets = sorted({p.photons for p in points})
     rows = []
     for members in series.groups.values():
-        at = {p.photons: p for p in members}
-        row = [at.get(photons) for photons in budgets]
+        by_budget = {p.photons: p for p in members}
+        row = [by_budget.get(photons) for photons in budgets]
         rows.append((series.name(members[0]), members[0], row))
     leaders = []
     for photons in budgets:
-        first, *others = _ranking(points, photons)
-        leaders += [first, *(p for p in others if not _better(first, p))]
+        first, *rest = _ranking(points, photons)
+        leaders += [first, *(p for p in rest if not _better(first, p))]
     heading = noise_text(noise).capitalize()
     return {"heading": heading, "budgets": budgets, "rows": rows, "leaders": leaders}
 
 
 def _errors_table(results: Results, best: Iterable[Point]) -> Table:
-    """Errors of each value."""
+    """Root mean squared errors of each value, a row for each point."""
     series = Series.of(results, best)
     return Table(
         "root mean squared error",
@@ -217,18 +218,18 @@ class _Verdict(NamedTuple):
     """The verdict of a comparison."""
 
     title: str  # a heading: "3 (2 to 4) times less light with DeepFSI than with PCA"
-    text: str  # the same with its numbers, a sentence
-    best: Point  # of the most accurate design, at the tested budget at which designs differ most
+    text: str  # the same with its numbers, as a sentence
+    best: Point  # the most accurate design, at the tested budget where designs differ most
 
 
 def verdict_of(results: Results) -> _Verdict:
     """The verdict of a comparison, under the first of its noises.
 
-    The most accurate design of a camera is compared with the most accurate one that is neither
-    learned nor adaptive, at the budget where they differ most. How many times less light it needs
-    is found where the curve of the other meets its accuracy, or where its own meets that of the
-    other, within the tested budgets; else the accuracies at that budget are said. Where the
-    difference is not above 0 at any budget, the verdict says so.
+    The most accurate design of a camera is compared with the most accurate rival that is neither
+    learned nor adaptive, at the budget where they differ most. The ratio of their light is found
+    where the rival's curve reaches the accuracy of the design, or where the design's curve reaches
+    that of the rival. If neither does within the tested budgets, the verdict gives the accuracies.
+    If the difference is not above 0 at any budget, it says that they cannot be told apart.
     """
     noise = noises(results)[0]
     points = _chosen(results, noise)
@@ -236,14 +237,14 @@ def verdict_of(results: Results) -> _Verdict:
     rankings = [_ranking(points, photons) for photons in sorted({p.photons for p in points})]
     under = f" under {noise_text(noise)}" if len(noises(results)) > 1 else ""
     measure = main_measure(results.data.measure).title
-    pairs = [(first, _rival(others)) for first, *others in rankings if others]
+    pairs = [(first, _rival(rest)) for first, *rest in rankings if rest]
     if not pairs:
         best = rankings[-1][0]
         title = f"{capital(measure)} {best.accuracy:.3f} with {series.name(best)}{under}"
         return _Verdict(title, f"{title}, at {_photons(best)}.", best)
     pairs.sort(key=lambda pair: pair[1].accuracy - pair[0].accuracy)  # the largest lead first
     clear = [pair for pair in pairs if _better(*pair)]
-    ratios = [_times(*pair, series, images=results.data.test) for pair in clear]
+    ratios = [_light_ratio(*pair, series, images=results.data.test) for pair in clear]
     index = next((index for index, ratio in enumerate(ratios) if ratio), 0)
     first, other = (clear or pairs)[index]
     one = series.name(first)
@@ -263,11 +264,11 @@ def verdict_of(results: Results) -> _Verdict:
 
 
 def _ranking(points: Sequence[Point], photons: float) -> list[Point]:
-    """Designs at a budget, most accurate first; impulse imaging only if alone."""
-    # Of a design that was trained in several ways on the same light, the one that validation chose
+    """Designs at a budget, most accurate first; impulse imaging only if it is alone."""
+    # A design may be trained in several ways on the same light: validation chooses one
     optics: dict[tuple[Any, ...], Point] = {}
-    here = [p for p in points if p.photons == photons]
-    for p in sorted(here, key=lambda p: -1.0 if p.validation is None else p.validation):
+    at_budget = [p for p in points if p.photons == photons]
+    for p in sorted(at_budget, key=lambda p: -1.0 if p.validation is None else p.validation):
         optics[tuple(getattr(p, axis) for axis in (*DESIGN_AND_OPTICS, "levels", "masks"))] = p
     single = [p for p in optics.values() if not p.every_pixel]
     return sorted(single or optics.values(), key=lambda p: -p.accuracy)
@@ -287,10 +288,11 @@ def _better(first: Point, second: Point) -> bool:
     return accuracy_difference(first, second).low > 0
 
 
-def _times(first: Point, other: Point, series: Series, *, images: int) -> str | None:
-    """Say how many times more light the other design needs, with its 95 % interval.
+def _light_ratio(first: Point, other: Point, series: Series, *, images: int) -> str | None:
+    """How many times more light the other design needs, with its 95 % interval.
 
-    None unless both curves reach the accuracy within the tested budgets, and the interval, too.
+    None unless a curve reaches the other's accuracy, and both ends of its interval, within the
+    tested budgets.
     """
     mine, theirs = (
         sorted(series.groups[series.key(point)], key=lambda p: p.photons)
@@ -311,7 +313,8 @@ def _times(first: Point, other: Point, series: Series, *, images: int) -> str | 
             ratios = [photons / first.photons for photons in (low, best, high)]
             if curve is mine:
                 ratios = [1 / ratio for ratio in reversed(ratios)]
-            if ratios[0] < 1.15:  # an interval that begins at 1 says nothing of how many times
+            # An interval that begins near 1 does not say how many times
+            if ratios[0] < 1.15:
                 return None
             return "{1} ({0} to {2})".format(*map(_ratio_text, ratios))
     return None

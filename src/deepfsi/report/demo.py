@@ -40,6 +40,6 @@ def write_page(path: str | os.PathLike[str], payload: Mapping[str, Any]) -> Path
 def _bundle() -> str:
     """The page's modules as one: without their imports of each other, and their exports."""
     folder = Path(__file__).parent / "playground"
-    every = "\n".join((folder / name).read_text(encoding="utf-8") for name in _SCRIPTS)
-    alone = re.sub(r"^import [^;]*;\n", "", every, flags=re.MULTILINE)
-    return re.sub(r"^export ", "", alone, flags=re.MULTILINE)
+    script = "\n".join((folder / name).read_text(encoding="utf-8") for name in _SCRIPTS)
+    script = re.sub(r"^import [^;]*;\n", "", script, flags=re.MULTILINE)
+    return re.sub(r"^export ", "", script, flags=re.MULTILINE)

@@ -35,7 +35,7 @@ def peak_value(rails_or_matrix: np.ndarray) -> float:
 
 
 def brightest_masks(rails_or_matrix: np.ndarray, count: int) -> np.ndarray:
-    """Index of the masks that count most photons from a uniform scene, brightest first.
+    """Indices of the masks that count most photons from a uniform scene, brightest first.
 
     Takes rails (2 or 1, m, N) or a matrix (m, N). Dark masks are left out, unless all are dark.
     """
@@ -46,7 +46,7 @@ def brightest_masks(rails_or_matrix: np.ndarray, count: int) -> np.ndarray:
 
 
 def _scale_of(matrix: np.ndarray) -> ScalarMappable:
-    """Colours of masks: black at 0 to white at the peak; of signed ones, symmetric about white."""
+    """Colours of masks: black at 0 to white at the peak; for signed ones symmetric about white."""
     end = peak_value(matrix)
     if matrix.min() < 0:
         return ScalarMappable(Normalize(-end, end), DIVERGING)
@@ -62,11 +62,10 @@ def masks_figure(
     *,
     dwells: np.ndarray | None = None,
 ) -> Figure:
-    """Masks of a design, first those that count most photons: images, or curves for spectra.
+    """Masks of a matrix (m, N), brightest first, with dwells (m,): images, or curves of spectra.
 
-    Of a matrix (m, N), with dwells (m,). Above each mask stands its number, from 1 in the order in
-    which masks are shown. The scale ends at the peak, the largest |M_ij|; it begins at 0, of signed
-    masks at −peak.
+    Above each mask stands its number, from 1 in the order in which masks are shown. The scale ends
+    at the peak, the largest |M_ij|. It begins at 0, or at −peak for signed masks.
     """
     chosen = brightest_masks(matrix, count)
     images = len(image_shape) == 2

@@ -1,4 +1,4 @@
-"""Templates of every page, with the terms that they explain."""
+"""Rendering of all pages from templates, with the terms that they explain."""
 
 import tomllib
 from importlib.resources import files
@@ -17,7 +17,9 @@ def render(template: str, folder: Path = _TEMPLATES, /, **values: Any) -> str:
     """Text of a page."""
     environment = Environment(
         loader=FileSystemLoader([folder, _TEMPLATES]),
+        # Names of classes and data sets may hold HTML
         autoescape=True,
+        # A name that is missing is an error, not an empty text
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

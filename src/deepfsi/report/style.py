@@ -83,8 +83,11 @@ STYLE: Any = {
     "lines.linewidth": 1.5,
     "lines.markersize": 5.5,
     "savefig.dpi": 200,
+    # A name may hold a dollar sign
     "text.parse_math": False,
+    # Letters are drawn as paths: a page needs no fonts
     "svg.fonttype": "path",
+    # Names of elements are the same in each run
     "svg.hashsalt": "deepfsi",
 }
 
@@ -102,14 +105,14 @@ def photons_text(photons: float) -> str:
 _Args = ParamSpec("_Args")
 
 _PIXELS_PER_INCH = 115
-"""Of a figure on a page: words of `SMALL` points have 12 pixels there."""
+"""Scale of a figure on a page: letters of `SMALL` points have 12 pixels there."""
 
 _FILE_KINDS: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
-"""Formats of the files, and what they leave out so that the same figure gives the same file."""
+"""Formats of files, and metadata to leave out: the same figure gives the same file."""
 
 
 def _drawing() -> AbstractContextManager[None]:
-    """Context of matplotlib's defaults and `STYLE`, whatever the caller's program or files set."""
+    """Context of matplotlib's defaults and `STYLE`, whatever the user's settings are."""
     return matplotlib.style.context(["default", STYLE])
 
 
@@ -125,7 +128,7 @@ def styled(draw: Callable[_Args, Figure]) -> Callable[_Args, Figure]:
 
 
 def write_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as the kind that its name ends in, whole or not at all."""
+    """Write a figure in the format of its ending, completely or not at all."""
     write_atomically(path, _saved(figure, path.suffix.lower()[1:]))
 
 
@@ -153,13 +156,14 @@ class Figures:
         """Part of the page with a figure and a sentence on what it shows."""
         for kind in _FILE_KINDS:
             self.files[f"{name}.{kind}"] = _saved(figure, kind)
-            figure.set_layout_engine("none")  # laid out once, for all files
-        drawn = base64.b64encode(self.files[f"{name}.svg"]).decode()
+            # Laid out once: all files have one layout
+            figure.set_layout_engine("none")
+        encoded = base64.b64encode(self.files[f"{name}.svg"]).decode()
         width = math.ceil(_PIXELS_PER_INCH * figure.get_figwidth())
         return Markup(
             '<div class="drawing"><img class="plot" alt="{}" width="{}" '
             'src="data:image/svg+xml;base64,{}"></div>'
-        ).format(words, width, drawn)
+        ).format(words, width, encoded)
 
     def write(self, home: Path) -> None:
         """Write the figures' files into the folder `figures` of a page's folder."""

@@ -32,7 +32,7 @@ Batch = list[Trial]
 class BatchTrainer:
     """Trains and tests trials of a data set, here or in the process that it is sent to.
 
-    `matrix` (m, N) holds one's own masks.
+    `matrix` (m, N) holds the user's masks.
     """
 
     def __init__(
@@ -49,18 +49,19 @@ class BatchTrainer:
         self.matrices: Matrices = {}
 
     @cached_property
-    def parts(self) -> Dataset:
-        """The data, its validation part as test part."""
+    def split(self) -> Dataset:
+        """The data with the validation scenes as its test part, if any are held out."""
         return self.data.hold_out(self.held_out) if self.held_out else self.data
 
     @cached_property
     def training_set(self) -> TrainingSet:
         """Scenes that are trained on."""
-        return TrainingSet(self.parts, self.device, self.matrices)
+        return TrainingSet(self.split, self.device, self.matrices)
 
     def __getstate__(self) -> dict[str, Any]:
-        made_there = ("parts", "training_set")
-        return {name: value for name, value in vars(self).items() if name not in made_there}
+        # A process makes its own, on its device
+        lazy = ("split", "training_set")
+        return {name: value for name, value in vars(self).items() if name not in lazy}
 
     @property
     def processor(self) -> torch.device:
@@ -72,7 +73,7 @@ class BatchTrainer:
 
         Raises `InputError` if one trial alone takes more memory than is free.
         """
-        # less than what is free: estimates of a footprint are not exact
+        # Not all that is free: footprints are estimates
         limit = 0.7 * memory_for(self.processor) / workers
         batches = self.batches_within(trials, limit)
         for batch in batches:
@@ -128,37 +129,38 @@ class BatchTrainer:
     def train(
         self, batch: Batch, report: Progress = SILENT, checkpoints: Path | None = None
     ) -> list[FinishedTrial]:
-        """Train and test one batch, which goes on from its file in a folder of checkpoints.
+        """Train and test one batch, from its checkpoint in the folder if there is one.
 
-        A machine that batches otherwise, or has less free memory, trains it in parts; a GPU whose
-        memory does not hold it, in halves. Where a trial diverges they are trained one by one, and
-        its record is None.
+        A machine that batches otherwise, or has less free memory, divides it; a GPU whose memory
+        does not hold it halves it. Where a trial diverges, all are trained one by one, and the
+        record of that trial is None.
         """
+        # Footprints count the scenes, which are in memory already
         taken = self.training_set.full.nbytes
-        parts = self.batches_within(batch, memory_for(self.processor) + taken)
-        if len(parts) == 1:
+        pieces = self.batches_within(batch, memory_for(self.processor) + taken)
+        if len(pieces) == 1:
             try:
                 return self._train_together(batch, report, checkpoints)
             except Diverged:
                 if len(batch) == 1:
                     return [FinishedTrial(batch[0], None, None)]
-                parts = [[trial] for trial in batch]
+                pieces = [[trial] for trial in batch]
             except torch.OutOfMemoryError:
                 if len(batch) == 1:
                     raise InputError(
                         f'{self.title(batch)} do not fit the memory of this GPU: use `device="cpu"`'
                     ) from None
-                parts = [batch[: len(batch) // 2], batch[len(batch) // 2 :]]
-        # after the error is gone, and with it what the failed batch held
-        spans = zip(parts, report.split(len(parts)), strict=True)
-        return [done for part, span in spans for done in self.train(part, span, checkpoints)]
+                pieces = [batch[: len(batch) // 2], batch[len(batch) // 2 :]]
+        # Outside of the handlers: the error would keep the failed batch in memory
+        spans = zip(pieces, report.split(len(pieces)), strict=True)
+        return [done for piece, span in spans for done in self.train(piece, span, checkpoints)]
 
     def _train_together(
         self, batch: Batch, report: Progress, checkpoints: Path | None
     ) -> list[FinishedTrial]:
         """Train a batch that fits the memory, and test it."""
         first = batch[0].job
-        # of the bar; tests take the rest, with adaptive masks most of the time
+        # Share of the progress bar: tests of adaptive masks take most of the time
         share = 0.1 if first.facts.adaptive else 0.9
         matrix = self.matrix if first.facts.is_custom else None
         jobs = [trial.job for trial in batch]
@@ -175,7 +177,7 @@ class BatchTrainer:
     def _checkpoint(
         self, batch: Batch, matrix: np.ndarray | None, folder: Path | None
     ) -> Checkpoint:
-        """Checkpoint of a batch, named by the first design; one that is of no use is replaced."""
+        """Checkpoint of a batch, named by its first design; a file of no use is replaced."""
         if folder is None or batch[0].job.facts.adaptive:
             return NO_CHECKPOINT
         path = folder / f"{batch[0].design_key}.checkpoint"
@@ -195,13 +197,14 @@ class BatchTrainer:
             "key": trial.key,
             "design": trial.design_key,
             "trial": trial.model_dump(mode="json"),
-            "validation": _tested(trial, design, self.parts) if self.held_out else [],
+            "validation": _tested(trial, design, self.split) if self.held_out else [],
             "test": _tested(trial, design, self.data),
             "info": design.info,
         }
 
 
 def _tested(trial: Trial, design: Design, data: Dataset) -> list[dict[str, Any]]:
+    """Results of a design on test scenes, by grey levels, noise and budget."""
     return [
         {**result.as_dict(), "levels": levels, "terms": result.packed_terms()}
         for levels in trial.test_levels

@@ -23,13 +23,13 @@ from deepfsi.jobs.job import REVISION, Job, custom_parts
 from deepfsi.sweeps.recipe import CameraVariant, Recipe, TestNoise
 
 PAPER_RATIOS = tuple((k / 10) ** 2 for k in range(1, 11))
-"""1, 4, 9, … 100 %."""
+"""Ratios of readouts to pixels in the paper: 1, 4, 9, … 100 %."""
 
 ADAPTIVE_SCENES = 5000
 """Scenes with which adaptive masks are compared unasked, at most: each look takes a millisecond."""
 
 KEY_SCHEMA = 6
-"""Version of what the keys of trials are hashes of."""
+"""Version of the fields that the keys of trials are hashes of."""
 
 _NAMING_FIELDS = {"data", "trained_under", "variant", "detectors"}
 """Fields of a trial that only name what other fields hold."""
@@ -95,13 +95,14 @@ def plan_trials(recipe: Recipe, data: Dataset, matrix: np.ndarray | None = None)
     faults: dict[str, None] = {}
     trials: dict[str, Trial] = {}
     for named, variant, job in planned:
-        own = matrix if job.facts.is_custom else None
-        found = job.faults(training, own)
-        if own is not None and not found:
+        masks = matrix if job.facts.is_custom else None
+        job_faults = job.faults(training, masks)
+        if masks is not None and not job_faults:
             from deepfsi.physics.laws import light_law
 
-            light_law(job.optics.light).rails_of(own, job.optics.rails)  # or it breaks the law
-        faults |= dict.fromkeys(found)
+            # Raises `InputError` where the masks break the law
+            light_law(job.optics.light).rails_of(masks, job.optics.rails)
+        faults |= dict.fromkeys(job_faults)
         test_noise = recipe.test_noise or (job.camera.noise_name,)
         custom = custom_parts(job, *test_noise)
         trial = Trial(
@@ -136,6 +137,7 @@ def check_settings(
     if matrix is not None and "custom" not in recipe.designs:
         recipe = recipe.model_copy(update={"designs": (*recipe.designs, "custom")})
     data = load(recipe)
+    # Faults are named before any training
     for fold in recipe.parts(data):
         plan_trials(recipe, fold, matrix)
     return recipe, data
@@ -156,7 +158,7 @@ def with_adaptive(recipe: Recipe, data: Dataset) -> Recipe:
 def _jobs(
     recipe: Recipe, data: Dataset, matrix: np.ndarray | None
 ) -> Iterator[tuple[CameraVariant, str, Job]]:
-    """Yield camera, variant of the settings, and job of every trial that can be."""
+    """Yield camera, variant of the settings, and job of every possible trial."""
     for named, design in product(recipe.cameras(), recipe.designs):
         if not _goes_with(design, named.camera, data):
             continue
@@ -179,7 +181,8 @@ def _jobs(
                     seed=seed,
                 )
                 variants = (named.variant, training_variant, exposure_variant)
-                optics = {"camera": job.optics}  # as the design has it: records are hashes of it
+                # The camera as the design uses it: records are hashes of it
+                optics = {"camera": job.optics}
                 yield named, ", ".join(filter(None, variants)), job.model_copy(update=optics)
 
 
@@ -208,7 +211,7 @@ def _mask_counts(
     data: Dataset,
     matrix: np.ndarray | None,
 ) -> list[int]:
-    """Mask counts of a design that it can have, else the most it can have.
+    """Mask counts asked for that a design can have, or else the largest it can have.
 
     A ratio counts readouts, m · D / N. Adaptive masks share the light among their looks, and more
     looks tell more: ratios ask for one count.
@@ -226,11 +229,12 @@ def _mask_counts(
     ]
     counts = sorted({count for count in asked if low <= count <= high}) or [high]
     if facts.adaptive and not recipe.masks:
-        # more than 32 looks tell little and take their time
+        # More than 32 looks tell little and take their time
         return [max((c for c in counts if c <= 32), default=counts[0])]
     return counts
 
 
 def _content_hash(settings: Mapping[str, Any]) -> str:
     """Hash of settings, JSON types only."""
+    # Sorted: the order of settings must not change a key
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]

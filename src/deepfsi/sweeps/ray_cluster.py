@@ -50,26 +50,26 @@ def run_on_ray(
             max_retries=RETRIES,
             runtime_env={"env_vars": {"OMP_NUM_THREADS": str(max(1, int(cpus)))}},
         )
-        everywhere = ray.put(shared)
+        reference = ray.put(shared)
         running: list[Any] = []
         waiting = iter(tasks)
         try:
             while True:
                 room = max(1, TASKS_AHEAD * _slots(cpus, gpus)) - len(running)
                 running += [
-                    remote.remote(everywhere, task) for task in islice(waiting, max(0, room))
+                    remote.remote(reference, task) for task in islice(waiting, max(0, room))
                 ]
                 if not running:
                     return
                 [ready], running = ray.wait(running, num_returns=1)
                 yield _result(ready)
         finally:
-            for reference in running:
-                ray.cancel(reference, force=True)
+            for task in running:
+                ray.cancel(task, force=True)
 
 
 def _result(ready: Any) -> Any:
-    """What a task returned, or what its work raised."""
+    """Result of a task, or the error of its work."""
     import ray
 
     try:
@@ -95,7 +95,7 @@ def _connected(address: str) -> Iterator[None]:
     try:
         _join(address)
         if usual is not None and threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, usual)  # Ray takes it
+            signal.signal(signal.SIGTERM, usual)  # Ray replaced it
         yield
     finally:
         ray.shutdown()
@@ -137,6 +137,7 @@ def _slots(cpus: float, gpus: float) -> int:
 
     nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
     needs = [(need, name) for need, name in ((cpus, "CPU"), (gpus, "GPU")) if need]
+    # 1e-9: rounding of shares such as 0.1 must not cost a task
     return sum(
         int(min(node.get(name, 0.0) / need for need, name in needs) + 1e-9) for node in nodes
     )

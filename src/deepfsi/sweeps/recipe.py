@@ -43,7 +43,7 @@ def _axis(value: Any) -> Any:
         return (value,)
     try:
         return tuple(dict.fromkeys(value))
-    except TypeError:  # of tables or lists: they are refused one by one
+    except TypeError:  # tables and lists have no hash: the model refuses them one by one
         return tuple(value)
 
 
@@ -52,17 +52,17 @@ def _read_axes(table: Any, make: Callable[[Settings], Any]) -> _Axes:
     if not isinstance(table, Mapping):
         raise ValueError(f"{table!r} is no table of settings")
     axes: _Axes = {}
-    for name, given in table.items():
-        several = isinstance(given, (list, tuple))
+    for name, setting in table.items():
+        is_axis = isinstance(setting, (list, tuple))
         if name == "hidden":  # widths of layers are a list themselves
-            several = several and any(isinstance(widths, (list, tuple)) for widths in given)
-        if several and not given:
+            is_axis = is_axis and any(isinstance(widths, (list, tuple)) for widths in setting)
+        if is_axis and not setting:
             raise InputError(f"{name} is empty: give one value or more")
         values = []
-        for value in given if several else [given]:
+        for value in setting if is_axis else [setting]:
             with as_input_error():
                 read = getattr(make({name: value}), name, value)
-            # numbers as the model reads them; other settings as they are given
+            # Numbers are kept as the model reads them, other settings as they are written
             numbers = read if isinstance(read, tuple) and not isinstance(value, str) else (read,)
             is_number = all(isinstance(number, int | float) for number in numbers)
             values.append(read if is_number else value)
@@ -71,11 +71,11 @@ def _read_axes(table: Any, make: Callable[[Settings], Any]) -> _Axes:
 
 
 def _points(axes: _Axes, unnamed: Collection[str] = ()) -> Iterator[tuple[str, Settings]]:
-    """Yield the points of a product of axes, each with its values on axes of several as a name."""
-    several = [name for name in axes if len(axes[name]) > 1 and name not in unnamed]
+    """Yield the points of a product of axes, each with a name by the axes that vary."""
+    varied = [name for name in axes if len(axes[name]) > 1 and name not in unnamed]
     for values in product(*axes.values()):
         point = dict(zip(axes, values, strict=True))
-        yield ", ".join(f"{name} {point[name]}" for name in several), point
+        yield ", ".join(f"{name} {point[name]}" for name in varied), point
 
 
 class CameraVariant(NamedTuple):
@@ -87,7 +87,7 @@ class CameraVariant(NamedTuple):
 
 
 def _cameras(axes: _Axes) -> list[CameraVariant]:
-    """Cameras of a product of axes, but those that cannot be; `InputError` where none can."""
+    """Possible cameras of a product of axes; `InputError` if there are none."""
     cameras: list[CameraVariant] = []
     faults: list[str] = []
     for variant, fields in _points(axes, _NAMED_FIELDS):
@@ -103,8 +103,8 @@ def _cameras(axes: _Axes) -> list[CameraVariant]:
     return cameras
 
 
-def _read_camera(given: Any) -> _Axes:
-    fields = given if isinstance(given, Mapping) else Camera.load(given).given_fields
+def _read_camera(source: Any) -> _Axes:
+    fields = source if isinstance(source, Mapping) else Camera.load(source).given_fields
     axes = _read_axes(fields, Camera.load)
     _cameras(axes)
     return axes
@@ -197,7 +197,7 @@ class Recipe(UserModel):
         return self
 
     def cameras(self) -> list[CameraVariant]:
-        """Cameras of the product of its axes, but those that cannot be."""
+        """Possible cameras of the product of its axes."""
         return _cameras(self.camera)
 
     def exposures(self, design: str) -> Iterator[tuple[str, Exposure]]:
@@ -232,7 +232,7 @@ class Recipe(UserModel):
         """The data, or its folds, on each of which all designs are trained and tested."""
         count = self.folds
         if count is None:
-            # an interval over 300 scenes is ± 0.04 wide at an accuracy of 0.85
+            # An interval over 300 scenes is ± 0.04 wide at an accuracy of 0.85
             count = 5 if data.drawn and len(data.x_test) < 300 else 1
         return [data] if count == 1 else data.folds(count)
 
@@ -249,17 +249,17 @@ def parts(file: Mapping[str, Any], quick: bool = False) -> dict[str, Settings]:
     recipes = {}
     for name in tables:
         changes = dict(_table(tables, name))
-        own_coarse = _table(changes, "quick")
+        coarse_part = _table(changes, "quick")
         changes.pop("quick", None)
-        layers = [common, changes, coarse, own_coarse] if quick else [common, changes]
-        if quick and not (coarse or own_coarse):
+        layers = [common, changes, coarse, coarse_part] if quick else [common, changes]
+        if quick and not (coarse or coarse_part):
             raise InputError("this recipe has no [quick] table: run it whole")
-        recipes[name] = reduce(_merged, layers)
+        recipes[name] = reduce(_merged, layers)  # later layers override
     return recipes
 
 
 def only(file: Mapping[str, Any], part: str | None = None, quick: bool = False) -> Settings:
-    """Settings of a recipe in a file."""
+    """Settings of a part of a recipe's file, or of the whole file if it has no parts."""
     recipes = parts(file, quick)
     if (part or "") not in recipes:
         there = "no parts" if "" in recipes else f"the parts {', '.join(recipes)}"

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from deepfsi.design.design import Design
 
 Record = dict[str, Any]
-"""What a trial gave, as its file holds it: JSON types only."""
+"""Results of a trial as its file holds them: JSON types only."""
 
 _TRIALS_KEPT = "finished trials are kept, run again to go on"
-"""What a command that is stopped says, once there is one."""
+"""Words of a stopped command, once a trial is finished."""
 
 
 class FinishedTrial(NamedTuple):
@@ -55,18 +55,21 @@ class Records:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._locks: dict[str, FileLock] = {}
-        if sys.platform != "win32":  # each lock is an open file, of which few are usual
+        # Each lock is an open file, and the usual limit of these is low
+        if sys.platform != "win32":
             import resource
 
             soft, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+            # Where macOS names no limit, it allows 10240
             wanted = max(soft, 10240) if most == resource.RLIM_INFINITY else most
             with suppress(OSError, ValueError):
                 resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
         for lock in _files(folder / "locks"):  # of processes that are gone
             if self._take(lock.stem):
                 self._give_up(lock.stem)
-        for left in folder.glob("finished-*"):
-            self._move(left)
+        # A process was killed before it moved them
+        for finished in folder.glob("finished-*"):
+            self._move(finished)
         self._clear_checkpoints()
 
     @property
@@ -94,7 +97,7 @@ class Records:
         from deepfsi.design.design import Design
 
         training = trial.job.training
-        # a file does not run the code of a classifier of the user's own
+        # A design file alone runs no code of a user's classifier
         code = training.classifier if training.is_custom else None
         try:
             return Design.load(self._design_path(trial), classifier=code)
@@ -102,9 +105,9 @@ class Records:
             return None
 
     def write(self, finished: Sequence[FinishedTrial]) -> None:
-        """Keep what trials gave that were trained together, and give up the locks on them.
+        """Keep the results of trials that were trained together, and release their locks.
 
-        Those that diverged give nothing, and no lock on them remains either.
+        Diverged trials have no results; their locks are released, too.
         """
         self.release(done.trial for done in finished if done.record is None)
         finished = [done for done in finished if done.record is not None]
@@ -134,7 +137,7 @@ class Records:
             finished.rmdir()
 
     def _clear_checkpoints(self) -> None:
-        """Remove the checkpoints of designs that are there, and their folder with the last."""
+        """Remove the checkpoints of finished designs, and their folder with the last."""
         for path in _files(self.checkpoints):
             if (self.folder / "designs" / f"{path.stem}.safetensors").is_file():
                 path.unlink(missing_ok=True)
@@ -175,6 +178,7 @@ class Records:
     def _give_up(self, key: str) -> None:
         lock = self._locks.pop(key)
         path = Path(lock.lock_file)
+        # Removed under the lock: once it is released another process may hold the file
         with suppress(OSError):  # Windows removes no open file
             path.unlink()
         lock.release()

@@ -35,7 +35,7 @@ _Score = Annotated[float, Field(le=1, allow_inf_nan=False)]
 """Accuracy, area under a ROC curve, or R², which a bad guess takes below 0."""
 
 _StoredCount = Annotated[int, Field(ge=0, le=2**53)]
-"""Number of things, which JSON and floats hold."""
+"""Number of things that JSON and floats hold exactly."""
 
 _Key = Annotated[str, Field(pattern=r"^[^/\\\x00.][^/\\\x00]*$")]
 """Name of a design's file, in the folder of designs and no other."""
@@ -146,14 +146,14 @@ def accuracy_difference(first: Point, second: Point) -> Difference:
     """
     if first.terms and second.terms:
         rows = [
-            np.stack([unpack_values(each) for each in point.terms]) for point in (first, second)
+            np.stack([unpack_values(text) for text in point.terms]) for point in (first, second)
         ]
         if rows[0].shape[1] == rows[1].shape[1]:
             return paired_difference(*rows)
-    one, other = (np.asarray(each.accuracies) for each in (first, second))
+    one, other = (np.asarray(point.accuracies) for point in (first, second))
     if len(one) == len(other) > 1:
         return mean_of_trials((one - other).tolist())
-    half = math.hypot(*((each.high - each.low) / 2 for each in (first, second)))
+    half = math.hypot(*((point.high - point.low) / 2 for point in (first, second)))
     return Difference(float(one.mean() - other.mean()), half / Z_95)
 
 

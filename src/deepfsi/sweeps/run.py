@@ -60,7 +60,7 @@ def compare(
         began = time.perf_counter()
         scenes = recipe.parts(data)
         if len(scenes) > 1 and ray is None:
-            # trainings on few scenes take less than starting processes for each fold
+            # Trainings on few scenes take less than starting processes for each fold
             workers = workers or 1
         records = [
             run_trials(
@@ -116,12 +116,13 @@ def run_trials(
                 time.sleep(1)  # another process works on them
             before = len(missing)
             untrained = _test_trained(trainer, records, missing, report)
-            each_once = list({trial.design_key: trial for trial in untrained}.values())
-            batches = trainer.batches(each_once, workers)
+            # Trials that differ in their tests alone share a design
+            distinct = list({trial.design_key: trial for trial in untrained}.values())
+            batches = trainer.batches(distinct, workers)
             if len(batches) > 1 and (ray is not None or workers > 1):
-                # Each process would compute them anew
+                # Else each process would compute them anew
                 report(0.0, "matrices that all share")
-                trainer.prepare(each_once)
+                trainer.prepare(distinct)
             results = _train(trainer, records, batches, workers, ray, resources, report)
             with closing(results) as arriving:
                 for finished in arriving:
@@ -134,7 +135,7 @@ def run_trials(
             f"training diverged and the others are done: {', '.join(sorted(lost))}; lower lr "
             "and mask_lr"
         )
-    # two recipes may share a record and name its settings otherwise
+    # Two recipes may share a record and name its settings otherwise
     return [
         {**record, "trial": trial.model_dump(mode="json")}
         for trial in trials
@@ -146,16 +147,16 @@ def _test_trained(
     trainer: "BatchTrainer", records: Records, trials: Sequence[Trial], report: Progress
 ) -> list[Trial]:
     """Test designs that were trained for other tests; return the other trials."""
-    others = []
+    untrained = []
     for index, trial in enumerate(trials):
         design = records.design(trial)
         if design is None or not records.lock([trial]):
-            others.append(trial)
+            untrained.append(trial)
             continue
         report(index / len(trials), f"testing {design.name} again")
         record = trainer.record(trial, design.to(trainer.processor))
         records.write([FinishedTrial(trial, record, None)])
-    return others
+    return untrained
 
 
 def _train(
@@ -167,13 +168,13 @@ def _train(
     resources: Resources,
     report: Progress,
 ) -> Generator[list[FinishedTrial], None, None]:
-    """Yield what batches give as they finish, here, in processes or on a cluster."""
+    """Yield the results of batches as they finish, here, in processes or on a cluster."""
     total = sum(map(trainer.effort, batches))
     done = 0.0
-    claimed = _claimed(records, batches)
+    locked = _locked_batches(records, batches)
     workers = min(workers, len(batches))
     if ray is None and workers <= 1:
-        for batch in claimed:
+        for batch in locked:
             report(done / total, trainer.title(batch))
             end = done + trainer.effort(batch)
             yield trainer.train(
@@ -181,27 +182,28 @@ def _train(
             )
             done = end
         return
-    work = type(trainer).train  # unbound: the trainer is what tasks share, and is sent once
+    # Unbound: tasks share the trainer, which is sent once
+    work = type(trainer).train
     if ray is None:
         work_here = partial(work, checkpoints=records.checkpoints)
-        results = processes(work_here, trainer, claimed, workers)
+        results = processes(work_here, trainer, locked, workers)
     else:  # a node may see another disk: no checkpoints there
-        results = run_on_ray(work, trainer, claimed, address=ray, **dict(resources))
+        results = run_on_ray(work, trainer, locked, address=ray, **dict(resources))
     with closing(results):
         for finished in results:
-            batch = [each.trial for each in finished]
+            batch = [member.trial for member in finished]
             done += trainer.effort(batch)
             report(min(done / total, 1.0), trainer.title(batch))
             yield finished
 
 
-def _claimed(records: Records, batches: "Sequence[Batch]") -> "Iterator[Batch]":
-    """Yield what is left of each batch, locked, but for those that another process works on."""
+def _locked_batches(records: Records, batches: "Sequence[Batch]") -> "Iterator[Batch]":
+    """Yield the untrained trials of each batch, locked; pass over what others have locked."""
     for batch in batches:
         left = [trial for trial in batch if records.design(trial) is None]
         if not records.lock(left):
             continue
-        # between the look and the lock another process may have finished some
+        # Between the look and the lock another process may have finished some
         trained = [trial for trial in left if records.design(trial) is not None]
         records.release(trained)
         if len(trained) < len(left):

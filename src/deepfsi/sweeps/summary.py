@@ -39,7 +39,7 @@ _AXES = (
 """Fields that tell the points of a summary apart."""
 
 _Member = tuple[Record, int]
-"""Record of a trial, and the place of a setting among its tests."""
+"""Record of a trial, and the index of a setting among its tests."""
 
 
 def summarise_records(
@@ -74,8 +74,8 @@ def summarise_records(
             "trained_at": job["photons"],
         }
         for index, test in enumerate(record["test"]):
-            at = {**settings, **{name: test[name] for name in ("noise", "photons", "levels")}}
-            groups[tuple(at[axis] for axis in _AXES)].append((record, index))
+            fields = {**settings, **{name: test[name] for name in ("noise", "photons", "levels")}}
+            groups[tuple(fields[axis] for axis in _AXES)].append((record, index))
     balances = True in recipe.training.get("balance", ())
     measure = "balanced" if balances else main_measure(scenes.measure).key
     points = [
@@ -128,13 +128,13 @@ def _facts(data: Dataset, scenes: Dataset, held_out: int, folds: int) -> Data:
 
 
 def _chosen(points: Sequence[Point]) -> list[Point]:
-    """Points; those at the best mask count alone keep answers to single scenes."""
+    """Points; only those at the best mask count keep answers to single scenes."""
     rivals: dict[tuple[Any, ...], list[Point]] = defaultdict(list)
     for point in points:
         rivals[_without_masks(point)].append(point)
     best = {
-        setting: max(several, key=lambda point: point.validation or 0).masks
-        for setting, several in rivals.items()
+        setting: max(group, key=lambda point: point.validation or 0).masks
+        for setting, group in rivals.items()
     }
     left_out = {"best": False, "confusion": (), "terms": ()}
     return [
@@ -214,13 +214,13 @@ def _point(
     chosen_by: str,
 ) -> Point:
     """Trials of a setting averaged; `labels` (images,) are classes or values of the scenes."""
-    tests = [record["test"][place] for record, place in members]
+    tests = [record["test"][index] for record, index in members]
     terms = {
         name: np.stack([unpack_values(test["terms"][name]) for test in tests])
         for name in tests[0]["terms"]
     }
     main = main_measure(data.measure)
-    validated = [record["validation"][place] for record, place in members if record["validation"]]
+    validated = [record["validation"][index] for record, index in members if record["validation"]]
     job = members[0][0]["trial"]["job"]
     scene = find_exposure(job["exposure"]).scene(data)
     detectors = DetectorMap.of(job["camera"]["detectors"], scene.image_shape).count

@@ -49,14 +49,15 @@ def processes(
     work: Callable[[Any, Any], Any], shared: Any, tasks: Iterable[Any], workers: int
 ) -> Generator[Any, None, None]:
     """Results of tasks in the order in which processes finish them."""
-    others = set(multiprocessing.active_children())
+    strangers = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(
         workers,
+        # A fork would copy locks that threads of torch may hold
         mp_context=multiprocessing.get_context("spawn"),
         initializer=_settle,
         initargs=(shared, max(1, cores() // workers)),
     )
-    resource_tracker.ensure_running()  # which would let Ctrl-C through, were it started later
+    resource_tracker.ensure_running()  # started later it would let Ctrl-C through
     waiting = iter(tasks)
     running: set[Future[Any]] = set()
     try:
@@ -68,6 +69,7 @@ def processes(
                 return
             done, running = wait(running, 1.0, FIRST_COMPLETED)  # Windows hears Ctrl-C between
             yield from [future.result() for future in done if not future.exception()]
+            # Errors come after the results that are ready
             for future in done:
                 future.result()
     except BrokenProcessPool:
@@ -77,7 +79,7 @@ def processes(
         ) from None
     finally:
         if running:
-            for child in set(multiprocessing.active_children()) - others:
+            for child in set(multiprocessing.active_children()) - strangers:
                 child.terminate()
         pool.shutdown(cancel_futures=True)
 
