@@ -1,11 +1,11 @@
 """Adaptive masks before a detector that clicks at most once a look, where a click has a price.
 
-A look that stays dark costs no count, and tells something, too. Each look is chosen, mask and dwell
-together, for the information on the class that a click or none is expected to give, over what the
-look costs: the probability of a click, and a small price of the look and of its light. An exposure
-ends when no look tells as much for a click as the price asks, after all looks, or when the next
-look has no light left. If it ends without a click, it takes a look with all mirrors ON; a detector
-that stays dark then, too, tells nothing.
+A look that stays dark costs no count, and tells something, too. Each look, mask and dwell together,
+is chosen for its expected information on the class over its cost: the probability of a click, and a
+small price of the look and of its light. An exposure ends when no look gives as much information
+for a click as the price asks, after all looks, or when no light is left for the next look. If it
+ends without a click, it takes a look with all mirrors ON; if the detector stays dark again, it has
+told nothing.
 
 Sources: sequential design by expected information (Lindley 1956), with a cost of the observation
 (DeGroot, *Optimal Statistical Decisions*, 1970).
@@ -80,6 +80,7 @@ class ClickPosterior(AdaptivePosterior):
         light = mean[:, None] + responses @ self.prior.coefficients.T + FLOOR * _on(look.masks)
         variance = _light_variance(mean, responses)[:, None]
         dark = log_no_click(light, variance, self.gain * look.dwells[:, None])
+        # a click in the dark would have the logarithm −∞
         click = torch.expm1(dark).neg_().clamp_(min=LEAST_WEIGHT).log_()
         self.log_weights += torch.where(clicks[:, None] > 0, click, dark)
         self.left = self.left - look.dwells
@@ -242,8 +243,10 @@ class ClickLooks(NamedTuple):
         # 20 photons: the detector clicks all but surely
         dwells = dark * (1 - used).clamp(min=0.0, max=20.0 / self.photons)
         light = x.sum(dim=1) * dwells * state.gain
+        # the look with all mirrors ON
         seen = -torch.expm1(-light)
         silent = dark & (torch.rand(len(x), generator=generator) >= seen)
+        # dark with all mirrors ON: the detector told nothing
         probabilities[silent] = self.prior.class_shares
         return _ClickRun(probabilities, clicks + seen, arriving + light, used + dwells)
 

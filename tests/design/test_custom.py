@@ -65,7 +65,7 @@ def leaving(inputs, classes):
         (nn.Linear(7, 10), "cannot be used: mat1 and mat2"),
         (nn.Linear(6, 9), r"logits of shape \(3, 9\)"),
         (lambda inputs, classes: 3, "cannot be used: 'int' object"),
-        ("shared.networks:Rnn", "has no Rnn"),
+        ("shared.networks:Rnn", "has no attribute 'Rnn'"),
         ("no_such_module:Cnn", "No module named"),
         (leaving, "cannot be used: 7"),
         (nn.Sequential(nn.Linear(6, 10)).requires_grad_(False), "no parameter that learns"),

@@ -53,7 +53,7 @@ def test_records_depend_on_the_file_of_the_classifier(digits, tmp_path, monkeypa
 
 
 def test_an_unknown_classifier_is_refused_before_any_work(digits):
-    with pytest.raises(InputError, match="has no Rnn"):
+    with pytest.raises(InputError, match="has no attribute 'Rnn'"):
         plan_trials(recipe(training={"classifier": ["mlp", "shared.networks:Rnn"]}), digits)
 
 

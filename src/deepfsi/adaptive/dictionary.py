@@ -8,9 +8,8 @@ look to look. Tables cannot: each look has a negative binomial law of its own. A
 all looks, they tell less together than apart, and the likelihood of each is taken to a power below
 1 (P. Grünwald and T. van Ommen, Bayesian Analysis 12, 1069 (2017), on models that are not right).
 
-Masks are compared by what their counts tell of the class, as masks that are made are. Each decision
-compares one part of the dictionary, the next decision the next. The same counts give the same
-masks.
+Masks are compared by what their counts tell of the class, as in `AdaptivePosterior`. Each decision
+compares the next part of the dictionary. The same counts give the same masks.
 """
 
 import math
@@ -57,8 +56,8 @@ Chosen on training images of MNIST that were left out of the prior.
 class _MaskTables:
     """Tables of the counts of a look, for n scenes behind each of P masks."""
 
-    by_count: np.ndarray  # (P, n), U: what a count adds to the log-probability of a scene
-    constant: np.ndarray  # (P, n), V: what is taken off it, whatever is counted
+    by_count: np.ndarray  # (P, n), U, added to a scene's log-probability for each count
+    constant: np.ndarray  # (P, n), V, subtracted from it in each look
     parts: Sequence[np.ndarray]  # indices (p,) of the masks that each decision compares
     scales: Sequence[np.ndarray]  # (n, p)
     noises: Sequence[np.ndarray]  # (p,)

@@ -110,6 +110,7 @@ class UsualMisfit:
         """Share of sound exposures whose misfit after a look, from 0, exceeds this total."""
         from scipy.special import ndtr
 
+        # beyond the measured budgets the misfit of the nearest one holds
         level = np.log(np.clip(photons, self.budgets[0], self.budgets[-1]))
         mean, deviation = (
             np.interp(level, np.log(self.budgets), moment[:, look]) for moment in self.logarithms
@@ -304,6 +305,7 @@ class AdaptiveExposure(ExposureKind):
             counts[index] = look.light.double().sum()
             used += share * len(running)
             last = index == settings.looks - 1
+            # with `until` = 1 none ends early: probabilities are needed once, at the end
             if settings.until < 1 or last:
                 probabilities[running] = state.probabilities
                 going = confidence_of(state.probabilities) <= settings.until
@@ -402,6 +404,7 @@ class AdaptiveTraining:
         return LeftOutScenes(
             torch.from_numpy(self.data.x_train[rows]),
             torch.from_numpy(self.data.y_train[rows]),
+            # a centre stands for many scenes, and stays when one of them is exposed
             indices if self.settings.clusters is None else None,
         )
 

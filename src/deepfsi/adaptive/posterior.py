@@ -1,9 +1,9 @@
 """Prior and posterior of the scene in exposures that see their own masks, look after look.
 
 The prior holds training scenes x_k. Other scenes lie near them: x_k + e, where e is normal with one
-covariance for all k. Counts tell the same of e whatever k is, but for a term that is linear in x_k,
-so that the likelihood of all scenes takes one product a readout. The light then varies as e does,
-and counts have a negative binomial law. With e = 0 they are Poisson counts, and this is the
+covariance for all k. The knowledge of e depends on k only by a term linear in x_k: one product a
+readout gives the likelihoods of all scenes. The light varies with e, and counts have a negative
+binomial law. With e = 0 they are Poisson counts, and this is the
 posterior of the ideal observer of the same masks.
 
 The next mask is chosen greedily. A candidate separates the likeliest classes in two groups: its
@@ -56,15 +56,15 @@ MOST_EXPOSURES = 32
 
 
 class ScenePrior:
-    """Scenes, each as likely as another, as sums of a mean and of components.
+    """Equally likely scenes, as sums of a mean and components.
 
-    A scene that is exposed lies near one of these: their difference is normal, with the covariance
-    of the differences of nearest neighbours of a class, times the square of `spread`. Components
-    are scaled so that this covariance is the identity. With a spread of 0 a scene is one of these,
-    and components are principal components.
+    An exposed scene lies near one of them. The difference is normal; its covariance is that of the
+    differences between nearest neighbours of a class, times the square of `spread`. Components are
+    scaled so that this covariance is the identity. With a spread of 0 the exposed scene is one of
+    them, and components are principal components.
 
-    With `clusters` the centres of clusters stand for the scenes, each as likely as it has members,
-    and the covariance is that of the scenes about their centres, times the square of
+    With `clusters` the centres of clusters stand for the scenes, each as likely as its members
+    together, and the covariance is that of the scenes about their centres, times the square of
     `CENTRE_SPREAD`.
 
     Shapes: x (n, N); labels (n,).
@@ -179,6 +179,7 @@ class ScenePrior:
     @classmethod
     def restored(cls, arrays: Mapping[str, np.ndarray]) -> "ScenePrior":
         """Prior from the `arrays` of a design file, without training data."""
+        # `__init__` takes scenes, which a file does not hold
         prior = cls.__new__(cls)
         prior.sizes = arrays["sizes"].tolist()
         prior.labels = torch.arange(len(prior.sizes)).repeat_interleave(torch.tensor(prior.sizes))
@@ -376,6 +377,7 @@ class AdaptivePosterior:
         light = mean[..., None] + (unseen.flatten(1, 2) @ scenes).unflatten(1, mean.shape[1:])
         gain = self.gain * share
         dark = torch.as_tensor(self.optics.dark * share)[..., None]
+        # a sum of mean and components may fall below 0, light does not
         counts = light.clamp(min=0) * gain + dark
         unknown = unseen @ responses.transpose(2, 3) if self.prior.spread else None
         if unknown is not None:
@@ -391,6 +393,7 @@ class AdaptivePosterior:
     def candidates(self) -> Tensor:
         """Masks (b, P, N) that separate the likeliest classes in two groups."""
         differ = self.group_differences()
+        # a black pixel would have an infinite difference over its light
         scene = self.scene.clamp(min=1e-3)[:, None]  # reflectance of the mean scene at least
         areas = self.optics.areas(scene)
         return difference_masks(differ, scene.expand_as(differ), areas, self.optics.arms)

@@ -415,6 +415,7 @@ def _check_readouts(
     counts: Any, photons: Any, readouts: tuple[int, ...], parts: tuple[int, ...] = ()
 ) -> tuple[Tensor, Tensor]:
     """Counts (..., *parts, *readouts) and budgets (..., 1), checked."""
+    # copied: torch warns of arrays that are read-only
     arrays = [np.asarray(values, np.float32).copy() for values in (counts, photons)]
     read, budget = map(torch.from_numpy, arrays)
     shape = (*parts, *readouts)

@@ -29,6 +29,7 @@ from deepfsi.exposure.training_set import Values
 from deepfsi.physics.detection import Detection, Rails
 from deepfsi.physics.laws import light_law
 
+# `design` imports this module
 if TYPE_CHECKING:
     from deepfsi.design.design import Design
 
@@ -162,5 +163,6 @@ def _classifier(file: DesignFile, header: MaskHeader, inputs: int) -> nn.Module:
     further = sizes.model_dump(exclude={"kind"})
     with torch.device("meta"):  # takes no memory before the sizes of the file's tensors are checked
         network = find_network(sizes.kind)(inputs=inputs, classes=classes, **further)
+    # tensors of "meta" have no memory: the file's take their place
     network.load_state_dict(weights, assign=True)
     return network.eval()

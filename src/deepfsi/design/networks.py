@@ -197,10 +197,10 @@ class OwnClassifier(Classifier):
     Parameters
     ----------
     module : nn.Module or None
-        From features (batch, inputs) to logits (batch, C). None where a file is loaded without
-        saying whose code to run: then it keeps the weights and answers nothing.
+        Maps features (batch, inputs) to logits (batch, C). None if a file is loaded without its
+        code: the classifier then keeps the weights and answers nothing.
     factory : str
-        Import path of what made it, or "".
+        Import path of the function or class that made it, or "".
     arguments : mapping
         Keyword arguments of the factory besides the numbers, JSON types only.
     weights : mapping of tensor, optional

@@ -255,6 +255,7 @@ class DesignFile:
             header = kind.model_validate_json(text)
             if not header.fits(tensors, whole=arrays is None):
                 raise ValueError("arrays are not those of the header")
+        # JSON that is nested deeply overflows the stack
         except (RecursionError, *DAMAGED) as error:
             if isinstance(error, InputError) and not text:
                 raise  # it is no file, or larger than any
@@ -317,6 +318,7 @@ def find_design(name: str | os.PathLike[str]) -> Path:
     shipped = SHIPPED_DESIGNS / f"{path.name}.safetensors"
     if path.exists():
         return path
+    # a published name has no folder
     if os.fspath(name) == path.name and shipped.exists():
         return shipped
     raise InputError(

@@ -8,8 +8,8 @@ on simulated counts of scenes that were left out of the covariance, at budgets f
 to far more than any camera has. The calibration is of the class that fits worst, so that the rate
 of false alarms holds whatever classes are shown.
 
-Scenes whose patterns do not differ by more than photon noise, where those of two of one class
-would, are *alike*: then they count as one.
+Scenes are *alike* if their patterns differ by photon noise alone. Two scenes of one class differ by
+more, so that alike scenes count as one.
 """
 
 from collections.abc import Iterator
@@ -34,7 +34,7 @@ EXPOSURES_AT_ONCE = 256
 """Exposures with noise of their own that are in memory at a time."""
 
 SMALLEST_STATISTIC = 1e-12
-"""Smallest value of a statistic that is told from 0."""
+"""Smallest value of a statistic: smaller ones are raised to it."""
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ class ReadoutDistribution:
     ) -> ConsistencyResult:
         """Test counts (..., rails, m) of exposures of different scenes, at budgets (...).
 
-        `background` is what was subtracted from each readout.
+        `background` has the counts that were subtracted from each readout.
         """
         model = self._model
         read = np.asarray(counts, dtype=float)
@@ -316,8 +316,10 @@ def _dispersion(exposures: ReadoutCounts) -> float:
     by_exposure = counts.sum(axis=1, keepdims=True) / total
     mean = total * by_exposure * by_readout
     power = mean.clip(min=0) + dark
+    # the fitted sums take their share of each difference's variance
     beyond = np.square(counts - mean) - power * (1 - by_readout) * (1 - by_exposure)
     weight = np.maximum(power, 1)
+    # (n − μ)² of Poisson counts n has the variance 2 μ² + μ
     error = np.sqrt(((2 * np.square(power) + power) / np.square(weight)).sum())
     return float((beyond / weight).sum() / max(error, SMALLEST_STATISTIC))
 

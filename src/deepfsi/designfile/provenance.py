@@ -1,9 +1,8 @@
 """Provenance of a design: its `info`, and the hashes of its training scenes.
 
-A design keeps the job of its training with its camera, the name or path of its data with the
-options that load it, the hash of what was trained on, the number of training scenes that were left
-out, and a short hash of each scene that it was made with, so that a test can tell its training
-scenes from others.
+A design keeps the job of its training with its camera; the name or path of its data with the
+options that load it; the hash of the training scenes, and the number of scenes left out. It also
+keeps a short hash of each training scene, by which a test tells them from new scenes.
 """
 
 from collections.abc import Iterable, Mapping
@@ -86,7 +85,7 @@ def was_trained_on(training: np.ndarray | None, hashes: Iterable[str | None]) ->
     scenes = list(hashes)
     if training is None:
         return [None] * len(scenes)
-    # All at once: each look among a whole training takes milliseconds
+    # All at once: a search through all training scenes takes milliseconds
     known = _numbers(scene for scene in scenes if scene is not None)
     answers = iter(np.isin(known, training).tolist())
     return [None if scene is None else next(answers) for scene in scenes]

@@ -163,7 +163,7 @@ class SceneReadouts:
     """Counts of a scene, readout by readout."""
 
     masks: np.ndarray  # (k, N), counts that each pixel of reflectance 1 gives to each readout
-    counts: np.ndarray  # (k,), photons, less what is no scene's
+    counts: np.ndarray  # (k,), photons, less the background
     noise: np.ndarray  # (k,), variance beyond that of the scene's own photons
     inputs: np.ndarray  # (k,), detector that counted each
 
@@ -272,6 +272,7 @@ class ViewTest:
             image = fault.transform(scenes.reshape(len(scenes), *_rows(image_shape)))
             image = image.reshape(scenes.shape)
             lit = image[: self._classes]
+            # the light of a run is measured: each view has that of the training
             image = image * (self._mean.sum() / (self._shares @ lit).sum())
             image[: self._classes] += fault.stray * self._mean.mean()
             # The all-ON frames that measure the light see the stray light, too

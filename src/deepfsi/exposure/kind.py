@@ -245,6 +245,7 @@ class MaskExposure(ExposureKind):
                 # clicks are over the training's budget: the next line divides by this one
                 counts = counts * (photons / self.clicks.photons)
             answer = network(self.detection.features(counts) / photons, photons)
+            # the mean light of the exposures, without their noise
             arriving = photons * self.placed(rates, None)
             counted = float(scanner.noise.mean(arriving).sum())
             return answer, CountedLight(counted, float(arriving.sum()))

@@ -211,6 +211,7 @@ class ExposureTraining(ABC):
         for job, entry in enumerate(self.entries):
             exposure = resolve_name(entry.restored_by)(
                 entry=entry,
+                # all jobs have masks of their own, or share one set
                 rails=Rails.of(self.law.check(rails[job % len(rails)].clone())),
                 light=self.camera.light,
                 image_shape=self.training_set.data.image_shape,
@@ -264,6 +265,7 @@ def matrix_seeds(jobs: Sequence[Job]) -> list[int]:
 def standardise_batch(features: Tensor, scale: Scale) -> Tensor:
     """Divide centred features (B, R, m) by the standard deviation of their batch."""
     if scale == "each":
+        # features that do not vary become 0, not NaN, by `eps`
         columns = functional.batch_norm(
             features.flatten(1), None, None, training=True, eps=LEAST_POWER
         )

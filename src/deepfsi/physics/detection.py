@@ -132,6 +132,7 @@ class Detection:
         if self.count == 1:
             return pixels
         order = self._order.to(pixels.device)
+        # fillers have the index N: a dark pixel
         if len(order) > pixels.shape[-1]:
             pixels = functional.pad(pixels, (0, 1))
         return pixels.index_select(-1, order)
@@ -179,6 +180,7 @@ class Detection:
         total = rails.total
         both = [total + rails.difference, total - rails.difference]
         frames = torch.stack(both) / 2  # a single rail has a dark M⁻
+        # only two arms light a pixel on both rails: they see one frame at once
         arms = (frames > 0).all(dim=0).any(dim=-1)
         time = torch.where(arms, total.amax(dim=-1), frames.amax(dim=-1))
         active = (frames > 0).unflatten(-1, (self.count, -1)).any(dim=-1).flatten(-2)

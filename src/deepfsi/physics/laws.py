@@ -389,6 +389,7 @@ def share_out(dwell: Tensor, shortest: float) -> Tensor:
 
 def straight_through(continuous: Tensor, shown: Tensor) -> Tensor:
     """The second tensor, exactly, with the gradient of the first (straight through)."""
+    # the bracket is exactly 0: it brings a gradient and no rounding
     return shown + (continuous - continuous.detach())
 
 

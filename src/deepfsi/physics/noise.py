@@ -26,7 +26,7 @@ from deepfsi.camera.names import check_noise, find_noise, noise_name
 from deepfsi.physics.detection import Readouts
 
 Random = torch.Generator | None
-"""Generator that is drawn from; None for torch's own."""
+"""Generator of the draws; None for torch's global one."""
 
 NoiseFunction = Callable[[Tensor, Random], Tensor]
 """A user's own noise: counts of expected counts (..., m), drawn with a generator."""
@@ -85,6 +85,7 @@ class Noise(ABC):
 
     def brightness(self, like: Tensor, random: Random = None) -> Tensor:
         """1 + ε of frames, log-normal, in the shape of a tensor."""
+        # this width gives the standard deviation `fluctuation`; the last term sets the mean to 1
         sigma = math.sqrt(math.log1p(self.fluctuation**2))
         return torch.exp(sigma * normal(like, random) - sigma**2 / 2)
 

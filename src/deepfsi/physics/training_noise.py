@@ -70,6 +70,7 @@ class TrainingNoise:
         # readouts are the same for all B scenes, or each scene has its own: (2, 1 or B, R or 1, k)
         by_scene = [tensor if tensor.ndim == 4 else tensor.unsqueeze(1) for tensor in read]
         counts = []
+        # draws of an unbiased noise need no gradient: `Noise.gradient` attaches one to the features
         with torch.set_grad_enabled(not self.kind.unbiased and torch.is_grad_enabled()):
             rates = self._rates(mean, total)
             for job, kind in enumerate(self._kinds):

@@ -105,6 +105,7 @@ def _model_counts(training_set: TrainingSet, designs: Sequence[Design]) -> None:
     labels = training_set.data.groups
     rows = sample_scenes(len(x), x.shape[1])
     scenes = x[rows].double().cpu().numpy()
+    # scenes with values are one class
     scene_model = SceneModel.fit(scenes, labels[rows], len(first.classes) or 1)
     for design in designs:
         # readouts depend only on the masks, which designs may share

@@ -71,6 +71,7 @@ class LoopState:
             "cost": None if self.cost is None else self.cost.weight,
         }
         if self.step < self.total:
+            # drawn at the start of the running epoch, before the generators' present state
             state["orders"] = [stream.order for stream in self.draws.streams]
             state["optimiser"] = self.optimiser.state_dict()
             state["schedule"] = self.schedule.state_dict()

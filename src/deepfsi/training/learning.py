@@ -262,6 +262,7 @@ def _adaptive_designs(
     folds = [] if clicks else folds_of(data)
     designs: list[Design] = []
     for job, span in zip(jobs, report.split(len(jobs)), strict=True):
+        # adaptive masks are computed on the processor
         info = provenance(job, data, torch.device("cpu"))
         exposure, answers = training.make(job, span)
         if folds:
@@ -294,6 +295,7 @@ def check_fits(training_set: TrainingSet, jobs: Sequence[Job], processes: int = 
     """Raise `InputError` if training jobs together takes more memory than is free."""
     scenes, pixels = training_set.full.shape
     check_memory(
+        # the scenes are in memory already
         footprint(training_set, jobs) * processes - training_set.full.nbytes,
         f"{scenes} scenes of {pixels} pixels, {jobs[0].masks} masks and {processes} processes",
         "give fewer or smaller scenes (`size`), fewer `masks` or fewer `workers`",

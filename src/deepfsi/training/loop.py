@@ -68,7 +68,9 @@ def optimise(
         total=total,
         cost=cost,
     )
+    # of the widest layer in a step
     elements = batch * len(exposure.jobs) * exposure.parts * max(job.masks, *settings.hidden, 1)
+    # a user's module draws from torch's global generators
     of_torch = seeded(job.seed) if settings.is_custom else nullcontext()
     watch = LoopWatch(epochs, exposure, state, loss=scene_loss, classify=classify)
     with _threads(elements), of_torch, checkpoint.of_loop(state):
