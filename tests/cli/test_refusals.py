@@ -101,7 +101,7 @@ REFUSED = {
         --projector vialux,trigger=8 | trigger = '8': unexpected keyword argument
         --flux 1e7 | --flux is for virtual devices
         --virtual pmt | --virtual is for virtual devices
-        --projector dlpc900 | give one of vialux
+        --projector dlpc900 | give one of virtual, vialux
     """,
     "camera live looks --scene few --exposure 10ms": "| --flux",
     f"camera live run/patterns --scene few {FAST}": "| masks are known before",

@@ -59,9 +59,9 @@ def answers(folder, patterns, digits, lab=Lab(), scenes=SCENES, change=None):
     devices = virtual_setup(run.patterns, x, run.settings)
     setup = devices.projector
     setup.recorder.__class__, setup.recorder.lab = Wavering, lab
-    lamp, made = np.array(lab.lamp)[:scenes], setup._made
+    lamp, rates_of = np.array(lab.lamp)[:scenes], setup._rates_of
     setup._rates *= lamp[:, None, None]
-    setup._made = lambda scene, packed: lamp[scene] * made(scene, packed)
+    setup._rates_of = lambda scene, packed: lamp[scene] * rates_of(scene, packed)
     if change:
         devices = replace(devices, display=change(setup) or setup.display)
     steps = run.steps(folder, devices)
