@@ -15,18 +15,18 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src/deepfsi"
 
 LINES = {
-    "adaptive": 1382,
-    "base": 1594,
+    "adaptive": 1385,
+    "base": 1595,
     "camera": 1107,
     "cli": 1784,
     "counting": 3161,
     "datasets": 1692,
-    "design": 1009,
+    "design": 1018,
     "designfile": 1200,
     "evaluation": 1329,
     "exposure": 1027,
     "jobs": 1189,
-    "lab": 3055,
+    "lab": 3056,
     "patterns": 1139,
     "physics": 1689,
     "report": 939,

@@ -93,7 +93,9 @@ def test_whole_numbers_that_may_be_rounded_are_refused(tmp_path, values, said):
         read_whole_numbers(tmp_path / "t.npy", lambda names, width: range(width))
 
 
-@pytest.mark.parametrize(("number", "exact"), [("1.2345e+07", False), ("1.2345678e+07", True)])
+@pytest.mark.parametrize(
+    ("number", "exact"), [("1.2345e+07", False), ("1.2345E+07", False), ("1.2345678e+07", True)]
+)
 def test_whole_numbers_of_too_few_digits_are_refused(tmp_path, number, exact):
     """As MATLAB's dlmwrite and "%g" write them."""
     (tmp_path / "t.txt").write_text(f"1 2\n{number} 2\n")

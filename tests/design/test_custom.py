@@ -93,6 +93,12 @@ def foreign(digits, tmp_path, monkeypatch):
     sys.modules.pop("foreign_nets", None)
 
 
+def test_a_classifier_is_given_to_a_design_without_its_own_alone(made, tmp_path):
+    file = made("deepfsi", "column", "dual").save(tmp_path / "own.safetensors")
+    with pytest.raises(InputError, match="holds its classifier: leave"):
+        Design.load(file, classifier=nn.Linear(7, 10))
+
+
 def test_loading_runs_no_code_unless_told_to(foreign, tmp_path):
     locked = Design.load(foreign)
     assert not (tmp_path / "ran").exists()

@@ -118,3 +118,10 @@ def test_pictures_are_predicted_as_their_counts_are_classified(digits, exposure)
     for bad, words in ((images[..., :7], r"give \(..., 8, 8\)"), (2 * images, "in .0, 1.$")):
         with pytest.raises(InputError, match=words):
             made.expose(bad, 1e4)
+
+
+def test_budgets_that_are_not_of_the_exposures_are_refused(made):
+    design = made("deepfsi", "column", "dual")
+    counts = np.ones((4, *design.counts_shape))
+    with pytest.raises(InputError, match=r"photons of shape \(3,\) do not fit counts of \(4,\)"):
+        design.classify(counts, np.full(3, 1e4))

@@ -334,7 +334,10 @@ def answer_of(probabilities: Tensor) -> Answer:
 
 
 class LeftOutScenes(NamedTuple):
-    """Training scenes; each is left out of the prior while it is exposed."""
+    """Training scenes; each is left out of a prior of scenes while it is exposed.
+
+    A prior of clusters keeps its centres.
+    """
 
     scenes: Tensor  # (S, N)
     labels: Tensor  # (S,)

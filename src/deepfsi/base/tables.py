@@ -1,6 +1,6 @@
 """Tables of numbers, and lists of names, labels and numbers that a person or a program wrote.
 
-Tables are ``.csv``, ``.parquet``, ``.npy`` and ``.mat`` files (`read_table`); lists are text alone,
+Tables are text, ``.parquet``, ``.npy`` and ``.mat`` files (`read_table`); lists are text alone,
 a row of cells for each line (`read_cells`). A table is refused where it may be misread: a whole
 number that floating point rounded, a first line that numbers the columns.
 """
@@ -75,11 +75,12 @@ def read_whole_numbers(
         _check_numbers(path, column.to_frame(), floats[:, None])
         integers = None if column.dtype.is_float() else column.cast(pl.Int64, strict=False)
         if integers is None or integers.null_count():
-            # Beyond that floating point may have rounded them, and a text of fewer digits has
+            # Floats above `exact` may have been rounded. So has a text such as 1.2e12, which gives
+            # fewer digits than its number has
             exact = 2.0**24 if column.dtype == pl.Float32 else 2.0**53
             wrong = (floats != np.rint(floats)) | (np.abs(floats) > exact)
             if column.dtype == pl.String:
-                digits = column.str.extract(r"^[+-]?([\d.]*)e", 1).str.count_matches(r"\d")
+                digits = column.str.extract(r"^[+-]?([\d.]*)[eE]", 1).str.count_matches(r"\d")
                 wrong |= np.abs(floats) >= 10.0 ** digits.fill_null(99).to_numpy()
             if wrong.any():
                 raise InputError(
@@ -186,7 +187,7 @@ def read_cells(path: Path, advice: str, spaces: bool = False) -> "pl.DataFrame":
     separator = next((mark for mark in SEPARATORS if mark in first), ",")
     if spaces and separator not in first:  # as NumPy writes tables
         text = re.sub(" +", ",", re.sub("^ +| +$", "", text, flags=re.M))
-        first = first.strip().replace(" ", ",")
+        first = re.sub(" +", ",", first.strip())
     if not first:
         return pl.DataFrame()
     if first.count(separator) >= MOST_COLUMNS:

@@ -167,7 +167,7 @@ CsvFile = Annotated[Path | None, Output((".csv",))]
 
 Trust = Annotated[bool, option("run the code of the classifier that the design names")]
 TorchDevice = Annotated[str, option("auto, cpu, cuda, one of several GPUs such as cuda:1, or mps")]
-WorkerCount = Annotated[Count | None, option("processes; default: one for each core")]
+WorkerCount = Annotated[Count | None, option("processes; default: one for each core; with folds 1")]
 Ray = Annotated[str | None, option("work on a Ray cluster: its address, auto or local")]
 Force = Annotated[bool, option("replace what is at --out")]
 

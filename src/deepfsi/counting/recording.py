@@ -2,7 +2,7 @@
 
     acquisition.json   scenes, exposure, settle time (`Acquisition`)
     patterns/          manifest.json, mirrors.npy and the design of the patterns shown, no frames
-    photons.ptu        photons and frame markers, as the vendor's software or a virtual camera wrote
+    photons.ptu        photons and frame markers, written by a counter, `camera import` or virtually
     counts.npz         photons of each readout (`Counts`), written by `count`
     calibration/       spot scans and flat fields, if there are any
 

@@ -384,6 +384,8 @@ class Design:
         """
         design = cls(**fields_of(DesignFile.read(path)))
         network = design.classifier
+        if classifier is not None and not isinstance(network, OwnClassifier):
+            raise InputError(f"{path} holds its classifier: leave `classifier` out")
         if isinstance(network, OwnClassifier) and (trust or classifier is not None):
             inputs = design.mask_exposure.input_count
             answers = len(design.values.names if design.values else design.classes)
@@ -428,4 +430,11 @@ def _check_readouts(
         raise InputError("counts must be finite, and photons finite and above 0")
     if budget.ndim:
         budget = budget.reshape(*budget.shape, *(1 for _ in parts))
-    return read, budget.expand(read.shape[: -len(readouts)]).unsqueeze(-1)
+    exposures = read.shape[: -len(readouts)]
+    try:
+        return read, budget.expand(exposures).unsqueeze(-1)
+    except RuntimeError:
+        raise InputError(
+            f"photons of shape {np.shape(photons)} do not fit counts of {tuple(exposures)} "
+            "exposures: give one budget, or one for each"
+        ) from None

@@ -5,8 +5,8 @@ statistics compare an exposure with them. Its *brightness* is all its counts ove
 scene. Its *pattern* is the readouts less their mean shares of all counts, as the distance from 0 in
 the metric of the scenes' covariance and the photon noise together. Each has a p-value, calibrated
 on simulated counts of scenes that were left out of the covariance, at budgets from hardly a count
-to far more than any camera has. The calibration is of the class that fits worst, so that the rate
-of false alarms holds whatever classes are shown.
+to far more than any camera has. A single exposure is tested by the tails of all scenes, a whole
+acquisition by those of the class that fits worst, whatever classes are shown.
 
 Scenes are *alike* if their patterns differ by photon noise alone. Two scenes of one class differ by
 more, so that alike scenes count as one.

@@ -8,7 +8,7 @@ The test takes scenes of a class for normal about their mean scene, with one cov
 classes (`SceneModel`); their counts behind any masks, with photon noise, are then normal, too. The
 evidence for a fault of the view is the ratio of the likelihoods of all counts with and without it,
 where the share of each class in the run is learned, scene after scene, from the counts themselves.
-The mean of the ratios over `views` exceeds 1 / `FALSE_ALARM` in a sound run, whenever one looks,
+The mean of the ratios over the faults exceeds 1 / `FALSE_ALARM` in a sound run, whenever one looks,
 with a chance of at most `FALSE_ALARM` (Ville 1939; Shafer and Vovk's test martingales), as far as
 the model holds. Each scene must be another one. Where one scene, shown again and again, explains
 the counts as well, the fault is named and the run is not refused.

@@ -223,9 +223,9 @@ def _classify_counts(
     usable = counts.valid & (lit & ~counts.spoilt)[:, None]  # (S, R)
     if not usable.any():
         forced = "; `force` classifies them all the same" if dim else ""
+        reason = f" ({counts.faults[0]})" if counts.faults else ""
         raise InputError(
-            f"{source} has no exposure that can be classified ({counts.faults[0]}): record "
-            f"again{forced}"
+            f"{source} has no exposure that can be classified{reason}: record again{forced}"
         )
     consistency, view = _test(design, test, counts, budgets, usable)
     for verdict in (consistency, view):

@@ -111,8 +111,9 @@ class CountTest:
     ) -> ViewResult | None:
         """Add a scene, and give the view of the camera on all so far; None if it is not tested.
 
-        `masks` (..., N) are reflectances, `photons` their budgets, `counts` (..., D) are without
-        the dark ones, `noise` (..., D) is their variance beyond Poisson's, `arms` (...) count them.
+        `masks` (..., N) are shares of the light, `photons` their budgets, `counts` (..., D) are
+        without the dark ones, `noise` (..., D) is their variance beyond Poisson's, `arms` (...)
+        count them.
         """
         if self._view is None:
             return None

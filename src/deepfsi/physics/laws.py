@@ -394,7 +394,7 @@ def straight_through(continuous: Tensor, shown: Tensor) -> Tensor:
 
 
 class FixedMasks(nn.Module):
-    """Fixed masks; `forward` gives their rails (..., 2 or 1, m, N)."""
+    """Fixed masks; `forward` gives their `Rails` (..., m, N)."""
 
     difference: Tensor
     total: Tensor | None

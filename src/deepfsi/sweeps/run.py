@@ -50,9 +50,9 @@ def compare(
     """Results of a recipe, and the record of each trial of each fold.
 
     The folder keeps records and designs: a changed recipe reuses what it still shares with them.
-    `matrix` (m, N) holds the user's masks; `workers` None is one process on each core, or one on a
-    GPU; `ray` is the address of a cluster that trains in their place, or "auto". Raises
-    `InputError` if anything in the recipe cannot be had, or a training diverged.
+    `matrix` (m, N) holds the user's masks; `workers` None is one process on each core, one on a GPU
+    and for several folds; `ray` is the address of a cluster that trains in their place, or "auto".
+    Raises `InputError` if anything in the recipe cannot be had, or a training diverged.
     """
     from deepfsi.physics.surroundings import library_defaults
 
