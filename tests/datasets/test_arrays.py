@@ -223,5 +223,6 @@ def test_tensors_of_a_network_are_arrays():
     x, y = torch.rand(60, 8, 8), np.arange(60) % 2
     for scenes in (x.requires_grad_(), x.bfloat16(), x.detach().flatten(1).to_sparse()):
         assert len(from_arrays(scenes, y).x_train) == 48
+        assert len(arrays.as_test_part(scenes, y, (8, 8), ("0", "1")).x_test) == 60
     with pytest.raises(InputError, match="x is no array"):
         from_arrays(x.to("meta"), y)

@@ -101,10 +101,10 @@ def as_test_part(
     values: Sequence[str] = (),
 ) -> Dataset:
     """Data set of test scenes (n, H, W) or (n, N) alone, for a design trained on others."""
-    pixels = np.asarray(x)
+    pixels = _array(x, "x")
     if pixels.ndim == 2 and pixels.shape[1] == prod(image_shape):
         x = pixels.reshape(-1, *image_shape)
-    words = np.asarray(y).astype(str)
+    words = _array(y, "y").astype(str)
     # Integers 0, 1, … may be the names of classes, and no numbers of theirs
     if set(words.ravel().tolist()) <= set(classes):
         y = words
