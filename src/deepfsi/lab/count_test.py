@@ -1,7 +1,7 @@
 """The test of counts, shared by recorded and live runs, tables and pictures.
 
-It asks three questions. Was there enough light? Do the counts look like those of the training? Does
-the camera see scenes as the training did?
+It asks four questions. Was there enough light? Has each exposure counts of its own? Do they look
+like those of the training? Does the camera see scenes as the training did?
 """
 
 from collections import deque
